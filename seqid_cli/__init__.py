@@ -10,18 +10,8 @@ from importlib import import_module
 from types import ModuleType
 
 __version__ = "0.1.0"
-PACKAGES = (
-    "compare",
-    "discover",
-    "export",
-    "identify",
-    "inspect",
-    "payload",
-    "plan",
-    "report",
-    "scale",
-    "trend",
-)
+_NAMES = "compare discover export identify inspect payload plan report scale trend"
+PACKAGES = tuple(_NAMES.split())
 
 
 def __getattr__(name: str) -> ModuleType:

@@ -13,23 +13,15 @@ class SeqidWarning(UserWarning):
 class SeqidError(Exception):
     """A problem that the user can act on.
 
-    Parameters
-    ----------
-    message : str
-        What is wrong, with the value and the limit.
-    hint : str
-        What to do about it.
-    where : str
-        File, channel, joint or key that it is about.
+    `message` says what is wrong, with the value and the limit, `hint` what to do about it, `where`
+    which file, channel, joint or key it is about.
     """
 
     exit_code = 2
 
     def __init__(self, message: str, *, hint: str = "", where: str = "") -> None:
         super().__init__(message)
-        self.message = message
-        self.hint = hint
-        self.where = where
+        self.message, self.hint, self.where = message, hint, where
 
     def __str__(self) -> str:
         return f"{self.where}: {self.message}" if self.where else self.message

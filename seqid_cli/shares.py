@@ -8,12 +8,7 @@ MORE_DIGITS = 2  # that a share may be given so as not to look like none or all
 def percent(share: float, digits: int = 1) -> str:
     """Return a share in percent; less than all never reads 100 %, more than none never 0 %.
 
-    Parameters
-    ----------
-    share : float
-        1.0 for all.
-    digits : int
-        Decimals; more where the share would else be rounded to 0 % or 100 %.
+    It has `digits` decimals, and more where it would else be rounded to 0 % or 100 %.
     """
     if not math.isfinite(share):
         return "-"

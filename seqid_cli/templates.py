@@ -14,20 +14,10 @@ def filled(
     filters: Mapping[str, Any],
     markup: bool = False,
 ) -> str:
-    """Fill in a template.
+    """Fill in the template `name` of a package's folder `templates`.
 
-    Parameters
-    ----------
-    package : str
-        Whose folder `templates` has it.
-    name : str
-        Of its file.
-    content : mapping of str to object
-        What stands in it; a name that is missing is an error.
-    filters : mapping of str to functions
-        What values are written by.
-    markup : bool
-        Whether it is HTML: what is filled in is then escaped.
+    A name that is missing in `content` is an error. `filters` write values; what is filled in is
+    escaped where it is HTML (`markup`).
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader(package, "templates"),

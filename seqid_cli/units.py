@@ -7,20 +7,10 @@ _ANGLE = re.compile(r"\brad\b")
 
 
 def unit_of(unit: str, prismatic: bool) -> str:
-    """Return the unit of a joint's parameter.
+    """Return the unit of a parameter of a joint, "N s/m" for "N m s/rad" where it is `prismatic`.
 
-    Parameters
-    ----------
-    unit : str
-        As for a revolute joint, with "N m" for torque and "rad" for the joint's position; an angle
-        that is not the joint's own (a phase, a tilt) must not be given.
-    prismatic : bool
-        Whether the joint slides: torque is then a force and the angle a length.
-
-    Returns
-    -------
-    str
-        For example "N s/m" for "N m s/rad".
+    `unit` is as for a revolute joint: "N m" for torque and "rad" for the joint's position; an angle
+    that is not the joint's own (a phase, a tilt) must not be given.
     """
     if not prismatic:
         return unit

@@ -1,7 +1,5 @@
 """The command group: commands are imported when chosen, errors become messages and exit codes."""
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import json
@@ -64,10 +62,7 @@ class LazyGroup(TyperGroup):
     def resolve_command(
         self, ctx: Context, args: list[str]
     ) -> tuple[str | None, Command | None, list[str]]:
-        """Find the command that the first word names.
-
-        Raises UsageError: there is no command of that name.
-        """
+        """Find the command that the first word names; raises UsageError if there is none."""
         name = args[0]
         if name not in COMMANDS:
             close = difflib.get_close_matches(name, COMMANDS)

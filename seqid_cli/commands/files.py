@@ -14,7 +14,7 @@ from seqid_cli.params.results import tables
 from seqid_cli.params.results.comparison import ComparisonFile, Difference
 from seqid_cli.params.results.export import ExportFile
 from seqid_cli.params.results.report import TITLES
-from seqid_cli.params.results.trend import ChangeEntry, TrendFile
+from seqid_cli.params.results.trend import ChangeEntry
 
 # Identified base parameters that no body has within so many standard errors are not noise.
 MAX_STD_ERRORS = 4.0
@@ -88,13 +88,7 @@ def export(
     knows no other.
     """
     told, file = called(context, "export.export")
-    _show_export(told.screen, file)
-    told.screen.note(f"written: {output} ({file.format})")
-    return told.ended(untrusted=file.largest_deviation > MAX_STD_ERRORS)
-
-
-def _show_export(screen: Screen, file: ExportFile) -> None:
-    rows = []
+    screen, rows = told.screen, []
     for name, link in file.joints.items():
         center, fit = " ".join(number(x) for x in link.center_of_mass), link.friction
         friction: tuple[float | None, ...] = (None, None, None)
@@ -110,6 +104,8 @@ def _show_export(screen: Screen, file: ExportFile) -> None:
         _show_deviations(screen, file)
     for note in file.notes:
         screen.note(f"note: {note}")
+    screen.note(f"written: {output} ({file.format})")
+    return told.ended(untrusted=file.largest_deviation > MAX_STD_ERRORS)
 
 
 def _show_deviations(screen: Screen, file: ExportFile) -> None:
@@ -161,11 +157,9 @@ def compare(
     """
     context.params["json"] |= form == "json"
     told, found = called(context, "compare.compare")
-    limits = [] if found.rule.sigma is None else [f"{found.rule.sigma:g} standard errors"]
-    limits.append(f"{100.0 * found.rule.rtol:g} % of its size")
-    summary = (
-        f"{found.changed} of {found.compared} numbers changed (by more than {' and '.join(limits)})"
-    )
+    limit = "" if found.rule.sigma is None else f"{found.rule.sigma:g} standard errors and "
+    limit += f"{100.0 * found.rule.rtol:g} % of its size"
+    summary = f"{found.changed} of {found.compared} numbers changed (by more than {limit})"
     if form == "github":
         for item in found.differences:
             if item.different:
@@ -241,22 +235,14 @@ def trend(
     are named with robot, joint and date. Exits with 1 when anything changed.
     """
     told, found = called(context, "trend.trend")
-    _show_trend(told.screen, found)
-    for path in (output, table):
-        if path is not None:
-            told.screen.note(f"written: {path}")
-    return EXIT_UNTRUSTED if found.alarm else EXIT_DONE
-
-
-def _show_trend(screen: Screen, found: TrendFile) -> None:
+    screen = told.screen
     clearest: dict[tuple[str, str, str], ChangeEntry] = {}  # of each robot, joint and stage
     for entry in found.changes:  # the clearest first
         name = entry.name if entry.stage == "effects" else ""
         clearest.setdefault((entry.robot, entry.joint, entry.stage + name), entry)
     shown = found.changes if screen.verbose else list(clearest.values())
     screen.values(tables.changes(shown))
-    hidden = len(found.changes) - len(shown)
-    if hidden:
+    if hidden := len(found.changes) - len(shown):
         screen.note(f"{hidden} more of the same joint and stage (-v shows them)")
     robots = ", ".join(dict.fromkeys(entry.robot for entry in found.changes))
     screen.result(
@@ -265,3 +251,7 @@ def _show_trend(screen: Screen, found: TrendFile) -> None:
         f" limit {found.limit:.3g} standard errors)"
     )
     screen.remark(*found.notes)
+    for path in (output, table):
+        if path is not None:
+            screen.note(f"written: {path}")
+    return EXIT_UNTRUSTED if found.alarm else EXIT_DONE

@@ -132,11 +132,7 @@ def _arguments(function: Callable[..., object], told: Told) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _workers(given: Mapping[str, Any]) -> Iterator[dict[str, Executor]]:
-    """Whoever is to read the logs of a command with --jobs, as an argument of its function.
-
-    Raises UsageError: a scheduler is given without Dask, Dask is not installed or no scheduler
-    answers.
-    """
+    """Whoever is to read the logs of a command with --jobs, as an argument of its function."""
     dask, scheduler = given.get("engine") == "dask", given.get("scheduler")
     if scheduler is not None and not dask:
         hint = "Add --engine dask, or leave out --scheduler."

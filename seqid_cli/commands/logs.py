@@ -99,9 +99,8 @@ def init(
     if output is not None:
         check_output(output, [*files, *([urdf] if urdf else [])])
         if output.exists() and not force:
-            raise UsageError(
-                "exists already", where=str(output), hint="Give another name, or --force."
-            )
+            hint = "Give another name, or --force."
+            raise UsageError("exists already", where=str(output), hint=hint)
 
     from seqid_cli.inspect.propose import propose, with_gravity
     from seqid_cli.robot.toml.template import robot_toml
@@ -121,14 +120,9 @@ def init(
             content = mounted
             write_text_atomic(output, content, inputs=files)
             screen.note("the logs tell the mounting: look at gravity in the file")
-    screen.document(
-        {
-            "output": str(output) if output else None,
-            "joints": [joint.name for joint in proposal.template.joints],
-            "todo": list(proposal.todo),
-            "robot_toml": content,
-        }
-    )
+    names = [joint.name for joint in proposal.template.joints]
+    made = {"output": str(output) if output else None, "joints": names}
+    screen.document({**made, "todo": list(proposal.todo), "robot_toml": content})
     if output is None and not screen.json:
         sys.stdout.write(content)
     for line in proposal.todo:

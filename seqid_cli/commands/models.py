@@ -6,13 +6,11 @@ import typer
 
 from seqid_cli.commands.job import called
 from seqid_cli.commands.options import MODEL, ROBOT, SIX, command, only, option
-from seqid_cli.commands.screen.render import Screen, number
+from seqid_cli.commands.screen.render import number
 from seqid_cli.commands.screen.show import show_motion, show_poor, show_verdicts, verdict_text
 from seqid_cli.commands.screen.show_diagnosis import show_diagnosis, show_refinement
 from seqid_cli.errors import UsageError
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.payload import PayloadFile
-from seqid_cli.params.results.prediction import PredictionFile
 
 _VALIDATION = f"{SIX}/validation -r {SIX}/robot.toml -p inertia.json"
 
@@ -40,23 +38,13 @@ def predict(
     the distance to it.
     """
     told, file = called(context, "identify.predict")
-    _show_prediction(told.screen, file)
-    if torques is not None:
-        told.screen.note(f"written: {torques}")
-    told.tell_output()
-    return told.ended(file.verdicts)
-
-
-def _show_prediction(screen: Screen, file: PredictionFile) -> None:
-    rows = []
+    screen, rows = told.screen, []
     for name, x in file.joints.items():
         verdict = verdict_text(file.verdicts, name) if x.samples else "not judged"
         errors = (x.rmse, x.relative_rmse, x.max_abs, x.share_sliding, x.rmse_all)
         rows.append((name, *errors, verdict))
-    titles = (
-        "joint | RMSE [{unit}] | relative | largest [{unit}] | slides in | all [{unit}] | verdict"
-    )
-    kinds = "text number share number share number text"
+    titles = "joint | RMSE [{unit}] | relative | largest [{unit}] | slides in | all [{unit}]"
+    titles, kinds = f"{titles} | verdict", "text number share number share number text"
     screen.values(tables.of_joints(titles, kinds, rows, file.robot))
     notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
     show_verdicts(screen, file.verdicts, "prediction", notes, shown=file.joints)
@@ -65,6 +53,10 @@ def _show_prediction(screen: Screen, file: PredictionFile) -> None:
     screen.note(f"cut-off: {', '.join(used)} Hz, {file.cutoff_origin} (--cutoff overrides)")
     for log in file.logs:
         screen.detail(f"{log.path}: cut-off {number(log.cutoff_hz)} Hz")
+    if torques is not None:
+        screen.note(f"written: {torques}")
+    told.tell_output()
+    return told.ended(file.verdicts)
 
 
 @command(
@@ -92,8 +84,7 @@ def diagnose(
         names = load_robot(robot).joint_names
         if explain not in names:
             message = f"--explain names no joint of this robot: {explain!r}"
-            hint = f"Its joints are {', '.join(names)}."
-            raise UsageError(message, where=str(robot), hint=hint)
+            raise UsageError(message, where=str(robot), hint=f"Its joints are {', '.join(names)}.")
     told, file = called(context, "discover.diagnose")
     show_diagnosis(told.screen, file, explain)
     show_motion(told.screen, file.motion, file.robot)
@@ -101,9 +92,8 @@ def diagnose(
     if file.verdict != "nothing_missing":
         smooth = "" if file.findings else " --with-unexplained"
         given = " ".join(f"-p {path}" for path in parameters) + smooth
-        told.screen.note(
-            f"next: seqid refine LOG... --holdout LOG... -r {robot} {given} -o refined.json"
-        )
+        refine = f"seqid refine LOG... --holdout LOG... -r {robot} {given} -o refined.json"
+        told.screen.note(f"next: {refine}")
     return told.ended(file.verdicts, untrusted=file.verdict != "nothing_missing")
 
 
@@ -163,12 +153,7 @@ def payload(
     of all joints, some of them slow, tell most. The result is in the frame of the last joint.
     """
     told, file = called(context, "payload.payload")
-    _show_payload(told.screen, file)
-    told.tell_output()
-    return told.ended(file.verdicts)
-
-
-def _show_payload(screen: Screen, file: PayloadFile) -> None:
+    screen = told.screen
     rows = [(name, x.value, x.std_error, x.unit) for name, x in file.payload.numbers()]
     titles, frame = "payload, frame {frame} | value | std error | unit", file.payload.frame
     screen.values(tables.values(titles, "text number4 number2 text", rows, frame=frame))
@@ -178,3 +163,5 @@ def _show_payload(screen: Screen, file: PayloadFile) -> None:
     show_poor(screen, [verdict for verdict in file.verdicts if verdict.joint], "payload")
     screen.result(f"payload: {verdict_text(file.verdicts, '')}")
     screen.remark(*file.notes)
+    told.tell_output()
+    return told.ended(file.verdicts)

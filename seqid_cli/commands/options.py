@@ -45,8 +45,7 @@ def only(
 
     def check(value: float | None) -> float | None:
         if value is not None and not (math.isfinite(value) and allowed(value)):
-            message = f"{value} is not {what}"
-            raise typer.BadParameter(message)
+            raise typer.BadParameter(f"{value} is not {what}")
         return value
 
     return check

@@ -114,8 +114,7 @@ def _box(text: str) -> tuple[float, ...]:
     except ValueError:
         corners = ()
     if len(corners) != 6 or not all(map(isfinite, corners)):
-        message = f"{text!r} is not six numbers x,y,z,x,y,z"
-        raise typer.BadParameter(message)
+        raise typer.BadParameter(f"{text!r} is not six numbers x,y,z,x,y,z")
     return corners
 
 

@@ -111,8 +111,7 @@ def simultaneous(
 
 def _stage(context: typer.Context, names: Sequence[str], following: str) -> int:
     """Identify and show stages; `following` is proposed unless a verdict is poor."""
-    function = str(context.info_name).replace("-", "_")
-    told, file = called(context, f"identify.{function}")
+    told, file = called(context, f"identify.{context.info_name}".replace("-", "_"))
     stages = Stages(**{name: getattr(file.stages, name) for name in names})
     show_stages(told.screen, stages, file.robot)
     verdicts = [verdict for name in names for verdict in getattr(stages, name).verdicts]

@@ -53,10 +53,7 @@ def format_of(path: Path) -> str:
 def export(
     robot: Robot, stages: Stages, *, kind: str, errors: Mapping[str, float] | None = None
 ) -> Exported:
-    """Write an identified arm in a form `kind`, a value of `FORMATS`.
-
-    `errors`: RMS error of the torque of each joint on new logs [N m], for thresholds.
-    """
+    """Write an identified arm in a form of `FORMATS`; RMS `errors` on new logs set its limits."""
     from seqid_cli.export.model import export_model
 
     module, function, holds = _WRITERS[kind]

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -83,17 +82,14 @@ def export_model(
     joint [N m] on new logs; those of the inertia stage if left out.
     """
     if stages.inertia is None and robot.nominal is None:
-        raise ConfigError(
-            "the file holds no inertia stage, and the robot file names no URDF with inertials that "
-            "could stand in",
-            where=str(robot.source),
-            hint="Run seqid inertia first and export its result.",
-        )
+        message = "the file holds no inertia stage, and the robot file names no URDF with inertials"
+        hint = "Run seqid inertia first and export its result."
+        raise ConfigError(f"{message} that could stand in", where=str(robot.source), hint=hint)
     rigid = stages.inertia or stages.gravity
     coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
     coupling: Coupling = "gyroscopic" if coupled else "diagonal"
-    effects = _effects(stages, robot, holds, coupling)
-    demand = identified(stages, robot, more=effects.parameters)
+    added, springs, gaps, notes = _effects(stages, robot, holds, coupling)
+    demand = identified(stages, robot, more=added)
     urdf = None if robot.urdf is None else read_urdf_text(robot.urdf)
     links = () if urdf is None else bodies_of_urdf(urdf, robot.joint_names)
     kept = np.array([body.kept for body in links]) if links else np.zeros((robot.n, PER_LINK))
@@ -111,33 +107,26 @@ def export_model(
         surfaces=surfaces,
         friction=friction,
         deviations=demand.deviations(nearest.links + kept, nearest.rotor),
-        springs=effects.springs,
-        gaps=effects.gaps,
+        springs=springs,
+        gaps=gaps,
         observer=thresholds(robot, stages, surfaces, mass, errors),
         notes=(
             *_notes_on_links(robot, stages, demand, nearest),
             *_notes_on_friction(robot, friction),
-            *effects.notes,
+            *notes,
         ),
     )
 
 
-class _Effects(NamedTuple):
-    """What effects add: (11 n,) standard parameters, rotors last; springs and gaps of the model."""
+def _effects(
+    stages: Stages, robot: Robot, holds: Collection[str], coupling: Coupling
+) -> tuple[Array, Array, Array, list[str]]:
+    """Add up standard parameters (11 n,), rotors last, springs and gaps that the format `holds`.
 
-    parameters: Array
-    springs: Array
-    gaps: Array
-    notes: list[str]
-
-
-def _effects(stages: Stages, robot: Robot, holds: Collection[str], coupling: Coupling) -> _Effects:
-    """Add up the effects that are inertial parameters, and those that the format `holds`.
-
-    A payload counts as it was in the last log.
+    A payload counts as it was in the last log. Behind them come notes.
     """
-    n = robot.n
-    found = _Effects(np.zeros((PER_LINK + 1) * n), np.zeros((n, 4)), np.zeros(n), [])
+    n, notes = robot.n, []
+    parameters, springs, gaps = np.zeros((PER_LINK + 1) * n), np.zeros((n, 4)), np.zeros(n)
     last = slice(PER_LINK * (n - 1), PER_LINK * n)
     for item in fitted_effects(stages, robot, unexplained=True):
         name, fate, j = "a smooth term of no known cause", _LEFT_OUT, item.joint or 0
@@ -145,16 +134,16 @@ def _effects(stages: Stages, robot: Robot, holds: Collection[str], coupling: Cou
             name, c = item.effect.name, item.coefficients
             diagonal = coupling == "diagonal" and not item.settings.get("coupling")
             if name == "payload" or (name == "rotor_inertia" and diagonal):
-                found.parameters[last if name == "payload" else PER_LINK * n + j] += c.squeeze()
+                parameters[last if name == "payload" else PER_LINK * n + j] += c.squeeze()
                 fate = "added to the inertial parameters"
             elif name in holds:
                 fate = "written as it is"
                 if name == "backlash":
-                    found.gaps[j] += c[0]
+                    gaps[j] += c[0]
                 else:
-                    found.springs[j, : len(c)] += c[[1, 0, 3, 2][: len(c)]]
-        found.notes.append(f"{fate}: {name} ({robot.name_of(item.joint) or 'all joints'})")
-    return found
+                    springs[j, : len(c)] += c[[1, 0, 3, 2][: len(c)]]
+        notes.append(f"{fate}: {name} ({robot.name_of(item.joint) or 'all joints'})")
+    return parameters, springs, gaps, notes
 
 
 def _notes_on_links(
@@ -200,8 +189,7 @@ def _notes_on_friction(
 def simple_friction(surface: FrictionSurface) -> ExportedFriction:
     """Fit coulomb sign(v) + viscous v to a surface, uniformly over its positions and speeds.
 
-    Neither is negative. The offset is the mean part that does not flip with the direction, which
-    the two cannot say.
+    Neither is negative; the offset is the mean part that does not flip with the direction.
     """
     low, high = surface.scaling.speed
     low = min(max(low, SLIDES * surface.sign_width), high)

@@ -46,13 +46,12 @@ def thresholds(
     margin: float = 1.5,
     usual_cutoff_hz: float = 10.0,
 ) -> Thresholds:
-    """Find limits that a model's own error crosses once in `hours_between_alarms`.
+    """Find limits that a model's own error crosses once in `hours_between_alarms` of the whole arm.
 
     `mass` (n, n): largest entries of the mass matrix, kg m^2. `errors`: RMS torque error of each
-    joint [N m]; those of the inertia stage if left out. `hours_between_alarms`: mean time between
-    false alarms of the whole arm, h. `margin`: by how much other logs may be worse than those of
-    the error, and its tails heavier. `usual_cutoff_hz`: the band of the error where the file does
-    not tell it, Hz.
+    joint [N m]; those of the inertia stage if left out. `margin`: by how much other logs may be
+    worse than those of the error, and its tails heavier. `usual_cutoff_hz`: the band of the error
+    where the file does not tell it, Hz.
     """
     rigid = stages.inertia or stages.gravity
     band = (rigid.cutoff_hz if rigid else None) or usual_cutoff_hz
@@ -82,5 +81,4 @@ def largest_mass(robot: Robot, bodies: Array, armature: Array, *, positions: int
         inverse_dynamics(robot.chain, zero, bodies, q, rest, np.broadcast_to(unit, q.shape))
         for unit in np.eye(robot.n)
     ]
-    largest: Array = np.abs(np.stack(columns, axis=2)).max(axis=0) + np.diag(armature)
-    return largest
+    return np.asarray(np.abs(np.stack(columns, axis=2)).max(axis=0) + np.diag(armature))

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -10,7 +9,6 @@ from seqid_cli import __version__
 from seqid_cli.export.model import ExportModel
 from seqid_cli.export.urdf_tree import root_link
 from seqid_cli.model.bodies.pseudo_inertia import Body
-from seqid_cli.robot.types import Array
 from seqid_cli.templates import filled
 
 
@@ -20,25 +18,17 @@ def real(value: float, *, digits: int = 15) -> str:
     return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{mark}{exponent}"
 
 
-def reals(values: Iterable[float]) -> str:
-    """Return numbers with spaces between them."""
-    return " ".join(map(real, values))
-
-
-def _row(values: Array) -> str:
-    return ", ".join(map(real, np.ravel(values)))
-
-
 def rendered(template: str, model: ExportModel, **content: object) -> str:
     """Fill in a template; names of a robot are written by `e` or `tojson_ascii` there."""
-    filters = {"real": real, "spaced": reals, "row": _row, "tojson_ascii": json.dumps}
-    own = {
-        "joints": model.robot.joint_names,
-        "gravity": model.robot.gravity,
-        "armature": model.armature,
-        "friction": model.friction,
-        "remarks": remarks(model),
+    filters = {
+        "real": real,
+        "spaced": lambda values: " ".join(map(real, values)),
+        "row": lambda values: ", ".join(map(real, np.ravel(values))),
+        "tojson_ascii": json.dumps,
     }
+    robot = model.robot
+    own = {"joints": robot.joint_names, "gravity": robot.gravity, "remarks": remarks(model)}
+    own |= {"armature": model.armature, "friction": model.friction}
     return filled("seqid_cli.export", template, own | content, filters=filters)
 
 

@@ -37,9 +37,8 @@ def urdf(model: ExportModel) -> str:
         own = rendered("inertial.urdf.jinja", model, body=Body.of(model.nearest.links[k]))
         _replace(links[body.link], "inertial", _parsed(own), missing=True)
         for link in (links[name] for name in body.merged):
-            _replace(
-                link, "inertial", document.createComment(f" seqid: part of {plain(body.link)} ")
-            )
+            part = document.createComment(f" seqid: part of {plain(body.link)} ")
+            _replace(link, "inertial", part)
         _set_joint(document, joints[model.robot.joint_names[k]], model, k)
         if model.nearest.rotor[k] > 0.0:
             _set_rotor(document, root, model, k)
@@ -57,8 +56,7 @@ def _new(model: ExportModel, *, no_limit: float = 1000.0) -> tuple[bytes, tuple[
     links = ["base_link", *(f"{joint.name}_link" for joint in model.robot.joints)]
     turns = [pin.rpy.matrixToRpy(rotation) for rotation in model.robot.chain.rotation]
     own = {"arm": model.robot, "links": links, "turns": turns, "no_limit": no_limit}
-    raw = rendered("arm.urdf.jinja", model, **own)
-    return raw.encode(), tuple(map(UrdfBody, links[1:]))
+    return rendered("arm.urdf.jinja", model, **own).encode(), tuple(map(UrdfBody, links[1:]))
 
 
 def _set_joint(document: Document, joint: Element, model: ExportModel, k: int) -> None:

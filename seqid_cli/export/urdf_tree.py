@@ -31,17 +31,13 @@ class UrdfBody:
 
 
 def bodies_of_urdf(urdf: UrdfText, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
-    """Find the body of each of the identified `joints`, in chain order.
-
-    Raises ConfigError: the URDF is inconsistent.
-    """
+    """Find the body of each identified joint; raises ConfigError where the URDF is inconsistent."""
     model = whole_model(urdf)
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     elements = urdf.root.findall("joint")
-    fixed = {
-        link_of(x, "child"): link_of(x, "parent") for x in elements if x.get("type") == "fixed"
-    }
+    welds = (x for x in elements if x.get("type") == "fixed")
+    fixed = {link_of(x, "child"): link_of(x, "parent") for x in welds}
     found = []
     for name in joints:
         first = next(link_of(x, "child") for x in elements if x.get("name") == name)
@@ -49,19 +45,13 @@ def bodies_of_urdf(urdf: UrdfText, joints: Sequence[str]) -> tuple[UrdfBody, ...
         for link in merged:  # grows until nothing is fixed to any of them
             merged += [child for child, parent in fixed.items() if parent == link]
         at, kept = model.getJointId(name), np.zeros(PER_LINK)
-        for k in _behind(model, at, joints):
-            placement = data.oMi[at].actInv(data.oMi[k])
-            kept += placement.act(model.inertias[k]).toDynamicParameters()
+        behind = [at]  # grows by the joints that are not identified, up to those that are
+        for k in behind:
+            behind += [j for j in model.children[k] if model.names[j] not in joints]
+        for k in behind[1:]:
+            kept += data.oMi[at].actInv(data.oMi[k]).act(model.inertias[k]).toDynamicParameters()
         found.append(UrdfBody(first, tuple(merged[1:]), kept))
     return tuple(found)
-
-
-def _behind(model: pin.Model, joint: int, joints: Sequence[str]) -> list[int]:
-    """Joints that are not identified between a joint and the next identified ones."""
-    behind = [joint]
-    for k in behind:
-        behind += [j for j in model.children[k] if model.names[j] not in joints]
-    return behind[1:]
 
 
 def root_link(urdf: UrdfText) -> str:

@@ -202,8 +202,7 @@ class FrictionSurface:
     @cached_property
     def slopes(self) -> Array:
         """Viscous slope of each direction's surface, N m s/rad, of either sign."""
-        weights = self.scaling.slope(*self.orders)
-        return np.array([weights @ side.ravel() for side in self._sides])
+        return np.array([self.scaling.slope(*self.orders) @ side.ravel() for side in self._sides])
 
     def _extension(self, q: Array, v: Array) -> Array:
         """Columns (N, 4) of the extension of one direction, without its sign."""

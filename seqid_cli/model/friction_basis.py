@@ -107,8 +107,7 @@ class Fourier:
 
     def degrees(self, order: int) -> Array:
         """Return twice the harmonic: T_2k has k waves over its range, as harmonic k over a turn."""
-        harmonic: Array = np.ceil(np.arange(2 * order + 1) / 2.0)
-        return 2.0 * harmonic
+        return np.asarray(2.0 * np.ceil(np.arange(2 * order + 1) / 2.0))
 
     def mean(self, order: int) -> Array:
         """Return 1 for the constant, 0 for the waves."""
@@ -157,10 +156,9 @@ class Scaling:
         return scaled(speed, *self.speed)
 
     def basis(self, q: Array, v: Array, position_order: int, velocity_order: int) -> Array:
-        """Return the products (N, size * (l + 1)) of both bases, r fastest, continued beyond both.
+        """Return products (N, size (l + 1)) of both bases at q, v (N,), r fastest, beyond as well.
 
-        `q`, `v` (N,) are positions [rad] and velocities [rad/s] of the joint; of v only the size
-        counts. `position_order` and `velocity_order` are m and l.
+        Orders are m and l; of v only the size counts.
         """
         X = self.over_position.values(q, position_order)
         found = tensor(X, np.asarray(chebvander(self.u(v), velocity_order), dtype=np.float64))
@@ -181,11 +179,7 @@ class Scaling:
         return np.maximum(1.0 - np.abs(v) / self.speed[0], 0.0)
 
     def slope(self, position_order: int, velocity_order: int) -> Array:
-        """Return the weights of the coefficients in the viscous slope [N m s/rad].
-
-        It is the least-squares slope over the speeds from `slope_from` of the fastest one on, of
-        the surface's mean over position.
-        """
+        """Return the weights of the coefficients in the viscous slope beyond, N m s/rad."""
         mean = self.over_position.mean(position_order)
         return np.outer(mean, _slope_over_speed(self, velocity_order)).ravel()
 

@@ -94,16 +94,14 @@ class TorqueModel:
         """Rigid-body, gravity and rotor torque (N, n) N m."""
         if self.phi is None or self.rotor is None:
             return np.zeros_like(q)
-        chain = self.robot.chain
-        torque = inverse_dynamics(chain, self.robot.gravity, self.phi, q, dq, ddq)
+        torque = inverse_dynamics(self.robot.chain, self.robot.gravity, self.phi, q, dq, ddq)
         return torque + self.rotors(q, dq, ddq) if self.rotor.any() else torque
 
     def rotors(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Torque (N, n) N m that turns the motors' rotors."""
         if self.rotor is None or not self.rotor.any():
             return np.zeros_like(q)
-        ratios = gear_ratios(self.robot)
-        Y = rotor_regressor(self.robot.chain, q, dq, ddq, ratios, self.coupling)
+        Y = rotor_regressor(self.robot.chain, q, dq, ddq, gear_ratios(self.robot), self.coupling)
         return Y @ self.rotor
 
     def predict(self, motion: Motion) -> Array:
@@ -164,21 +162,18 @@ def known_rotors(robot: Robot) -> Array:
 def sliding(motion: Motion, slowest: Array) -> Mask:
     """Samples (N, n) at which a joint certainly slides, so that friction opposes its motion.
 
-    At rest friction takes any value up to stiction; such samples, and those that the filter mixes
-    with them, say nothing about the model.
+    At rest, and where the filter mixes rest in, friction is anything up to stiction.
     """
     near = slowest_near(motion, np.where(motion.moving, motion.dq, 0.0))
     return np.asarray((near >= slowest) & (near > 0.0) & motion.usable[:, None])
 
 
 def slowest_near(motion: Motion, velocity: Array, *, per_period: float = 80.0) -> Array:
-    """Least of velocities (N, k) within a quarter of a period of the cut-off, without sign.
-
-    Taken as straight between samples, so that thinning does not hide a reversal between two.
-    """
+    """Least of velocities (N, k) within a quarter of a period of the cut-off, without sign."""
     cutoff = motion.lowpass.cutoff_hz
     parts = max(1, math.ceil(per_period * cutoff / motion.rate_hz))
     share = (np.arange(parts) / parts)[:, None]
+    # Straight between samples, so that thinning does not hide a reversal between two.
     ahead = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
     fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(-1, velocity.shape[1])
     size = 2 * max(1, int(REACH * motion.rate_hz * parts / cutoff)) + 1
@@ -188,11 +183,7 @@ def slowest_near(motion: Motion, velocity: Array, *, per_period: float = 80.0) -
 def sampled_friction(
     surfaces: list[FrictionSurface | None], motion: Motion, *, dense: float = 80.0
 ) -> Array:
-    """Friction torque of a motion, its step at reversals kept below half of the rate.
-
-    Returns (N, n) [N m; N where prismatic]: before the motion's own low-pass; zero for a joint
-    whose friction is not known.
-    """
+    """Friction torque (N, n) before the motion's low-pass, steps kept below half of the rate."""
     torque = friction_torque(surfaces, motion.q, motion.dq)
     if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
         return torque
@@ -232,8 +223,7 @@ def _interpolation() -> Array:
     """Lagrange's weights (6, PARTS) of the knots for the points from a sample to the next."""
     powers = np.arange(len(KNOTS))[:, None]
     at = (np.arange(PARTS) / PARTS) ** powers
-    weights = np.linalg.solve(KNOTS.astype(float) ** powers, at)
-    return np.asarray(weights, dtype=np.float64)
+    return np.asarray(np.linalg.solve(KNOTS.astype(float) ** powers, at), dtype=np.float64)
 
 
 @lru_cache(maxsize=1)

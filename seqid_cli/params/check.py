@@ -13,21 +13,15 @@ from seqid_cli.params.evidence_schema import EvidenceEntry
 SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
 _Problem = tuple[str, str]  # key, fault
 # Fields that name joints, themselves or by their keys; a verdict may be about an IMU.
-_OF_JOINTS = {"joint", "joints", "of", "before", "after", "torque_constant_moves"} | {
-    "noise_floor",
-    "noise_floor_interval",
-    "gain_interval",
-}
+_OF_JOINTS = {"joint", "joints", "of", "before", "after", "torque_constant_moves", "noise_floor"}
+_OF_JOINTS |= {"noise_floor_interval", "gain_interval"}
 _RANGES = ("position_range", "speed_range")
 _INTERVALS = ("interval", "training_interval", "gain_interval", "noise_floor_interval")  # or empty
 _NEVER_NEGATIVE = ("std_error", "rmse")
 
 
 def check_consistency(document: schema.OfRobot, where: str) -> None:
-    """Check a decoded document about a robot.
-
-    Raises ConfigError: two parts of the document contradict each other; the message names the key.
-    """
+    """Raise ConfigError where two parts of a document about a robot contradict each other."""
     for key, what in _problems(document):
         hint = "The file was edited or damaged: run the command again that wrote it."
         raise ConfigError(f"{key}: {what}", where=where, hint=hint)
@@ -110,10 +104,6 @@ def _imu(key: str, imu: schema.ImuCalibration) -> Iterator[_Problem]:
             yield f"{key}.rotation", f"is no rotation: rows {i + 1} and {j + 1} give {product:.6g}"
 
 
-def _effect(key: str, effect: schema.EffectOfJoint) -> Iterator[_Problem]:
-    yield from _square(key, effect.covariance, len(effect.coefficients))
-
-
 def _session(key: str, session: schema.EffectSession) -> Iterator[_Problem]:
     if session.starts and len(session.starts) != len(session.logs):
         yield f"{key}.starts", f"must be {len(session.logs)} times, one per log"
@@ -149,7 +139,7 @@ _CHECKS: Mapping[type, Callable[[str, Any], Iterator[_Problem]]] = {
     schema.FrictionJoint: _friction,
     schema.RigidStage: _rigid,
     schema.ImuCalibration: _imu,
-    schema.EffectOfJoint: _effect,
+    schema.EffectOfJoint: lambda key, own: _square(key, own.covariance, len(own.coefficients)),
     schema.EffectSession: _session,
     schema.ClosedLoop: _closed_loop,
     EvidenceEntry: _evidence,

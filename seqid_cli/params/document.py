@@ -131,8 +131,7 @@ def check_same_robot(
 def join(files: Sequence[tuple[str, schema.ParameterFile]]) -> schema.ParameterFile:
     """Join parameter files of one robot, given with the names to use in messages.
 
-    Raises ConfigError: there are none, they are about different robots, or they disagree on a
-    stage.
+    Raises ConfigError: there are none, of different robots, or that disagree on a stage.
     """
     if not files:
         raise ConfigError("no parameter file given", hint="Name one with -p.")

@@ -19,8 +19,7 @@ _SCALARS = (str, int, float, bool, type(None))
 def encode(document: object) -> str:
     """Render a structure as JSON text, ending in a newline.
 
-    Raises ValueError: a number is NaN or infinite, which is a bug of its source. The message names
-    the key. Raises TypeError: a value has no JSON form; the message names the key.
+    Raises ValueError for a number that is not finite, TypeError for what has no JSON form.
     """
     return _render(plain(document), "") + "\n"
 

@@ -50,10 +50,7 @@ def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn an error of the file system while writing `path` into a message.
-
-    Raises UsageError: the block met a full or read-only disk, or missing rights.
-    """
+    """Turn an error of the file system while `path` is written in the block into a UsageError."""
     try:
         yield
     except OSError as error:

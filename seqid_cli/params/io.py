@@ -72,8 +72,7 @@ def read_parameters(path: Path) -> ParameterFile:
 def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
     """Read parameter files and results about one robot, in the order given.
 
-    Raises ConfigError: one is missing, is no JSON, is no document of these kinds, is newer than
-    this version knows, or does not follow its schema. The message names the file and the key.
+    Raises ConfigError as `read_parameters` does; the message names the file and the key.
     """
     found: list[Source[Document]] = []
     for path in paths:
@@ -84,10 +83,7 @@ def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
 
 
 def read_trend(path: Path) -> TrendFile | None:
-    """Read a trend; None where the document is another one.
-
-    Raises ConfigError: it is missing, is no JSON, does not follow its schema, or a series is torn.
-    """
+    """Read a trend; None where it is another document. Raises as `read_parameters` does."""
     data, document = _opened(path, _RESULT_HINT)
     if not str(document.get("schema")).startswith("seqid/trend@"):
         return None
@@ -102,8 +98,7 @@ def _content(
     newest = PARAMS_VERSION if kind == "params" else 1
     if version > newest:
         message = f"is of the newer version {schema}; this seqid reads up to seqid/{kind}@{newest}"
-        upgrade = "Upgrade seqid: pip install --upgrade seqid."
-        raise ConfigError(message, where=where, hint=upgrade)
+        raise ConfigError(message, where=where, hint="Upgrade seqid: pip install --upgrade seqid.")
     try:
         for older in range(version, newest):
             document = PARAMS_MIGRATIONS[older](document)
@@ -142,10 +137,7 @@ def _schema_of(
 
 
 def check_robot(file: ParameterFile, robot: "Robot", *, where: str = "") -> tuple[str, ...]:
-    """Compare the robot of a parameter file with the robot file in use; returns warnings.
-
-    Raises ConfigError: the joints differ: these are parameters of another robot.
-    """
+    """Return warnings if the robot file has changed since; raises ConfigError for another robot."""
     mine, theirs = list(robot.joint_names), file.robot.joints
     if mine != theirs:
         message = (
@@ -159,11 +151,7 @@ def check_robot(file: ParameterFile, robot: "Robot", *, where: str = "") -> tupl
 
 
 def write_json_atomic(path: Path, document: object, *, inputs: Iterable[Path] = ()) -> None:
-    """Write a document as JSON in one step, with 12 significant digits.
-
-    Raises UsageError: `path` cannot be written or is one of `inputs`. Raises ValueError: a number
-    is not finite (a bug); nothing is written.
-    """
+    """Write a document as JSON in one step; see `encode` and `check_output` for errors."""
     write_text_atomic(path, encode(document), inputs=inputs)
 
 

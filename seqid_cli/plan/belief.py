@@ -13,27 +13,21 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.equations import filtered_regressor, torque_motion
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.identify.rigid.posterior import gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface, friction_torque
-from seqid_cli.model.torque import friction_surfaces
+from seqid_cli.model.torque import friction_surfaces, known_rotors, standard_parameters
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.planned import COEFFICIENTS, Shapes
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import COARSE_HZ, SPARSE, Moves, placed
-from seqid_cli.robot.base_parameters import (
-    Basis,
-    base_regressor,
-    free_basis,
-    gear_ratios,
-    standard_names,
-)
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, gear_ratios
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
 
 if TYPE_CHECKING:
     from seqid_cli.robot.urdf.geometry import Geometry
@@ -63,7 +57,7 @@ class Belief:
     noise_origin: str
     geometry: Geometry | None = None
 
-    def collides(self, q: Array) -> NDArray[np.bool_]:
+    def collides(self, q: Array) -> Mask:
         """Return which of moves or sweeps q (M, N, n) rad touch something."""
         if self.geometry is None:
             return np.zeros(len(q), dtype=bool)
@@ -73,8 +67,7 @@ class Belief:
         """Rows H (M, N, n, b) of the base parameters."""
         M, N, n = moves.q.shape
         states = (x.reshape(-1, n) for x in (moves.q, moves.dq, moves.ddq))
-        H = base_regressor(self.robot, self.basis, *states)
-        return H.reshape(M, N, n, self.basis.size)
+        return base_regressor(self.robot, self.basis, *states).reshape(M, N, n, self.basis.size)
 
     def weights(self, moves: Moves) -> Array:
         """What samples (M, N, n) tell, per (N m)^2: those that slide, by the noise."""
@@ -83,8 +76,7 @@ class Belief:
 
     def information(self, moves: Moves, H: Array) -> Array:
         """Information (M, b, b) of moves."""
-        rows = np.sqrt(self.weights(moves))[..., None] * H
-        flat = rows.reshape(len(H), -1, H.shape[3])
+        flat = (np.sqrt(self.weights(moves))[..., None] * H).reshape(len(H), -1, H.shape[3])
         return np.asarray(flat.transpose(0, 2, 1) @ flat)
 
     def torque(self, moves: Moves, H: Array, *, sigmas: float = 3.0) -> Array:
@@ -92,8 +84,7 @@ class Belief:
         if self.theta is None:
             return np.zeros(H.shape[:3])
         n = self.robot.n
-        rotors = [joint.rotor_inertia or 0.0 for joint in self.robot.joints]
-        tau = H @ self.theta + gear_ratios(self.robot) ** 2 * np.array(rotors) * moves.ddq
+        tau = H @ self.theta + gear_ratios(self.robot) ** 2 * known_rotors(self.robot) * moves.ddq
         states = (moves.q.reshape(-1, n), moves.dq.reshape(-1, n))
         tau += friction_torque(self.surfaces, *states).reshape(tau.shape)
         doubt = np.sqrt(np.sum((H @ self.root) ** 2, axis=3))
@@ -101,8 +92,7 @@ class Belief:
 
     def overload(self, moves: Moves, H: Array) -> Array:
         """Largest torque of each move over its limit (M,); at most 1 where the limits hold."""
-        share = self.torque(moves, H) / self.limits.torque
-        return np.asarray(share.max(axis=(1, 2)))
+        return np.asarray((self.torque(moves, H) / self.limits.torque).max(axis=(1, 2)))
 
 
 def belief_of(
@@ -145,8 +135,7 @@ def typical(belief: Belief, seed: int, *, count: int = 60) -> Moves:
     size = (count, belief.robot.n)
     coefficients = rng.normal(size=(*size, COEFFICIENTS)) * belief.limits.moves[:, None]
     drawn = np.dstack([coefficients, rng.uniform(size=size), np.ones(size)])
-    shapes = Shapes.over(10.0, COARSE_HZ)
-    return placed(shapes, drawn, belief.limits).every(SPARSE)
+    return placed(Shapes.over(10.0, COARSE_HZ), drawn, belief.limits).every(SPARSE)
 
 
 def _parameters(
@@ -162,7 +151,7 @@ def _parameters(
         if stage is None or not stage.parameters:
             continue
         if theta is None:
-            phi = np.array([stage.representative.get(x, 0.0) for x in standard_names(robot.n)])
+            phi = np.concatenate([x.ravel() for x in standard_parameters(stage, robot.n)])
             theta = basis.expression @ phi
         own = [basis.names.index(parameter.name) for parameter in stage.parameters]
         theta[own] = [parameter.value for parameter in stage.parameters]

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Limits:
     speed: Array
     acceleration: Array
     torque: Array
-    moves: NDArray[np.bool_]
+    moves: Mask
 
     @property
     def range(self) -> Array:
@@ -77,23 +77,21 @@ def _of_joint(
     speed = min((v for v in speeds if v is not None), default=math.inf)
     torque = math.inf if urdf is None or urdf.effort is None else urdf.effort
     if needed and (not given or math.isinf(speed)):
-        what = "velocity_limit" if given else "position_limits"
-        units = ("m", "m/s") if joint.prismatic else ("rad", "rad/s")
+        what, unit = ("velocity_limit", "rad/s") if given else ("position_limits", "rad")
         message = f"joint {joint.name!r} has no {what}, neither here nor in a URDF"
-        unit = units[bool(given)]
-        hint = f"Add {what} ({unit}) to this joint, or keep it still: --lock {joint.name}."
+        own = f"{what} ({joint.unit(unit)})"
+        hint = f"Add {own} to this joint, or keep it still: --lock {joint.name}."
         raise ConfigError(message, where=where, hint=hint)
     lower = max((low for low, _ in given), default=0.0)
     upper = min((high for _, high in given), default=0.0)
     if needed and lower >= upper:
         both = f"{joint.position_limits} and the URDF's {of_urdf}"
         message = f"joint {joint.name!r}: position limits {both} exclude each other"
-        hint = "Correct position_limits in the robot file."
-        raise ConfigError(message, where=where, hint=hint)
+        raise ConfigError(message, where=where, hint="Correct position_limits in the robot file.")
     if needed and upper - lower > slowest_s * speed:
-        unit = "m/s" if joint.prismatic else "rad/s"
         message = f"joint {joint.name!r} crosses its range in {(upper - lower) / speed:.3g} s"
-        hint = f"Correct its limit of {speed:g} {unit}; up to {slowest_s:g} s are planned."
+        limit = f"limit of {speed:g} {joint.unit('rad/s')}"
+        hint = f"Correct its {limit}; up to {slowest_s:g} s are planned."
         raise ConfigError(message, where=where, hint=hint)
     if lower > upper:
         lower = upper = 0.0

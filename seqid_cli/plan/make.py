@@ -42,11 +42,7 @@ def make_plan(
     have: Iterable[Recording] = (),
     geometry: Geometry | None = None,
 ) -> PlanFile:
-    """Plan the moves of one stage, or of all in the order of the work.
-
-    `have` are logs that inertia stage or diagnosis will get as well: only what they lack is
-    planned.
-    """
+    """Plan one stage, or all in the order of the work: what the logs `have` do not tell."""
     belief = belief_of(robot, stages, limits, geometry=geometry)
     if what == "discriminate":
         found = {what: plan_discriminate(belief, stages, options, list(have))}
@@ -167,16 +163,11 @@ def _notes(belief: Belief) -> list[str]:
     names, moves = np.array(belief.robot.joint_names), belief.limits.moves
     unlimited, still = names[moves & np.isinf(belief.limits.torque)], names[~moves]
     known, shapes = belief.theta is not None, belief.geometry is not None
+    no_limit, no_friction = "no torque limit in a URDF", "friction is not known"
     notes = (
         (not known, "no torque is known (neither -p nor a URDF with inertias): none was checked"),
-        (
-            known and len(unlimited),
-            f"no torque limit in a URDF, none was checked: {', '.join(unlimited)}",
-        ),
-        (
-            not any(belief.surfaces),
-            "friction is not known: it is not part of the torque that was checked",
-        ),
+        (known and len(unlimited), f"{no_limit}, none was checked: {', '.join(unlimited)}"),
+        (not any(belief.surfaces), f"{no_friction}: it is not part of the torque that was checked"),
         (not shapes, "no collision shapes in a URDF: watch the first run for collisions"),
         (shapes, "the ways between moves are not checked for collisions"),
         (len(still), f"kept still: {', '.join(still)}"),

@@ -167,8 +167,7 @@ class Panel:
         x, width = self.x(low), max(self.x(high) - self.x(low), 1.0)
         inside = [element("title", tooltip)] if tooltip else []
         own = {"class_": f"span {style}"}
-        mark = element("rect", *inside, **own, x=x, y=top, width=width, height=height)
-        self.marks.append(mark)
+        self.marks.append(element("rect", *inside, **own, x=x, y=top, width=width, height=height))
 
     def upright(self, value: float, style: str) -> None:
         """Draw a vertical line at a value."""
@@ -241,10 +240,7 @@ def figure(
     name: str = "",
     note: str = "",
 ) -> Figure:
-    """Return a drawing of panels with its values; `name` is its short title.
-
-    The keyboard can reach it if it has panels to read.
-    """
+    """Return a drawing of panels with its values; `name` is its short title."""
     box = panels[-1].box
     wide, readable = box.right + _RIGHT > SMALL, any(panel.hover for panel in panels)
     svg = element(
@@ -268,10 +264,7 @@ def dots(
     *,
     mark: float = 0.0,
 ) -> Figure | None:
-    """Draw a row of dots (style, value) per name, a line between its ends; `mark` crosses them.
-
-    None where there are no rows.
-    """
+    """Draw a row of dots (style, value) per name; a `mark` crosses them. None without rows."""
     if not rows:
         return None
     far = max([mark, *(value for points in rows.values() for _, value in points)])

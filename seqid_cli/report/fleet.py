@@ -41,10 +41,7 @@ class _Robot(NamedTuple):
 
 
 def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str = "") -> Page:
-    """Return the page, with the verdict on the worst robot.
-
-    `robots`: the documents of each robot, by its name. `title`: instead of the number of robots.
-    """
+    """Return the page on `robots`, documents by name, with the verdict on the worst of them."""
     judged = [_Robot.of(name, documents) for name, documents in robots.items()]
     judged.sort(key=lambda robot: _WORST.index(robot.judgement.level))
     by_level = groupby(judged, key=lambda robot: robot.judgement.level)

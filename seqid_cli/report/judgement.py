@@ -51,9 +51,8 @@ class Judgement:
 def judge(collection: Collection) -> Judgement:
     """Judge the model by all documents.
 
-    Poor is what a prediction on independent logs, or without one a stage, calls poor. Good needs
-    a prediction on logs that the model was not identified from; whatever else is open makes it
-    good with reservations.
+    Poor is what a prediction on independent logs, or without one a stage, calls poor. Good needs a
+    prediction on logs that the model is not from; whatever else is open makes it reservations.
     """
     tested = [(p, new) for p in collection.judged if (new := _new_logs(collection, p))]
     points = [

@@ -64,8 +64,7 @@ class TorqueTable:
     def open(cls, path: Path, collection: Collection) -> TorqueTable:
         """Open a torque file and check it against the documents.
 
-        Raises InputError: it is unreadable, lacks the columns of a torque file, or is of another
-        robot or of other logs than the prediction.
+        Raises InputError: it is unreadable, no torque file, or of another robot, log or model.
         """
         where, robot = str(path), collection.robot
         if not path.is_file():
@@ -95,10 +94,7 @@ class TorqueTable:
         return cls(where, prediction, joints, rows, frozenset(columns))
 
     def series(self, joint: str) -> list[Series]:
-        """Read one joint, log by log.
-
-        Raises InputError: time is not finite or goes back, or a value is infinite.
-        """
+        """Read a joint, log by log; raises InputError for infinite values, or time going back."""
         names = {"t": "t", "used": "used", **{k: f"{joint}.{k}" for k in (*_KINDS, *_MORE)}}
         there = {kind: name for kind, name in names.items() if name in self.columns}
         with _readable(self.path, "is damaged"):
@@ -121,8 +117,7 @@ class TorqueTable:
     def _one(self, log: str, own: Mapping[str, Array]) -> Series:
         t, torque, left = own["t"], own["torque"], own["residual"]
         if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0.0):
-            message = f"t is missing or goes back in {log}"
-            raise InputError(message, where=self.path, hint=_AGAIN)
+            raise InputError(f"t is missing or goes back in {log}", where=self.path, hint=_AGAIN)
         low, high = (own.get(kind, np.full(len(t), np.nan)) for kind in ("low", "high"))
         used, sliding = (own.get(name, np.ones(len(t))) > 0.0 for name in ("used", "sliding"))
         # NaN bounds, where the joint slides, leave the residual as it is.

@@ -43,13 +43,8 @@ class Table:
     @cached_property
     def rows(self) -> Sequence[Sequence[str]]:
         """The values as text."""
-        return self.values.cells(
-            words.number,
-            words.percent,
-            effect=words.effect_words,
-            path=words.short_path,
-            unit=words.unit_text,
-        )
+        forms = {"effect": words.effect_words, "path": words.short_path, "unit": words.unit_text}
+        return self.values.cells(words.number, words.percent, **forms)
 
 
 def table(
@@ -179,11 +174,9 @@ class Page:
             f"script-src 'sha256-{own['script']}'; "
             "img-src data:; base-uri 'none'; form-action 'none'"
         )
-        content = {"page": self, "version": __version__, "policy": policy, "created": now()}
+        content = {"page": self, "version": __version__, "policy": policy, "created": now()} | parts
         filters = {"unit": words.unit_text, "short": words.short_path}
-        return filled(
-            "seqid_cli.report", "report.html.j2", content | parts, filters=filters, markup=True
-        )
+        return filled("seqid_cli.report", "report.html.j2", content, filters=filters, markup=True)
 
 
 def resource(name: str) -> str:

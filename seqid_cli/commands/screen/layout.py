@@ -70,9 +70,7 @@ def format_table(
         else:
             break
     kept = len(widths)
-    text = "".join(
-        _line(line[:kept], widths, numeric, color, k == 0) for k, line in enumerate(lines)
-    )
+    text = "".join(_line(x[:kept], widths, numeric, color, k == 0) for k, x in enumerate(lines))
     if kept == len(columns):
         return text
     more = [[*line[:keys], *line[kept:]] for line in lines]

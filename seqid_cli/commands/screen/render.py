@@ -43,9 +43,8 @@ class Screen:
     def result(self, line: str) -> None:
         """Print one line of the result."""
         if not self.json:
-            sys.stdout.write(
-                layout.folded(layout.visible(line), layout.width_of(sys.stdout)) + "\n"
-            )
+            shown = layout.folded(layout.visible(line), layout.width_of(sys.stdout))
+            sys.stdout.write(f"{shown}\n")
 
     def document(self, document: object) -> None:
         """Print the result as JSON where that was asked for."""

@@ -154,7 +154,7 @@ def _shown(screen: Screen, shown: EvidenceEntry | None, robot: RobotId) -> None:
     force = robot.unit("N m", shown.joint)
     label, over = f"residual of {shown.joint}{sided} {force}{marks}", diagnosis.over_words(shown)
     over += _unit(shown.unit)
-    for line in text_chart(shown.x, shown.before, shown.after, x_label=over, y_label=label):
+    for line in text_chart(shown.x, shown.before, shown.after, over=over, label=label):
         screen.result(line)
 
 
@@ -191,17 +191,11 @@ def _named(rounds: Sequence[RefinementRound]) -> str:
 
 
 def text_chart(
-    x: Sequence[float],
-    y: Sequence[float],
-    after: Sequence[float] = (),
-    *,
-    x_label: str,
-    y_label: str,
+    x: Sequence[float], y: Sequence[float], after: Sequence[float] = (), *, over: str, label: str
 ) -> list[str]:
     """Draw y (`*`) and what it is `after` something (`o`) over x, with the ranges at the axes.
 
-    Nothing below two points. Points that fall into one column are averaged; x need not be even or
-    sorted.
+    Nothing below two points. Those in one column are averaged; x need not be even or sorted.
     """
     if len(x) < 2 or min(x) == max(x):
         return []
@@ -220,10 +214,10 @@ def text_chart(
     left, right = number(min(x)), number(max(x))
     margin = " " * (width + 2)
     return [
-        f"{margin}{y_label}",
+        f"{margin}{label}",
         *map(str.rstrip, drawn),
         f"{' ' * width} +{'-' * _COLUMNS}",
-        f"{margin}{left}{right.rjust(_COLUMNS - len(left))}  {x_label}",
+        f"{margin}{left}{right.rjust(_COLUMNS - len(left))}  {over}",
     ]
 
 

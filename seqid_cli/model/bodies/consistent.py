@@ -76,10 +76,9 @@ def consistent_links(J: Array, rotors: Array, demand: Demand) -> Consistent:
     problem = _Problem.of(J, rotors, demand)
     found = problem.exact() or problem.nearest()
     if found is None:
-        raise QualityError(
-            "no physically consistent link parameters were found for these base parameters",
-            hint="Check the robot file against the arm; compare the file with seqid predict.",
-        )
+        hint = "Check the robot file against the arm; compare the file with seqid predict."
+        message = "no physically consistent link parameters were found for these base parameters"
+        raise QualityError(message, hint=hint)
     return found
 
 
@@ -175,8 +174,7 @@ class _Problem:
         if least is None:
             return None
         radius = float(np.sqrt(least[-1] ** 2 + alike))
-        cones = [self._ball(radius), *self._domain(), *self._logarithms()]
-        near = _solved(self._costs(), cones)
+        near = _solved(self._costs(), [self._ball(radius), *self._domain(), *self._logarithms()])
         return self._found(least[:-1] if near is None else near)
 
     def _costs(self, *, rotor_cost: float = 1e-3) -> Array:

@@ -8,7 +8,6 @@ ones: the CAD's, or a guess from the arm's geometry.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
@@ -20,7 +19,8 @@ from seqid_cli.params.results.export import ExportedParameter
 from seqid_cli.params.schema import Parameter, Stages
 from seqid_cli.robot.base_parameters import Basis, free_basis, gear_ratios
 from seqid_cli.robot.regressor import PER_LINK
-from seqid_cli.robot.types import Array, Chain, Robot
+from seqid_cli.robot.types import Chain, Robot
+from seqid_cli.typing import Array, Mask
 
 _LEAST_ERROR = 1e-9  # of a parameter's scale; data without noise give no errors to weigh by
 
@@ -89,11 +89,9 @@ def identified(
     known = np.array([joint.rotor_inertia is not None for joint in robot.joints])
     first = PER_LINK * robot.n
     if not (np.abs(phi) < largest).all():
-        raise ConfigError(
-            f"a standard parameter of the file is {np.abs(phi).max():.3g}, above {largest:g}",
-            where=str(robot.source),
-            hint="The file was edited or damaged: run the stage again that wrote it.",
-        )
+        message = f"a standard parameter of the file is {np.abs(phi).max():.3g}, above {largest:g}"
+        hint = "The file was edited or damaged: run the stage again that wrote it."
+        raise ConfigError(message, where=str(robot.source), hint=hint)
     values = basis.expression @ phi
     seen = basis.expression[list(rows)][:, first:].any(axis=0) & ~known
     return Identified(
@@ -111,19 +109,16 @@ def identified(
 def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parameter], Array, Array]:
     """Parameters that the logs determined, inertia's word before gravity's, covariance, moves."""
     found: list[Parameter] = []
-    blocks: list[Array] = []
-    moves: list[Array] = []
+    blocks, moves = [np.zeros((0, 0))], [np.zeros((robot.n, 0))]
     for name, stage in (("inertia", stages.inertia), ("gravity", stages.gravity)):
         if stage is None:
             continue
         alien = next((p.name for p in stage.parameters if p.name not in basis.names), None)
         if alien is not None:
-            raise ConfigError(
-                f"$.stages.{name}: {alien!r} is no base parameter of this robot",
-                where=str(robot.source),
-                hint="The robot file has changed since: geometry, gravity or known rotor inertias."
-                " Give the one that the parameters were identified with, or identify again.",
-            )
+            message = f"$.stages.{name}: {alien!r} is no base parameter of this robot"
+            hint = "The robot file has changed since: geometry, gravity or known rotor inertias."
+            hint += " Give the one that the parameters were identified with, or identify again."
+            raise ConfigError(message, where=str(robot.source), hint=hint)
         taken = {parameter.name for parameter in found}
         own = [k for k, parameter in enumerate(stage.parameters) if parameter.name not in taken]
         errors = np.array([parameter.std_error for parameter in stage.parameters])
@@ -132,9 +127,8 @@ def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parame
         blocks.append(full[np.ix_(own, own)])
         told, none = stage.torque_constant_moves, [0.0] * len(errors)
         moves.append(np.array([told.get(joint, none) for joint in robot.joint_names])[:, own])
-    covariance = block_diag(*blocks) if blocks else np.zeros((0, 0))
-    common = np.hstack(moves) if moves else np.zeros((robot.n, 0))  # one error per joint
-    return found, covariance + common.T @ common, common
+    common = np.hstack(moves)  # one error per joint
+    return found, block_diag(*blocks) + common.T @ common, common
 
 
 def whitening(covariance: Array, least: float, *, min_variance: float = 1e-10) -> Array:
@@ -153,22 +147,19 @@ def expected_links(
 ) -> tuple[Array, tuple[bool, ...]]:
     """Return the expected pseudo-inertias (n, 4, 4), positive definite; which of them are CAD's.
 
-    `robot`: with `nominal` where its URDF has inertials. `kept` (n, 10): parts of the bodies that
-    stay as they are; not part of the links. `E` (b, 10 n): identified combinations of link
-    parameters; they scale the guess. `values` (b,): their values. `G` (b, k): the same of rotors.
+    `kept` (n, 10) are parts of the bodies that stay as they are, not of the links. Identified
+    combinations `E` (b, 10 n) and `G` (b, k) of links and rotors with their `values` (b,) scale the
+    guess.
     """
     lengths, shapes = _shapes(robot.chain)
     cad = np.zeros((robot.n, 10)) if robot.nominal is None else robot.nominal - kept
     given = cad[:, 0] > min_mass
     left = values - E @ np.where(given[:, None], cad, 0.0).ravel()
     masses = _masses(shapes, E, left, given, np.asarray(G.any(axis=1)))
-    J = np.stack(
-        [
-            _solid(pseudo_inertia(cad[i]), lengths[i]) if given[i] else masses[i] * shapes[i]
-            for i in range(robot.n)
-        ]
-    )
-    return J, tuple(bool(x) for x in given)
+    J = masses[:, None, None] * shapes
+    for i in np.flatnonzero(given):
+        J[i] = _solid(pseudo_inertia(cad[i]), lengths[i])
+    return J, tuple(given.tolist())
 
 
 def _shapes(
@@ -194,23 +185,15 @@ def _shapes(
 
 
 def _masses(
-    shapes: Array,
-    E: Array,
-    values: Array,
-    given: NDArray[np.bool_],
-    turned: NDArray[np.bool_],
-    *,
-    lightest: float = 0.05,
+    shapes: Array, E: Array, values: Array, given: Mask, turned: Mask, *, lightest: float = 0.05
 ) -> Array:
     """Masses (n,) kg of guessed links that come nearest to the identified values.
 
     `turned` (b,): values that hold a rotor of unknown inertia. A link that shows in such ones alone
     (the first of an arm on the floor) has the mean mass of the others: the rotor may be all of it.
     """
-    n = len(shapes)
-    columns = np.stack(
-        [E[:, 10 * i : 10 * i + 10] @ standard_of(J) for i, J in enumerate(shapes)], axis=1
-    )
+    links = np.split(E, len(shapes), axis=1)
+    columns = np.stack([own @ standard_of(J) for own, J in zip(links, shapes, strict=True)], axis=1)
     columns[:, given] = 0.0
     hidden = np.asarray(columns.any(axis=0) & ~columns[~turned].any(axis=0))
     if hidden.any() and not (hidden | given).all():
@@ -220,7 +203,7 @@ def _masses(
     size = np.where(columns.any(axis=1), np.abs(values) + np.abs(columns).max(axis=1), 0.0)
     rows = size > 0.0
     if not rows.any():
-        return np.ones(n)
+        return np.ones(len(shapes))
     masses, _ = nnls(columns[rows] / size[rows, None], values[rows] / size[rows])
     masses[hidden] = masses[~given & ~hidden].mean()
     mean = float(masses[~given].mean()) if (~given).any() else 1.0
@@ -252,11 +235,10 @@ class NearestBodies:
 
 
 def nearest_bodies(robot: Robot, found: Identified, kept: Array | None = None) -> NearestBodies:
-    """Find bodies with the identified torque, or the nearest to it.
+    """Find bodies with the identified torque, or the nearest to it; their links without `kept`.
 
     `kept` (n, 10): parts of the links that stay as they are; the rest must be able to exist by
-    itself. Returns: its links are without `kept`. Raises QualityError if no physically consistent
-    parameters are found.
+    itself. Raises QualityError if no physically consistent parameters are found.
     """
     first, free = PER_LINK * robot.n, list(found.free)
     kept = np.zeros((robot.n, 10)) if kept is None else kept

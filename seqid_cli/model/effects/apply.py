@@ -13,13 +13,7 @@ import numpy as np
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.model.effects.measurement import MeasurementEffect
-from seqid_cli.model.effects.scene import (
-    LONGEST_SESSION_S,
-    Scene,
-    sensor_at,
-    sign_widths,
-    temperature_at,
-)
+from seqid_cli.model.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.model.torque import Predicted, TorqueModel
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion
@@ -32,10 +26,9 @@ from seqid_cli.typing import Array
 def session_of(
     recordings: Sequence[Recording], starts: Sequence[float], shared: bool
 ) -> EffectSession:
-    """Describe the logs that effects are identified from.
+    """Describe the logs that effects are identified from, in the order of the scenes.
 
-    `recordings` are in the order in which the scenes count them, `starts` those of the scenes, s;
-    `shared` says whether the logs share a clock.
+    `starts` are those of the scenes, s; `shared` says whether the logs share a clock.
     """
     logs = [recording.sha256 for recording in recordings]
     if not shared or not recordings:
@@ -45,10 +38,9 @@ def session_of(
 
 
 def scene_of_log(recording: Recording, robot: Robot, model: TorqueModel, motion: Motion) -> Scene:
-    """Return the scene of one log by itself: number 0, on a clock of its own.
-
-    `motion` is that of the recording, possibly decimated.
-    """
+    """Return the scene of one log by itself; `motion` is of it, possibly decimated."""
+    load, temperature = recording.load, recording.temperature
+    picked = slice(None, None, round(recording.rate_hz / motion.rate_hz))
     return Scene(
         robot=robot,
         motion=motion,
@@ -56,8 +48,8 @@ def scene_of_log(recording: Recording, robot: Robot, model: TorqueModel, motion:
         sign_width=sign_widths(model, np.max(np.abs(motion.dq), axis=0)),
         start=recording.offset,
         period=1.0 / recording.rate_hz,
-        temperature=temperature_at(recording, motion),
-        sensor=sensor_at(recording, motion),
+        temperature=None if temperature is None else temperature[picked],
+        sensor=None if load is None else motion.filtered(load[picked]),
     )
 
 
@@ -95,25 +87,18 @@ def effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
 def added_torque(
     scene: Scene, recording: Recording, fitted: Sequence[Fitted], slowest: Array
 ) -> Predicted:
-    """What effects add to the prediction of a log.
-
-    `scene` is from `scene_of_log`; `slowest` (n,) are the speeds at which a joint surely slides:
-    friction there bounds what it holds at rest.
-    """
+    """What effects add to a log's prediction; at rest up to friction's at `slowest` (n,)."""
     torque, low, high = (np.zeros_like(scene.motion.q) for _ in range(3))
     for place, items in _by_session(scene, recording, fitted):
         for passes in {item.passes for item in items}:
             same = [item for item in items if item.passes == passes]
             torque += scene.motion.filtered(effect_torque(place, same), times=passes)
-        rubbing = [x for x in items if _rubs(x)]
+        laws = (x for x in items if isinstance(x, FittedEffect))
+        rubbing = [x for x in laws if x.effect.family == "friction"]
         if rubbing:
             high += np.maximum(effect_torque(_at_speed(place, slowest), rubbing), 0.0)
             low += np.minimum(effect_torque(_at_speed(place, -slowest), rubbing), 0.0)
     return Predicted(torque, low, high)
-
-
-def _rubs(item: Fitted) -> bool:
-    return isinstance(item, FittedEffect) and item.effect.family == "friction"
 
 
 def _at_speed(scene: Scene, speed: Array) -> Scene:
@@ -147,19 +132,16 @@ def without_effects(
 
     Effects of the measurement are undone in the channel that they distort: torque is scaled,
     shifted in time or sent through the drive's lag, an encoder's error is taken off the position.
-    The torque of all other effects, as the model says it, is subtracted. `stages` are the model;
-    its own `effects` play no part. `motion` has the cut-off, where the user sets it, and `source`
-    {"auto", "encoder", "imu"} says where accelerations come from.
-
-    Raises InputError if the log carries neither torque nor current.
+    The torque of all others, as the model in `stages` says it, is subtracted. `source` {"auto",
+    "encoder", "imu"} says where accelerations come from. Raises InputError if the log carries
+    neither torque nor current.
     """
     torque_of(recording)
     rest: list[Fitted] = []
     for item in fitted:
         if isinstance(item, FittedEffect) and isinstance(item.effect, MeasurementEffect):
-            recording = item.effect.restored(
-                recording, robot, item.joint, item.settings, item.coefficients
-            )
+            joint, settings, c = item.joint, item.settings, item.coefficients
+            recording = item.effect.restored(recording, robot, joint, settings, c)
         else:
             rest.append(item)
     if not rest:

@@ -52,8 +52,7 @@ def _over_position(scene: Scene, joint: int) -> Array:
 
     def level(places: Array) -> Array:
         slow = np.full_like(places, surface.scaling.speed[0])
-        both: Array = surface.torque(places, slow) - surface.torque(places, -slow)
-        return both
+        return np.asarray(surface.torque(places, slow) - surface.torque(places, -slow))
 
     mean = float(np.mean(level(np.linspace(low, high, PLACES))))
     return level(np.clip(q, low, high)) / mean if mean > 0.0 else np.ones_like(q)

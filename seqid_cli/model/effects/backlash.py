@@ -34,9 +34,7 @@ class Backlash(Effect):
     name = "backlash"
     family = "transmission"
     settings = (
-        Setting(
-            "trial_gap", "rad", low=SMALLEST, high=LARGEST, continuous=False, agreement=AGREEMENT
-        ),
+        Setting("trial_gap", "rad", SMALLEST, LARGEST, continuous=False, agreement=AGREEMENT),
     )
     needs = ("load",)
     apart = True
@@ -94,10 +92,7 @@ class Backlash(Effect):
 
 
 def play(load: Array, inertia: Array, motion: Motion, gap: float) -> Array:
-    """By how much the motor leads the link (N,) rad, at most half the gap [rad] either way.
-
-    `load` (N,) N m and `inertia` (N,) kg m^2 are at the samples of a motion.
-    """
+    """By how much the motor leads the link (N,) rad under a load (N,) N m, at most half the gap."""
     acceleration = load / np.maximum(inertia, 1e-9)
     result = 0.5 * gap * np.where(load < 0.0, -1.0, 1.0)
     for start, stop in runs(motion.valid, len(load)):

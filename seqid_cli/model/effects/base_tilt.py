@@ -49,9 +49,8 @@ class BaseTilt(Effect):
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the two rotations, and the first link's moments where they are new."""
-        rotations = tuple(
-            Coefficient(f"tilt_{k}", "rad", low=-LARGEST_RAD, high=LARGEST_RAD) for k in (1, 2)
-        )
+        bounds = -LARGEST_RAD, LARGEST_RAD
+        rotations = tuple(Coefficient(f"tilt_{k}", "rad", *bounds) for k in (1, 2))
         moments = tuple(Coefficient(f"moment_{k}", "N m") for k in (1, 2))
         return (*rotations, *moments) if settings["upright"] else rotations
 
@@ -100,11 +99,8 @@ class BaseTilt(Effect):
         around = np.array([settings.get(name, 0.0) for name in AROUND])
         angle = float(np.linalg.norm(around))
         lost = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2  # (1 - cos(a)) / a^2
-        turns = [
-            np.sinc(angle / np.pi) * own - lost * a * gravity
-            for own, a in zip(across, around, strict=True)
-        ]
-        columns = [inverse_dynamics(chain, g, phi, q, still, still) for g in turns]
+        turned = np.sinc(angle / np.pi) * np.array(across) - lost * around[:, None] * gravity
+        columns = [inverse_dynamics(chain, g, phi, q, still, still) for g in turned]
         for moment in first_link_moments(scene.robot, across[0], q).T if new else ():
             columns.append(np.column_stack([moment, still[:, 1:]]))
         return {j: np.stack([x[:, j] for x in columns], axis=1) for j in range(scene.robot.n)}
@@ -113,21 +109,16 @@ class BaseTilt(Effect):
 def first_joint_upright(robot: Robot) -> bool:
     """Whether the first joint turns about gravity, so that its link's weight never shows."""
     chain, gravity = robot.chain, robot.gravity
-    axis = chain.rotation[0] @ chain.axis[0]
-    across = np.cross(axis, gravity)
-    return not chain.prismatic[0] and bool(
-        np.linalg.norm(across) < PARALLEL * np.linalg.norm(gravity)
-    )
+    across = np.linalg.norm(np.cross(chain.rotation[0] @ chain.axis[0], gravity))
+    return not chain.prismatic[0] and bool(across < PARALLEL * np.linalg.norm(gravity))
 
 
 def first_link_moments(robot: Robot, gravity: Array, q: Array) -> Array:
     """Torque (N, 2) at the first joint of two first moments square to its axis, of unit weight."""
-    axis = robot.chain.axis[0]
-    square = np.linalg.svd(axis[None, :])[2][1:].T  # (3, 2)
+    square = np.linalg.svd(robot.chain.axis[:1])[2][1:].T  # (3, 2)
     moments = slice(STANDARD.index("mx"), STANDARD.index("mz") + 1)
     Y = gravity_regressor(robot.chain, gravity, q)[:, 0, moments]
-    torque: Array = Y @ square / np.linalg.norm(gravity)
-    return torque
+    return np.asarray(Y @ square / np.linalg.norm(gravity))
 
 
 def tilt_axes(gravity: Array) -> tuple[Array, Array]:
@@ -139,5 +130,4 @@ def tilt_axes(gravity: Array) -> tuple[Array, Array]:
     start = np.eye(3)[0 if abs(along[0]) < 0.9 else 1]
     first = start - (start @ along) * along
     first /= np.linalg.norm(first)
-    up = -along
-    return first, np.cross(up, first)
+    return first, np.cross(-along, first)

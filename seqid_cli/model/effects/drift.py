@@ -40,5 +40,4 @@ class Drift(Effect):
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """One and time."""
         t = np.clip(scene.time, 0.0, settings["duration"])
-        ramp = np.column_stack([np.ones_like(t), t])
-        return dict.fromkeys(touched(scene, joint), ramp)
+        return dict.fromkeys(touched(scene, joint), np.column_stack([np.ones_like(t), t]))

@@ -17,9 +17,9 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from seqid_cli.model.effects.scene import Scene, Scenes, has_rigid_body, moves
+from seqid_cli.model.effects.scene import Scene, Scenes, moves
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
-from seqid_cli.model.effects.units import Value, amplitude_and_phase
+from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
@@ -197,7 +197,8 @@ class Effect(abc.ABC):
     def available(self, scenes: Scenes, joint: AnyJoint) -> bool:
         """Return whether robot file and channels allow to look for it; by default `needs`."""
         moving = "motion" not in self.needs or (joint is not None and moves(scenes, joint))
-        return moving and ("load" not in self.needs or has_rigid_body(scenes))
+        known = all(scene.model.phi is not None for scene in scenes)  # the load of the gears
+        return moving and ("load" not in self.needs or known)
 
     def possible(self, scenes: Scenes, joint: AnyJoint) -> bool:
         """Return whether it may be there though it cannot be looked for: a channel is lacking."""
@@ -246,10 +247,7 @@ class Effect(abc.ABC):
         return {one.name: float(np.clip(c[0], one.low, one.high)) for one in own} or None
 
     def guessed(self, scene: Scene, joint: AnyJoint, settings: Settings) -> Mapping[int, Mask]:
-        """Return, by joint, samples (N,) at which nobody can say what torque the effect has.
-
-        Where something sticks that slides only with this effect, say.
-        """
+        """Return, by joint, samples (N,) of unknown torque: where something sticks, say."""
         return {}
 
     def reported(
@@ -266,9 +264,16 @@ class Effect(abc.ABC):
         """Return the physical parameters of coefficients c (k,) with their covariance (k, k)."""
         specs = self.coefficients(settings)
         slides = joint is not None and robot.joints[joint].prismatic
-        if self.wave:
+        if self.wave:  # c_0 sin(p) + c_1 cos(p) = A sin(p + phase), errors by the delta method
+            amplitude, phase = float(np.hypot(c[0], c[1])), float(np.arctan2(c[1], c[0]))
+            scale = max(amplitude, 1e-300)
+            slopes = np.array([[c[0], c[1]], [-c[1] / scale, c[0] / scale]]) / scale
+            error = np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0))
             unit = unit_of(specs[0].unit, slides)
-            return amplitude_and_phase(c, covariance, unit, name=self.wave)
+            return [
+                Value(f"{self.wave}_amplitude", amplitude, float(error[0]), unit),
+                Value(f"{self.wave}_phase", phase, float(error[1]), "rad"),
+            ]
         errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return [
             Value(spec.name, float(x), float(e), unit_of(spec.unit, slides))
@@ -285,10 +290,7 @@ class Effect(abc.ABC):
         )
 
     def plausible(self, scenes: Scenes, joint: AnyJoint, settings: Settings, c: Array) -> bool:
-        """Return whether coefficients c (k,) are physical; the default asks their bounds.
-
-        And that a setting which is the effect's size agrees with it.
-        """
+        """Return whether coefficients c (k,) are physical: in bounds, and of the size set."""
         specs = self.coefficients(settings)
         bounded = all(spec.low <= x <= spec.high for spec, x in zip(specs, c, strict=True))
         size, own = float(c[0]) if len(c) else 0.0, self.settings

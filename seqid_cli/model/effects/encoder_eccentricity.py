@@ -65,8 +65,7 @@ class EncoderEccentricity(MeasurementEffect):
             [sin, cos * dp, cos * ddp - sin * dp**2],
             [cos, -sin * dp, -sin * ddp - cos * dp**2],
         ]
-        torque = np.einsum("knj,ckn->jnc", modelled_slopes(scene, joint), errors)
-        return dict(enumerate(-torque))
+        return dict(enumerate(-np.einsum("knj,ckn->jnc", modelled_slopes(scene, joint), errors)))
 
     def restored(
         self, recording: Recording, robot: Robot, joint: int, settings: Settings, c: Array

@@ -51,9 +51,7 @@ Fitted = FittedEffect | SmoothTerm
 
 
 def fitted_effects(stages: Stages, robot: Robot, *, unexplained: bool = False) -> list[Fitted]:
-    """Restore the effects of a parameter file.
-
-    Smooth terms of no known cause are left out unless `unexplained` are wanted as well.
+    """Restore the effects of a parameter file; smooth terms only where `unexplained` are wanted.
 
     Raises ConfigError if an effect is not known, or its joint, settings or coefficients are not
     what it takes; the message names the key.
@@ -90,11 +88,10 @@ def _restored(
 ) -> FittedEffect:
     effect = catalogue.get(entry.effect)
     if effect is None:
-        raise ConfigError(
-            f"{key}.effect: no effect named {entry.effect!r} is known to this version",
-            hint=f"An effect of your own must stand in {robot.source.name} as [[effect]]; a newer "
-            "seqid may have written the file: update, or take the effect out of it.",
-        )
+        message = f"{key}.effect: no effect named {entry.effect!r} is known to this version"
+        hint = f"An effect of your own must stand in {robot.source.name} as [[effect]]; a newer "
+        hint += "seqid may have written the file: update, or take the effect out of it."
+        raise ConfigError(message, hint=hint)
     settings = _settings(key, effect, entry)
     coefficients = _coefficients(key, effect, entry, settings)
     count = len(coefficients)
@@ -145,10 +142,7 @@ def _settings(key: str, effect: Effect, entry: EffectOfJoint) -> dict[str, float
 def _coefficients(
     key: str, effect: Effect, entry: EffectOfJoint, settings: Mapping[str, float]
 ) -> Array:
-    """Coefficients as written, or the parameters of the same names where none were.
-
-    Those that came later are left out where the file does not have them.
-    """
+    """Coefficients as written, or the parameters of their names; late ones may be missing."""
     names = [spec.name for spec in effect.coefficients(settings)]
     early = [name for name in names if name not in effect.later]
     if len(entry.coefficients or entry.parameters) == len(early):
@@ -174,8 +168,6 @@ def effect_notes(stages: Stages, *, unexplained: bool = False) -> list[str]:
         notes.append(f"effects in the prediction: {named}")
     smooth = [entry.joint or "" for entry in entries if entry.effect == UNEXPLAINED]
     if smooth and not unexplained:
-        notes.append(
-            "a smooth term of no known cause is left out (--with-unexplained takes it in): "
-            + ", ".join(smooth)
-        )
+        left = "a smooth term of no known cause is left out (--with-unexplained takes it in)"
+        notes.append(f"{left}: {', '.join(smooth)}")
     return notes

@@ -84,8 +84,11 @@ class JointElasticity(Effect):
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Torque per unit compliance, on all joints (link's side: on its own)."""
-        if settings["encoder_side"] > 0.5:
-            return _of_the_motor(scene, joint, settings["trial_stiffness"])
+        if settings["encoder_side"] > 0.5:  # rotor and friction on the motor's motion
+            motion = scene.motion
+            speed, acceleration = differentiate(scene.load[:, joint], motion.rate_hz, motion.valid)
+            slope = scene.friction_slope(joint, speed / settings["trial_stiffness"])
+            return {joint: (scene.rotor[joint] * acceleration + slope * speed)[:, None]}
         damping = settings.get("damping_ratio", BLUNT)
         bent = twist(scene, joint, settings["trial_stiffness"], damping)
         torque = link_deviation(scene, joint, bent)
@@ -97,8 +100,7 @@ class JointElasticity(Effect):
         """Return the stiffness 1 / c, its error by the delta method."""
         compliance = max(float(c[0]), 1e-12)
         error = float(np.sqrt(max(covariance[0, 0], 0.0))) / compliance**2
-        unit = robot.joints[joint].unit("N m/rad")
-        return [Value("stiffness", 1.0 / compliance, error, unit)]
+        return [Value("stiffness", 1.0 / compliance, error, robot.joints[joint].unit("N m/rad"))]
 
     def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """The compliance agrees with the stiffness that shaped it, where that shows in the band."""
@@ -139,13 +141,4 @@ def _oscillator(load: Array, mass: Array, damping: Array, rate_hz: float) -> Arr
     band[2, :-2] = a - d + 0.25
     right = -load
     right[2:] = -0.25 * (load[2:] + 2.0 * load[1:-1] + load[:-2])
-    solved: Array = dtbsv(2, band, right, lower=1)
-    return solved
-
-
-def _of_the_motor(scene: Scene, joint: int, stiffness: float) -> Columns:
-    """Rotor inertia and friction on the motor's motion, per unit compliance."""
-    motion = scene.motion
-    speed, acceleration = differentiate(scene.load[:, joint], motion.rate_hz, motion.valid)
-    slope = scene.friction_slope(joint, speed / stiffness)
-    return {joint: (scene.rotor[joint] * acceleration + slope * speed)[:, None]}
+    return np.asarray(dtbsv(2, band, right, lower=1))

@@ -31,5 +31,4 @@ class LoadDependentFriction(LoadLoss):
 
     def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Magnitude of the load times direction."""
-        load = self.load(scene, joint, settings)
-        return (np.abs(load) * scene.sign[:, joint])[:, None]
+        return (np.abs(self.load(scene, joint, settings)) * scene.sign[:, joint])[:, None]

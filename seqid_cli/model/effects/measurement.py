@@ -24,10 +24,7 @@ class MeasurementEffect(Effect):
     def restored(
         self, recording: Recording, robot: Robot, joint: AnyJoint, settings: Settings, c: Array
     ) -> Recording:
-        """Return a recording with torque as it would be without the effect.
-
-        Coefficients c (k,) of a joint, or of all where it is None.
-        """
+        """Return a recording without the effect of coefficients c (k,) of a joint, or of all."""
 
 
 class TorqueMeasurement(MeasurementEffect):
@@ -68,10 +65,9 @@ def steady_change(scene: Scene, joint: Joint, seconds: float = 0.0) -> Columns:
 def of_modelled(scene: Scene, joint: Joint, function: Callable[[Array], Array]) -> Columns:
     """Columns function(tau) of the torque as it should be, ready for one more low-pass.
 
-    It is modelled, but for the load of a joint that a torque sensor measures.
-
-    Rigid torque comes from motion that was low-passed once, friction has steps: what friction adds
-    to the column is low-passed once here, so that one pass more treats both like measured torque.
+    The load is measured where a torque sensor does that, else modelled. Rigid torque comes from
+    motion that was low-passed once, friction has steps: what friction adds to the column is
+    low-passed once here, so that one pass more treats both like measured torque.
     """
     which = touched(scene, joint)
     carried = scene.carried[:, which]

@@ -37,10 +37,7 @@ class Profile:
     def of(
         cls, x: Sequence[Array], r: Sequence[Array], m: Sequence[Array], highest: float
     ) -> Self | None:
-        """Sum up samples x (N,) turns, r and m (N,) of all logs; None if there are none.
-
-        Samples whose residual is exactly zero do not count.
-        """
+        """Sum up samples x (N,) turns, r and m (N,) where r is not 0; None where they are few."""
         X, R, M = (np.concatenate(list(parts)) for parts in (x, r, m))
         counts = R != 0.0
         X, R, M = X[counts], R[counts], M[counts]
@@ -55,7 +52,10 @@ class Profile:
         mm = np.bincount(at, weights=M * M, minlength=bins).astype(np.float64)
         rm = np.bincount(at, weights=R * M, minlength=bins).astype(np.float64)
         position = np.where(number > 0, mean, centre)
-        rm = _without_trend(2 * (position - start) / span - 1, rm, mm)
+        # A smooth dependence on position, scaled to [-1, 1], is taken out of r first.
+        basis = chebvander(2 * (position - start) / span - 1, TREND - 1)
+        weighted = basis * mm[:, None]
+        rm = rm - weighted @ np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
         return cls(position, rm, mm, span, min(highest, bins / (BINS_PER_CYCLE * span)))
 
     def gain(self, order: float) -> float:
@@ -65,24 +65,19 @@ class Profile:
         cross = float(self.mm @ (sin * cos))
         A = np.array([[self.mm @ (sin * sin), cross], [cross, self.mm @ (cos * cos)]])
         b = np.array([self.rm @ sin, self.rm @ cos])
-        trace = float(np.trace(A))
-        if np.linalg.det(A) < 1e-3 * trace**2:
+        if np.linalg.det(A) < 1e-3 * float(np.trace(A)) ** 2:
             return 0.0
         return float(b @ np.linalg.solve(A, b))
 
     def spectrum(self) -> tuple[Array, Array]:
         """Orders and the gain that a well spread range of positions would give there."""
-        size = PADDING * len(self.rm)
-        lines = np.abs(np.fft.rfft(self.rm, size)) ** 2
+        lines = np.abs(np.fft.rfft(self.rm, PADDING * len(self.rm))) ** 2
         orders = np.arange(len(lines)) / (PADDING * self.span)
         return orders, 2.0 * lines / max(float(self.mm.sum()), 1e-300)
 
 
 def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
-    """Orders of the strongest lines and of those clearest above their surroundings.
-
-    In cycles per turn, from `lowest` on; at most `count`, half of them by each rule.
-    """
+    """At most `count` orders from `lowest` on: half the strongest lines, half the clearest ones."""
     orders, power, clear = _lines(profile, lowest)
     if len(power) < 3:
         return []
@@ -96,8 +91,7 @@ def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
             if all(abs(k - other) > 2 * PADDING for other in chosen):
                 chosen.append(int(k))
                 found += 1
-    width = 1.0 / profile.span / PADDING
-    return [_refined(profile, float(orders[k]), width) for k in chosen]
+    return [_refined(profile, float(orders[k]), 1.0 / profile.span / PADDING) for k in chosen]
 
 
 def clearest(profile: Profile, lowest: float) -> float:
@@ -118,27 +112,11 @@ def _lines(profile: Profile, lowest: float) -> tuple[Array, Array, Array]:
     orders, power = orders[inside], power[inside]
     if len(power) == 0:
         return orders, power, power
-    return orders, power, power / np.maximum(_floor(power), 1e-300)
-
-
-def _without_trend(x: Array, rm: Array, mm: Array) -> Array:
-    """Take a smooth dependence on position out of r; x is scaled to [-1, 1]."""
-    basis = chebvander(x, TREND - 1)
-    weighted = basis * mm[:, None]
-    c = np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
-    left: Array = rm - weighted @ c
-    return left
-
-
-def _floor(power: Array) -> Array:
-    """Level of the spectrum around each value: medians of windows, joined by lines."""
-    window = min(FLOOR_WINDOW, len(power))
-    count = max(1, len(power) // window)
-    parts = np.array_split(np.arange(len(power)), count)
-    at = np.array([part.mean() for part in parts])
-    level = np.array([np.median(power[part]) for part in parts])
-    floor: Array = np.interp(np.arange(len(power)), at, level)
-    return floor
+    # Their level: medians of windows, joined by lines.
+    parts = np.array_split(np.arange(len(power)), len(power) // min(FLOOR_WINDOW, len(power)))
+    at, level = zip(*((part.mean(), np.median(power[part])) for part in parts), strict=True)
+    floor = np.interp(np.arange(len(power)), at, level)
+    return orders, power, power / np.maximum(floor, 1e-300)
 
 
 def _refined(profile: Profile, order: float, width: float) -> float:

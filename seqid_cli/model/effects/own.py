@@ -15,7 +15,7 @@ import numpy as np
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Over, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
-from seqid_cli.robot.formula import FUNCTIONS, Formula, Symbol, symbol_of
+from seqid_cli.robot.formula import FUNCTIONS, Formula, symbol_of
 from seqid_cli.robot.types import OwnEffect, Robot
 from seqid_cli.typing import Array
 
@@ -45,18 +45,13 @@ _OPERATORS: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
 
 
 def own_effect(asked: OwnEffect, robot: Robot) -> Effect:
-    """Make an effect of what a robot file asks for.
+    """Make an effect of what a robot file asks for: by its formula, or of an installed package.
 
-    Raises ConfigError if no installed package offers an effect that has no formula, or it cannot be
-    loaded.
+    Raises ConfigError if no package offers it, or it cannot be loaded.
     """
     if asked.formula is not None:
         return FormulaEffect(asked, asked.formula)
-    return _of_package(asked.name, robot)
-
-
-def _of_package(name: str, robot: Robot) -> Effect:
-    where, key = str(robot.source), f"effect {name!r}"
+    name, where, key = asked.name, str(robot.source), f"effect {asked.name!r}"
     points = {point.name: point for point in entry_points(group=GROUP)}
     if name not in points:
         offered = ", ".join(sorted(points)) or "none"
@@ -83,9 +78,13 @@ class FormulaEffect(Effect):
         self.name, self.formula = asked.name, formula
         self.__doc__ = f"{formula.text}, of the robot file."
         names = {symbol.name for symbol in formula.symbols}
-        self.sided = _turns(formula.tree)
+        calls = (node for node in ast.walk(formula.tree) if isinstance(node, ast.Call))
+        self.sided = any(ast.unparse(call) == "sign(dq)" for call in calls)
         self.family = "friction" if self.sided else "transmission"
-        self.over = _shown_over(formula.symbols)
+        # Over the one quantity of its own joint that it depends on beside the direction.
+        some = names - {"dq"} or names
+        alone = len(some) == 1 and all(symbol.joint is None for symbol in formula.symbols)
+        self.over = _MEASURE.get(next(iter(some)), "torque") if alone else "torque"
         self.steady = self.sided and names <= STEADY
         self.settings = tuple(
             Setting(name, "", low=low, high=high, logarithmic=low > 0.0)
@@ -118,10 +117,7 @@ class FormulaEffect(Effect):
         }
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
-        """Evaluate every term.
-
-        Raises ConfigError if a term is no finite number somewhere.
-        """
+        """Evaluate every term; raises ConfigError where one is no finite number."""
         names = self.formula.coefficients
         X = np.empty((scene.samples, len(names)))
         with np.errstate(all="ignore"):
@@ -130,13 +126,11 @@ class FormulaEffect(Effect):
                 X[:, k] = _evaluated(self.formula.tree, scene, joint, numbers)
         bad = ~np.isfinite(X).all(axis=1)
         if bad.any():
-            raise ConfigError(
-                f"effect {self.name!r}: {self.formula.text!r} is no finite number at "
-                f"{scene.robot.joint_names[joint]} for {int(bad.sum())} of {len(X)} samples",
-                where=str(scene.robot.source),
-                hint="Keep divisors and arguments of log and sqrt away from zero, as in "
-                "abs(dq) + 0.01.",
-            )
+            many = f"{scene.robot.joint_names[joint]} for {int(bad.sum())} of {len(X)} samples"
+            message = f"effect {self.name!r}: {self.formula.text!r} is no finite number at {many}"
+            aim = "Keep divisors and arguments of log and sqrt away from zero"
+            hint = f"{aim}, as in abs(dq) + 0.01."
+            raise ConfigError(message, where=str(scene.robot.source), hint=hint)
         return {joint: X}
 
 
@@ -173,22 +167,6 @@ def _quantity(scene: Scene, joint: int, name: str) -> Array:
         return scene.time
     if symbol.name == "theta":
         return np.asarray(scene.gear[own] * scene.angle[:, own])
-    if symbol.name in {"q", "dq", "ddq"}:
-        return np.asarray(getattr(scene.motion, symbol.name)[:, own])
-    held = getattr(scene, "modelled" if symbol.name == "tau" else symbol.name)
+    holder = scene.motion if symbol.name in {"q", "dq", "ddq"} else scene
+    held = getattr(holder, "modelled" if symbol.name == "tau" else symbol.name)
     return np.asarray(held[:, own])
-
-
-def _turns(tree: ast.expr) -> bool:
-    """Whether a formula takes the direction of motion."""
-    return any(
-        isinstance(node, ast.Call) and ast.unparse(node) == "sign(dq)" for node in ast.walk(tree)
-    )
-
-
-def _shown_over(symbols: frozenset[Symbol]) -> Over:
-    """The one quantity of its own joint that it depends on beside the direction, if it is one."""
-    names = {symbol.name for symbol in symbols}
-    some = names - {"dq"} or names
-    alone = len(some) == 1 and all(symbol.joint is None for symbol in symbols)
-    return _MEASURE.get(next(iter(some)), "torque") if alone else "torque"

@@ -46,7 +46,6 @@ class Payload(Effect):
         if scene.log < settings["from_log"]:
             return {j: np.zeros((scene.samples, PER_LINK)) for j in range(n)}
         last = list(range(PER_LINK * (n - 1), PER_LINK * n))
-        Y = torque_regressor(
-            scene.robot.chain, scene.robot.gravity, motion.q, motion.dq, motion.ddq, columns=last
-        )
+        states = motion.q, motion.dq, motion.ddq
+        Y = torque_regressor(scene.robot.chain, scene.robot.gravity, *states, columns=last)
         return {j: np.ascontiguousarray(Y[:, j]) for j in range(n)}

@@ -12,6 +12,7 @@ if its phase wanders, or if the modelled torque has a line there of comparable s
 """
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -53,20 +54,16 @@ class PeriodicDisturbance(Effect):
         logs = round(settings["clocks"])
         if logs == 0:
             return (Coefficient("sine", "N m"), Coefficient("cosine", "N m"))
-        return tuple(
-            Coefficient(f"{part}_{log + 1}", "N m")
-            for log in range(logs)
-            for part in ("sine", "cosine")
-        )
+        pairs = product(range(1, logs + 1), ("sine", "cosine"))
+        return tuple(Coefficient(f"{part}_{log}", "N m") for log, part in pairs)
 
     def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
         """Lines of the residual that keep amplitude and phase and are not made by the motion."""
         shared = all(scene.shared_clock for scene in scenes)
         ends = [scene.time[[0, -1]] for scene in scenes]
         fixed = {"clocks": 0.0 if shared else float(len(scenes)), "span": float(np.ptp(ends))}
-        residual = [
-            _without_peaks(r, s.slides, joint) for r, s in zip(residual, scenes, strict=True)
-        ]
+        pairs = zip(residual, scenes, strict=True)
+        residual = [_without_peaks(r, scene.slides, joint) for r, scene in pairs]
         whole = _signals(scenes, joint, residual)
         made = _signals(scenes, joint, [scene.modelled for scene in scenes])
         for near in strongest_lines(whole, LOWEST_HZ, LINES):
@@ -125,10 +122,8 @@ def _signals(
 
 
 def _without_peaks(torque: Array, slides: Mask, joint: int, *, most: float = 4.0) -> Array:
-    """Torque (N, n) of which a joint has no more than `most` times its median size.
-
-    A line has 1.4 times that; where friction was not identified, and at reversals, more is left.
-    """
+    """Torque (N, n) of which a joint has no more than `most` times its median size."""
+    # A line has 1.4 times that; where friction is unknown, and at reversals, more is left.
     result, own = torque.copy(), torque[:, joint]
     limit = most * float(np.median(np.abs(own[slides[:, joint]]))) if slides[:, joint].any() else 0
     if limit > 0.0:

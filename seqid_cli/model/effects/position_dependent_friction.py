@@ -9,6 +9,7 @@ Robotics and Automation 14(1), 1998.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -41,10 +42,8 @@ class PositionDependentFriction(FrictionLaw):
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return cosine and sine of every wave."""
-        orders = range(1, round(settings["waves"]) + 1)
-        return tuple(
-            Coefficient(f"{part}_{k}", "N m") for k in orders for part in ("cosine", "sine")
-        )
+        pairs = product(range(1, round(settings["waves"]) + 1), ("cosine", "sine"))
+        return tuple(Coefficient(f"{part}_{k}", "N m") for k, part in pairs)
 
     def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
         """A turn of the joint with one wave or more; twice the travel of a sliding joint."""

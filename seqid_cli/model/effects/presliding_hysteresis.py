@@ -79,5 +79,4 @@ def deflection(q: Array, distance: float) -> Array:
         if not keep[shift:].any():
             break
         shift *= 2
-    bounded: Array = np.clip(gain, -1.0, 1.0)  # rounding
-    return bounded
+    return np.asarray(np.clip(gain, -1.0, 1.0))  # rounding

@@ -23,28 +23,22 @@ _NAMES = """
 """
 
 
-def _effect(name: str) -> Effect:
-    module = import_module(f"seqid_cli.model.effects.{name}")
-    effect: Effect = getattr(module, name.title().replace("_", ""))()
-    return effect
-
-
-CATALOGUE: Mapping[str, Effect] = {name: _effect(name) for name in _NAMES.split()}
+CATALOGUE: Mapping[str, Effect] = {
+    name: getattr(import_module(f"{__package__}.{name}"), name.title().replace("_", ""))()
+    for name in _NAMES.split()
+}
 
 
 def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
     """The catalogue with what the robot file adds.
 
-    Raises ConfigError if an effect of the robot file has a name of the catalogue, or cannot be
-    loaded.
+    Raises ConfigError if an added effect has a name of the catalogue, or cannot be loaded.
     """
     for asked in robot.effects:
         if asked.name in CATALOGUE:
-            raise ConfigError(
-                f"effect {asked.name!r} is one of the catalogue",
-                where=str(robot.source),
-                hint="Give it another name; those of the catalogue are looked for anyway.",
-            )
+            hint = "Give it another name; those of the catalogue are looked for anyway."
+            message = f"effect {asked.name!r} is one of the catalogue"
+            raise ConfigError(message, where=str(robot.source), hint=hint)
     return {**CATALOGUE, **{asked.name: own_effect(asked, robot) for asked in robot.effects}}
 
 

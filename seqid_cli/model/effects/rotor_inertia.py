@@ -58,8 +58,8 @@ class RotorInertia(Effect):
         motion = scene.motion
         if settings["coupling"] <= 0.5:
             return {joint: (scene.gear[joint] ** 2 * motion.ddq[:, joint])[:, None]}
-        torque = rotor_regressor(
-            scene.robot.chain, motion.q, motion.dq, motion.ddq, scene.gear, "gyroscopic"
-        )[:, :, joint].copy()
+        states = motion.q, motion.dq, motion.ddq
+        Y = rotor_regressor(scene.robot.chain, *states, scene.gear, "gyroscopic")
+        torque = Y[:, :, joint].copy()
         torque[:, joint] -= scene.gear[joint] ** 2 * motion.ddq[:, joint]
         return {j: torque[:, j : j + 1] for j in range(joint + 1)}

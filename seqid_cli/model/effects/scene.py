@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import REACH, TorqueModel, known_rotors, sampled_friction, sliding
 from seqid_cli.motion.motion import Motion
@@ -179,31 +178,13 @@ def sign_widths(model: TorqueModel, top_speed: Array) -> Array:
     return widths
 
 
-def sensor_at(recording: Recording, motion: Motion) -> Array | None:
-    """Measured load at the scene's samples, (N, n) N m, filtered like the motion."""
-    if recording.load is None:
-        return None
-    return motion.filtered(recording.load[:: round(recording.rate_hz / motion.rate_hz)])
-
-
-def temperature_at(recording: Recording, motion: Motion) -> Array | None:
-    """Logged temperature at the scene's samples, (N, n) degC."""
-    if recording.temperature is None:
-        return None
-    picked: Array = recording.temperature[:: round(recording.rate_hz / motion.rate_hz)]
-    return picked
-
-
 def moves(scenes: Scenes, joint: int) -> bool:
     """Return whether the joint moves in any log."""
     return any(bool(scene.motion.moving[:, joint].any()) for scene in scenes)
 
 
 def top_speed(scenes: Scenes, joint: int) -> float:
-    """Return the joint's highest speed [rad/s; m/s where prismatic] where the filter has settled.
-
-    At least 1e-6, so that a joint that never moves has a scale as well.
-    """
+    """Return a joint's highest speed [rad/s; m/s where prismatic] once settled, at least 1e-6."""
     speeds = [np.abs(scene.motion.dq[scene.motion.usable, joint]) for scene in scenes]
     return max(float(np.max(np.concatenate(speeds), initial=0.0)), 1e-6)
 
@@ -212,11 +193,6 @@ def travel(scenes: Scenes, joint: int) -> float:
     """Return the range of the joint's positions [rad; m where prismatic], at least 1e-6."""
     positions = np.concatenate([s.motion.q[s.motion.usable, joint] for s in scenes])
     return max(float(np.ptp(positions)) if len(positions) else 0.0, 1e-6)
-
-
-def has_rigid_body(scenes: Scenes) -> bool:
-    """Return whether the model knows the load of the gears: it has a rigid-body stage."""
-    return all(scene.model.phi is not None for scene in scenes)
 
 
 def session(scenes: Scenes) -> float:

@@ -43,11 +43,9 @@ def link_inertia(scene: Scene, joint: int) -> Array:
 def slopes(
     scene: Scene, joint: int, name: str, torque: Torque, which: Sequence[int] = (0, 1, 2)
 ) -> tuple[Array, ...]:
-    """Derivatives (N, n) of a torque by one joint's position, velocity and acceleration.
+    """Derivatives (N, n) of a torque by `which` of one joint's position, velocity, acceleration.
 
-    N m per rad, rad/s and rad/s^2; `which` says by which of the three. The torque is one of
-    positions, velocities and accelerations (N, n); slopes are computed once per scene, joint and
-    `name` of the torque.
+    N m per rad, rad/s and rad/s^2; computed once per scene, joint and `name` of the torque.
     """
     key = (name, joint)
     if key not in scene.memo:
@@ -82,10 +80,7 @@ def _slope(motion: tuple[Array, Array, Array], which: int, joint: int, torque: T
 
 
 def link_deviation(scene: Scene, joint: int, deviation: Array) -> Array:
-    """Torque (N, n) per unit of a small deviation (N,) of a joint's link from its encoder.
-
-    The motors stay where they are: rotors do not feel it.
-    """
+    """Torque (N, n) of a small deviation (N,) of a joint's link; rotors do not feel it."""
     speed, acceleration = differentiate(deviation, scene.motion.rate_hz, scene.motion.valid)
     by_place, by_speed, by_acceleration = link_slopes(scene, joint)
     steady = by_place * deviation[:, None] + by_speed * speed[:, None]

@@ -10,14 +10,12 @@ stands in a parameter file,
 it predicts and says nothing of a cause.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise, takewhile
 from math import isfinite, prod
-from typing import ClassVar, Literal, cast, get_args
+from typing import ClassVar, Literal, Self, cast, get_args
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -101,8 +99,7 @@ class Axis:
 def splines(x: Array, knots: Sequence[float]) -> Array:
     """Cubic B-splines (N, len(knots) + 2) of x (N,), held beyond the first and the last knot."""
     each, held = np.eye(len(knots) + DEGREE - 1), np.clip(x, knots[0], knots[-1])
-    basis: Array = BSpline(_padded(knots), each, DEGREE)(held)
-    return basis
+    return np.asarray(BSpline(_padded(knots), each, DEGREE)(held))
 
 
 def greville(knots: Sequence[float]) -> Array:
@@ -161,28 +158,22 @@ class SmoothTerm:
     def to_stage(self, robot: Robot) -> EffectOfJoint:
         """Write the term down; its coefficients have no errors."""
         name = robot.joint_names[self.joint]
-        settings: dict[str, str | float | int | bool] = {
-            "depends_on": " ".join(self.quantities),
-            "factor": self.factor,
-        }
+        settings: dict[str, str | float | int | bool]
+        settings = {"depends_on": " ".join(self.quantities), "factor": self.factor}
         for number, axis in enumerate(self.axes, start=1):
             settings[f"axis_{number}"] = axis.measure
             settings[f"axis_{number}_joint"] = robot.joint_names[axis.joint]
             for k, knot in enumerate(axis.knots):
                 settings[f"axis_{number}_knot_{k}"] = float(knot)
         unit = robot.joints[self.joint].unit("N m")
-        parameters = [
+        terms = [
             Parameter(name=f"c_{k}", value=float(c), std_error=0.0, unit=unit, joint=name)
             for k, c in enumerate(self.coefficients)
         ]
-        return EffectOfJoint(
-            effect=UNEXPLAINED, joint=name, parameters=parameters, settings=settings
-        )
+        return EffectOfJoint(effect=UNEXPLAINED, joint=name, parameters=terms, settings=settings)
 
     @classmethod
-    def from_stage(
-        cls, entry: EffectOfJoint, robot: Robot, key: str = "$.stages.effects"
-    ) -> SmoothTerm:
+    def from_stage(cls, entry: EffectOfJoint, robot: Robot, key: str = "$.stages.effects") -> Self:
         """Restore a term from a parameter file, in which its entry stands under `key`.
 
         Raises ConfigError if a key is missing or contradicts another; the message names it.
@@ -191,8 +182,7 @@ class SmoothTerm:
 
         def one_of(name: str, value: object, known: Sequence[str]) -> str:
             if value not in known:
-                what = f"must be one of {', '.join(known)}, is {value!r}"
-                raise damaged(f"{key}.{name}", what)
+                raise damaged(f"{key}.{name}", f"must be one of {', '.join(known)}, is {value!r}")
             return str(value)
 
         def axis(name: str) -> Axis:

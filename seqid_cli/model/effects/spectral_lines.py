@@ -41,10 +41,7 @@ class Signal:
 
 
 def strongest_lines(signals: Sequence[Signal], low_hz: float, count: int) -> list[float]:
-    """Frequencies (Hz), at most `count`, at which the logs' summed power stands out.
-
-    From `low_hz` on, the highest peak first.
-    """
+    """Frequencies from `low_hz` on at which the logs' summed power stands out, highest first."""
     longest = max((signal.length_s for signal in signals), default=0.0)
     top = 0.45 * min((signal.rate_hz for signal in signals), default=0.0)
     low = max(low_hz, 8.0 / longest) if longest > 0.0 else np.inf
@@ -54,9 +51,8 @@ def strongest_lines(signals: Sequence[Signal], low_hz: float, count: int) -> lis
     power = np.zeros(len(grid))
     for own in signals:
         size = 4 * len(own.values)
-        power += np.interp(
-            grid, *periodogram(own.values, own.rate_hz, "hann", size, scaling="spectrum")
-        )
+        lines = periodogram(own.values, own.rate_hz, "hann", size, scaling="spectrum")
+        power += np.interp(grid, *lines)
     width = max(9, int(NEIGHBOURHOOD_HZ / (0.25 / longest)))
     floor = median_filter(power, size=min(width, len(grid)), mode="nearest")
     ratio = power / np.maximum(floor, 1e-12 * max(float(power.max()), 1e-300))
@@ -78,10 +74,7 @@ def amplitude(signal: Signal, frequency: float) -> float:
 def refined(signals: Sequence[Signal], near: float) -> tuple[float, float]:
     """Sharpen a line's frequency by its phases; the logs share the clock of their starts.
 
-    Returns
-    -------
-    tuple of float
-        Frequency (Hz) and coherence: 1 if amplitude and phase are the same all the time.
+    Returns the frequency (Hz) and the coherence: 1 if amplitude and phase are always the same.
     """
     parts = zip(*(_demodulated(signal, near) for signal in signals), strict=True)
     z, t, weight = map(np.concatenate, parts)
@@ -106,10 +99,7 @@ def _coherence(z: Complex, t: Array, weight: Array, offsets: Array) -> Array:
 
 
 def _demodulated(signal: Signal, frequency: float) -> tuple[Complex, Array, Array]:
-    """Means of the signal, turned back by the frequency, over equal pieces.
-
-    Over the values that count, with their mean times and numbers.
-    """
+    """Means of a signal, turned back by a frequency, in equal pieces; their times and numbers."""
     counts = np.flatnonzero(signal.values)
     time = signal.time[counts]
     turned = signal.values[counts] * np.exp(-2j * np.pi * frequency * time)

@@ -102,10 +102,7 @@ def _celsius(scene: Scene, joint: int) -> Array:
 
 
 def _logged(scenes: Scenes, joint: int) -> bool:
-    """Whether every log has this joint's temperature, within reason, and it changes enough.
-
-    Also against the temperature at which the file's friction was identified.
-    """
+    """Whether every log has the joint's temperature and it changes enough, also from friction's."""
     if any(scene.temperature is None for scene in scenes):
         return False
     logged = np.concatenate([s.temperature[:, joint] for s in scenes if s.temperature is not None])

@@ -76,13 +76,10 @@ class TorqueRipple(Effect):
         return Coefficient("ripple_sin", unit), Coefficient("ripple_cos", unit)
 
     def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
-        """Yield the strongest and the clearest lines of every law, and of the best lag.
-
-        And the usual ones: where logs are fast, the spectrum over position does not reach them.
-        """
+        """Yield the usual lines, the strongest and the clearest of every law and best lag."""
         gear = abs(float(scenes[0].gear[joint]))
         speed = max(usual_speed(scene, joint) for scene in scenes)
-        for order in USUAL:
+        for order in USUAL:  # which the spectrum over position does not reach where logs are fast
             if order * gear >= FINE:
                 yield {"order": order, "law": 0.0, "lag": 0.0}
         for law, lag, profile in _profiles(scenes, joint, residual):
@@ -134,8 +131,7 @@ def _profiles(
 
 def _angle(scene: Scene, joint: int, lag: float) -> Array:
     """Angle (N,) rad of a joint as it was `lag` seconds before."""
-    before: Array = scene.angle[:, joint] - lag * scene.motion.dq[:, joint]
-    return before
+    return np.asarray(scene.angle[:, joint] - lag * scene.motion.dq[:, joint])
 
 
 def multiplier(scene: Scene, joint: int, law: int) -> Array:

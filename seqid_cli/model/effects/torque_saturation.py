@@ -58,8 +58,7 @@ class TorqueSaturation(TorqueMeasurement):
         b = max(float(c[0]), 0.0)
         top = 1.0 / np.sqrt(3.0 * b) if b > 0.0 else np.inf
         held = np.clip(tau, -top, top)
-        true: Array = held * (1.0 - b * held**2)
-        return true
+        return np.asarray(held * (1.0 - b * held**2))
 
 
 def _peak(scene: Scene, joint: Joint) -> float:
@@ -72,10 +71,8 @@ def _excess(tau: Array, b: float) -> Array:
     """Measured minus true torque per unit of b; beyond the law's largest torque it is held."""
     x = 1.5 * np.sqrt(3.0 * b) * tau
     if b == 0.0 or np.max(np.abs(x), initial=0.0) < 1e-4:
-        cube: Array = tau**3
-        return cube
+        return np.asarray(tau**3)
     inside = np.clip(x, -1.0, 1.0)
     measured = 2.0 / np.sqrt(3.0 * b) * np.sin(np.arcsin(inside) / 3.0)
     true = inside / (1.5 * np.sqrt(3.0 * b))
-    excess: Array = (measured - true) / b
-    return excess
+    return np.asarray((measured - true) / b)

@@ -44,8 +44,7 @@ class CarriedBodyEntry(Struct, kw_only=True):
             yield f"centre of mass {axis}", own
         for i, row in enumerate(self.inertia):
             for k in range(i, 3):
-                error = self.inertia_std_errors[i][k]
-                own = Measured(value=row[k], std_error=error, unit="kg m^2")
+                own = Measured(value=row[k], std_error=self.inertia_std_errors[i][k], unit="kg m^2")
                 yield f"inertia {'xyz'[i]}{'xyz'[k]}", own
 
 

@@ -101,10 +101,7 @@ def of_joints(titles: str, kinds: str, rows: Iterable[Sequence[Any]], robot: Rob
 
 
 def loop_errors(loop: ClosedLoop, robot: RobotId) -> Values:
-    """Errors of each joint on held-out logs, before and after refinement.
-
-    Outside is beyond the positions and speeds at which friction was identified.
-    """
+    """Errors of each joint on held-out logs, inside what friction was identified at and outside."""
     rows = []
     for name, old in loop.before.items():
         new, floor = loop.after.get(name), loop.noise_floor_interval.get(name, ())

@@ -33,10 +33,7 @@ ENOUGH = 0.9  # power from which a plan is good
 def plan_discriminate(
     belief: Belief, stages: Stages, options: PlanOptions, have: Sequence[Recording] = ()
 ) -> Planned:
-    """Choose the moves after which the diagnosis will tell the two effects apart.
-
-    `have` are logs that will be diagnosed together with those of the moves.
-    """
+    """Choose moves after which a diagnosis, of the logs `have` as well, tells both apart."""
     effects, joint = asked(belief.robot, options)
     pool = pool_of(belief, joint, options)
     scenes = scenes_of(belief, stages, pool)

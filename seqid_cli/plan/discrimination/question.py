@@ -6,7 +6,7 @@ Columns of a data set: the rigid base parameters, friction of the joints that ei
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.stages.goal import Goal
 from seqid_cli.robot.base_parameters import base_regressor
@@ -54,11 +54,7 @@ class Question:
 
     @classmethod
     def of(
-        cls,
-        belief: Belief,
-        effects: tuple[Effect, Effect],
-        joint: int | None,
-        scenes: Sequence[Scene],
+        cls, belief: Belief, effects: tuple[Effect, Effect], joint: Joint, scenes: Scenes
     ) -> Question:
         """Take settings from the grids over some data sets, and what is reached of them."""
         slots: tuple[list[Slot], list[Slot]] = ([], [])
@@ -71,10 +67,8 @@ class Question:
                 bounds = np.array([x.low for x in specs]), np.array([x.high for x in specs])
                 own.append(Slot(effect, setting, slice(start, start + len(specs)), *bounds))
                 start += len(specs)
-        first = scenes[0]
-        touched = {
-            j for x in (*slots[0], *slots[1]) for j in x.effect.columns(first, joint, x.setting)
-        }
+        first, every = scenes[0], (*slots[0], *slots[1])
+        touched = {j for x in every for j in x.effect.columns(first, joint, x.setting)}
         known = [
             _friction(belief, first, j)[1] if j in touched else np.zeros((0, 0))
             for j in range(belief.robot.n)
@@ -87,7 +81,7 @@ class Question:
 
 
 def _settings(
-    effect: Effect, joint: int | None, scenes: Sequence[Scene], *, true: int = 6, rival: int = 32
+    effect: Effect, joint: Joint, scenes: Scenes, *, true: int = 6, rival: int = 32
 ) -> list[list[dict[str, float]]]:
     """Plausible settings, of the grid and what is reached of it; shapes are sought in white noise.
 

@@ -35,7 +35,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from seqid_cli.discover.select.naming import BEHIND, tempered
-from seqid_cli.model.effects.scene import Scene, sign_widths
+from seqid_cli.model.effects.scene import Scene, Scenes, sign_widths
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -104,12 +104,10 @@ class Separation:
     size: float
 
     def effects(self, total: Array, *, ridge: float = 1e-12) -> Array:
-        """Gram matrix of the effects' columns with the base free, (..., k, k).
-
-        The ridge, of columns of unit length, is for parts of the base that no move shows.
-        """
+        """Gram matrix of the effects' columns with the base free, (..., k, k)."""
         G, b = total + self.prior, self.question.base
         size = np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1)[..., :b], 1e-300))[..., None]
+        # The ridge, of columns of unit length, is for parts of the base that no move shows.
         base = G[..., :b, :b] / size / np.swapaxes(size, -1, -2) + ridge * np.eye(b)
         gain = np.linalg.solve(base, G[..., :b, b:] / size) / size
         return np.asarray(G[..., b:, b:] - np.swapaxes(G[..., :b, b:], -1, -2) @ gain)
@@ -173,11 +171,7 @@ def scenes_of(belief: Belief, stages: Stages, moves: Sequence[PlannedMove]) -> l
 
 
 def separation_of(
-    belief: Belief,
-    question: Question,
-    scenes: Sequence[Scene],
-    size: float,
-    have: Sequence[Scene] = (),
+    belief: Belief, question: Question, scenes: Scenes, size: float, have: Scenes = ()
 ) -> Separation:
     """Gram matrices of all moves, of which logs that there are already count as known.
 
@@ -215,9 +209,8 @@ def _seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) ->
     """
     rng = np.random.default_rng(0)
     fits = [_fit(E[one.at, one.at], moment[one.at]) for one in slots]
-    gains = np.array(
-        [gain if one.fits(c) else 0.0 for one, (c, _, gain) in zip(slots, fits, strict=True)]
-    )
+    pairs = zip(slots, fits, strict=True)
+    gains = np.array([gain if one.fits(c) else 0.0 for one, (c, _, gain) in pairs])
     scale = float(tempered(gains.max()))
     chance = np.exp((gains - gains.max()) / scale)
     counts = rng.multinomial(draws, chance / chance.sum())

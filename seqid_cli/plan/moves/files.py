@@ -32,8 +32,7 @@ def write_moves(
         kinds[".script"] = _urscript
     for move in moves:
         for suffix, text_of in kinds.items():
-            text = text_of(move, names, speed_scale)
-            write_text_atomic(folder / f"{move.name}{suffix}", text)
+            write_text_atomic(folder / f"{move.name}{suffix}", text_of(move, names, speed_scale))
     return [msgspec.structs.replace(move, file=f"{move.name}.csv") for move in moves]
 
 

@@ -15,11 +15,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.motion.planned import COEFFICIENTS, Shapes
 from seqid_cli.plan.limits import Limits
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array, Index
 
 PLACE, EXTENT = COEFFICIENTS, COEFFICIENTS + 1
 COARSE_HZ = 25.0  # five samples and more to a period of the highest harmonic of a 2 s move
@@ -44,7 +43,7 @@ class Moves:
         """One move at a time."""
         return (self[k : k + 1] for k in range(len(self.q)))
 
-    def __getitem__(self, which: slice | NDArray[np.intp]) -> Moves:
+    def __getitem__(self, which: slice | Index) -> Moves:
         """Some of the moves."""
         return Moves(self.t, self.q[which], self.dq[which], self.ddq[which])
 
@@ -52,15 +51,12 @@ class Moves:
 def placed(shapes: Shapes, drawn: Array, limits: Limits) -> Moves:
     """Scale and place shapes (M, n, 2 K + 2) so that they use the limits and keep them."""
     y, dy, ddy = (drawn[..., :COEFFICIENTS] @ part for part in (shapes.y, shapes.dy, shapes.ddy))
-    low = y.min(axis=2)
-    span = y.max(axis=2) - low
-    room = limits.range
+    low, span, room = y.min(axis=2), np.ptp(y, axis=2), limits.range
     used = [span, np.abs(dy).max(axis=2), np.abs(ddy).max(axis=2)]
     allowed = [room, limits.speed, limits.acceleration]
     factors = [a / np.maximum(b, 1e-12) for a, b in zip(allowed, used, strict=True)]
-    amplitude = np.min(factors, axis=0)
     still = span <= 0
-    amplitude = np.where(still, 0.0, drawn[..., EXTENT] * amplitude)
+    amplitude = np.where(still, 0.0, drawn[..., EXTENT] * np.min(factors, axis=0))
     free = limits.lower + drawn[..., PLACE] * (room - amplitude * span)
     scaled = [(amplitude[:, :, None] * part).transpose(0, 2, 1) for part in (y, dy, ddy)]
     centre = free - amplitude * np.where(still, 0.0, low)

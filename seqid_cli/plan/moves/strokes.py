@@ -12,7 +12,9 @@ from seqid_cli.params.results.plan import PlannedMove, Stroke
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import Moves
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array
+
+Ends = tuple[float, float]  # of one joint's way, rad; m where prismatic
 
 
 def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> float:
@@ -50,12 +52,7 @@ def seconds_of(strokes: Sequence[Stroke]) -> float:
 
 
 def stroke_move(
-    belief: Belief,
-    name: str,
-    j: int,
-    posture: Array,
-    ends: tuple[float, float],
-    speeds: Sequence[float],
+    belief: Belief, name: str, j: int, posture: Array, ends: Ends, speeds: Sequence[float]
 ) -> PlannedMove:
     """A move of joint j there and back between two ends at each speed, all others at `posture`."""
     names = belief.robot.joint_names
@@ -119,8 +116,7 @@ def sweeps(
 ) -> Moves:
     """Joint j at `points` positions in each of `postures` (P, n), both ways.
 
-    They lie between `ends` (P, 2), by default those of its range. The times share out `seconds`, so
-    that information is that of so long a way.
+    Between `ends` (P, 2), by default of its range; their information is that of `seconds` of it.
     """
     limits = belief.limits
     low, high = (limits.lower[j], limits.upper[j]) if ends is None else (ends[:, :1], ends[:, 1:])

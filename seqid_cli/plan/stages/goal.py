@@ -16,12 +16,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import RANK_TOLERANCE
 from seqid_cli.params.results.plan import PlanGrowth, PlannedMove, PlannedStage, PredictedParameter
 from seqid_cli.plan.belief import NOISE_HZ, Belief, typical
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array, Mask
 
 VAGUE = 1e3  # torque error, in noise, that a parameter of which nothing is known could make
 OPEN_SHARE = 0.1  # of the vague prior, from which an error leaves a parameter open
@@ -104,7 +103,7 @@ def predicted_stage(
     have: Array,
     each: Array,
     parameters: Sequence[PredictedParameter],
-    wanted: NDArray[np.bool_],
+    wanted: Mask,
     seconds: float,
 ) -> PlannedStage:
     """Describe what moves of `seconds` add to what there is.
@@ -121,14 +120,9 @@ def predicted_stage(
     growth, grown = [], have
     for k, information in enumerate(each, start=1):
         grown = grown + information
-        growth.append(
-            PlanGrowth(
-                moves=k,
-                duration_s=k * seconds,
-                rank=rank_and_condition(grown + goal.known)[0],
-                error=float(np.sqrt(goal.errors(grown) / len(goal.shared))),
-            )
-        )
+        error = float(np.sqrt(goal.errors(grown) / len(goal.shared)))
+        reached, _ = rank_and_condition(grown + goal.known)
+        growth.append(PlanGrowth(moves=k, duration_s=k * seconds, rank=reached, error=error))
     return PlannedStage(
         parameters=[parameters[k] for k in about if not vague[k]],
         rank=rank,

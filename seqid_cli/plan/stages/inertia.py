@@ -6,7 +6,6 @@ The validation has moves of all joints, drawn by a seed of their own, not optimi
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.rigid.posterior import gravity_prior
 from seqid_cli.motion.planned import Shapes
@@ -17,16 +16,13 @@ from seqid_cli.plan.moves.fourier import COARSE_HZ, Moves
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal, Planned, predicted_stage
 from seqid_cli.plan.stages.search import check_torque, draw_pool, optimised, within_limits
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array, Mask
 
 
 def plan_inertia(
     belief: Belief, stages: Stages, options: PlanOptions, have: Array | None = None
 ) -> Planned:
-    """Choose the moves that lower the torque's error most in the given time.
-
-    `have` (b, b) is information that recorded logs hold already.
-    """
+    """Choose the moves that lower the torque's error most beside `have` (b, b), from logs."""
     goal = Goal.of(belief, options.seed)
     known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
     moves, dense, each = optimised(belief, goal, options, known, "inertia")
@@ -54,7 +50,7 @@ def rigid_stage(
     each: Array,
     have: Array,
     *,
-    wanted: NDArray[np.bool_] | None = None,
+    wanted: Mask | None = None,
 ) -> PlannedStage:
     """Describe what moves tell of the base parameters beyond `have`.
 

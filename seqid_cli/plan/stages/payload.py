@@ -49,8 +49,7 @@ class LoadedBelief(Belief):
 
 def loaded(belief: Belief, mass: float, *, lever: float = 0.1) -> LoadedBelief:
     """Put a body of `mass` kg at the flange, its centre within some `lever` m of the last joint."""
-    n = belief.robot.n
-    size = PER_LINK + FRICTION_TERMS * n
+    size = PER_LINK + FRICTION_TERMS * belief.robot.n
     prior = np.zeros((size, size))
     changes = np.arange(PER_LINK, size)
     prior[changes, changes] = 1.0 / PayloadOptions.friction_change**2

@@ -21,7 +21,7 @@ from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import COARSE_HZ, EXTENT, PLACE, SPARSE, Moves, placed
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array
 
 REDUCTION = 0.5  # factor on the amplitude of a move that needs too much torque
 
@@ -125,10 +125,7 @@ def check_torque(belief: Belief, drawn: Array, options: PlanOptions) -> None:
 
 
 def choose(goal: Goal, information: Array, count: int, have: Array) -> list[int]:
-    """Take the moves one by one that lower the error most, by their scaled `information`.
-
-    They come on top of `have` (b, b), scaled.
-    """
+    """Take moves one by one that lower the error most on top of `have` (b, b); all is scaled."""
     chosen: list[int] = []
     total = have
     for _ in range(min(count, len(information))):
@@ -142,10 +139,7 @@ def choose(goal: Goal, information: Array, count: int, have: Array) -> list[int]
 def refine(
     belief: Belief, goal: Goal, shapes: Shapes, chosen: Array, have: Array, *, sweeps: int
 ) -> Array:
-    """Improve each of the `chosen` moves with all others held, `sweeps` times over.
-
-    `have` (b, b) is scaled information that is there already.
-    """
+    """Improve each of the `chosen` moves with the others held, `sweeps` times; `have` is scaled."""
     drawn = chosen.copy()
     information, _ = assess(belief, goal, placed(shapes, drawn, belief.limits))
     total = have + information.sum(axis=0)
@@ -153,8 +147,7 @@ def refine(
         for k in range(len(drawn)):
             rest = total - information[k]
             drawn[k] = _improved(belief, goal, shapes, rest, drawn[k])
-            moves = placed(shapes, drawn[[k]], belief.limits)
-            information[k] = assess(belief, goal, moves)[0][0]
+            information[k] = assess(belief, goal, placed(shapes, drawn[[k]], belief.limits))[0][0]
             total = rest + information[k]
     return drawn
 
@@ -244,10 +237,8 @@ def within_limits(
         coefficients = drawn[k, j, :COEFFICIENTS]
         y = coefficients @ shapes.y
         centre = float(moves.q[k, 0, j])  # the window is zero at the ends
-        scaled = float(y @ (moves.q[k, :, j] - centre) / (y @ y)) * coefficients
-        return FourierMotion(
-            centre=centre, sine=scaled[0::2].tolist(), cosine=scaled[1::2].tolist()
-        )
+        own = float(y @ (moves.q[k, :, j] - centre) / (y @ y)) * coefficients
+        return FourierMotion(centre=centre, sine=own[0::2].tolist(), cosine=own[1::2].tolist())
 
     found = []
     for number, k in enumerate(kept.tolist(), start=1):

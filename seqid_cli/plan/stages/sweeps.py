@@ -17,30 +17,19 @@ from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief
+from seqid_cli.plan.moves import strokes
 from seqid_cli.plan.moves.fourier import Moves
-from seqid_cli.plan.moves.strokes import (
-    gentler,
-    lifted,
-    overloads,
-    postures_of,
-    reachable,
-    seconds_of,
-    stroke_move,
-    sweeps,
-    top_speed,
-)
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal, Planned, rank_and_condition
 from seqid_cli.plan.stages.inertia import rigid_stage
 from seqid_cli.plan.stages.search import choose
 from seqid_cli.robot.kinematics import forward
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array, Index, Mask
 
 SLOW = 0.3  # of the largest speed, for gravity
 POSTURES = 6  # in which the first joint turns for the IMUs
@@ -50,19 +39,17 @@ SPAN = 0.5  # of the range that a swing for the IMUs covers, about its middle
 def plan_friction(
     belief: Belief, options: PlanOptions, *, slowest: float = 0.08, speeds_per_joint: int = 10
 ) -> Planned:
-    """Move each joint in the posture that loads it least.
-
-    `torque_error` of the stage is the error of the mean friction at the fastest speed by noise.
-    """
+    """Move each joint in the posture that loads it least."""
     rng = np.random.default_rng(options.seed)
     moves, errors = [], {}
     for j in belief.limits.moving:
         name = belief.robot.joint_names[j]
         reduced, posture, ends = lightest_posture(belief, j, rng)
-        top = top_speed(reduced.limits, j, ends[1] - ends[0])
+        top = strokes.top_speed(reduced.limits, j, ends[1] - ends[0])
         speeds = np.geomspace(slowest * top, top, speeds_per_joint).tolist()
-        moves.append(stroke_move(reduced, f"friction_{name}", j, posture, ends, speeds))
-        fastest = seconds_of(moves[-1].strokes[-2:])
+        moves.append(strokes.stroke_move(reduced, f"friction_{name}", j, posture, ends, speeds))
+        fastest = strokes.seconds_of(moves[-1].strokes[-2:])
+        # Of the mean friction at the fastest speed, by noise.
         errors[name] = float(1.0 / np.sqrt(belief.density[j] * fastest))
     return Planned(moves, PlannedStage(torque_error=errors))
 
@@ -75,21 +62,21 @@ def lightest_posture(
     share: float = 1.0,
     widest: float = 0.9,
     most_postures: int = 60,
-) -> tuple[Belief, Array, tuple[float, float]]:
+) -> tuple[Belief, Array, strokes.Ends]:
     """The posture (n,) of those drawn in which a sweep of joint j needs least of the torques.
 
     The sweep covers `share` of the range, about its middle, as far as it touches nothing: postures
     count in which it reaches `widest` of the farthest. Before the posture comes the belief with the
     acceleration that the load allows, behind it the ends of the sweep, rad.
     """
-    drawn = postures_of(belief.limits, most_postures, rng)
-    postures, ends = reachable(belief, j, drawn, share, widest)
-    reduced, speed, load = lifted(belief, j, postures, float(ends[0, 1] - ends[0, 0]), 1)
+    drawn = strokes.postures_of(belief.limits, most_postures, rng)
+    postures, ends = strokes.reachable(belief, j, drawn, share, widest)
+    reduced, speed, load = strokes.lifted(belief, j, postures, float(ends[0, 1] - ends[0, 0]), 1)
     best = int(np.argmin(load))
     if load[best] <= 1.0:
         return reduced, np.asarray(postures[best]), (float(ends[best, 0]), float(ends[best, 1]))
     names = belief.robot.joint_names
-    swept = sweeps(reduced, j, postures[[best]], speed, 1.0)
+    swept = strokes.sweeps(reduced, j, postures[[best]], speed, 1.0)
     most = reduced.torque(swept, reduced.regressor(swept)).max(axis=(0, 1)) / reduced.limits.torque
     message = (
         f"a sweep of joint {names[j]!r} breaks the torque limit of joint"
@@ -103,7 +90,7 @@ def lightest_posture(
 class _Sweeps:
     """All sweeps of the pool, M of them, `ends` rad, with their scaled information."""
 
-    joint: NDArray[np.intp]
+    joint: Index
     posture: Array
     ends: Array
     moves: Moves
@@ -120,7 +107,7 @@ def plan_gravity(
         return Planned([], PlannedStage(rank=0, structural_rank=0, notes=[note]))
     fresh = replace(belief, prior=np.zeros_like(belief.prior))
     goal = Goal.of(fresh, options.seed)
-    slow = gentler(fresh)[-1]  # slow sweeps need no more
+    slow = strokes.gentler(fresh)[-1]  # slow sweeps need no more
     pool = _pool(slow, goal, np.random.default_rng(options.seed))
     nothing = np.zeros_like(goal.W)
     count = per_joint * len(np.unique(pool.joint))
@@ -132,8 +119,9 @@ def plan_gravity(
         name = belief.robot.joint_names[j]
         label = f"gravity_{name}_{1 + sum(move.joints == [name] for move in moves)}"
         low, high = (float(x) for x in pool.ends[k])
-        speed = min(SLOW * float(slow.limits.speed[j]), top_speed(slow.limits, j, high - low))
-        moves.append(stroke_move(slow, label, j, pool.posture[k], (low, high), [speed]))
+        top = strokes.top_speed(slow.limits, j, high - low)
+        speed = min(SLOW * float(slow.limits.speed[j]), top)
+        moves.append(strokes.stroke_move(slow, label, j, pool.posture[k], (low, high), [speed]))
     without = msgspec.structs.replace(stages, gravity=None)
     states, each = pool.moves[np.array(chosen)], pool.information[chosen]
     stage = rigid_stage(fresh, goal, without, states, each, nothing, wanted=wanted)
@@ -150,12 +138,13 @@ def _pool(
     t = np.zeros(0)
     for j in limits.moving:
         speed = SLOW * float(limits.speed[j])
-        drawn, ends = reachable(belief, j, postures_of(limits, most_postures, rng), 1.0, 0.5)
-        fit = overloads(belief, j, drawn, speed) <= 1.0
+        drawn = strokes.postures_of(limits, most_postures, rng)
+        drawn, ends = strokes.reachable(belief, j, drawn, 1.0, 0.5)
+        fit = strokes.overloads(belief, j, drawn, speed) <= 1.0
         drawn, ends = drawn[fit], ends[fit]
         if not len(drawn):
             continue
-        swept = sweeps(belief, j, drawn, speed, 2 * float(limits.range[j]) / speed, ends)
+        swept = strokes.sweeps(belief, j, drawn, speed, 2 * float(limits.range[j]) / speed, ends)
         own = belief.regressor(swept) * (np.arange(belief.robot.n) == j)[:, None]
         own[..., ~belief.basis.gravity] = 0.0
         information = goal.scaled(belief.information(swept, own))
@@ -171,9 +160,7 @@ def _pool(
     return _Sweeps(joint, posture, ends, Moves(t, *states), found)
 
 
-def _exchanged(
-    pool: _Sweeps, chosen: list[int], wanted: NDArray[np.bool_], *, rounds: int = 3
-) -> list[int]:
+def _exchanged(pool: _Sweeps, chosen: list[int], wanted: Mask, *, rounds: int = 3) -> list[int]:
     """Exchange sweeps for others of the same joint while the condition falls and the rank stays."""
     chosen = list(chosen)
     parts = pool.information[:, wanted][:, :, wanted]
@@ -204,8 +191,9 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
         hint = "Add an [[imu]] table, or plan another stage."
         raise ConfigError("the robot file lists no IMU", where=str(robot.source), hint=hint)
     rng = np.random.default_rng(options.seed)
-    drawn, ends = reachable(belief, first, postures_of(belief.limits, pool, rng), SPAN, 0.5)
-    reduced, _, load = lifted(belief, first, drawn, float(np.diff(ends).max()), POSTURES)
+    drawn = strokes.postures_of(belief.limits, pool, rng)
+    drawn, ends = strokes.reachable(belief, first, drawn, SPAN, 0.5)
+    reduced, _, load = strokes.lifted(belief, first, drawn, float(np.diff(ends).max()), POSTURES)
     fit = load <= 1.0
     if np.sum(fit) < POSTURES:
         name = robot.joint_names[first]
@@ -223,9 +211,8 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
         others = [k for k in range(len(postures)) if k not in chosen]
         least = [float(_least_information(directions[:, [*chosen, k]]).min()) for k in others]
         chosen.append(others[int(np.argmax(least))])
-    moves = [
-        _swing(reduced, first, postures[k], ends[k], f"_{i}") for i, k in enumerate(chosen, start=1)
-    ]
+    numbered = enumerate(chosen, start=1)
+    moves = [_swing(reduced, first, postures[k], ends[k], f"_{i}") for i, k in numbered]
     # No IMU rides behind later joints.
     for j in (j for j in belief.limits.moving[1:] if j <= max(links)):
         own, posture, span = lightest_posture(belief, j, rng, share=SPAN)
@@ -249,6 +236,6 @@ def _swing(
     belief: Belief, j: int, posture: Array, ends: Array, label: str = "", *, turns: int = 3
 ) -> PlannedMove:
     low, high = float(ends[0]), float(ends[1])
-    speeds = [top_speed(belief.limits, j, high - low)] * turns
+    speeds = [strokes.top_speed(belief.limits, j, high - low)] * turns
     name = f"imu_{belief.robot.joint_names[j]}{label}"
-    return stroke_move(belief, name, j, posture, (low, high), speeds)
+    return strokes.stroke_move(belief, name, j, posture, (low, high), speeds)

@@ -39,7 +39,7 @@ def friction(collection: Collection) -> views.Section:
 def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Group:
     joint, place = stage.joints[name], collection.place(name)
     own = [verdict for verdict in stage.verdicts if verdict.joint == name]
-    figures = friction_figures(joint, place)
+    figures, fault = friction_figures(joint, place), "Its surface is not finite"
     facts = [
         ("orders", f"{joint.position_order}, {joint.velocity_order}"),
         ("RMS error of the fit", f"{number(joint.rmse)} {place.unit}"),
@@ -57,9 +57,7 @@ def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Gro
         badge=views.badge(own),
         facts=facts,
         figures=figures,
-        absent=[]
-        if figures
-        else [views.Absent("Its surface is not finite: identify it anew.", _CALL)],
+        absent=[] if figures else [views.Absent(f"{fault}: identify it anew.", _CALL)],
         tables=[
             views.table(
                 f"Recorded speeds of {name}",
@@ -87,10 +85,7 @@ def friction_figures(joint: FrictionJoint, place: Place) -> list[views.Figure]:
 
 
 def _map(joint: FrictionJoint, surface: FrictionSurface, place: Place) -> views.Figure:
-    """Draw the friction torque over position and velocity (the paper's Fig. 1 and 10).
-
-    Between the slowest speeds of both directions nothing is known: the map has a gap there.
-    """
+    """Draw friction over position and velocity (Fig. 1 and 10); about rest nothing is known."""
     q = np.linspace(joint.position_range[0], joint.position_range[1], _CELLS[0] + 1)
     speed = np.linspace(max(joint.speed_range[0], 0.0), joint.speed_range[1], _CELLS[1] + 1)
     halves = (-speed[::-1], speed)
@@ -122,10 +117,7 @@ def _map(joint: FrictionJoint, surface: FrictionSurface, place: Place) -> views.
 
 
 def _cuts(joint: FrictionJoint, surface: FrictionSurface, place: Place, over: str) -> views.Figure:
-    """Draw three cuts over velocity or position, each in the pieces that were recorded.
-
-    95 % intervals are around them, and the recorded speeds are marked.
-    """
+    """Draw three cuts with 95 % intervals, in the pieces and at the speeds that were recorded."""
     (low, high), (slow, fast) = joint.position_range, joint.speed_range
     x_unit, cut_unit = place.length, f"{place.length}/s"
     cuts, pieces = np.linspace(slow, fast, 3), [np.linspace(low, high, _CURVE)]

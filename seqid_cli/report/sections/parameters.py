@@ -9,31 +9,9 @@ from seqid_cli.model.effects.units import UNEXPLAINED, smooth_in_words
 from seqid_cli.params.results.diagnosis import FindingEntry
 from seqid_cli.params.results.tables import Head, Values, heads, of_joints
 from seqid_cli.params.schema import EffectOfJoint, RigidStage
+from seqid_cli.report import views, words
 from seqid_cli.report.collection import Collection, Model
-from seqid_cli.report.views import (
-    VALUE_HEADS,
-    Absent,
-    Group,
-    Section,
-    Table,
-    badge,
-    lacking,
-    value_row,
-)
-from seqid_cli.report.words import (
-    DASH,
-    Z95,
-    effect_at,
-    effect_words,
-    expression,
-    listed,
-    number,
-    plural,
-    short_path,
-    symbol,
-    unit_text,
-    with_error,
-)
+from seqid_cli.report.views import VALUE_HEADS, Absent, Group, Section, Table, value_row
 
 _TITLES = {"gravity": "Gravity", "inertia": "Inertia"}
 _MADE_BY = {
@@ -53,7 +31,7 @@ def parameters(collection: Collection) -> Section:
     model = collection.model
     if model is None:
         text, call = "No parameter file is among the files given.", _MADE_BY["inertia"]
-        return lacking("parameters", "Parameters", text, call)
+        return views.lacking("parameters", "Parameters", text, call)
     groups, absent_stages = [], []
     for name in _TITLES:
         stage = getattr(model.stages, name)
@@ -64,7 +42,7 @@ def parameters(collection: Collection) -> Section:
             absent_stages.append(Absent(text, _MADE_BY[name]))
     if model.stages.effects:
         rows = [
-            (effect_at(item.effect, item.joint or "the whole arm"), *row)
+            (words.effect_at(item.effect, item.joint or "the whole arm"), *row)
             for item in model.stages.effects
             for row in value_rows(item)
         ]
@@ -78,13 +56,13 @@ def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
     title, own, facts, state = _TITLES[name], stage.verdicts, [], ""
     if stage.parameters:
         whole = f" of {stage.structural_rank}" if stage.structural_rank else ""
-        facts = [("rank", f"{stage.rank}{whole}"), ("condition", number(stage.condition))]
+        facts = [("rank", f"{stage.rank}{whole}"), ("condition", words.number(stage.condition))]
         facts.append(("method", stage.method))
-        facts += [("cut-off", f"{number(stage.cutoff_hz)} Hz")] if stage.cutoff_hz else []
-        state = badge(own)
+        facts += [("cut-off", f"{words.number(stage.cutoff_hz)} Hz")] if stage.cutoff_hz else []
+        state = views.badge(own)
     notes = list(stage.notes)
     if stage.not_excited:
-        notes.insert(0, f"Not determined by these logs: {listed(stage.not_excited, 40)}.")
+        notes.insert(0, f"Not determined by these logs: {words.listed(stage.not_excited, 40)}.")
     reasons = {v.joint: v.reason for v in own}
     rows = [(n, x, reasons.get(n, "")) for n, x in stage.rmse.items()]
     titles = "joint | RMS error [{unit}] | verdict"
@@ -114,32 +92,35 @@ def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
         theirs = getattr(model.stages, name)
         known = {item.name: item for item in theirs.parameters} if theirs else {}
         if any(mine.get(item.name, item.value) != item.value for item in known.values()):
-            earlier.append({n: with_error(x.value, x.std_error)[0] for n, x in known.items()})
-            columns.append(Head(f"in {short_path(model.path)}", "number"))
+            earlier.append({n: words.with_error(x.value, x.std_error)[0] for n, x in known.items()})
+            columns.append(Head(f"in {words.short_path(model.path)}", "number"))
     rows = []
     for item in stage.parameters:
         _, *estimate = value_row("", item.value, item.std_error, item.unit)
-        sum_of = expression(item.terms, item.expression or item.name)
+        sum_of = words.expression(item.terms, item.expression or item.name)
         formula = Markup('<span class="formula">{}</span>').format(sum_of)
-        rows.append((symbol(item.name), *estimate, formula, *(x.get(item.name) for x in earlier)))
-    unclear = [p.name for p in stage.parameters if abs(p.value) < Z95 * p.std_error]
+        beside = (values.get(item.name) for values in earlier)
+        rows.append((words.symbol(item.name), *estimate, formula, *beside))
+    unclear = [p.name for p in stage.parameters if abs(p.value) < words.Z95 * p.std_error]
     note = ""
     if unclear:
         hold = "holds" if len(unclear) == 1 else "hold"
-        count = f"{plural(len(unclear), 'interval')} of {len(stage.parameters)}"
-        note = f"{count} {hold} zero: {listed(unclear, 12)}."
+        count = f"{words.plural(len(unclear), 'interval')} of {len(stage.parameters)}"
+        note = f"{count} {hold} zero: {words.listed(unclear, 12)}."
     return Table(f"{_TITLES[name]}: base parameters", Values(columns, rows), note)
 
 
 def value_rows(item: EffectOfJoint | FindingEntry) -> list[tuple[str, ...]]:
     """Return the rows of an effect's parameters and settings, under `VALUE_HEADS`."""
     if item.effect == UNEXPLAINED:
-        return [(smooth_in_words(item.parameters, item.settings), DASH, DASH, DASH, "")]
-    rows = [value_row(effect_words(x.name), x.value, x.std_error, x.unit) for x in item.parameters]
+        text, none = smooth_in_words(item.parameters, item.settings), words.DASH
+        return [(text, none, none, none, "")]
+    own = [(words.effect_words(x.name), x) for x in item.parameters]
+    rows = [value_row(name, x.value, x.std_error, x.unit) for name, x in own]
     named, units = {x.name for x in item.parameters}, setting_units(item.effect)
     for name, setting in item.settings.items():
         if name not in named:
-            text = number(setting) if isinstance(setting, float) else str(setting)
-            unit = unit_text(units.get(name, ""))
-            rows.append((effect_words(name), text, "fixed", DASH, unit))
+            text = words.number(setting) if isinstance(setting, float) else str(setting)
+            unit = words.unit_text(units.get(name, ""))
+            rows.append((words.effect_words(name), text, "fixed", words.DASH, unit))
     return rows

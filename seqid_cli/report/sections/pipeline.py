@@ -18,12 +18,9 @@ _MOST_LOGS = 500
 
 
 def overview(collection: Collection, judgement: Judgement) -> Section:
-    """Return the section with the verdict."""
-    glance = _glance(collection) if collection.predictions else None
-    return Section("verdict", "Verdict", judgement=judgement, glance=glance)
-
-
-def _glance(collection: Collection) -> Table:
+    """Return the section with the verdict, and the joints at a glance."""
+    if not collection.predictions:
+        return Section("verdict", "Verdict", judgement=judgement)
     used = collection.predictions[0]
     made = ", ".join(short_path(item.path) for item in used.content.parameters)
     errors, rows = used.content.joints, []
@@ -46,7 +43,9 @@ def _glance(collection: Collection) -> Table:
         rows.append((link, rmse, share, drawn, noise, verdict))
     caption = f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
     titles = "joint | RMS error | of RMS torque | drawn | noise floor | verdict"
-    return table(caption, titles, "text number share text number text", rows, style="glance")
+    kinds = "text number share text number text"
+    glance = table(caption, titles, kinds, rows, style="glance")
+    return Section("verdict", "Verdict", judgement=judgement, glance=glance)
 
 
 def pipeline(collection: Collection) -> Section:

@@ -4,7 +4,6 @@ import numpy as np
 
 from seqid_cli.motion.planned import sampled
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile, PlannedMove, PlannedStage
 from seqid_cli.params.results.tables import Values
 from seqid_cli.report import views
@@ -23,27 +22,25 @@ def payload(collection: Collection) -> views.Section | None:
         "The body that the logs carry beyond the model, by the torque that the model leaves. Its "
         "frame is that of the last joint; its inertia is about the centre of mass."
     )
-    groups = [_carried(place + 1, item.content) for place, item in enumerate(collection.payloads)]
+    groups = []
+    for place, file in enumerate((item.content for item in collection.payloads), start=1):
+        body = [views.value_row(n, x.value, x.std_error, x.unit) for n, x in file.payload.numbers()]
+        told = tables.values("for | setting", "text text", file.settings.items())
+        group = views.Group(
+            f"payload-{place}",
+            f"Payload, frame {file.payload.frame}",
+            lead=views.reasons(file.verdicts),
+            badge=views.badge(file.verdicts),
+            tables=[
+                views.Table("The body", Values(views.VALUE_HEADS, body)),
+                views.Table("As controllers take it", told),
+                views.Table("Torque error where joints slide", tables.payload_joints(file)),
+            ],
+            notes=file.notes,
+            unfolded=True,
+        )
+        groups.append(group)
     return views.Section("payload", "Payload", lead, groups)
-
-
-def _carried(place: int, file: PayloadFile) -> views.Group:
-    body = [views.value_row(n, x.value, x.std_error, x.unit) for n, x in file.payload.numbers()]
-    return views.Group(
-        f"payload-{place}",
-        f"Payload, frame {file.payload.frame}",
-        lead=views.reasons(file.verdicts),
-        badge=views.badge(file.verdicts),
-        tables=[
-            views.Table("The body", Values(views.VALUE_HEADS, body)),
-            views.table(
-                "As controllers take it", "for | setting", "text text", file.settings.items()
-            ),
-            views.Table("Torque error where joints slide", tables.payload_joints(file)),
-        ],
-        notes=file.notes,
-        unfolded=True,
-    )
 
 
 def plan(collection: Collection) -> views.Section | None:

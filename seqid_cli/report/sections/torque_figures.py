@@ -113,8 +113,7 @@ def _time_table(series: Series, good: Mask, unit: str, title: str) -> Table:
             rows.append((f"{at:.2f}", *map(float, (*ends, *sizes))))
     heads = "from [s] | measured, least [{u}] | most [{u}] | predicted, least [{u}] | most [{u}]"
     heads += " | residual RMS [{u}] | largest [{u}]"
-    kinds = "count number number number number number number"
-    return table(title, heads, kinds, rows, u=unit)
+    return table(title, heads, "count number number number number number number", rows, u=unit)
 
 
 def over_quantity(
@@ -208,9 +207,7 @@ def spectrum(
 def extremes(x: Array, y: Array, columns: int) -> Index:
     """Return the indices of the smallest and largest y in each of `columns` equal parts of x.
 
-    `x` (N,): not falling. `y` (N,): finite. `columns`: as many as the drawing has pixels across.
-    Returns (M,) array of int: rising, M <= 2 * columns + 2; the first and the last sample are
-    always among them.
+    x (N,) does not fall, y (N,) is finite. At most 2 columns + 2 rise, first and last among them.
     """
     if len(x) <= 2 * columns + 2:
         return np.arange(len(x))

@@ -26,6 +26,7 @@ from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
+from tests.plants.robots.made import made_recording
 from tests.transcripts import check_text
 from tests.unit.params.documents import JOINTS
 
@@ -100,22 +101,20 @@ class Reader:
     warnings: tuple[str, ...] = ()
     partial: str = ""
     time_source: str = ""
-
     findings: tuple[InspectionFinding, ...] = ()
 
     def read_screened(self, path: Path, robot: Robot, *, time_source: str, imus: bool) -> Screened:
         """Return one recording, whatever the path."""
         del imus
         self.time_source = time_source
-        recording = Recording(
-            path=Path(path),
+        recording = made_recording(
+            np.zeros((SAMPLES, robot.n)),
+            np.ones((SAMPLES, robot.n)),
+            rate_hz=100.0,
+            path=str(path),
             sha256=Path(path).name.ljust(64, "0"),
             format="parquet",
-            t=np.arange(SAMPLES) * 0.01,
-            q=np.zeros((SAMPLES, robot.n)),
-            valid=np.ones(SAMPLES, dtype=bool),
             health=Health(rate_hz=100.0, jitter=0.0, warnings=self.warnings),
-            tau=np.ones((SAMPLES, robot.n)),
             partial=self.partial,
         )
         return Screened(recording, located(self.findings, path))

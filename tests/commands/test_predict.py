@@ -285,18 +285,17 @@ def test_the_same_warning_of_many_logs_is_one_line(rig: Rig, recordings: list[Re
 
 
 def test_a_simultaneous_fit_says_its_motion(rig: Rig, recordings: list[Recording]) -> None:
-    command = ("simultaneous", *BASE[1:], "--json", "-o", "out.json")
-    done = rig.run(*command)
+    done = rig.run("simultaneous", *BASE[1:], "--json", "-o", "out.json")
     assert done.code == 0
     file = json.loads(done.out)
     jsonschema.validate(file, json_schema(SCHEMA))
-    used = file["stages"]["inertia"]["motion_use"]
-    assert [use["source"] for use in used] == ["fused", "fused"]
-    assert file["stages"]["inertia"]["motion"]["a.parquet"] == "fused: imu_a, imu_b"
-    assert [use["cutoff_hz"] for use in used] == [file["stages"]["inertia"]["cutoff_hz"]] * 2
-    assert "motion: fused" in done.err
     assert file["stages"]["imu"]
     assert file["stages"].get("gravity") is None
+    inertia = file["stages"]["inertia"]
+    used = [(use["source"], use["cutoff_hz"]) for use in inertia["motion_use"]]
+    assert used == [("fused", inertia["cutoff_hz"])] * 2
+    assert inertia["motion"]["a.parquet"] == "fused: imu_a, imu_b"
+    assert "motion: fused" in done.err
 
 
 @pytest.mark.parametrize(("cutoff", "noisy"), [([], True), (["--cutoff", "6"], False)])

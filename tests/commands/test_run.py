@@ -82,11 +82,8 @@ def written(folder: Path) -> dict[str, int]:
 
 def test_the_files_are_those_of_the_single_commands(lab: Path) -> None:
     out = lab / "out"
-    assert {path.name for path in out.iterdir()} == {
-        *(f"{name}.json" for name in NAMES),
-        "torques.parquet",
-        "report.html",
-    }
+    files = {*(f"{name}.json" for name in NAMES), "torques.parquet", "report.html"}
+    assert {path.name for path in out.iterdir()} == files
     alone = out.parent / "alone.json"
     command = ["friction", str(lab / "logs" / "friction"), "-r", str(lab / "logs" / "robot.toml")]
     assert main([*command, "-o", str(alone)]) == 0

@@ -29,7 +29,6 @@ def copy(folder: Path, log: str, name: str | None = None) -> str:
 
 
 def edited(folder: Path, log: str, change: Callable[[Columns], Columns]) -> str:
-    """Copy a log with other columns."""
     name = copy(folder, log)
     write_columns(folder / name, change(read_columns(folder / name)))
     return name

@@ -271,7 +271,6 @@ def _count_events(pipe: int, target: Path) -> None:
 
 
 def _die_at(last: int) -> None:
-    """Kill this process at a call or return."""
     count = 0
 
     def profile(*_: object) -> None:

@@ -131,6 +131,9 @@ def test_what_the_user_sees(
 ) -> None:
     rig.params("p.json", full_file())
     rig.params("friction.json", friction_file())
+    bare = full_file()
+    bare.stages.imu = None
+    rig.params("bare.json", bare)
     model.scale, model.slides = scale, slides
     before = Path("a.parquet").read_bytes()
     rig.check_transcript(f"predict{name}")
@@ -209,19 +212,6 @@ def test_smooth_terms_are_left_out_unless_asked_for(swinging: Rig) -> None:
     refused = swinging.run(*SWING, "smooth.json", "--with-unexplained")
     assert refused.code == 2
     assert "$.stages.effects[1].settings" in refused.err
-
-
-@pytest.mark.parametrize("source", ["imu", "fused"])
-@pytest.mark.parametrize("command", ["inertia", "predict", "diagnose", "simultaneous"])
-def test_imus_need_their_calibration(rig: Rig, reader: Reader, command: str, source: str) -> None:
-    file = full_file()
-    file.stages.imu = None
-    before = rig.params("p.json", file)
-    given = [] if command == "simultaneous" else ["-p", before]
-    done = rig.run(command, "a.parquet", "-r", "robot.toml", *given, "--motion", source)
-    assert done.code == 2
-    assert "there is no imu stage" in done.err
-    assert "seqid imu-calib" in done.err
 
 
 @pytest.fixture

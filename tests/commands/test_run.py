@@ -140,16 +140,6 @@ def test_it_stops_at_the_first_poor_stage_also_when_resumed(
         assert [path.name for path in (folder / "out").iterdir()] == ["friction.json"]
 
 
-def test_it_needs_friction_trials(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "logs").mkdir()
-    shutil.copy(ONE_JOINT / "robot.toml", tmp_path / "logs")
-    assert run(tmp_path) == 2
-    said = capsys.readouterr().err
-    assert "friction/" in said
-    assert str(tmp_path / "logs") in said
-    assert not (tmp_path / "out").exists()
-
-
 OF_THE_RUN = ("created", "parameters")  # when a file and the models that it used were made
 
 

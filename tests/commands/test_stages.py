@@ -135,7 +135,9 @@ def test_what_cannot_run(rig: Rig) -> None:
     rig.params("other.json", other)
     swapped.robot.joints = swapped.robot.joints[::-1]
     rig.params("swapped.json", swapped)
+    (rig.folder / "logs").mkdir()
     rig.check_transcript("errors")
+    assert not (rig.folder / "out").exists()
     assert "No such option: --cutof" in rig.run("friction", "a", "-r", "r", "--cutof", "3").err
     assert not (rig.folder / "out.json").exists()
     done = rig.run("friction", "no", "-r", "robot.toml", "--json")

@@ -199,7 +199,8 @@ def test_a_plan_is_written_with_its_trajectories(rig: Rig) -> None:
 
 
 def test_mistakes_of_a_plan_are_told(rig: Rig) -> None:
-    shutil.copy(TWO, rig.folder / "two.toml")
+    for path in map(Path, (TWO, TWO.replace("robot.toml", "golden.json"))):
+        shutil.copy(path, rig.folder / f"two{path.suffix}")
     rig.check_transcript("plan")
 
 

@@ -4,6 +4,7 @@ In `transcripts/` a line `$ compare a.json b.json` is a command line. Below stan
 stdout, those on stderr behind `! `, and its exit code in brackets; hashes are left out.
 """
 
+import hashlib
 import re
 import shlex
 import sys
@@ -26,6 +27,7 @@ from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
+from tests.plants.robots.made import made_recording
 from tests.transcripts import check_text
 from tests.unit.params.documents import JOINTS
 
@@ -77,13 +79,21 @@ SAMPLE_LOGS = ROOT / "sample_logs"
 ONE_JOINT = SAMPLE_LOGS / "one_joint"
 
 
+def content(number: int) -> bytes:
+    """What looks like a Parquet file from outside."""
+    return b"PAR1" + bytes([number]) * 16 + b"PAR1"
+
+
+def sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
 @pytest.fixture
 def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Rig:
-    """A rig whose folder is the working directory."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot.toml").write_text(ROBOT_TOML)
-    for name in ("a.parquet", "b.parquet"):
-        (tmp_path / name).write_bytes(b"PAR1" + b"\0" * 16 + b"PAR1")
+    for number, name in enumerate("ab"):
+        (tmp_path / f"{name}.parquet").write_bytes(content(number))
 
     def run(*arguments: str) -> Done:
         code = main(arguments)
@@ -100,22 +110,19 @@ class Reader:
     warnings: tuple[str, ...] = ()
     partial: str = ""
     time_source: str = ""
-
     findings: tuple[InspectionFinding, ...] = ()
 
     def read_screened(self, path: Path, robot: Robot, *, time_source: str, imus: bool) -> Screened:
-        """Return one recording, whatever the path."""
         del imus
         self.time_source = time_source
-        recording = Recording(
-            path=Path(path),
-            sha256=Path(path).name.ljust(64, "0"),
+        recording = made_recording(
+            np.zeros((SAMPLES, robot.n)),
+            np.ones((SAMPLES, robot.n)),
+            rate_hz=100.0,
+            path=str(path),
+            sha256=sha256(Path(path).read_bytes()),
             format="parquet",
-            t=np.arange(SAMPLES) * 0.01,
-            q=np.zeros((SAMPLES, robot.n)),
-            valid=np.ones(SAMPLES, dtype=bool),
             health=Health(rate_hz=100.0, jitter=0.0, warnings=self.warnings),
-            tau=np.ones((SAMPLES, robot.n)),
             partial=self.partial,
         )
         return Screened(recording, located(self.findings, path))
@@ -123,7 +130,6 @@ class Reader:
 
 @pytest.fixture
 def reader(monkeypatch: pytest.MonkeyPatch) -> Reader:
-    """Replace the log reader and its checks."""
     fake = Reader()
     monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", fake.read_screened)
     return fake

@@ -18,11 +18,6 @@ from tests import ROOT
 from tests.commands.conftest import Rig
 
 
-def examples_of(name: str) -> list[str]:
-    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
-    return list(getattr(module, name.replace("-", "_")).examples)
-
-
 def test_the_overview_lists_every_command(rig: Rig) -> None:
     done = rig.run("--help")
     assert done.code == 0
@@ -40,7 +35,8 @@ def test_every_command_has_the_common_flags_and_two_examples(rig: Rig, name: str
     text = rig.run(name, "--help").out
     for flag in ("-q, --quiet", "-v, --verbose", "--json", "--no-color", "--debug"):
         assert flag in text
-    examples = examples_of(name)
+    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
+    examples = getattr(module, name.replace("-", "_")).examples
     assert len(examples) >= 2
     for example in examples:
         assert f"  {example}\n" in text

@@ -29,7 +29,6 @@ def copy(folder: Path, log: str, name: str | None = None) -> str:
 
 
 def edited(folder: Path, log: str, change: Callable[[Columns], Columns]) -> str:
-    """Copy a log with other columns."""
     name = copy(folder, log)
     write_columns(folder / name, change(read_columns(folder / name)))
     return name
@@ -66,20 +65,6 @@ def test_json_is_one_document_and_the_file_the_same(rig: Rig) -> None:
     assert (rig.folder / "found.json").read_text() == done.out
     file = msgspec.json.decode(done.out, type=InspectionFile)
     assert encode(file) == done.out
-
-
-def test_findings_have_all_their_keys_and_errors_count(rig: Rig) -> None:
-    log = edited(rig.folder, "validation/fourier_1.parquet", in_degrees)
-    (rig.folder / "broken.parquet").write_bytes(b"PAR1 and no more")
-    done = rig.run("inspect", log, "broken.parquet", "-r", "robot.toml", "--json")
-    assert done.code == 2
-    document = json.loads(done.out)
-    finding = next(x for x in document["findings"] if x["log"] == log)
-    keys = {"code", "severity", "log", "joint", "channel", "message", "remedy"}
-    assert set(finding) == keys
-    assert (finding["code"], finding["joint"]) == ("position_in_degrees", "joint_2")
-    assert finding["severity"] == "error"
-    assert [entry["verdict"] for entry in document["logs"]] == ["unreadable", "faulty"]
 
 
 def test_a_fault_of_many_logs_is_told_once(rig: Rig) -> None:

@@ -22,7 +22,6 @@ Mistake = Callable[[Path], tuple[str, ...]]
 
 
 def in_log(change: Callable[[dict[str, np.ndarray]], None]) -> Mistake:
-    """Make a log that is wrong, and look at it."""
 
     def make(folder: Path) -> tuple[str, ...]:
         columns = read_columns(folder / "log.parquet")
@@ -34,7 +33,6 @@ def in_log(change: Callable[[dict[str, np.ndarray]], None]) -> Mistake:
 
 
 def in_robot(old: str, new: str) -> Mistake:
-    """Write a robot file that is wrong."""
 
     def make(folder: Path) -> tuple[str, ...]:
         text = (folder / "robot.toml").read_text()

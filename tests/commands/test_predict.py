@@ -131,6 +131,9 @@ def test_what_the_user_sees(
 ) -> None:
     rig.params("p.json", full_file())
     rig.params("friction.json", friction_file())
+    bare = full_file()
+    bare.stages.imu = None
+    rig.params("bare.json", bare)
     model.scale, model.slides = scale, slides
     before = Path("a.parquet").read_bytes()
     rig.check_transcript(f"predict{name}")
@@ -211,19 +214,6 @@ def test_smooth_terms_are_left_out_unless_asked_for(swinging: Rig) -> None:
     assert "$.stages.effects[1].settings" in refused.err
 
 
-@pytest.mark.parametrize("source", ["imu", "fused"])
-@pytest.mark.parametrize("command", ["inertia", "predict", "diagnose", "simultaneous"])
-def test_imus_need_their_calibration(rig: Rig, reader: Reader, command: str, source: str) -> None:
-    file = full_file()
-    file.stages.imu = None
-    before = rig.params("p.json", file)
-    given = [] if command == "simultaneous" else ["-p", before]
-    done = rig.run(command, "a.parquet", "-r", "robot.toml", *given, "--motion", source)
-    assert done.code == 2
-    assert "there is no imu stage" in done.err
-    assert "seqid imu-calib" in done.err
-
-
 @pytest.fixture
 def recordings(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
     """Two simulated logs of the planar rig, which may be changed; its calibrations lie beside."""
@@ -285,18 +275,17 @@ def test_the_same_warning_of_many_logs_is_one_line(rig: Rig, recordings: list[Re
 
 
 def test_a_simultaneous_fit_says_its_motion(rig: Rig, recordings: list[Recording]) -> None:
-    command = ("simultaneous", *BASE[1:], "--json", "-o", "out.json")
-    done = rig.run(*command)
+    done = rig.run("simultaneous", *BASE[1:], "--json", "-o", "out.json")
     assert done.code == 0
     file = json.loads(done.out)
     jsonschema.validate(file, json_schema(SCHEMA))
-    used = file["stages"]["inertia"]["motion_use"]
-    assert [use["source"] for use in used] == ["fused", "fused"]
-    assert file["stages"]["inertia"]["motion"]["a.parquet"] == "fused: imu_a, imu_b"
-    assert [use["cutoff_hz"] for use in used] == [file["stages"]["inertia"]["cutoff_hz"]] * 2
-    assert "motion: fused" in done.err
     assert file["stages"]["imu"]
     assert file["stages"].get("gravity") is None
+    inertia = file["stages"]["inertia"]
+    used = [(use["source"], use["cutoff_hz"]) for use in inertia["motion_use"]]
+    assert used == [("fused", inertia["cutoff_hz"])] * 2
+    assert inertia["motion"]["a.parquet"] == "fused: imu_a, imu_b"
+    assert "motion: fused" in done.err
 
 
 @pytest.mark.parametrize(("cutoff", "noisy"), [([], True), (["--cutoff", "6"], False)])

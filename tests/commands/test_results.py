@@ -68,7 +68,7 @@ def test_report(rig: Rig) -> None:
     """Of one model, of all documents, of a fleet; what is refused leaves all files as they are."""
     names = write_documents(rig.folder, all_documents())
     (rig.folder / "cell").mkdir()
-    write_documents(rig.folder / "cell", good_documents())
+    good = write_documents(rig.folder / "cell", good_documents())
     other = diagnosis_file()
     other.robot.name = "another"
     (rig.folder / "other.json").write_text(encode(other))
@@ -81,9 +81,9 @@ def test_report(rig: Rig) -> None:
     rig.check_transcript("report")
     assert [(rig.folder / name).read_bytes() for name in names] == before
     assert not list(rig.folder.glob(".*.tmp"))
-    page = (rig.folder / "report.html").read_text(encoding="utf-8")
-    assert page.lstrip().startswith("<!doctype html>")
-    assert "</html>" in page
+    fleet = [*good, *(f"cell/{name}" for name in good), "--by", "folder", "-o", "f.html", "--json"]
+    told = json.loads(rig.run("report", *fleet).out)
+    assert (told["robot"], told["verdict"]) == ("., cell", "good")
 
 
 def test_the_json_of_a_report_sums_it_up(rig: Rig) -> None:
@@ -103,17 +103,6 @@ def test_the_json_of_a_report_sums_it_up(rig: Rig) -> None:
     told = {"output": "report.html", "robot": "arm", "verdict": "good", "points": []}
     assert document == {**told, "files": good, "torques": "t.parquet", "bytes": size}
     assert "<h1>An arm</h1>" in (rig.folder / "report.html").read_text(encoding="utf-8")
-
-
-def test_a_fleet_has_a_page_of_its_own(rig: Rig) -> None:
-    for cell in ("cell_1", "cell_2"):
-        (rig.folder / cell).mkdir()
-        names = write_documents(rig.folder / cell, good_documents())
-    files = [f"{cell}/{name}" for cell in ("cell_1", "cell_2") for name in names]
-    done = rig.run("report", *files, "--by", "folder", "-o", "r.html", "--json")
-    document = json.loads(done.out)
-    assert (document["robot"], document["verdict"]) == ("cell_1, cell_2", "good")
-    assert document["sentence"] == "2 robots. Good: cell_1 and cell_2."
 
 
 def model_of(folder: Path, *, shift: float = 0.0) -> ParameterFile:
@@ -145,9 +134,8 @@ def test_export(two: Rig) -> None:
     assert not (two.folder / "no.urdf").exists()
     done = two.run("export", "inertia.json", "-r", "robot.toml", "-o", "a.urdf", "--json")
     found = json.loads(done.out)
-    assert found["schema"] == "seqid/export@1"
-    assert found["exact"] is True
-    assert found["format"] == "URDF"
+    told = {"schema": "seqid/export@1", "exact": True, "format": "URDF"}
+    assert found.items() >= told.items()
     assert set(found["joints"]) == {"joint_1", "joint_2"}
     assert found["joints"]["joint_1"]["prior"] == "guessed"
     assert found["joints"]["joint_1"]["friction"]["coulomb"] > 0.0
@@ -183,11 +171,9 @@ def test_two_files_of_different_stages_are_joined(two: Rig) -> None:
     for stage in ("friction", "inertia"):
         own = {stage: getattr(whole.stages, stage)}
         two.params(f"{stage}_alone.json", with_stage(None, whole.robot, [], **own))
-    one = two.run("export", "inertia.json", "-r", "robot.toml", "-o", "a.urdf")
-    both = two.run(
-        "export", "friction_alone.json", "inertia_alone.json", "-r", "robot.toml", "-o", "b.urdf"
-    )
-    assert one.code == both.code == 0
+    parts = ("friction_alone.json", "inertia_alone.json")
+    for files, name in ((("inertia.json",), "a.urdf"), (parts, "b.urdf")):
+        assert two.run("export", *files, "-r", "robot.toml", "-o", name).code == 0
     assert (two.folder / "a.urdf").read_text() == (two.folder / "b.urdf").read_text()
 
 
@@ -196,9 +182,8 @@ SHORT = ("--duration", "12", "--move-duration", "4")
 
 
 def test_a_plan_is_written_with_its_trajectories(rig: Rig) -> None:
-    done = rig.run(
-        "plan", "inertia", "-r", TWO, "-o", "plan.json", "--trajectories", "moves", *SHORT
-    )
+    files = ("-o", "plan.json", "--trajectories", "moves")
+    done = rig.run("plan", "inertia", "-r", TWO, *files, *SHORT)
     assert done.code == 0, done.err
     plan = json.loads((rig.folder / "plan.json").read_text())
     jsonschema.validate(plan, json_schema(PLAN_SCHEMA))
@@ -214,7 +199,8 @@ def test_a_plan_is_written_with_its_trajectories(rig: Rig) -> None:
 
 
 def test_mistakes_of_a_plan_are_told(rig: Rig) -> None:
-    shutil.copy(TWO, rig.folder / "two.toml")
+    for path in map(Path, (TWO, TWO.replace("robot.toml", "golden.json"))):
+        shutil.copy(path, rig.folder / f"two{path.suffix}")
     rig.check_transcript("plan")
 
 
@@ -228,13 +214,10 @@ def test_a_plan_that_cannot_reach_full_rank_is_poor(rig: Rig) -> None:
 
 
 def test_logs_that_are_there_count_as_well(rig: Rig) -> None:
-    short, logs = (
-        ("--duration", "8", "--move-duration", "4"),
-        str(SAMPLE_LOGS / "two_joint/inertia"),
-    )
-    errors = []
+    errors, logs = [], str(SAMPLE_LOGS / "two_joint/inertia")
     for more in ((), ("--have", logs)):
-        done = rig.run("plan", "inertia", "-r", TWO, *short, *more, "--json")
+        line = ("--duration", "8", "--move-duration", "4", *more, "--json")
+        done = rig.run("plan", "inertia", "-r", TWO, *line)
         assert done.code == 0
         stage = json.loads(done.out)["stages"]["inertia"]
         errors.append(np.array([p["std_error"] for p in stage["parameters"]]))

@@ -82,11 +82,8 @@ def written(folder: Path) -> dict[str, int]:
 
 def test_the_files_are_those_of_the_single_commands(lab: Path) -> None:
     out = lab / "out"
-    assert {path.name for path in out.iterdir()} == {
-        *(f"{name}.json" for name in NAMES),
-        "torques.parquet",
-        "report.html",
-    }
+    files = {*(f"{name}.json" for name in NAMES), "torques.parquet", "report.html"}
+    assert {path.name for path in out.iterdir()} == files
     alone = out.parent / "alone.json"
     command = ["friction", str(lab / "logs" / "friction"), "-r", str(lab / "logs" / "robot.toml")]
     assert main([*command, "-o", str(alone)]) == 0
@@ -141,16 +138,6 @@ def test_it_stops_at_the_first_poor_stage_also_when_resumed(
         assert "stopped at friction" in shown.err
         assert "it would drive the joint" in shown.out + shown.err
         assert [path.name for path in (folder / "out").iterdir()] == ["friction.json"]
-
-
-def test_it_needs_friction_trials(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "logs").mkdir()
-    shutil.copy(ONE_JOINT / "robot.toml", tmp_path / "logs")
-    assert run(tmp_path) == 2
-    said = capsys.readouterr().err
-    assert "friction/" in said
-    assert str(tmp_path / "logs") in said
-    assert not (tmp_path / "out").exists()
 
 
 OF_THE_RUN = ("created", "parameters")  # when a file and the models that it used were made

@@ -15,7 +15,6 @@ from seqid_cli.inspect.findings import found
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import SCHEMA, RigidStage
-from seqid_cli.robot.types import Robot
 from tests.commands.conftest import ONE_JOINT, SAMPLES, Reader, Rig
 from tests.unit.params.documents import (
     friction_file,
@@ -37,11 +36,8 @@ def test_friction(rig: Rig, reader: Reader, identified: Replace) -> None:
     done = rig.run("friction", *COMMON, *options, "--time", "log")
     assert done.code == 0
     count, robot, given = calls
-    assert count == 2
-    assert isinstance(robot, Robot)
-    assert given == FrictionOptions(
-        cutoff_hz=20.0, time_source="log", position_order=4, velocity_order=5, beta=0.1
-    )
+    own = {"position_order": 4, "velocity_order": 5, "beta": 0.1}
+    assert (count, given) == (2, FrictionOptions(cutoff_hz=20.0, time_source="log", **own))
     assert reader.time_source == "log"
     file = read_parameters(rig.folder / "out.json")
     assert [(log.path, log.samples, log.stage) for log in file.inputs] == [
@@ -74,8 +70,7 @@ def test_simultaneous(rig: Rig, reader: Reader, identified: Replace, offset: boo
     assert rig.run("simultaneous", *COMMON, *([] if offset else ["--no-offset"])).code == 0
     assert calls[-1] is offset
     stages = read_parameters(rig.folder / "out.json").stages
-    assert stages.friction is not None
-    assert stages.inertia is not None
+    assert None not in (stages.friction, stages.inertia)
     assert stages.gravity is None
 
 
@@ -140,7 +135,9 @@ def test_what_cannot_run(rig: Rig) -> None:
     rig.params("other.json", other)
     swapped.robot.joints = swapped.robot.joints[::-1]
     rig.params("swapped.json", swapped)
+    (rig.folder / "logs").mkdir()
     rig.check_transcript("errors")
+    assert not (rig.folder / "out").exists()
     assert "No such option: --cutof" in rig.run("friction", "a", "-r", "r", "--cutof", "3").err
     assert not (rig.folder / "out.json").exists()
     done = rig.run("friction", "no", "-r", "robot.toml", "--json")
@@ -149,15 +146,12 @@ def test_what_cannot_run(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "code"),
-    [
-        (QualityError("joint elbow never moves alone", hint="Record it."), 1),
-        (ConfigError("no", hint="x"), 2),
-    ],
+    ("kind", "code"), [(QualityError, 1), (ConfigError, 2)], ids=["quality", "config"]
 )
 def test_a_stage_that_gives_up_writes_nothing(
-    rig: Rig, reader: Reader, identified: Replace, error: SeqidError, code: int
+    rig: Rig, reader: Reader, identified: Replace, kind: type[SeqidError], code: int
 ) -> None:
+    error = kind("joint elbow never moves alone", hint="Record it.")
     (rig.folder / "out.json").write_text("old")
     identified("friction_surface.stage", "identify_friction", error)
     done = rig.run(*FRICTION, "--json")

@@ -121,22 +121,6 @@ def test_a_signal_at_work_interrupts(name: str, after: float, tmp_path: Path) ->
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path: Path) -> None:
-    made = tmp_path / "f[1].json"
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    left = tmp_path / f".{made.name}.{gone.pid}.tmp"
-    running = tmp_path / f".{made.name}.{os.getpid()}.tmp"
-    for path in (left, running):
-        path.write_text("half")
-    code, _, err = ran("inspect", str(GRAVITY), *ROBOT, "-o", str(made))
-    assert code == 0, err
-    assert not left.exists()
-    assert running.exists()
-    assert made.stat().st_size > 1000
-
-
 IN_IMPORT = 'exec("import signal; signal.raise_signal(signal.{})")'
 IN_FINALIZER = (
     "import time, weakref;"

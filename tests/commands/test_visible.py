@@ -36,10 +36,8 @@ def test_nothing_that_steers_is_left(text: str) -> None:
 def test_every_way_to_the_screen(color: bool, capsys: pytest.CaptureFixture[str]) -> None:
     screen = Screen("inspect", verbose=True, color=color)
     screen.table(("log", "x"), [(EVIL, "1")])
-    screen.result(EVIL)
-    screen.warn(EVIL)
-    screen.remark(EVIL)
-    screen.detail(EVIL)
+    for say in (screen.result, screen.warn, screen.remark, screen.detail):
+        say(EVIL)
     shown = capsys.readouterr()
     assert "]0;owned" in shown.out
     assert not re.search("\x1b\\]|[\x00\x07\x9b\u202e]", shown.out + shown.err)
@@ -84,12 +82,8 @@ def test_joints_that_slide_have_units_of_their_own(capsys: pytest.CaptureFixture
 
 
 def test_a_verdict_names_every_reason() -> None:
-    verdicts = [
-        Verdict(joint="a", good=True),
-        Verdict(joint="b", good=False, reason="x"),
-        Verdict(joint="b", good=False, reason="y"),
-    ]
-    texts = [verdict_text(verdicts, name) for name in "abc"]
+    poor = [Verdict(joint="b", good=False, reason=reason) for reason in "xy"]
+    texts = [verdict_text([Verdict(joint="a", good=True), *poor], name) for name in "abc"]
     assert texts == ["good", "poor: x; y", "-"]
 
 
@@ -138,18 +132,14 @@ def test_parameters_are_shown_by_what_tells_a_person_something() -> None:
         Parameter(name=f"c_{k}", value=0.1, std_error=0.0, unit="N m", joint="elbow")
         for k in range(12)
     ]
-    settings: dict[str, str | float | int | bool] = {"depends_on": "load direction", "knot_0": 2.0}
-    effect = EffectOfJoint(
-        effect="unexplained", joint="elbow", parameters=coefficients, settings=settings
-    )
-    text = parameters_text(effect)
+    settings = {"depends_on": "load direction", "knot_0": 2.0}
+    own = {"parameters": coefficients, "settings": settings}
+    text = parameters_text(EffectOfJoint(effect="unexplained", joint="elbow", **own))
     assert text == "a smooth function of load, direction, 12 coefficients without errors"
     parameters = [
         Parameter(name=name, value=0.5, std_error=error, unit="kg", joint="")
         for name, error in (("payload_m", 1e150), ("payload_mx", 0.1))
     ]
-    effect = EffectOfJoint(
-        effect="payload", joint=None, parameters=parameters, settings={"from_log": 2.0}
-    )
-    text = parameters_text(effect)
+    own = {"parameters": parameters, "settings": {"from_log": 2.0}}
+    text = parameters_text(EffectOfJoint(effect="payload", joint=None, **own))
     assert text == "payload_mx 0.5 +- 0.1 kg, from_log 2, not determined: payload_m"

@@ -58,15 +58,20 @@ def _result(function: Callable[..., object]) -> type:
 
 def test_the_result_is_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     by_hand, by_function = tmp_path / "command.json", tmp_path / "function.json"
-    logs = SAMPLES / "friction"
-    assert run(["friction", str(logs), "-r", str(ROBOT), "-o", str(by_hand)]) == 0
+    logs, orders = SAMPLES / "friction", ("--position-order", "2", "--velocity-order", "3")
+    assert run(["friction", str(logs), "-r", str(ROBOT), *orders, "-o", str(by_hand)]) == 0
     capsys.readouterr()
-    found = identify.friction(logs, ROBOT, output=by_function)
+    found = identify.friction(logs, ROBOT, ORDERS, output=by_function)
     assert capsys.readouterr() == ("", "")
     assert found.stages.friction is not None
     one, other = (json.loads(path.read_text()) for path in (by_hand, by_function))
     assert one.pop("created") <= other.pop("created")
     assert one == other
+
+
+@pytest.fixture(scope="module")
+def friction() -> ParameterFile:
+    return identify.friction(SAMPLES / "friction", ROBOT, ORDERS)
 
 
 def test_results_pass_from_one_function_to_the_next(tmp_path: Path) -> None:
@@ -80,7 +85,7 @@ def test_results_pass_from_one_function_to_the_next(tmp_path: Path) -> None:
     assert compare.compare(gravity, gravity).changed == 0
 
 
-def test_a_table_is_a_log(tmp_path: Path) -> None:
+def test_a_table_is_a_log(friction: ParameterFile) -> None:
     """An Arrow table, or whatever gives itself away as one, goes wherever a path does."""
 
     class Frame:
@@ -92,13 +97,12 @@ def test_a_table_is_a_log(tmp_path: Path) -> None:
 
     (path,) = (SAMPLES / "friction").glob("*.parquet")
     table = pq.read_table(path)
-    by_path = identify.friction(path, ROBOT, ORDERS)
-    for log in (table, Frame(table), [table]):
+    for log in (Frame(table), [table]):
         found = identify.friction(log, ROBOT, ORDERS)  # type: ignore[arg-type]
-        assert found.stages.friction == by_path.stages.friction
+        assert found.stages.friction == friction.stages.friction
         assert [log.path for log in found.inputs] == ["table_1"]
     held = read_recording(path, load_robot(ROBOT))
-    assert identify.friction(held, ROBOT, ORDERS).stages == by_path.stages
+    assert identify.friction(held, ROBOT, ORDERS).stages == friction.stages
     with pytest.raises(InputError, match="int is no log"):
         identify.friction(3, ROBOT)  # type: ignore[arg-type]
 
@@ -137,14 +141,15 @@ def test_logs_that_fail_are_left_out_of_one_least_squares(tmp_path: Path) -> Non
     assert [log.path for log in file.inputs] == [str(log) for log in logs[1:]]
 
 
-def test_problems_are_exceptions_and_warnings_pythons(tmp_path: Path) -> None:
+def test_problems_are_exceptions_and_warnings_pythons(
+    tmp_path: Path, friction: ParameterFile
+) -> None:
     with pytest.raises(InputError, match="does not exist"):
         identify.friction(tmp_path / "none.parquet", ROBOT)
     damaged = tmp_path / "damaged.json"
     damaged.write_text("{")
     with pytest.raises(ConfigError):
         identify.gravity(SAMPLES / "gravity", ROBOT, damaged)
-    friction = identify.friction(SAMPLES / "friction", ROBOT, ORDERS)
     other = tmp_path / "robot.toml"
     other.write_text(ROBOT.read_text().replace("gear_ratio = ", "gear_ratio = 2"))
     with pytest.warns(SeqidWarning):

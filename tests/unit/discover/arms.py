@@ -23,6 +23,7 @@ Extra = Callable[[Scene], Array]  # (N, n) N m, not filtered
 
 NOISE = (0.3, 0.1)  # N m per sample
 DRAG = 0.3  # N m s^2/rad^2
+HUMP = 1.2  # N m
 MASS, OUT = 0.8, 0.3  # kg, m
 
 
@@ -45,7 +46,6 @@ def arm_scenes(
 
 
 def measuring(scene: Scene, tau: Array) -> Scene:
-    """Return the scene with a measured torque (N, n) N m."""
     motion = replace(scene.motion, tau=scene.motion.filtered(tau, times=2))
     return replace(scene, motion=motion, measured=tau, period=1.0 / scene.motion.rate_hz)
 
@@ -67,6 +67,11 @@ def drag(scene: Scene) -> Array:
     return DRAG * v * np.abs(v)
 
 
+def stribeck(speed: float) -> Extra:
+    """A hump in the second joint's friction, at low speed (rad/s)."""
+    return at_joint(1, lambda s: HUMP * np.exp(-((s.motion.dq[:, 1] / speed) ** 2)) * s.sign[:, 1])
+
+
 def payload(scene: Scene) -> Array:
     """A point mass at the last link's frame, some way out, in all logs."""
     X = CATALOGUE["payload"].columns(scene, None, {"from_log": 0.0})
@@ -86,7 +91,6 @@ def selected(
 
 
 def model_of(scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None = None) -> Model:
-    """Return a model without terms, fitted to scenes."""
     return Model(ground_of(scenes, stages), hold)
 
 
@@ -96,7 +100,6 @@ def ground_of(scenes: Sequence[Scene], stages: Stages | None = None) -> Ground:
 
 
 def candidate(name: str, joint: int | None, **settings: float) -> Candidate:
-    """Return an effect of the catalogue at a joint."""
     return Candidate(CATALOGUE[name], joint, settings)
 
 

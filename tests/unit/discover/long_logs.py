@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -38,18 +37,16 @@ class LongCase:
     robot: Robot
     stages: Stages
 
-    def with_torque(self, torque: Callable[[Array], Array]) -> LongCase:
-        """The same with a torque (N, n) of time (N,) added to what is measured."""
-        return replace(self, log=replace(self.log, tau=self.log.tau + torque(self.log.t)))
+    def with_torque(self, torque: Array) -> LongCase:
+        """The same with a torque (N, n) added to what is measured."""
+        return replace(self, log=replace(self.log, tau=self.log.tau + torque))
 
     @property
     def file(self) -> ParameterFile:
-        """The model as a parameter file."""
         friction, inertia = self.stages.friction, self.stages.inertia
         return with_stage(None, robot_id(self.robot), [], friction=friction, inertia=inertia)
 
     def written(self, path: Path) -> Path:
-        """Write the log as Parquet, in row groups."""
         columns = {"t": BEGUN + self.log.t}
         for j, name in enumerate(self.robot.joint_names):
             columns[f"{name}.position"] = self.log.q[:, j]
@@ -58,11 +55,9 @@ class LongCase:
         return path
 
     def pieces(self, path: Path, *, places: bool = True) -> Excerpts:
-        """Write the log and take excerpts from the file."""
-        logs, options = LogSet([self.written(path)], self.robot), DiscoverOptions().motion
-        return take_excerpts(
-            logs, self.robot, self.stages, options=options, most_values=MOST, places=places
-        )
+        logs = LogSet([self.written(path)], self.robot)
+        how = {"options": DiscoverOptions().motion, "most_values": MOST, "places": places}
+        return take_excerpts(logs, self.robot, self.stages, **how)
 
 
 @cache

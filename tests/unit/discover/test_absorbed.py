@@ -1,8 +1,6 @@
 """What a file absorbs of an effect is what stages identified with it have more."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +16,6 @@ from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
@@ -43,28 +40,31 @@ EFFECTS = {  # stage; sample robot and joint; settings; coefficients; how well i
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(name: str) -> None:
     stage, (sample, own), settings, size, known = EFFECTS[name]
-    arm = _Arm.of(sample, own)
-    j = arm.joint
-    changed = []
-    for log, scene in zip(arm.logs, arm.scenes(*arm.logs), strict=True):
+    robot = load_robot(SAMPLES / sample / "robot.toml")
+    j = robot.joint_names.index(own)
+    paths = (SAMPLES / sample / f"{folder}/{own}.parquet" for folder in ("friction", "gravity"))
+    logs = [read_recording(path, robot) for path in paths]
+    without = stages_of(*logs, robot)
+    scenes, changed = scenes_of(logs, robot, without, options=InertiaOptions()), []
+    for log, scene in zip(logs, scenes, strict=True):
         torque = CATALOGUE[name].columns(scene.full or scene, j, settings)[j] @ size
-        changed.append(replace(log, tau=log.tau + np.outer(torque, np.eye(arm.robot.n)[j])))
-    with_it = stages_of(*changed, arm.robot)
+        changed.append(replace(log, tau=log.tau + np.outer(torque, np.eye(robot.n)[j])))
+    with_it = stages_of(*changed, robot)
 
-    (scene,) = arm.scenes(arm.logs[0])
-    ground = Ground.of(rows_of([scene]), arm.stages)
-    trials = FileTrials(ground.stage.scenes[0], ground.base, arm.stages)
+    (scene,) = scenes_of(logs[:1], robot, without, options=InertiaOptions())
+    ground = Ground.of(rows_of([scene]), without)
+    trials = FileTrials(ground.stage.scenes[0], ground.base, without)
     taken = trials.absorbed(CATALOGUE[name], j, settings)
     if stage == "friction":
         speed = np.abs(scene.motion.dq[:, j])
         columns = surface_columns(scene, j)[(speed > SLOWEST) & (speed < FASTEST)]
-        old, new = (np.ravel(x.friction.joints[own].positive) for x in (arm.stages, with_it))
+        old, new = (np.ravel(x.friction.joints[own].positive) for x in (without, with_it))
         said, more = taken[1 + j] @ size, new - old
     else:
-        basis, q = free_basis(arm.robot), changed[0].q
-        columns = base_regressor(arm.robot, basis, q, 0.0 * q, 0.0 * q)[:, j]
+        basis, q = free_basis(robot), changed[0].q
+        columns = base_regressor(robot, basis, q, 0.0 * q, 0.0 * q)[:, j]
         said, more = taken[0] @ size, np.zeros(basis.size)
-        for one, sign in ((with_it, 1.0), (arm.stages, -1.0)):
+        for one, sign in ((with_it, 1.0), (without, -1.0)):
             for parameter in one.gravity.parameters:
                 more[basis.names.index(parameter.name)] += sign * parameter.value
     found = columns @ more
@@ -76,29 +76,6 @@ def stages_of(trial: Recording, other: Recording, robot: Robot) -> Stages:
     stages = Stages(friction=identify_friction([trial], robot, options=ORDERS))
     stages.gravity = identify_gravity([other, trial], robot, stages)
     return stages
-
-
-@dataclass(frozen=True)
-class _Arm:
-    """A sample robot with trials of one joint, and the stages identified from them."""
-
-    robot: Robot
-    joint: int
-    logs: tuple[Recording, Recording]
-    stages: Stages
-
-    @classmethod
-    def of(cls, sample: str, own: str) -> _Arm:
-        robot = load_robot(SAMPLES / sample / "robot.toml")
-        log, other = (
-            read_recording(SAMPLES / sample / f"{x}/{own}.parquet", robot)
-            for x in ("friction", "gravity")
-        )
-        stages = stages_of(log, other, robot)
-        return cls(robot, robot.joint_names.index(own), (log, other), stages)
-
-    def scenes(self, *logs: Recording) -> list[Scene]:
-        return scenes_of(logs, self.robot, self.stages, options=InertiaOptions())
 
 
 def test_a_file_without_trials_has_absorbed_nothing() -> None:

@@ -1,10 +1,17 @@
-"""The command that settles a name."""
+"""Where an effect is looked for, and the command that settles its name."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.diagnosis import separate_by
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
+from seqid_cli.robot.formula import parse_formula
+from seqid_cli.robot.types import OwnEffect
 from tests.plants.robots.sample import sample_robot
+from tests.unit.discover.arms import arm_scenes
 
 
 @pytest.mark.parametrize(
@@ -24,3 +31,12 @@ def test_the_command_names_a_rival_that_motion_can_settle(
     text = separate_by(CATALOGUE[effect], others, sample_robot("two_joint"), joint)
     ending = f"; seqid plan discriminate {command}, with these logs as --have, plans it"
     assert text.removeprefix(CATALOGUE[effect].separate_by) == (ending if command else "")
+
+
+def test_an_own_effect_of_one_joint_is_looked_for_there_alone() -> None:
+    (scene,) = arm_scenes(logs=1, seconds=8.0)
+    own = OwnEffect("cube", 0, parse_formula("c1 * ddq ** 3", 2))
+    scene = replace(scene, robot=replace(scene.robot, effects=(own,)))
+    effect = catalogue_of(scene.robot)["cube"]
+    found = candidates_of([scene], [effect], [np.zeros_like(scene.motion.q)])
+    assert {candidate.joint for candidate in found} == {0}

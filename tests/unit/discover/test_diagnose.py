@@ -23,7 +23,6 @@ from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from tests import Array
 from tests.plants.cases import Case, declared_plant, injections, motions
 from tests.plants.motions.trials import run_drill
 from tests.plants.robots.identified import simultaneous
@@ -39,16 +38,16 @@ HUMP = ("stribeck", 1, 1.0)
 
 @dataclass(frozen=True)
 class Given:
-    """What a diagnosis starts from."""
-
     logs: tuple[Recording, ...]
     robot: Robot
     stages: Stages
 
     def diagnosed(self) -> DiagnosisFile:
-        """Diagnose all logs; JSON holds the document as it is."""
+        """Diagnose all logs; JSON holds the document as it is, nothing is both found and hidden."""
         found = diagnose(self.logs, self.robot, self.stages, options=OPTIONS)
         assert msgspec.json.decode(msgspec.json.encode(found), type=DiagnosisFile) == found
+        named = {(f.effect, f.joint) for f in found.findings}
+        assert not named & {(h.effect, h.joint) for h in found.hidden}
         return found
 
 
@@ -116,8 +115,9 @@ def test_an_effect_is_found_at_its_joint_with_its_parameters() -> None:
 
 def test_nothing_is_missing_where_nothing_is() -> None:
     found = diagnosis()
-    assert found.verdict == "nothing_missing"
-    assert (found.findings, found.unexplained, found.events) == ([], [], [])
+    said = (found.verdict, found.findings, found.unexplained, found.events)
+    assert said == ("nothing_missing", [], [], [])
+    assert found.hidden
     assert {h.effect for h in found.hidden} <= set(CATALOGUE)
     assert all(0.0 <= h.visible < 0.2 for h in found.hidden)
     tried = [rival.why_not for joint in found.joints.values() for rival in joint.tried]
@@ -139,34 +139,18 @@ def test_what_no_effect_explains_is_said_to_depend_on_what_it_does() -> None:
     assert all(f.confidence < 0.7 for f in found.findings)
 
 
-def test_the_same_seed_gives_the_same_diagnosis() -> None:
-    short = replace(given(), logs=given().logs[:2])
-    first, second = (msgspec.structs.replace(short.diagnosed(), created="") for _ in range(2))
-    assert first == second
-
-
-def pushed(*torque: float) -> tuple[DiagnosisFile, Recording, float]:
-    """The diagnosis of an arm that is pushed, the log of it, and when."""
+def test_a_push_is_an_event_and_shown_over_time_and_nothing_comes_off() -> None:
     log, *others = given().logs  # joints never rest in it
     at = log.t[len(log.t) // 2]
-    push = np.outer(np.exp(-(((log.t - at) / 0.1) ** 2)), torque)
+    push = np.outer(np.exp(-(((log.t - at) / 0.1) ** 2)), [4.0, 1.5])
     logs = (replace(log, tau=log.tau + push), *others)
-    return replace(given(), logs=logs).diagnosed(), log, at
-
-
-def test_a_push_is_an_event() -> None:
-    found, log, at = pushed(4.0, 1.5)
+    found = replace(given(), logs=logs).diagnosed()
     (event,) = found.events
     assert event.log == str(log.path)
     assert event.start < at < event.end < event.start + 2.0
-    contact, _ = only(found)
+    contact, shown = only(found)
     assert (contact.effect, contact.joint) == ("external_contact", None)
     assert contact.confidence > 0.5
-
-
-def test_a_push_is_shown_over_time_and_nothing_comes_off() -> None:
-    found, _, at = pushed(4.0, 0.0)
-    _, shown = only(found)
     assert (shown.joint, shown.quantity) == ("shoulder", "time")
     assert (shown.after, shown.after_spread) == ([], [])
     assert abs(shown.x[int(np.argmax(shown.before))] - at) < 0.1
@@ -242,31 +226,22 @@ def test_a_bias_that_the_file_has_taken_in_is_told_beside_what_it_looks_like() -
     assert first.name_confidence < 0.8 < first.confidence
 
 
-def test_what_is_found_is_not_said_to_be_hidden() -> None:
-    for found in (diagnosis(HUMP), biased_short()):
-        names = {(f.effect, f.joint) for f in found.findings}
-        assert found.hidden
-        assert not names & {(h.effect, h.joint) for h in found.hidden}
-
-
 def test_less_than_a_sample_between_torque_and_position_is_a_note() -> None:
     case = given()
     slow = tuple(part(log, 0.0, SECONDS, every=5) for log in case.logs)
     stages, notes = simultaneous(slow, case.robot), []
-    for samples in (0.0, 0.4):
-        logs = tuple(replace(log, tau=delayed(log.tau, samples)) for log in slow)
-        found = Given(logs, case.robot, stages).diagnosed()
+    for samples in (0.0, 0.4):  # of the second joint's torque
+        logs = []
+        for log in slow:
+            at = np.arange(len(log.t), dtype=np.float64)
+            late = np.interp(at - samples, at, log.tau[:, 1])
+            logs.append(replace(log, tau=np.column_stack([log.tau[:, 0], late])))
+        found = Given(tuple(logs), case.robot, stages).diagnosed()
         notes.append([note for note in found.notes if "late" in note])
     none, (note,) = notes
     assert none == []
     told = re.search(r"joint elbow: torque is (\S+) ms late", note)
     assert 3.0 < float(told[1]) < 6.0  # this arm's own is up to a millisecond
-
-
-def delayed(tau: Array, samples: float) -> Array:
-    """Torque (N, 2), the second joint's as it was a part of a sample earlier."""
-    at = np.arange(len(tau), dtype=np.float64)
-    return np.column_stack([tau[:, 0], np.interp(at - samples, at, tau[:, 1])])
 
 
 def test_what_noise_does_not_account_for_is_said_and_shown_though_nothing_is_taken() -> None:

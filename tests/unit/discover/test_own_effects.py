@@ -54,8 +54,3 @@ def test_with_it_the_effect_is_named_at_its_joint_with_its_size(cache: Path) -> 
     (c1,) = finding.parameters
     assert c1.value == pytest.approx(clear(plant, ELBOW, CASE.effects[0][2]), rel=0.1)
     assert not found.unexplained
-
-
-def test_at_another_joint_it_is_not_looked_for(cache: Path) -> None:
-    found = diagnosed(cache, OwnEffect("demagnetising", 0, parse_formula("c1 * ddq ** 3", 2)))
-    assert not any(finding.effect == "demagnetising" for finding in found.findings)

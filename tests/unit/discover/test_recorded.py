@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recording
@@ -22,15 +20,7 @@ from tests import ROOT
 pytestmark = pytest.mark.slow
 
 DATA = ROOT / ".." / "shared" / "data"
-PENDULUM, TX40, UR10E = "dfki_simple_pendulum", "staubli_tx40", "ur10e_innopolis"
-XMATE = "rokae_xmate"
-
-
-def folder_of(name: str) -> Path:
-    folder = DATA / name
-    if not folder.is_dir():
-        pytest.skip(f"the recorded data of {name} are not beside the project")
-    return folder
+TX40, UR10E, XMATE = "staubli_tx40", "ur10e_innopolis", "rokae_xmate"
 
 
 def diagnosed(
@@ -38,23 +28,23 @@ def diagnosed(
     logs: Sequence[str],
     *,
     most: int = 4,
-    fitted: Sequence[str] = (),
     cutoff_hz: float | None = None,
     load: bool = True,
 ) -> DiagnosisFile:
-    """Diagnose logs with the classical model that they, or `fitted`, give; `load`: as sensed."""
-    folder = folder_of(name)
+    """Diagnose logs with the classical model that they give; `load`: as sensed."""
+    folder = DATA / name
+    if not folder.is_dir():
+        pytest.skip(f"the recorded data of {name} are not beside the project")
     robot = load_robot(folder / "robot.toml")
     motion = MotionOptions(cutoff_hz=cutoff_hz)
-    given, train = ([read_recording(folder / x, robot) for x in some] for some in (logs, fitted))
+    given = [read_recording(folder / x, robot) for x in logs]
     given = given if load else [replace(log, load=None) for log in given]
-    friction, inertia = identify_simultaneous(train or given, robot, options=motion, offset=True)
+    friction, inertia = identify_simultaneous(given, robot, options=motion, offset=True)
     options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
     return diagnose(given, robot, Stages(friction=friction, inertia=inertia), options=options)
 
 
 def named(found: DiagnosisFile, effect: str, joint: str) -> FindingEntry:
-    """The only finding of this effect at this joint."""
     (finding,) = [f for f in found.findings if (f.effect, f.joint) == (effect, joint)]
     return finding
 
@@ -121,10 +111,3 @@ def test_ripple_of_a_harmonic_drive() -> None:
     # joint turn, are the same line
     assert any(abs(order - 2.0) < 0.025 for order in orders)
     assert not any(abs(order - 177.0 / 101.0) < 0.03 for order in orders)
-
-
-def test_diagnosis_of_an_echo_is_refused() -> None:
-    with pytest.raises(InputError, match="echo of the command") as caught:
-        diagnosed(PENDULUM, ["gravity_compensation.parquet"], fitted=["sac.parquet"])
-    assert caught.value.where.endswith("gravity_compensation.parquet")
-    assert "motor current" in caught.value.hint

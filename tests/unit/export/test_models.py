@@ -34,17 +34,14 @@ def test_pinocchio_finds_the_identified_torque_in_the_urdf(arm: Arm) -> None:
     done = written(arm, "URDF")
     assert done.model.nearest.exact
     check_bodies(done.model)
-    torque = pinocchio_torque(arm[0], done.text, done.model.armature)
-    agree(torque, rigid(arm))
+    agree(pinocchio_torque(arm[0], done.text, done.model.armature), rigid(arm))
 
 
 def test_mujoco_finds_the_identified_torque_in_the_mjcf(arm: Arm) -> None:
-    torque = mujoco_torque(arm[0], written(arm, "MJCF").text)
-    agree(torque, rigid(arm), 1e-8)
+    agree(mujoco_torque(arm[0], written(arm, "MJCF").text), rigid(arm), 1e-8)
 
 
 def check_bodies(model: ExportModel) -> None:
-    """Every link is a body that can exist."""
     for phi in (*model.nearest.links, *model.bodies):
         J = pseudo_inertia(phi)
         assert np.linalg.eigvalsh(J)[0] > 1e-9 * np.trace(J)
@@ -59,16 +56,15 @@ def test_ros2_parameters_read_back_as_the_same_bodies(arm: Arm) -> None:
     phi, armature = [], []
     for name in robot.joint_names:
         group = found[name]
-        xx, xy, xz, yy, yz, zz = group["inertia"]
-        own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        own = np.zeros((3, 3))
+        own[np.triu_indices(3)] = own.T[np.triu_indices(3)] = group["inertia"]
         body = pin.Inertia(group["mass"], np.array(group["center_of_mass"]), own)
         phi.append(body.toDynamicParameters())
         armature.append(group["armature"])
         assert all(isinstance(group[key], float) for key in ("mass", "armature"))
         assert set(group["friction"]) == {"coulomb", "viscous", "offset", "rms_misfit"}
-    q, dq, ddq = states(robot.n)
-    torque = inverse_dynamics(robot.chain, robot.gravity, np.array(phi), q, dq, ddq)
-    agree(torque + armature * ddq, rigid(arm))
+    torque = inverse_dynamics(robot.chain, robot.gravity, np.array(phi), *states(robot.n))
+    agree(torque + armature * states(robot.n)[2], rigid(arm))
 
 
 def test_the_solver_of_ros2_finds_its_chain_in_the_exported_urdf(arm: Arm) -> None:
@@ -77,11 +73,8 @@ def test_the_solver_of_ros2_finds_its_chain_in_the_exported_urdf(arm: Arm) -> No
     parameters = YAML(typ="safe").load(written(arm, "ROS 2 parameters").text)["/**"]
     kdl = parameters["ros__parameters"]["kdl"]
     urdf = written(arm, "URDF")
-    before = {
-        child.get("link"): joint
-        for joint in ElementTree.fromstring(urdf.text).findall("joint")
-        if (child := joint.find("child")) is not None
-    }
+    joints = ElementTree.fromstring(urdf.text).findall("joint")
+    before = {joint.find("child").get("link"): joint for joint in joints}  # type: ignore[union-attr]
     at, chain = kdl["tip"], []
     while at != kdl["root"]:
         joint = before[at]
@@ -91,16 +84,15 @@ def test_the_solver_of_ros2_finds_its_chain_in_the_exported_urdf(arm: Arm) -> No
     assert kdl["gravity"] == robot.gravity.tolist()
     torque = pinocchio_torque(robot, urdf.text, np.zeros(robot.n))
     expected = rigid(arm) - urdf.model.armature * states(robot.n)[2]
-    if len(arm[0].joints) != 4:  # KDL leaves out what the gripper's fingers carry
+    if robot.n != 4:  # KDL leaves out what the gripper's fingers carry
         agree(torque, expected, 1e-8)
 
 
 def test_ros2_control_commands_the_torque_of_every_joint(arm: Arm) -> None:
     done = written(arm, "URDF")
-    systems = ElementTree.fromstring(done.text).findall("ros2_control")
-    assert len(systems) == 1
-    assert systems[0].findtext("hardware/plugin") == "mock_components/GenericSystem"
-    joints = systems[0].findall("joint")
+    (system,) = ElementTree.fromstring(done.text).findall("ros2_control")
+    assert system.findtext("hardware/plugin") == "mock_components/GenericSystem"
+    joints = system.findall("joint")
     assert tuple(joint.get("name") for joint in joints) == arm[0].joint_names
     for joint, armature, fit in zip(joints, done.model.armature, done.model.friction, strict=True):
         assert [e.get("name") for e in joint.findall("command_interface")] == ["effort"]
@@ -113,9 +105,8 @@ def test_mujoco_rubs_as_the_exported_friction_does(arm: Arm) -> None:
     """With the torque of bodies and friction applied, MuJoCo's arm accelerates as it should."""
     done = written(arm, "MJCF")
     model = mujoco.MjModel.from_xml_string(done.text)
-    model.opt.disableflags |= (
-        mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
-    )
+    for bit in ("LIMIT", "CONTACT"):
+        model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{bit}")
     data = mujoco.MjData(model)
     fits = [fit for fit in done.model.friction if fit is not None]
     assert len(fits) == arm[0].n
@@ -148,8 +139,7 @@ def test_mujoco_pulls_at_a_spring_as_the_effect_does(law: list[float]) -> None:
     expected = rigid(arm)
     k, zero, cubic, squared = [*law, 0.0, 0.0][:4]
     expected[:, 2] += zero + k * q + squared * q**2 + cubic * q**3
-    torque = mujoco_torque(arm[0], done.text)
-    agree(torque, expected, 1e-8)
+    agree(mujoco_torque(arm[0], done.text), expected, 1e-8)
 
 
 def test_mujoco_lets_the_link_fall_through_its_backlash() -> None:
@@ -180,11 +170,9 @@ def test_what_no_body_has_is_projected_and_reported(tmp_path: Path) -> None:
     model = done.model
     assert not model.nearest.exact
     assert model.largest_deviation > 10.0
-    torque = pinocchio_torque(robot, done.text, model.armature)
-    q, dq, ddq = states(robot.n)
-    own = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)
-    own += model.armature * ddq
-    agree(torque, own)
+    own = inverse_dynamics(robot.chain, robot.gravity, model.bodies, *states(robot.n))
+    own += model.armature * states(robot.n)[2]
+    agree(pinocchio_torque(robot, done.text, model.armature), own)
     told = next(d for d in model.deviations if d.name == "Izz_6")
     assert told.exported > told.identified
     assert "Izz_6: identified" in done.text

@@ -18,14 +18,13 @@ from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests.plants.robots.made import friction_joint
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_6R, joint, link, urdf, urdf_6r
 from tests.plants.robots.stages import random_bodies, save_robot, stages_of
-from tests.unit.export.arms import agree, sample, states, with_effect
+from tests.unit.export.arms import agree, rigid, sample, states, with_effect
 from tests.unit.logs.samples import make_robot
 
 
@@ -64,16 +63,17 @@ def test_the_solution_is_the_minimum_of_the_divergence() -> None:
 
 
 @pytest.mark.parametrize(
-    ("forward", "backward", "viscous", "offset", "rel"),
+    ("forward", "backward", "viscous", "rel"),
     [
-        ([3.1, 1.0], [3.1, 1.0], 1.0, 0.0, 1e-6),  # 3.1 + (v - 1.1): 2 + v
-        ([2.0, -0.5], [2.0, -0.5], 0.0, 0.0, 1e-3),  # no negative damping
-        ([2.5], [1.5], 0.0, 0.5, 1e-6),  # the offset does not flip with the direction
+        ([3.1, 1.0], [3.1, 1.0], 1.0, 1e-6),  # 3.1 + (v - 1.1): 2 + v
+        ([2.0, -0.5], [2.0, -0.5], 0.0, 1e-3),  # no negative damping
+        ([2.5], [1.5], 0.0, 1e-6),  # the offset does not flip with the direction
     ],
 )
 def test_friction_becomes_coulomb_viscous_and_an_offset(
-    forward: list[float], backward: list[float], viscous: float, offset: float, rel: float
+    forward: list[float], backward: list[float], viscous: float, rel: float
 ) -> None:
+    offset = 0.5 * (forward[0] - backward[0])
     ways = forward != backward
     own = {"speed_range": [0.1, 2.1], "sign_width": 0.001, "directional": ways}
     joint = friction_joint([forward], [backward], **own)
@@ -88,12 +88,8 @@ def test_urdf_keeps_all_but_inertials_dynamics_and_drives_of_the_arm(tmp_path: P
     text = urdf(
         link("base", mass=5.0, mesh="package://nowhere/base.dae"),
         link("upper", mass=3.0, x=0.1, mesh="upper.stl"),
-        link("lower", mass=2.0, x=0.1),
-        link("flange", mass=0.5, x=0.02),
-        link("palm", mass=0.4, x=0.02),
-        link("finger", mass=0.1, x=0.03),
-        link("camera", mass=0.2),
-        link("other", mass=1.0),
+        *(link(name, mass=0.5, x=0.02) for name in ("lower", "flange", "palm", "finger")),
+        *(link(name, mass=1.0) for name in ("camera", "other")),
         joint("shoulder", "base", "upper", axis="0 1 0", extra='<dynamics damping="9"/>'),
         joint("elbow", "upper", "lower", axis="0 1 0", xyz="0.4 0 0"),
         joint("mount", "lower", "flange", kind="fixed", xyz="0.3 0 0", rpy="0 0.5 0.2"),
@@ -111,14 +107,12 @@ def test_urdf_keeps_all_but_inertials_dynamics_and_drives_of_the_arm(tmp_path: P
     assert "<!-- by hand -->" in done.text
     assert [system.get("name") for system in after.findall("ros2_control")] == ["driver"]
     inertials = {e.get("name"): e.find("inertial") is not None for e in after.findall("link")}
-    assert inertials == {
-        "base": True, "upper": True, "lower": True, "flange": False, "palm": False,
-        "finger": True, "camera": True, "other": True,
-    }  # fmt: skip
+    assert {name for name, there in inertials.items() if not there} == {"flange", "palm"}
+    assert len(inertials) == 8
     dynamics, fit = after.find("joint[@name='shoulder']/dynamics"), done.model.friction[0]
     assert float(dynamics.get("damping", "")) == pytest.approx(fit.viscous)
     assert float(dynamics.get("friction", "")) == pytest.approx(fit.coulomb)
-    written = {name for name, there in inertials.items() if not there} | {"upper", "lower"}
+    written = {"flange", "palm", "upper", "lower"}
     for tree in (before, after):
         for parent in list(tree.iter()):
             own = {"dynamics", "transmission", "ros2_control"}
@@ -135,10 +129,8 @@ def test_rotor_inertia_goes_into_the_transmission_that_is_there(tmp_path: Path) 
     assert robot.nominal is not None
     done = export(robot, stages_of(robot, robot.nominal), kind="URDF")
     root = ElementTree.fromstring(done.text)
-    found = root.findall("transmission")
-    assert len(found) == len(NAMES_6R)
-    tag = "{http://drake.mit.edu}rotor_inertia"
-    values = [float(e.get("value", "")) for e in root.iter(tag)]
+    assert len(root.findall("transmission")) == len(NAMES_6R)
+    values = [float(e.get("value", "")) for e in root.iter("{http://drake.mit.edu}rotor_inertia")]
     assert values == pytest.approx([2e-4] * 6)
     assert f"armature {real(101.0**2 * 2e-4)}" in done.text
 
@@ -179,8 +171,8 @@ def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
     stages.inertia.covariance = [row[:-1] for row in stages.inertia.covariance[:-1]]
     model = export(robot, stages, kind="URDF").model
     assert gone.name not in {d.name for d in model.deviations}
-    assert any(f"not determined by the logs, so as in the prior: {gone.name}" in note
-               for note in model.notes)  # fmt: skip
+    note = f"not determined by the logs, so as in the prior: {gone.name}"
+    assert any(note in text for text in model.notes)
 
 
 @pytest.mark.parametrize(
@@ -218,11 +210,8 @@ def test_torque_scale_of_any_size_is_solved() -> None:
         stages = stages_of(robot, scale * phi)
         model = export(robot, stages, kind="MJCF").model
         assert model.nearest.exact
-        q, dq, ddq = states(2)
-        found = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)
-        agree(
-            found + model.armature * ddq, TorqueModel.from_stages(stages, robot).rigid(q, dq, ddq)
-        )
+        found = inverse_dynamics(robot.chain, robot.gravity, model.bodies, *states(2))
+        agree(found + model.armature * states(2)[2], rigid((robot, stages)))
 
 
 @pytest.mark.parametrize(

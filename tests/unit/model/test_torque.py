@@ -6,17 +6,12 @@ import numpy as np
 import pytest
 
 from seqid_cli.model.friction import friction_torque
-from seqid_cli.model.torque import TorqueModel, friction_surfaces, sampled_friction, sliding
+from seqid_cli.model.torque import TorqueModel, sampled_friction, sliding
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.params.schema import RigidStage, Stages
-from seqid_cli.robot.base_parameters import (
-    base_parameters,
-    base_regressor,
-    standard_names,
-    standard_regressor,
-)
+from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.arms.rigs import six_joint
@@ -49,8 +44,8 @@ def motion() -> Motion:
 
 
 def rigid_stage(rotor: Array, coupling: str = "diagonal") -> RigidStage:
-    values = np.concatenate([ARM.phi.ravel(), rotor]).tolist()
-    known = dict(zip(standard_names(len(rotor)), values, strict=True))
+    values = np.concatenate([ARM.phi.ravel(), rotor])
+    known = dict(zip(standard_names(6), values.tolist(), strict=True))
     size = {"parameters": [], "condition": 1.0, "rank": 36}
     return RigidStage(**size, representative=known, rotor_coupling=coupling)
 
@@ -62,31 +57,15 @@ def stages(robot: Robot, coupling: str = "diagonal") -> Stages:
 
 @pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
 def test_the_rigid_torque_is_the_plants(robot: Robot, motion: Motion, coupling: str) -> None:
-    """Pinocchio's RNEA with rotors, as the simulated arm of the same geometry has it."""
+    """Pinocchio's RNEA with rotors, as the simulated arm has it; a prediction adds friction."""
     rigid = Rigid(replace(ARM, rotor_coupling=coupling == "gyroscopic"))
     model = TorqueModel.from_stages(stages(robot, coupling), robot)
     state = (motion.q[::40], motion.dq[::40], motion.ddq[::40])
     expected = [rigid.inverse(*s) for s in zip(*state, strict=True)]
     np.testing.assert_allclose(model.rigid(*state), expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
-def test_prediction_is_the_regressor_times_the_parameters(
-    robot: Robot, motion: Motion, coupling: str
-) -> None:
-    """H pi of Eq. 4, filtered once, plus friction, filtered twice; rotors' coupling is apart."""
-    own = stages(robot, coupling)
-    model = TorqueModel.from_stages(own, robot)
-    basis = base_parameters(robot, rotor=range(6))
-    phi = np.concatenate([ARM.phi.ravel(), ARM.rotor_inertia])
-    state = (motion.q, motion.dq, motion.ddq)
-    H = base_regressor(robot, basis, *state)
-    coupled = standard_regressor(robot, *state, coupling=model.coupling)
-    coupled -= standard_regressor(robot, *state, coupling="diagonal")
-    rigid = motion.filtered(H) @ (basis.expression @ phi) + motion.filtered(coupled) @ phi
-    friction = sampled_friction(friction_surfaces(own, robot), motion)
-    expected = rigid + motion.filtered(motion.filtered(friction))
-    np.testing.assert_allclose(model.predict(motion), expected, atol=1e-8)
+    whole = motion.filtered(model.rigid(motion.q, motion.dq, motion.ddq))
+    whole += motion.filtered(sampled_friction(model.surfaces, motion), times=2)
+    np.testing.assert_allclose(model.predict(motion), whole, atol=1e-8)
 
 
 def test_parts_are_models_too(robot: Robot, motion: Motion) -> None:
@@ -100,8 +79,6 @@ def test_parts_are_models_too(robot: Robot, motion: Motion) -> None:
     assert not rubbing.friction(motion.q, motion.dq)[:, 2].any()
     assert not rubbing.outside(motion)[:, 2].any()
     assert not rubbing.rigid(motion.q, motion.dq, motion.ddq).any()
-    expected = motion.filtered(sampled_friction(rubbing.surfaces, motion), times=2)
-    np.testing.assert_allclose(rubbing.predict(motion), expected, atol=1e-12)
 
 
 def test_at_rest_the_model_allows_what_friction_can_hold(robot: Robot, motion: Motion) -> None:

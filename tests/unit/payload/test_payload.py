@@ -61,8 +61,7 @@ def test_the_body_comes_back_within_its_errors() -> None:
         masses.append((mass.value - 2.5) / mass.std_error)
     assert 0.4 < float(np.sqrt(np.mean(np.square(masses)))) < 1.8
     assert mass.value == pytest.approx(2.5, rel=0.02)
-    values = np.array([parameter.value for parameter in found.parameters])
-    errors = np.array([parameter.std_error for parameter in found.parameters])
+    values, errors = np.array([(p.value, p.std_error) for p in found.parameters]).T
     assert [parameter.name for parameter in found.parameters] == [f"payload_{k}" for k in STANDARD]
     assert np.all(np.abs(values - BODY) < 4.0 * errors)
     center = [x.value for x in found.payload.center_of_mass]

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 
 from seqid_cli.discover.select.options import Options
-from seqid_cli.errors import UsageError
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.params.schema import Stages
@@ -103,16 +103,9 @@ TOLD = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("pair", "special", "low", "high", "imitated", "reason", "note"), TOLD)
-def test_what_no_motion_settles_is_said(
-    pair: tuple[str, str],
-    special: str | None,
-    low: tuple[float, float],
-    high: tuple[float, float],
-    imitated: float,
-    reason: str,
-    note: str,
-) -> None:
+@pytest.mark.parametrize("case", TOLD, ids=lambda case: "-".join(case[0]))
+def test_what_no_motion_settles_is_said(case: tuple[Any, ...]) -> None:
+    pair, special, low, high, imitated, reason, note = case
     belief = believed()
     asking = replace(OPTIONS, between=pair)
     file = make_plan("discriminate", belief.robot, belief.limits, known(), asking)
@@ -170,18 +163,3 @@ def test_chosen_moves_beat_random_ones() -> None:
     short = moves_for(replace(OPTIONS, duration_s=12.0)).stage.separation
     assert chosen.stage.separation.distance > 1.1 * short.distance
     assert chosen.stage.separation.power > short.power
-
-
-@pytest.mark.parametrize(
-    ("between", "joint", "text"),
-    [
-        (("stribek", "spring"), "elbow", "names no effect: 'stribek'"),
-        (("spring", "spring"), "elbow", "two effects"),
-        (("drift", "torque_bias"), "elbow", "no planned motion settles whether it is drift"),
-        (PAIR, "wrist", "--joint names no joint: 'wrist'"),
-        (PAIR, None, "needs --joint"),
-    ],
-)
-def test_what_cannot_be_asked(between: tuple[str, ...], joint: str | None, text: str) -> None:
-    with pytest.raises(UsageError, match=text):
-        asked(believed().robot, replace(OPTIONS, between=between, joint=joint))

@@ -13,11 +13,12 @@ from ruamel.yaml import YAML
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.planned import compared
 from seqid_cli.inspect.screening import Screened
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.planned import RATE_HZ, sampled
 from seqid_cli.params.results.plan import PlanFile, PlannedMove
 from seqid_cli.plan.functions import plan
 from seqid_cli.plan.options import PlanOptions
+from tests.plants.robots.made import made_recording
 from tests.plants.robots.sample import SAMPLES, sample_robot
 
 SCALE = 0.5
@@ -44,11 +45,8 @@ def test_yaml_holds_the_slowed_move(made: tuple[Path, PlanFile]) -> None:
     times = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points]
     assert times[-1] == pytest.approx(move.duration_s / SCALE)
     t, q, dq, ddq = sampled(move, NAMES, 1000.0)
-    for kind, truth, factor in (
-        ("positions", q, 1),
-        ("velocities", dq, SCALE),
-        ("accelerations", ddq, SCALE**2),
-    ):
+    kinds = {"positions": (q, 1), "velocities": (dq, SCALE), "accelerations": (ddq, SCALE**2)}
+    for kind, (truth, factor) in kinds.items():
         own = np.array([p[kind] for p in points])
         for j in range(6):
             expected = factor * np.interp(np.array(times) * SCALE, t, truth[:, j])
@@ -70,9 +68,8 @@ def test_urscript_follows_the_move(made: tuple[Path, PlanFile]) -> None:
     folder, file = made
     text = (folder / "moves" / f"{file.moves[0].name}.script").read_text()
     assert re.match(r"def (\w+)\(\):\n.*\nend\n\1\(\)\n$", text, re.S)
-    poses = np.array(
-        [row.split(",") for row in re.findall(r"servoj\(\[(.*?)\]", text)], dtype=float
-    )
+    rows = re.findall(r"servoj\(\[(.*?)\]", text)
+    poses = np.array([row.split(",") for row in rows], dtype=float)
     _, q, _, _ = sampled(file.moves[0], NAMES, 1000.0)
     assert len(poses) == round(50 * file.moves[0].duration_s / SCALE)
     assert np.abs(poses[0] - q[0]).max() < 1e-6
@@ -118,10 +115,7 @@ def log_of(*moves: PlannedMove, scale: float = 1.0) -> Recording:
         q = sampled(move, TWO, LOG_HZ / scale)[1]
         parts += [np.tile(q[0], (70, 1)), q, np.tile(q[-1], (50, 1))]
     q = np.concatenate(parts) + 1e-3 * rng.normal(size=(sum(map(len, parts)), len(TWO)))
-    t = np.arange(len(q)) / LOG_HZ
-    health = Health(rate_hz=LOG_HZ, jitter=0.0)
-    valid = np.ones(len(q), dtype=bool)
-    return Recording(Path("log"), "0" * 64, "made", t=t, q=q, valid=valid, health=health)
+    return made_recording(q, rate_hz=LOG_HZ)
 
 
 def status(*logs: Recording) -> list[str]:
@@ -163,7 +157,7 @@ def test_spoiled_moves_say_why() -> None:
 def test_another_motion_is_no_part_of_the_plan() -> None:
     other = msgspec.structs.replace(planned().moves[0])
     other.fourier = {
-        name: msgspec.structs.replace(motion, sine=motion.sine[::-1], centre=0.0)
-        for name, motion in other.fourier.items()
+        name: msgspec.structs.replace(own, sine=own.sine[::-1], centre=0.0)
+        for name, own in other.fourier.items()
     }
     assert status(log_of(other))[0] == "missing"

@@ -10,16 +10,12 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.motion.planned import sampled
 from seqid_cli.plan.functions import plan
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf.geometry import geometry_of
+from tests.plants.robots.small import joint, link, urdf
 from tests.plants.robots.stages import save_robot
 
 LENGTH = 0.5
-BAR = (
-    '<collision><origin xyz="{half} 0 0"/><geometry><box size="{length} 0.06 0.06"/></geometry>'
-    "</collision>"
-)
 OPTIONS = PlanOptions(duration_s=16.0, move_s=4.0, pool=60, sweeps=1)
 
 
@@ -27,18 +23,18 @@ OPTIONS = PlanOptions(duration_s=16.0, move_s=4.0, pool=60, sweeps=1)
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     """Three bars of half a metre in a plane; elbow and wrist fold onto the first."""
     folder = tmp_path_factory.mktemp("arm")
-    bar = BAR.format(half=LENGTH / 2, length=LENGTH)
-    parts = ['<link name="base"/>']
+    parts = [link("base")]
     for k in range(3):
-        inertia = '<inertia ixx="0.01" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
-        body = f'<inertial><origin xyz="0.25 0 0"/><mass value="2"/>{inertia}</inertial>'
-        parent, x = (f"link_{k - 1}", LENGTH) if k else ("base", 0.0)
-        parts.append(
-            f'<link name="link_{k}">{body}{bar}</link><joint name="j{k}" type="revolute">'
-            f'<parent link="{parent}"/><child link="link_{k}"/><origin xyz="{x} 0 0"/>'
-            '<axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="2" effort="200"/></joint>'
+        box = (
+            f'<origin xyz="{LENGTH / 2} 0 0"/><geometry><box size="{LENGTH} 0.06 0.06"/></geometry>'
         )
-    return save_robot(folder, f'<robot name="arm">{"".join(parts)}</robot>', ("j0", "j1", "j2"))
+        body = link(f"link_{k}", mass=2.0, x=0.25)
+        parent, x = (f"link_{k - 1}", LENGTH) if k else ("base", 0.0)
+        parts += [
+            body.replace("</link>", f"<collision>{box}</collision></link>"),
+            joint(f"j{k}", parent, f"link_{k}", xyz=f"{x} 0 0"),
+        ]
+    return save_robot(folder, urdf(*parts), ("j0", "j1", "j2"))
 
 
 def tips(q: np.ndarray) -> np.ndarray:
@@ -86,12 +82,9 @@ def test_a_cell_without_room_and_an_arm_without_shapes_are_told(arm: Robot, tmp_
     for what, text in (("inertia", "keeps the arm off itself"), ("friction", "touches something")):
         with pytest.raises(ConfigError, match=text):
             plan(what, arm, options=replace(OPTIONS, keep_out=(full,)))  # type: ignore[arg-type]
-    urdf = arm.source.parent / "arm.urdf"
-    (tmp_path / "arm.urdf").write_text(
-        urdf.read_text().replace("<collision>", "<!--").replace("</collision>", "-->")
-    )
-    (tmp_path / "robot.toml").write_text(arm.source.read_text())
-    bare = load_robot(tmp_path / "robot.toml")
+    text = (arm.source.parent / "arm.urdf").read_text()
+    text = text.replace("<collision>", "<!--").replace("</collision>", "-->")
+    bare = save_robot(tmp_path, text, arm.joint_names)
     assert geometry_of(bare, np.zeros((1, 3))) is None
     with pytest.raises(ConfigError, match="need the shapes of the links"):
         plan("inertia", bare, options=replace(OPTIONS, workspace=full))

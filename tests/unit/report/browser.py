@@ -47,7 +47,6 @@ class Tab:
     _count: int = 0
 
     def call(self, method: str, **parameters: object) -> Message:
-        """Send one command and wait for its answer."""
         self._count += 1
         message: Message = {"id": self._count, "method": method, "params": parameters}
         if self.session:
@@ -81,7 +80,6 @@ class Tab:
             self._note(event)
 
     def run(self, script: str) -> Any:
-        """Return the value of an expression in the page."""
         found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")

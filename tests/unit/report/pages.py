@@ -38,6 +38,7 @@ from seqid_cli.params.results.prediction import (
     PredictionFile,
 )
 from seqid_cli.params.schema import Verdict
+from seqid_cli.report.make import make_report
 from tests.plants.robots.made import made_prediction
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file, inertia_file, log, robot
 
@@ -49,7 +50,6 @@ SPIKE = 0.9  # N m, in one sample of the elbow
 
 
 def source(path: str, content: Document) -> Source[Document]:
-    """A document as if it had been read."""
     return Source(path, hashlib.sha256(encode(content).encode()).hexdigest(), content)
 
 
@@ -199,6 +199,10 @@ def write_torques(
             none = np.full(made.tau.shape, np.nan)
             write(made if motion else replace(made, q=none, dq=none))
     return path
+
+
+def page_of_all(folder: Path) -> str:
+    return make_report(all_documents(), torques=[write_torques(folder / "t.parquet")]).html
 
 
 def write_documents(folder: Path, documents: Sequence[Source[Document]]) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 
 from seqid_cli.report.make import make_report
 from tests.unit.report.browser import Tab, browsing
-from tests.unit.report.pages import all_documents, good_documents, write_torques
+from tests.unit.report.pages import all_documents, good_documents, page_of_all
 
 WIDTHS = (1280, 390)
 
@@ -22,10 +22,8 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("page")
-    torques = write_torques(folder / "t.parquet")
-    path = folder / "report.html"
-    path.write_text(make_report(all_documents(), torques=[torques]).html, encoding="utf-8")
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    path.write_text(page_of_all(path.parent), encoding="utf-8")
     return path
 
 

@@ -24,6 +24,7 @@ from tests.unit.report.pages import (
     all_documents,
     good_documents,
     made_with,
+    page_of_all,
     payload_file,
     plan_file,
     prediction_file,
@@ -60,9 +61,7 @@ class Outline(HTMLParser):
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> str:
-    folder = tmp_path_factory.mktemp("page")
-    torques = write_torques(folder / "t.parquet")
-    return make_report(all_documents(), torques=[torques]).html
+    return page_of_all(tmp_path_factory.mktemp("page"))
 
 
 def test_the_page_asks_for_nothing(page: str) -> None:
@@ -80,11 +79,8 @@ def test_the_page_asks_for_nothing(page: str) -> None:
 
 
 def test_the_policy_allows_its_own_style_and_script_only(page: str) -> None:
-    (policy,) = [
-        attributes["content"]
-        for tag, attributes in Outline(page).tags
-        if attributes.get("http-equiv") == "Content-Security-Policy"
-    ]
+    metas = {a.get("http-equiv"): a.get("content") for _, a in Outline(page).tags}
+    policy = str(metas["Content-Security-Policy"])
     assert policy.startswith("default-src 'none'; ")
     assert "unsafe" not in policy
     for tag in ("style", "script"):
@@ -111,15 +107,13 @@ def test_every_drawing_says_what_it_shows(page: str) -> None:
 def test_headings_are_in_order_and_ids_are_unique(page: str) -> None:
     found = Outline(page)
     levels = [int(tag[1]) for tag, _ in found.tags if re.fullmatch("h[1-6]", tag)]
-    assert levels[0] == 1
-    assert levels.count(1) == 1
+    assert (levels[0], levels.count(1)) == (1, 1)
     assert all(b <= a + 1 for a, b in itertools.pairwise(levels))
     ids = [attributes["id"] for _, attributes in found.tags if "id" in attributes]
     assert len(set(ids)) == len(ids)
-    targets = [str(a["href"])[1:] for tag, a in found.tags if tag == "a"]
-    assert set(targets) <= set(ids)
-    named = [a["aria-labelledby"] for _, a in found.tags if "aria-labelledby" in a]
-    assert set(named) <= set(ids)
+    targets = {str(a["href"])[1:] for tag, a in found.tags if tag == "a"}
+    named = {a["aria-labelledby"] for _, a in found.tags if "aria-labelledby" in a}
+    assert targets | named <= set(ids)
     assert ("html", {"lang": "en"}) in found.tags
 
 
@@ -225,15 +219,9 @@ def text_of(page: Page) -> str:
 
 
 def used(log: str, *warnings: str) -> MotionUse:
-    return MotionUse(
-        log=log,
-        source="fused" if not warnings else "encoder",
-        imus=[] if warnings else ["imu_a"],
-        cutoff_hz=20.0,
-        acceleration_error={"shoulder": 0.0123},
-        encoder_error={"shoulder": 0.987},
-        warnings=list(warnings),
-    )
+    from_what = {"source": "encoder"} if warnings else {"source": "fused", "imus": ["imu_a"]}
+    errors = {"acceleration_error": {"shoulder": 0.0123}, "encoder_error": {"shoulder": 0.987}}
+    return MotionUse(log=log, cutoff_hz=20.0, warnings=list(warnings), **from_what, **errors)
 
 
 def everything(folder: Path) -> Page:

@@ -79,26 +79,22 @@ def test_scatter_beyond_the_errors_is_seen(tmp_path: Path) -> None:
         folder.mkdir()
         for number, file in enumerate(history(10 + robot, scatter=3.0)):
             write_json_atomic(folder / f"{number}.json", file)
-    found = trend(
-        sorted(tmp_path.glob("*/*.json")), TrendOptions(by="folder"), table=tmp_path / "all.parquet"
-    )
+    files, table = sorted(tmp_path.glob("*/*.json")), tmp_path / "all.parquet"
+    found = trend(files, TrendOptions(by="folder"), table=table)
     assert found.alarm is False
     assert found.robots == [f"robot_{k}" for k in range(4)]
     assert found.inflation["gravity"] == pytest.approx(3.0, rel=0.35)
-    table = pq.read_table(tmp_path / "all.parquet")
-    assert table.num_rows == sum(len(own.values) for own in found.series)
+    assert pq.read_table(table).num_rows == sum(len(own.values) for own in found.series)
 
 
 def test_friction_that_follows_the_temperature_is_no_change() -> None:
-    files, warm = [], np.linspace(20.0, 40.0, DATES)
-    for number, celsius in enumerate(warm):
+    files = []
+    for number, celsius in enumerate(np.linspace(20.0, 40.0, DATES)):
         file = inertia_file()
         for joint in file.stages.friction.joints.values():
-            size = np.array(joint.positive).size
-            joint.covariance = (1e-8 * np.eye(size)).tolist()
-            cooler = 1.0 - 0.01 * float(celsius - warm[0])
-            joint.positive = (cooler * np.array(joint.positive)).tolist()
-            joint.negative = joint.positive
+            cooler = (1.2 - 0.01 * celsius) * np.array(joint.positive)
+            joint.covariance = (1e-8 * np.eye(cooler.size)).tolist()
+            joint.positive = joint.negative = cooler.tolist()
             joint.temperature = float(celsius)
         files.append(replace(file, created=dated(number)))
     assert trend(files).alarm is False

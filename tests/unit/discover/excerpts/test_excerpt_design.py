@@ -16,10 +16,7 @@ RATE = 500.0
 
 
 def survey(
-    seconds: float,
-    *,
-    speed: Array | None = None,
-    usable: Array | None = None,
+    seconds: float, *, speed: Array | None = None, usable: Array | None = None
 ) -> ResidualSurvey:
     """One joint that swings to and fro, at a speed of its own in each block; 2 rad/s by default."""
     blocks = int(seconds / BLOCK_S) + 1

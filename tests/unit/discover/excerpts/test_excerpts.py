@@ -17,7 +17,6 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.params.results.diagnosis import DiagnosisFile
-from tests import Array
 from tests.unit.discover.long_logs import BEGUN, MOST, LongCase, long_case
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
@@ -82,20 +81,9 @@ def test_where_nothing_is_missing_notes_say_what_was_looked_at(folder: Path) -> 
     assert not others
 
 
-def test_an_effect_is_found(folder: Path) -> None:
-    case = long_case(("stribeck", 1, 1.0))
-    found = diagnosed(case, case.pieces(folder / "humped.parquet"))
-    first = found.findings[0]
-    assert (first.effect, first.joint) == ("stribeck", "elbow")
-    assert first.confidence > 0.8
-    assert not [f for f in found.findings if f.joint == "shoulder"]
-
-
 def test_a_push_outside_the_pieces_is_found(folder: Path) -> None:
-    def torque(t: Array) -> Array:
-        return np.outer(np.exp(-(((t - PUSHED) / 0.1) ** 2)), [4.0, 1.5])
-
-    case = long_case().with_torque(torque)
+    case = long_case()
+    case = case.with_torque(np.outer(np.exp(-(((case.log.t - PUSHED) / 0.1) ** 2)), [4.0, 1.5]))
     pieces = case.pieces(folder / "pushed.parquet")
     same = [x.offset for x in clean_pieces(folder).recordings]
     others = [x.offset for x in pieces.recordings]
@@ -113,10 +101,8 @@ def test_a_push_outside_the_pieces_is_found(folder: Path) -> None:
 
 
 def test_a_slow_drift_is_found(folder: Path) -> None:
-    def torque(t: Array) -> Array:
-        return np.outer(t / t[-1], [0.6, 0.0])
-
-    case = long_case().with_torque(torque)
+    case = long_case()
+    case = case.with_torque(np.outer(case.log.t / case.log.t[-1], [0.6, 0.0]))
     pieces = case.pieces(folder / "drifting.parquet")
     found = diagnosed(case, pieces)
     first = found.findings[0]
@@ -138,22 +124,19 @@ def test_a_log_that_is_at_hand_is_cut_alike(folder: Path) -> None:
 def test_memory_of_the_pass_does_not_grow_with_the_log(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Bytes at the worst moment, of the same log three and nine times over."""
     monkeypatch.setattr(residual_survey, "SPAN", 500)
-    short, long = (_peak(rounds, folder) for rounds in (3, 9))
-    assert long < 1.15 * short
-
-
-def _peak(times: int, folder: Path) -> int:
-    """Bytes at the worst moment of a pass over the log so many times over."""
-    case, log = long_case(), long_case().log
-    q, tau = (np.tile(x, (times, 1)) for x in (log.q, log.tau))
-    repeated = replace(log, t=np.arange(len(q)) / log.rate_hz, q=q, tau=tau)
-    path = replace(case, log=repeated).written(folder / f"{times}.parquet")
-    surveyed = open_surveyed(path, case.robot)
+    case, log, peaks = long_case(), long_case().log, []
     known = {"robot": case.robot, "stages": case.stages, "options": InertiaOptions()}
-    gc.collect()
-    tracemalloc.start()
-    residual_survey.residual_survey(surveyed, **known)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return peak
+    for times in (3, 9):
+        q, tau = (np.tile(x, (times, 1)) for x in (log.q, log.tau))
+        repeated = replace(log, t=np.arange(len(q)) / log.rate_hz, q=q, tau=tau)
+        path = replace(case, log=repeated).written(folder / f"{times}.parquet")
+        del q, tau, repeated
+        surveyed = open_surveyed(path, case.robot)
+        gc.collect()
+        tracemalloc.start()
+        residual_survey.residual_survey(surveyed, **known)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.15 * peaks[0]

@@ -1,7 +1,6 @@
 """Refinement of the one-joint sample arm: when an effect came, and what follows from it."""
 
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -22,45 +21,30 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.gear_load import ROTOR
 from seqid_cli.motion import blocks as motion_blocks
 from seqid_cli.params.schema import ParameterFile
-from seqid_cli.robot.file import load_robot
-from seqid_cli.robot.types import Robot
-from tests import ROOT
 from tests.plants.robots.identified import sequential
+from tests.plants.robots.sample import sample_rig
 from tests.studies.loop.logs import Case, recorded
 from tests.studies.undeclared.refine import file_of
 from tests.unit.discover.long_logs import long_case
 
-SAMPLES = ROOT / "sample_logs" / "one_joint"
+RIG = sample_rig("one_joint")
 STIFFNESS, REST = 0.0046265, 0.26  # N m/rad and rad, as truth.json has them
 Earlier = dict[str, list[Recording]]
 OPTIONS = DiscoverOptions()
 
 
-@cache
-def robot() -> Robot:
-    return load_robot(SAMPLES / "robot.toml")
-
-
-@cache
-def log(name: str) -> Recording:
-    return read_recording(SAMPLES / name, robot())
-
-
 def identified(earlier: Earlier) -> ParameterFile:
-    """The stages of an arm as its first logs show it."""
     alone = earlier | {"gravity": earlier["gravity"][:1]}  # the trials of friction are read anyway
-    return file_of(robot(), sequential(alone, robot()), {})
+    return file_of(RIG.robot, sequential(alone, RIG.robot), {})
 
 
 def first_logs() -> Earlier:
-    friction, gravity, inertia = (
-        log(f"{stage}/joint_1.parquet") for stage in ("friction", "gravity", "inertia")
-    )
-    return {"friction": [friction], "gravity": [gravity, friction], "inertia": [inertia]}
+    friction, gravity, inertia = (RIG.logs(stage) for stage in ("friction", "gravity", "inertia"))
+    return {"friction": friction, "gravity": [*gravity, *friction], "inertia": inertia}
 
 
 def changed(*names: str) -> list[Recording]:
-    return [log(f"changed/{name}.parquet") for name in names]
+    return [log for log in RIG.logs("changed") if log.path.stem in names]
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +56,10 @@ def before() -> ParameterFile:
 def test_what_came_late_leaves_the_file_as_it_is(
     before: ParameterFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    training, unseen = changed("fourier", "trapezoids"), changed("held_out")
-    found = refine(training, robot(), before, earlier=first_logs(), options=OPTIONS)
+    unseen = changed("held_out")
+    found = refine(
+        changed("fourier", "trapezoids"), RIG.robot, before, earlier=first_logs(), options=OPTIONS
+    )
     stages, loop = found.stages, confirm(found, unseen)
     assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, LATE)]
     for name in ("friction", "gravity", "inertia"):
@@ -102,9 +88,9 @@ def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:
         for stage, some in first_logs().items()
     }
     file = identified(logs)
-    training, unseen = changed("fourier", "trapezoids"), changed("held_out")
-    found = refine(training, robot(), file, earlier=logs, options=OPTIONS)
-    stages, loop = found.stages, confirm(found, unseen)
+    training = changed("fourier", "trapezoids")
+    found = refine(training, RIG.robot, file, earlier=logs, options=OPTIONS)
+    stages, loop = found.stages, confirm(found, changed("held_out"))
     assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, ALL_ALONG)]
     assert stages.gravity != file.stages.gravity
     assert stages.inertia != file.stages.inertia
@@ -179,7 +165,7 @@ def test_a_few_seconds_are_enough_for_a_large_effect(before: ParameterFile) -> N
     log = changed("fourier")[0]
     short = log.t < log.t[0] + 6.0
     cut = replace(log, **{x: getattr(log, x)[short] for x in ("t", "q", "tau", "valid")})
-    found = refine([cut], robot(), before, earlier={}, options=OPTIONS)
+    found = refine([cut], RIG.robot, before, earlier={}, options=OPTIONS)
     loop = confirm(found, changed("held_out"))
     assert [(r.effect, r.accepted) for r in loop.rounds] == [("spring", True)]
     assert loop.after["joint_1"].rmse < 0.6 * loop.before["joint_1"].rmse

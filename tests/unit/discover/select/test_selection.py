@@ -27,22 +27,14 @@ from tests.unit.discover.arms import (
     model_of,
     payload,
     selected,
+    stribeck,
 )
 
 SOME = ("stribeck", "spring", "quadratic_drag", "torque_bias", "load_dependent_friction")
-HUMP, SPEED = 1.2, 0.3  # N m, rad/s
+SPEED = 0.3  # rad/s, of the hump
 WAVE, LOOP = 2.0, 80.0  # N m; rad/s, of the position loop
 LATE_S = 0.02
 LOSS = 0.05  # N m of friction per N m of load
-
-
-def stribeck(scene: Scene) -> Array:
-    ratio = scene.motion.dq[:, 1] / SPEED
-    return np.asarray(HUMP * np.exp(-(ratio**2)) * scene.sign[:, 1])
-
-
-def both(scene: Scene) -> Array:
-    return np.stack([drag(scene), stribeck(scene)], axis=1)
 
 
 def waves(scene: Scene) -> Array:
@@ -56,7 +48,7 @@ def keys(found: Selected) -> list[tuple[str, int | None]]:
 
 @pytest.fixture(scope="module")
 def pair() -> Selected:
-    return selected(arm_scenes(both), SOME)
+    return selected(arm_scenes(lambda s: at_joint(0, drag)(s) + stribeck(SPEED)(s)), SOME)
 
 
 def test_nothing_is_taken_where_the_model_is_right() -> None:
@@ -159,8 +151,8 @@ def lagging(scene: Scene) -> Array:
 
 
 def stamped_late(scene: Scene) -> Array:
-    at = np.arange(scene.samples) - LATE_S * scene.motion.rate_hz
-    late = [np.interp(at, np.arange(scene.samples), tau) for tau in scene.modelled.T]
+    n = np.arange(scene.samples)
+    late = [np.interp(n - LATE_S * scene.motion.rate_hz, n, tau) for tau in scene.modelled.T]
     return np.asarray(np.stack(late, axis=1) - scene.modelled)
 
 
@@ -173,11 +165,6 @@ def test_one_lag_of_all_drives_is_no_skew_of_the_log(extra: Extra, name: str) ->
     term = found.taken[0].term
     assert term.key == (name, None)
     assert found.model.coefficients(term)[0] == pytest.approx(LATE_S, rel=0.1)
-
-
-def creeping(scene: Scene) -> Array:
-    """An offset of the second joint's torque that drifts."""
-    return np.asarray(0.8 + 0.01 * scene.time)
 
 
 def with_terms(extra: Extra, smooth: str, *effects: Candidate) -> tuple[Model, list[Term]]:
@@ -193,7 +180,7 @@ def with_terms(extra: Extra, smooth: str, *effects: Candidate) -> tuple[Model, l
 
 def test_one_effect_goes_before_two_that_explain_as_much() -> None:
     drift, bias = candidate("drift", 1, duration=100.0), candidate("torque_bias", 1)
-    extra = at_joint(1, creeping)
+    extra = at_joint(1, lambda scene: 0.8 + 0.01 * scene.time)  # an offset that drifts
     model, (of_two, one) = with_terms(extra, "time of all logs", bias, drift)
     found, before = Selection(model, Options(), []), list(model.terms)
     found.merged()

@@ -17,25 +17,18 @@ def bump(scene: Scene) -> Array:
     return 0.9 * np.exp(-(((scene.motion.q[:, 1] - 0.3) / 0.2) ** 2))
 
 
-def wave_of_other(scene: Scene) -> Array:
-    return 0.3 * np.sin(4 * scene.motion.dq[:, 0] + 0.6)
-
-
-def friction_of_place(scene: Scene) -> Array:
-    return 0.3 * scene.sign[:, 1] * np.cos(3 * scene.motion.q[:, 1])
-
-
-def rail(scene: Scene) -> Array:
-    """Rubs more where the other joint stands further out."""
-    return 0.3 * scene.sign[:, 1] * np.sin(2 * scene.motion.q[:, 0])
-
-
-def cubic(scene: Scene) -> Array:
-    return 0.5 * (scene.motion.ddq[:, 1] / 8) ** 3
-
-
-def both_places(scene: Scene) -> Array:
-    return 0.4 * np.sin(2 * scene.motion.q[:, 1]) * np.cos(3 * scene.motion.q[:, 0])
+LAWS = [
+    (bump, {"position"}),
+    (lambda s: 0.3 * np.sin(4 * s.motion.dq[:, 0] + 0.6), {OTHER}),
+    (lambda s: 0.3 * s.sign[:, 1] * np.cos(3 * s.motion.q[:, 1]), {"position", "direction"}),
+    # It rubs more where the other joint stands further out.
+    (lambda s: 0.3 * s.sign[:, 1] * np.sin(2 * s.motion.q[:, 0]), {OTHER, "direction"}),
+    (lambda s: 0.5 * (s.motion.ddq[:, 1] / 8) ** 3, {"acceleration"}),
+    (
+        lambda s: 0.4 * np.sin(2 * s.motion.q[:, 1]) * np.cos(3 * s.motion.q[:, 0]),
+        {"position", OTHER},
+    ),
+]
 
 
 def selection(seed: int, extra: Extra | None) -> Selection:
@@ -49,17 +42,7 @@ def selection(seed: int, extra: Extra | None) -> Selection:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.parametrize(
-    ("extra", "quantities"),
-    [
-        (bump, {"position"}),
-        (wave_of_other, {OTHER}),
-        (friction_of_place, {"position", "direction"}),
-        (rail, {OTHER, "direction"}),
-        (cubic, {"acceleration"}),
-        (both_places, {"position", OTHER}),
-    ],
-)
+@pytest.mark.parametrize(("extra", "quantities"), LAWS)
 def test_the_right_quantity_is_named_first(extra, quantities: set[str], seed: int) -> None:
     first = selection(seed, at_joint(1, extra)).model.terms[0].what
     assert isinstance(first, SmoothFunction)

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from seqid_cli.discover.candidates import candidates_of
@@ -10,16 +9,10 @@ from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.tuning import Tried, Tuner
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from tests import Array
-from tests.unit.discover.arms import arm_scenes, at_joint, candidate, model_of
+from tests.unit.discover.arms import HUMP, arm_scenes, candidate, model_of, stribeck
 from tests.unit.model.effects.two_mass import LOG_HZ, Gear, run, scene
 
-HUMP, SPEED = 1.2, 0.37  # N m, rad/s
-
-
-def stribeck(scene: Scene) -> Array:
-    ratio = scene.motion.dq[:, 1] / SPEED
-    return np.asarray(HUMP * np.exp(-(ratio**2)) * scene.sign[:, 1])
+SPEED = 0.37  # rad/s
 
 
 def tuner_in(model: Model) -> Tuner:
@@ -38,7 +31,7 @@ def best(model: Model, name: str, joint: int | None) -> Tried:
 
 @pytest.fixture(scope="module")
 def humped() -> Model:
-    return model_of(arm_scenes(at_joint(1, stribeck)))
+    return model_of(arm_scenes(stribeck(SPEED)))
 
 
 def test_a_stribeck_speed_between_the_grids_is_found(humped: Model) -> None:
@@ -50,22 +43,6 @@ def test_a_stribeck_speed_between_the_grids_is_found(humped: Model) -> None:
     assert settings == {"stribeck_speed": pytest.approx(SPEED, rel=0.1), "exponent": 2.0}
     assert found.gained.coefficients[0] == pytest.approx(HUMP, rel=0.1)
     assert found.evidence > tried.evidence
-
-
-def lag(scene: Scene) -> Array:
-    """What the command is ahead of the torque."""
-    return np.asarray(0.02 * np.gradient(scene.modelled, 1.0 / scene.motion.rate_hz, axis=0))
-
-
-def test_a_lag_does_not_pass_for_a_delay() -> None:
-    """They agree to first order; the columns of a delay that large do not."""
-    model = model_of(arm_scenes(lag, noise=(0.03, 0.01)))
-    some = [best(model, name, None) for name in ("actuator_lag", "time_skew")]
-    model.add([some[0].candidate])
-    ground = model.ground
-    beside = Tuner(ground.stage, model.beside(model.terms[0]), ground.size)
-    as_lag, as_delay = (beside.tuned(beside.tried([one.candidate])[0]) for one in some)
-    assert as_lag.evidence > as_delay.evidence + 10.0
 
 
 @pytest.mark.parametrize(("name", "joint"), [("rotor_inertia", 0), ("stribeck", 1)])

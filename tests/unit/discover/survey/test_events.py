@@ -77,14 +77,6 @@ def test_a_push_is_found_where_it_was(
     assert np.median(overlaps) > 0.6
 
 
-def stribeck(scene: Scene) -> Array:
-    return 6.0 * np.exp(-np.abs(scene.motion.dq[:, 1]) / 0.1) * scene.sign[:, 1]
-
-
-def ripple(scene: Scene) -> Array:
-    return 6.0 * np.sin(2 * scene.gear[1] * scene.motion.q[:, 1])
-
-
 def impacts(scene: Scene) -> Array:
     load = np.sign(scene.load[:, 1])
     x = np.zeros(scene.samples)
@@ -93,11 +85,15 @@ def impacts(scene: Scene) -> Array:
     return x
 
 
-def narrow(scene: Scene) -> Array:
-    return 6.0 * np.exp(-(((scene.motion.q[:, 1] - 0.3) / 0.1) ** 2))
+RECURRING = {
+    "stribeck": lambda s: 6.0 * np.exp(-np.abs(s.motion.dq[:, 1]) / 0.1) * s.sign[:, 1],
+    "ripple": lambda s: 6.0 * np.sin(2 * s.gear[1] * s.motion.q[:, 1]),
+    "impacts": impacts,
+    "narrow": lambda s: 6.0 * np.exp(-(((s.motion.q[:, 1] - 0.3) / 0.1) ** 2)),
+}
 
 
-@pytest.mark.parametrize("law", [stribeck, ripple, impacts, narrow])
+@pytest.mark.parametrize("law", RECURRING.values(), ids=RECURRING)
 def test_what_recurs_is_no_event(many_rows: list[Rows], law: Callable[[Scene], Array]) -> None:
     for seed, rows in enumerate(many_rows):
         events = found(rows, seed, lambda _, scene: np.outer(law(scene), [0.0, 1.0]))

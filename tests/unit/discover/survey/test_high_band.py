@@ -6,8 +6,6 @@ import pytest
 from seqid_cli.discover.select.rows import Part
 from seqid_cli.discover.survey.high_band import high_band
 from seqid_cli.discover.survey.rows import rows_of
-from seqid_cli.model.effects.scene import Scene
-from tests import Array
 from tests.unit.discover.arms import arm_scenes, at_joint, measuring, selected
 
 LINE_HZ, LINE = 50.0, 0.4  # Hz, N m
@@ -15,16 +13,9 @@ ORDER, RIPPLE = 3.0, 0.25  # cycles per motor turn, N m
 JOINT = 1
 
 
-def line(scene: Scene) -> Array:
-    return LINE * np.sin(2 * np.pi * LINE_HZ * scene.time + 0.7)
-
-
-def ripple(scene: Scene) -> Array:
-    return RIPPLE * np.cos(ORDER * scene.gear[JOINT] * scene.motion.q[:, JOINT])
-
-
 def test_a_line_above_the_cutoff_is_found() -> None:
-    found = selected(arm_scenes(at_joint(JOINT, line)), ["periodic_disturbance"])
+    line = at_joint(JOINT, lambda s: LINE * np.sin(2 * np.pi * LINE_HZ * s.time + 0.7))
+    found = selected(arm_scenes(line), ["periodic_disturbance"])
     (taken,) = found.taken
     assert taken.term.joint == JOINT
     assert taken.term.what.settings["frequency"] == pytest.approx(LINE_HZ, abs=2e-3)
@@ -38,7 +29,10 @@ def test_a_line_above_the_cutoff_is_found() -> None:
 
 def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:
     """At slow speeds it lies in the band, at fast ones above; one order and size for both."""
-    found = selected(arm_scenes(at_joint(JOINT, ripple)), ["torque_ripple"])
+    ripple = at_joint(
+        JOINT, lambda s: RIPPLE * np.cos(ORDER * s.gear[JOINT] * s.motion.q[:, JOINT])
+    )
+    found = selected(arm_scenes(ripple), ["torque_ripple"])
     (taken,) = found.taken
     term, beside = taken.term, found.model.beside(taken.term)
     assert term.joint == JOINT

@@ -65,7 +65,6 @@ def moved_by(scene: Scene, truth: TorqueModel) -> Scene:
 
 
 def left_over(scene: Scene) -> Array:
-    """Measured minus modelled torque (N, n), low-passed alike."""
     return scene.motion.tau - scene.modelled_filtered
 
 

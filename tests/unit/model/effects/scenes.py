@@ -25,13 +25,12 @@ def wander(
     *,
     seed: int = 0,
     rate_hz: float = RATE_HZ,
-    n: int = 2,
     amplitude: float = 1.0,
     top_hz: float = 0.8,
     rests: Sequence[tuple[float, float]] = ((5.0, 7.0),),
     still: Sequence[int] = (),
 ) -> Array:
-    """Return smooth random positions (N, n) rad.
+    """Return smooth random positions (N, 2) rad.
 
     All joints stand still together during `rests` (from, to) s, and those in `still` always; the
     motion sets in and dies away within half a second.
@@ -43,10 +42,10 @@ def wander(
         pace *= 1.0 - 0.25 * (1 + np.tanh((t - begin) / 0.1)) * (1 - np.tanh((t - end) / 0.1))
     pace[pace < 1e-6] = 0.0
     phase = np.cumsum(pace) / rate_hz
-    omega = 2 * np.pi * rng.uniform(0.08, top_hz, size=(6, n))
-    weight = rng.normal(size=(6, n)) / omega
+    omega = 2 * np.pi * rng.uniform(0.08, top_hz, size=(6, 2))
+    weight = rng.normal(size=(6, 2)) / omega
     weight /= np.sqrt(np.sum(weight**2, axis=0))
-    angle = rng.uniform(0, 2 * np.pi, size=(6, n))
+    angle = rng.uniform(0, 2 * np.pi, size=(6, 2))
     q: Array = amplitude * np.sum(weight * np.sin(omega * phase[:, None, None] + angle), axis=1)
     q[:, list(still)] = q[:1, list(still)]
     return q
@@ -71,8 +70,6 @@ def scene_of(
     *,
     robot: Robot | None = None,
     model: TorqueModel | None = None,
-    rate_hz: float = RATE_HZ,
-    cutoff_hz: float = CUTOFF_HZ,
     log: int = 0,
     start: float = 0.0,
     shared_clock: bool = False,
@@ -80,7 +77,7 @@ def scene_of(
 ) -> Scene:
     """Return the scene of positions q (N, n), its measured torque being the model's own."""
     robot = robot or two_joint_robot()
-    motion = motion_of(q, rate_hz=rate_hz, cutoff_hz=cutoff_hz)
+    motion = motion_of(q)
     scene = Scene(
         robot=robot,
         motion=motion,
@@ -95,11 +92,11 @@ def scene_of(
     return replace(scene, motion=replace(motion, tau=tau))
 
 
-def scenes_of_logs(logs: int = 3, seconds: float = 20.0, apart: float = 300.0) -> list[Scene]:
-    """Return several logs on a shared clock, `apart` s from start to start, that warm up."""
+def scenes_of_logs() -> list[Scene]:
+    """Return three logs on a shared clock, 300 s from start to start, that warm up."""
     scenes = []
-    for number in range(logs):
-        q, start = wander(seconds, seed=number), number * apart
+    for number in range(3):
+        q, start = wander(20.0, seed=number), 300.0 * number
         warm = 40.0 - 15.0 * np.exp(-(start + np.arange(len(q)) / RATE_HZ) / 400.0)
         heat = np.stack([warm, 0.5 * warm + 12.0], axis=1)
         scenes.append(scene_of(q, log=number, start=start, shared_clock=True, temperature=heat))

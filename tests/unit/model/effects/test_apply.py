@@ -15,12 +15,7 @@ from seqid_cli.model.effects.apply import (
     session_of,
     without_effects,
 )
-from seqid_cli.model.effects.fitted import (
-    FittedEffect,
-    as_stage,
-    effect_notes,
-    fitted_effects,
-)
+from seqid_cli.model.effects.fitted import FittedEffect, as_stage, effect_notes, fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis, SmoothTerm
@@ -144,7 +139,7 @@ def test_logs_find_their_place_in_a_session(
     start: float,
     expected: tuple[int, float, bool],
 ) -> None:
-    alone = replace(logs[0], log=0, start=0.0, shared_clock=False)
+    alone = replace(logs[0], shared_clock=False)
     scene = placed(alone, recording_of(alone.motion.q, None, sha256, start), session)
     assert (scene.log, scene.start, scene.shared_clock) == expected
 
@@ -172,21 +167,6 @@ def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
     np.testing.assert_allclose(added.value[:, 1], 3.0)
 
 
-def stages_of(scene: Scene) -> Stages:
-    """Friction as in the scene's model; rigid body left out."""
-    joints = {
-        name: friction_joint(
-            surface.positive,
-            surface.negative,
-            speed_range=[0.0, 4.0],
-            sign_width=surface.sign_width,
-            covariance=surface.covariance.tolist(),
-        )
-        for name, surface in zip(ROBOT.joint_names, scene.model.surfaces, strict=True)
-    }
-    return Stages(friction=FrictionStage(joints=joints))
-
-
 def test_a_recording_is_freed_of_its_effects() -> None:
     """A hump of friction and an offset on one joint, a wrong gain on the other."""
     scene = scene_of(wander(20.0, seed=4, rests=()))
@@ -195,8 +175,18 @@ def test_a_recording_is_freed_of_its_effects() -> None:
     hump = np.exp(-((dq[:, 0] / 0.1) ** 2)) * np.tanh(dq[:, 0] / 0.01)
     dirty = clean + np.column_stack([hump + 0.3, 0.05 * clean[:, 1]])
     effects = [stribeck(), fitted("torque_bias", 0, [0.3]), fitted("torque_constant", 1, [0.05])]
+    joints = {
+        name: friction_joint(
+            surface.positive,
+            speed_range=[0.0, 4.0],
+            sign_width=surface.sign_width,
+            covariance=surface.covariance.tolist(),
+        )
+        for name, surface in zip(ROBOT.joint_names, scene.model.surfaces, strict=True)
+    }
+    stages = Stages(friction=FrictionStage(joints=joints))
     given, motion = recording_of(q, dirty), MotionOptions(cutoff_hz=CUTOFF_HZ)
-    freed = without_effects(given, ROBOT, stages_of(scene), effects, motion=motion)
+    freed = without_effects(given, ROBOT, stages, effects, motion=motion)
     usable = scene.motion.usable
     np.testing.assert_allclose(freed.tau[usable, 1], clean[usable, 1], atol=1e-9)
     left = freed.tau[usable, 0] - clean[usable, 0]

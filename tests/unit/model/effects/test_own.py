@@ -22,8 +22,6 @@ from tests.unit.model.effects.scenes import scene_of, wander
 
 
 class Mine(Stribeck):
-    """Somebody's effect."""
-
     name = "mine"
 
 

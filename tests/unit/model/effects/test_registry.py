@@ -123,16 +123,12 @@ def test_sharpened_settings_keep_the_rules(effect: Effect, logs: list[Scene], gr
 
 def cut(scene: Scene, first: int) -> Scene:
     """Leave off the first samples; the clock runs on."""
-    motion = scene.motion
+    motion, begun = scene.motion, float(scene.motion.t[first])
     series = ("q", "dq", "ddq", "tau", "moving", "usable", "valid")
     late = {name: getattr(motion, name)[first:] for name in series}
-    late["t"] = motion.t[first:] - motion.t[first]
-    return replace(
-        scene,
-        motion=replace(motion, **late),
-        start=scene.start + float(motion.t[first]),
-        temperature=scene.temperature[first:],
-    )
+    motion = replace(motion, **late, t=motion.t[first:] - begun)
+    warm = scene.temperature[first:]
+    return replace(scene, motion=motion, start=scene.start + begun, temperature=warm)
 
 
 def test_the_past_is_forgotten(effect: Effect, logs: list[Scene], grids: Grids) -> None:

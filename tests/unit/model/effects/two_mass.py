@@ -49,10 +49,10 @@ class Log(NamedTuple):
 
 
 @cache
-def run(gear: Gear, *, seed: int = 0, seconds: float = 8.0, top_hz: float = 2.0) -> Log:
+def run(gear: Gear, *, seed: int = 0, seconds: float = 8.0) -> Log:
     """Follow a sum of sines; logged in the middle of each control period."""
     every, rows = round(1 / (LOG_HZ * STEP_S)), []
-    plan = _plan(seed, round(seconds / STEP_S), top_hz)
+    plan = _plan(seed, round(seconds / STEP_S))
     angle, speed, _ = next(plan)
     link, link_speed, command = angle, speed, 0.0
     motor, motor_speed = angle + WEIGHT * math.sin(angle) / gear.stiffness, speed
@@ -72,9 +72,9 @@ def run(gear: Gear, *, seed: int = 0, seconds: float = 8.0, top_hz: float = 2.0)
     return Log(*np.array(rows).T)
 
 
-def _plan(seed: int, steps: int, top_hz: float) -> Iterator[tuple[float, float, float]]:
+def _plan(seed: int, steps: int) -> Iterator[tuple[float, float, float]]:
     rng = np.random.default_rng(seed)
-    omega = 2 * np.pi * rng.uniform(0.2, top_hz, 5)[:, None]
+    omega = 2 * np.pi * rng.uniform(0.2, 2.0, 5)[:, None]
     weight = rng.normal(size=(5, 1)) / omega
     weight *= 0.6 / np.linalg.norm(weight)
     phase = omega * np.arange(steps) * STEP_S + rng.uniform(0, 2 * np.pi, (5, 1))

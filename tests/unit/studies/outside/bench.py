@@ -11,23 +11,18 @@ from tests.studies.outside.arms import Arm, Drive, Link, drawn_arm
 Mask = NDArray[np.bool_]
 
 
-def pendulum(mass: float = 2.0, centre: float = 0.4, coulomb: float = 0.0) -> Arm:
+def pendulum(coulomb: float = 0.0) -> Arm:
     """One link that points up at zero, about a horizontal axis; nothing is noisy."""
-    link = Link(
-        place=np.zeros(3),
-        turn=np.zeros(3),
-        axis=np.array([0.0, 1.0, 0.0]),
-        mass=mass,
-        centre=np.array([0.0, 0.0, centre]),
-        inertia=np.diag([0.02, 0.02, 0.01]),
-    )
+    inertia = np.diag([0.02, 0.02, 0.01])
+    origin, axis, centre = np.zeros(3), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 0.4])
+    link = Link(origin, origin, axis, 2.0, centre, inertia)
     drive = Drive(0.1, coulomb, 0.1, 0.0, 0.0, 50.0, 0.1, 1e-6, rise=10.0, warm_s=100.0)
     return Arm("drawn", (link,), (drive,), 500.0, 0.0, 60.0, 1.0, True, False)
 
 
-def quiet_arm(seed: int, n: int = 2, imus: bool = False) -> Arm:
-    """A drawn arm without noise in its torques."""
-    arm = drawn_arm(np.random.default_rng(seed), "drawn", n, imus)
+def quiet_arm(seed: int) -> Arm:
+    """A drawn arm of two joints without noise in its torques."""
+    arm = drawn_arm(np.random.default_rng(seed), "drawn", 2, imus=False)
     return replace(arm, noise=0.0, rate_hz=500.0)
 
 

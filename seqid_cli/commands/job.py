@@ -141,7 +141,7 @@ def _workers(given: Mapping[str, Any]) -> Iterator[dict[str, Executor]]:
     if count == 1 and not dask:
         yield {}
         return
-    from seqid_cli.scale.executors import dask_cluster, processes
+    from seqid_cli.scale import dask_cluster, processes
 
     with dask_cluster(scheduler, given["jobs"]) if dask else processes(count) as executor:
         yield {"executor": executor}
@@ -151,7 +151,7 @@ def processes_for(logs: Sequence[str], jobs: int | None) -> int:
     """How many processes to start for these logs; 1 means none beside this one."""
     from seqid_cli.logs.storage.files import expand
     from seqid_cli.logs.storage.remote import is_url
-    from seqid_cli.scale.executors import cores
+    from seqid_cli.scale import cores
 
     if jobs == 1:
         return 1

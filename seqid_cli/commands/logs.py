@@ -14,7 +14,7 @@ from seqid_cli.commands.screen.show_inspection import show_inspection
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
-from seqid_cli.robot.urdf.text import read_urdf_text
+from seqid_cli.robot.urdf import read_urdf_text
 
 EXIT_UNREADABLE = 2
 
@@ -103,7 +103,7 @@ def init(
             raise UsageError("exists already", where=str(output), hint=hint)
 
     from seqid_cli.inspect.propose import propose, with_gravity
-    from seqid_cli.robot.toml.template import robot_toml
+    from seqid_cli.robot.template import robot_toml
 
     proposal = propose(
         files,

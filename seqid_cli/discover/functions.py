@@ -21,7 +21,7 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ParameterFile
 
 if TYPE_CHECKING:
-    from seqid_cli.discover.excerpts.excerpts import Excerpts
+    from seqid_cli.discover.excerpts import Excerpts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.logs.recording import Recording
     from seqid_cli.robot.types import Robot
@@ -47,7 +47,7 @@ def diagnose(
     needs = ("friction", "inertia", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.discover.diagnosis import diagnose as diagnosed
-    from seqid_cli.discover.excerpts.excerpts import one_each
+    from seqid_cli.discover.excerpts import one_each
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.regression.equations import motion_uses
@@ -120,7 +120,7 @@ def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
 def _excerpts(
     inputs: Inputs, logs: LogSet, search: DiscoverOptions, *, places: bool = True
 ) -> Excerpts:
-    from seqid_cli.discover.excerpts.excerpts import take_excerpts
+    from seqid_cli.discover.excerpts import take_excerpts
 
     return take_excerpts(logs, inputs.robot, inputs.stages, options=search.motion, places=places)
 
@@ -128,10 +128,10 @@ def _excerpts(
 def _refined(
     inputs: Inputs, held_out: Sequence[Path | Recording], search: DiscoverOptions
 ) -> ParameterFile:
-    from seqid_cli.discover.excerpts.excerpts import by_digest, one_each
+    from seqid_cli.discover.excerpts import by_digest, one_each
     from seqid_cli.discover.refinement.confirm import confirm
-    from seqid_cli.discover.refinement.earlier_logs import read_earlier
     from seqid_cli.discover.refinement.held_out import WholeLogs
+    from seqid_cli.discover.refinement.log_sets import read_earlier
     from seqid_cli.discover.refinement.rounds import refine as decide
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet

@@ -13,7 +13,7 @@ from seqid_cli.discover.noise.floor import encoder_residuals
 from seqid_cli.discover.select.options import Options
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.checks.echo import REMEDY, WARNING, echoes
+from seqid_cli.inspect.dynamics.echo import REMEDY, WARNING, echoes
 from seqid_cli.logs.pieces import by_log, whole_of
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.apply import scene_of_log

@@ -18,7 +18,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.regressor import PER_LINK, Coupling
 from seqid_cli.robot.types import Array, Robot
-from seqid_cli.robot.urdf.text import UrdfText, read_urdf_text
+from seqid_cli.robot.urdf import UrdfText, read_urdf_text
 
 _POSITIONS, _SPEEDS = 41, 60
 _LEFT_OUT = "cannot be written to a model file and is left out"

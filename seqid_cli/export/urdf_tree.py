@@ -13,8 +13,8 @@ import pinocchio as pin
 
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array
-from seqid_cli.robot.urdf.model import whole_model
-from seqid_cli.robot.urdf.text import UrdfText, link_of
+from seqid_cli.robot.urdf import UrdfText, link_of
+from seqid_cli.robot.urdf_model import whole_model
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import InputLog, Verdict
 from seqid_cli.robot.types import Robot
-from seqid_cli.scale.executors import Reply, answer, ordered
+from seqid_cli.scale import Reply, answer, ordered
 
 L = TypeVar("L")  # a Recording, or a log that is passed over
 P = TypeVar("P")

@@ -114,7 +114,7 @@ ENTRIES = {
     "output": "path, optional\n    Where the document is written as well.",
     "on_progress": "callable, optional\n    Given a `Progress` before and after each log.",
     "executor": "concurrent.futures.Executor, optional\n    Who reads and reduces the logs (see "
-    "`seqid_cli.scale.executors`); this process by default.",
+    "`seqid_cli.scale`); this process by default.",
 }
 ENDING = """
 Returns

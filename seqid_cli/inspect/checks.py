@@ -15,8 +15,7 @@ from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
 from seqid_cli.inspect.findings import found, grouped
-from seqid_cli.inspect.imu.link_fit import FOLLOWS, LinkFit
-from seqid_cli.inspect.imu.motion import follow, motion_findings
+from seqid_cli.inspect.imu.motion import FOLLOWS, LinkFit, follow, motion_findings
 from seqid_cli.inspect.imu.readings import imu_findings
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.read import without_values

@@ -12,8 +12,8 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.contents import Survey
 from seqid_cli.logs.tables.naming_schemes import COMMANDED, MEASURED
 from seqid_cli.robot.kinematics import chain_from_dh
-from seqid_cli.robot.toml.checks import MOST_JOINTS
-from seqid_cli.robot.toml.schema import Channels, Columns
+from seqid_cli.robot.toml import MOST_JOINTS
+from seqid_cli.robot.toml_schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Joint, Robot
 
 # Words for each quantity, joined and in lower case; those of one letter count only beside a number.

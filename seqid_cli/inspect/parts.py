@@ -16,7 +16,7 @@ from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.checks import check
 from seqid_cli.inspect.findings import found, grouped, located, verdict_of
-from seqid_cli.inspect.imu.link_fit import LinkFit
+from seqid_cli.inspect.imu.motion import LinkFit
 from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import Stream

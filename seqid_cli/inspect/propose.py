@@ -19,9 +19,9 @@ from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.tables.naming_schemes import column_name, find_scheme, time_names
 from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
-from seqid_cli.robot.toml.schema import Columns
-from seqid_cli.robot.toml.template import JointTemplate, RobotTemplate
-from seqid_cli.robot.urdf.text import UrdfJoint, UrdfText, best_chain
+from seqid_cli.robot.template import JointTemplate, RobotTemplate
+from seqid_cli.robot.toml_schema import Columns
+from seqid_cli.robot.urdf import UrdfJoint, UrdfText, best_chain
 
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
 Pairs = list[tuple[str, UrdfJoint]]  # joints by their names in the log

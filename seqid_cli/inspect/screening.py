@@ -16,9 +16,8 @@ from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
 from seqid_cli.inspect.findings import grouped, located
 from seqid_cli.inspect.material import LogData
-from seqid_cli.logs.clocks import GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.long import READERS, Block, Bridge
-from seqid_cli.logs.raw import RawLog, Stream, TimeSource
+from seqid_cli.logs.raw import GAP_INTERVALS, GAP_LEAST_S, RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.tables.parquet import BLOCK_ROWS

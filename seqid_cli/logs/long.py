@@ -14,19 +14,59 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.checks.lost_samples import mended
-from seqid_cli.logs.clocks import BURSTS, GAP_INTERVALS, GAP_LEAST_S
+from seqid_cli.logs.lost_samples import mended
 from seqid_cli.logs.mcap import reader
-from seqid_cli.logs.raw import Array, BlockReader, Mask, RawLog, Stamps, Stream, TimeSource, joined
+from seqid_cli.logs.raw import (
+    BURSTS,
+    GAP_INTERVALS,
+    GAP_LEAST_S,
+    Array,
+    BlockReader,
+    Mask,
+    RawLog,
+    Stamps,
+    Stream,
+    TimeSource,
+    in_turns,
+    joined,
+)
 from seqid_cli.logs.read import ABSURD, with_torque
 from seqid_cli.logs.storage import files
-from seqid_cli.logs.storage.temporary import Spool
+from seqid_cli.logs.storage.remote import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
-from seqid_cli.logs.thinned import Thinned
 from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM, Base, resample
-from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
+
+MOST = 262_144
+
+
+class Thinned:
+    """Keeps every row until there are more than `most`, then every second one, fourth and so on.
+
+    What is kept, at least half of `most`, depends on the rows alone, not on how they came.
+    """
+
+    def __init__(self, most: int = MOST) -> None:
+        self._most = most
+        self._parts: list[Array] = []
+        self._every, self._seen, self._kept = 1, 0, 0
+
+    def push(self, rows: Array) -> None:
+        """Take the next rows (M, ...)."""
+        self._parts.append(rows[-self._seen % self._every :: self._every].copy(order="K"))
+        self._seen += len(rows)
+        self._kept += len(self._parts[-1])
+        while self._kept > self._most:
+            self._parts = [np.concatenate(self._parts)[::2].copy(order="K")]
+            self._every *= 2
+            self._kept = len(self._parts[0])
+
+    @property
+    def rows(self) -> Array:
+        """What is kept."""
+        return np.concatenate(self._parts) if self._parts else np.zeros(0)
+
 
 MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
 GROUP = 256  # rows whose distance from the base is remembered by its extremes

@@ -7,16 +7,23 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.logs.checks.lost_samples import Mended, mended, with_losses
-from seqid_cli.logs.clocks import tidy
+from seqid_cli.logs.lost_samples import Mended, mended, with_losses
 from seqid_cli.logs.mcap import reader, rosbags
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, BlockReader, RawLog, Stream, TimeSource
+from seqid_cli.logs.raw import (
+    ACCELEROMETERS,
+    GYRO,
+    BlockReader,
+    RawLog,
+    Stream,
+    TimeSource,
+    in_turns,
+    tidy,
+)
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.files import check_log, sha256_of, storage_file, unchanged
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.timebase import Base, make_base, overlap, resample
-from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.clocks import gap_limit
-from seqid_cli.logs.raw import Array, Mask, Stamps, Stream
+from seqid_cli.logs.raw import Array, Mask, Stamps, Stream, gap_limit
 
 LEAST_SAMPLES = 20
 UNIFORM = 1e-3  # of the interval: so far may a sample lie beside the base and be taken as it is

@@ -30,7 +30,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 if TYPE_CHECKING:
-    from seqid_cli.robot.urdf.geometry import Geometry
+    from seqid_cli.robot.urdf_model import Geometry
 
 NOISE_HZ = 25.0  # the bandwidth of that noise
 

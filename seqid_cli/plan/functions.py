@@ -21,7 +21,7 @@ from seqid_cli.plan.options import PlanOptions, What
 if TYPE_CHECKING:
     from seqid_cli.plan.limits import Limits
     from seqid_cli.robot.types import Robot
-    from seqid_cli.robot.urdf.geometry import Geometry
+    from seqid_cli.robot.urdf_model import Geometry
 
 
 def plan(
@@ -125,7 +125,7 @@ def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | 
     import numpy as np
 
     from seqid_cli.plan.moves.strokes import postures_of
-    from seqid_cli.robot.urdf.geometry import geometry_of
+    from seqid_cli.robot.urdf_model import geometry_of
 
     postures = postures_of(limits, 200, np.random.default_rng(0))
     found = geometry_of(robot, postures, options.keep_out, options.workspace)

@@ -28,7 +28,7 @@ from seqid_cli.plan.stages.inertia import plan_inertia, plan_validation
 from seqid_cli.plan.stages.payload import loaded, plan_payload
 from seqid_cli.plan.stages.sweeps import plan_friction, plan_gravity, plan_imu
 from seqid_cli.robot.types import Robot
-from seqid_cli.robot.urdf.geometry import Geometry
+from seqid_cli.robot.urdf_model import Geometry
 from seqid_cli.shares import percent
 
 

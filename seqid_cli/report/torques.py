@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
-from seqid_cli.identify.prediction.torques_parquet import PARAMETERS
+from seqid_cli.identify.prediction.torque_files import PARAMETERS
 from seqid_cli.logs.read import ABSURD
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.report.collection import Collection, Prediction

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from msgspec.structs import astuple
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.toml.read import read_robot_file
-from seqid_cli.robot.urdf.text import check_joints, read_urdf_text
+from seqid_cli.robot.toml import read_robot_file
+from seqid_cli.robot.urdf import check_joints, read_urdf_text
 
 if TYPE_CHECKING:
-    from seqid_cli.robot.toml.schema import ImuEntry
+    from seqid_cli.robot.toml_schema import ImuEntry
     from seqid_cli.robot.types import Imu, Robot
 
 
@@ -37,7 +37,7 @@ def load_robot(path: Path) -> "Robot":
         sliding = [k for k, joint in enumerate(content.joint) if joint.prismatic]
         chain, nominal = chain_from_dh(rows, sliding), None
     else:
-        from seqid_cli.robot.urdf.model import chain_from_urdf
+        from seqid_cli.robot.urdf_model import chain_from_urdf
 
         chain, nominal = chain_from_urdf(urdf, names, path)
     if content.channels.effort == "gravity_compensated" and nominal is None:

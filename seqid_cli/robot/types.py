@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from seqid_cli.robot.formula import Formula
-from seqid_cli.robot.toml.schema import Channels
-from seqid_cli.robot.urdf.text import UrdfJoint
+from seqid_cli.robot.toml_schema import Channels
+from seqid_cli.robot.urdf import UrdfJoint
 from seqid_cli.typing import Array as Array
 from seqid_cli.typing import Mask
 from seqid_cli.units import unit_of

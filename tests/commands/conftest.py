@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.discover.excerpts.excerpts import Excerpts
+from seqid_cli.discover.excerpts import Excerpts
 from seqid_cli.inspect.findings import located
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Health, Recording
@@ -142,9 +142,9 @@ def gathering(monkeypatch: pytest.MonkeyPatch) -> None:
     def take(recordings: Iterable[Recording], *_: object, **__: object) -> Excerpts:
         return Excerpts(tuple(recordings))
 
-    monkeypatch.setattr("seqid_cli.discover.excerpts.excerpts.take_excerpts", take)
-    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.take_excerpts", take)
-    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.likely_rows", lambda *_: 0)
+    monkeypatch.setattr("seqid_cli.discover.excerpts.take_excerpts", take)
+    monkeypatch.setattr("seqid_cli.discover.refinement.log_sets.take_excerpts", take)
+    monkeypatch.setattr("seqid_cli.discover.refinement.log_sets.likely_rows", lambda *_: 0)
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **functions: object) -> None:

@@ -16,7 +16,7 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.inspect.guess import guess_channels
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.file import load_robot
-from seqid_cli.robot.toml.schema import Columns
+from seqid_cli.robot.toml_schema import Columns
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLE_LOGS, Rig
 from tests.plants.robots.small import joint, link, urdf

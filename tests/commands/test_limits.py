@@ -28,7 +28,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.discover.excerpts import excerpts
+from seqid_cli.discover import excerpts
 from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction
 from seqid_cli.identify.regression import equations
 from seqid_cli.logs import pieces, read

@@ -11,8 +11,7 @@ from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.judging import as_a_whole, physics_verdicts
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.prediction.predict import LogPrediction
-from seqid_cli.identify.prediction.torques_mcap import mcap_writer
-from seqid_cli.identify.prediction.torques_parquet import parquet_writer
+from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writer
 from seqid_cli.model.effects.fitted import effect_notes
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.document import now, present, robot_id, tool

@@ -7,7 +7,7 @@ import numpy as np
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.logs.clocks import gap_limit
+from seqid_cli.logs.raw import gap_limit
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.shares import percent

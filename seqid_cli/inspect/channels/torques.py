@@ -6,10 +6,10 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice, missing
+from seqid_cli.inspect.dynamics.echo import WARNING, echoes
 from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.logs.checks.echo import WARNING, echoes
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent

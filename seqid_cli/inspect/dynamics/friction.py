@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from scipy.signal import correlate
 
+from seqid_cli.inspect.dynamics.echo import driven, smooth
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.logs.checks.echo import driven, smooth
 from seqid_cli.motion.motion import decimated
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import Basis, base_parameters, gravity_base_regressor

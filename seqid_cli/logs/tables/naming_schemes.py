@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from seqid_cli.robot.toml.schema import Columns
+    from seqid_cli.robot.toml_schema import Columns
 
 QUANTITIES = (
     "position", "velocity", "torque", "current", "load", "link_position", "voltage", "pwm",

@@ -20,7 +20,7 @@ from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, RawLog, Rows, Stamps, Strea
 from seqid_cli.logs.tables import naming_schemes as schemes
 from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
-from seqid_cli.robot.toml.schema import Channels, Columns
+from seqid_cli.robot.toml_schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array
 

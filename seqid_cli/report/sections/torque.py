@@ -1,14 +1,239 @@
 """How well the model predicts: errors per joint, and the torque behind them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.signal import welch
 
 from seqid_cli.params.results.tables import Head, Values, heads
+from seqid_cli.report.chart import Panel, figure, padded, small_panel, wide_box
 from seqid_cli.report.collection import Collection, Place, Prediction
-from seqid_cli.report.sections.torque_figures import over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
 from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge, table
 from seqid_cli.report.words import number, percent, plural, short_path
+from seqid_cli.typing import Array, Index, Mask
+
+Event = tuple[float, float]
+
+_ROWS = 20  # of the tables of time series and spectra
+_BINS = 40
+_MOST_SPANS = 200
+_ROOM = 0.06  # above and below what is drawn, of its range
+
+
+def over_time(
+    models: Mapping[str, Series], place: Place, events: Sequence[Event], columns: int
+) -> Figure:
+    """Draw measured and predicted torque of one log above the residual, events shaded.
+
+    `models` are the torques of the same log by the name of their model, the best first.
+    """
+    series, unit = next(iter(models.values())), place.unit
+    t, good = series.t - series.t[0], _known(series)
+    counted = good & series.used & series.sliding
+    shown = counted if np.any(counted) else good
+    torque, residual = _panels(models, shown, unit)
+    for panel in (torque, residual):
+        for start, stop in events:
+            panel.span(start, stop, "event", f"pushed from {start:.2f} to {stop:.2f} s")
+        for part in pieces(t, ~series.used, max_gap=np.inf)[:_MOST_SPANS]:
+            panel.span(float(t[part.start]), float(t[min(part.stop, len(t) - 1)]), "unused")
+    rests = good & np.isfinite(series.low) & np.isfinite(series.high)
+    for piece in pieces(t, rests):
+        low, high = series.low[piece], series.high[piece]
+        kept = np.union1d(*(extremes(t[piece], bound, columns) for bound in (low, high)))
+        torque.band(t[piece][kept], low[kept], high[kept], "faint")
+    legend = _draw(models, torque, residual, unit, columns)
+    more = {
+        "faint": ("held at rest", np.any(rests)),
+        "event": ("pushed", events),
+        "unused": ("not counted", not np.all(series.used)),
+    }
+    legend |= {style: text for style, (text, there) in more.items() if there}
+    name, text = short_path(series.log), "No sample is known."
+    if np.any(shown):
+        rms = float(np.sqrt(np.mean(np.square(series.residual[shown]))))
+        most = float(np.abs(series.residual[shown]).max())
+        text = f"The residual has an RMS of {number(rms)} {unit} and reaches {number(most)} {unit}."
+    title = f"Torque of {place.joint}, {name}"
+    rows = _time_table(series, good, unit, title)
+    return figure([torque, residual], f"{title} over time", text, legend, rows, name=name)
+
+
+def _draw(
+    models: Mapping[str, Series], torque: Panel, residual: Panel, unit: str, columns: int
+) -> dict[str, str]:
+    """Draw the lines of all models, the best above the others; return their legend."""
+    series, legend = next(iter(models.values())), {"measured": "measured"}
+    curves = []
+    for k, (name, own) in enumerate(models.items()):
+        style = f"other{k - 1}" if k else "predicted"
+        text = name if len(models) > 1 else "predicted"
+        legend[style] = text
+        left = (style, f"residual, {text}") if k else ("residual", "residual")
+        curves += [(residual, own, own.residual, *left), (torque, own, own.predicted, style, text)]
+    curves.append((torque, series, series.torque, "measured", "measured"))
+    for panel, own, values, style, text in reversed(curves):
+        at = own.t - own.t[0]
+        for piece in pieces(at, _known(own)):
+            kept = extremes(at[piece], values[piece], columns)
+            panel.line(at[piece][kept], values[piece][kept], style, name=text, unit=unit)
+    return {**legend, "residual": "residual"}
+
+
+def _panels(models: Mapping[str, Series], shown: Mask, unit: str) -> tuple[Panel, Panel]:
+    """Return the frames for the torque and, below, for the residual of the `shown` samples."""
+    series = next(iter(models.values()))
+    both, left = [series.low, series.high], [series.residual[shown]]
+    for own in models.values():
+        known = _known(own)
+        both += [own.torque[known], own.predicted[known]]
+        left.append(own.residual[known & own.used & own.sliding])
+    drawn, span = np.concatenate(both), float(series.t[-1] - series.t[0])
+    x, box, below = (0.0, span or 1.0), wide_box(26, 164), wide_box(220, 84)
+    limits = padded(drawn[np.isfinite(drawn)], _ROOM)
+    torque = Panel(box, x, limits, y_title=f"torque, {unit}", show_x=False, hover="t|s")
+    limits, title = padded(np.concatenate([[0.0], *left]), _ROOM), f"residual, {unit}"
+    return torque, Panel(below, x, limits, "time, s", title, y_ticks=3, hover="t|s")
+
+
+def _known(series: Series) -> Mask:
+    return np.isfinite(series.torque) & np.isfinite(series.predicted) & np.isfinite(series.residual)
+
+
+def _time_table(series: Series, good: Mask, unit: str, title: str) -> Table:
+    rows, t = [], series.t - series.t[0]
+    edges = np.linspace(0.0, float(t[-1]), min(_ROWS, len(t)) + 1)[:-1]
+    parts = np.split(np.arange(len(t)), np.searchsorted(t, edges[1:]))
+    for at, part in zip(edges, parts, strict=True):
+        keep = part[good[part]]
+        if len(keep):
+            ends = [f(x[keep]) for x in (series.torque, series.predicted) for f in (np.min, np.max)]
+            left = series.residual[keep]
+            sizes = (np.sqrt(np.mean(left**2)), np.abs(left).max())
+            rows.append((f"{at:.2f}", *map(float, (*ends, *sizes))))
+    heads = "from [s] | measured, least [{u}] | most [{u}] | predicted, least [{u}] | most [{u}]"
+    heads += " | residual RMS [{u}] | largest [{u}]"
+    return table(title, heads, "count number number number number number number", rows, u=unit)
+
+
+def over_quantity(
+    logs: Sequence[Series], place: Place, quantity: str, unit: str, *, min_samples: int = 4
+) -> Figure | None:
+    """Draw the spread of the residual over position or velocity; None where it is not known."""
+    kept = [np.zeros((2, 0))]
+    for one in logs:
+        x = getattr(one, quantity)
+        if x is not None:
+            known = one.used & one.sliding & np.isfinite(x) & np.isfinite(one.residual)
+            kept.append(np.array([x[known], one.residual[known]]))
+    x, r = np.concatenate(kept, axis=1)
+    if not len(x) or not x.max() > x.min():
+        return None
+    edges = np.linspace(x.min(), x.max(), _BINS + 1)
+    order = np.argsort(x, kind="stable")
+    parts = np.split(r[order], np.searchsorted(x[order], edges[1:-1]))
+    bins = [
+        (float(centre), *np.quantile(part, [0.0, 0.05, 0.5, 0.95, 1.0]).tolist())
+        for centre, part in zip((edges[1:] + edges[:-1]) / 2, parts, strict=True)
+        if len(part) >= min_samples
+    ]
+    if not bins:
+        return None
+    x_range, y_range = padded(edges, 0.02), padded(np.append(r, 0.0), _ROOM)
+    panel = small_panel((quantity, unit), x_range, f"residual, {place.unit}", y_range)
+    centre, least, low, middle, high, most = zip(*bins, strict=True)
+    panel.band(centre, least, most, "faint")
+    panel.band(centre, low, high, "residual")
+    panel.line(centre, middle, "residual", name="median", unit=place.unit)
+    title = f"Residual of {place.joint} over {quantity}"
+    text = (
+        f"Median, 90 % range and extremes of the residual in {plural(len(bins), 'bin')} of "
+        f"{quantity}. The median lies between {number(min(middle))} and "
+        f"{number(max(middle))} {place.unit}."
+    )
+    legend = {"residual": "median", "band-residual": "90 %", "faint": "extremes"}
+    heads = "{over} [{x}] | least [{y}] | 5 % [{y}] | median [{y}] | 95 % [{y}] | most [{y}]"
+    own = {"over": quantity, "x": unit, "y": place.unit}
+    values = table(title, heads, "number number number number number number", bins, **own)
+    return figure([panel], title, text, legend, values, name=f"Residual over {quantity}")
+
+
+def spectrum(
+    logs: Sequence[Series],
+    place: Place,
+    cutoff_hz: float | None,
+    columns: int,
+    *,
+    min_samples: int = 64,
+) -> Figure | None:
+    """Draw the amplitude spectral density of the residual in the longest run without a gap."""
+    runs = [
+        (one, run)
+        for one in logs
+        for run in pieces(one.t, one.used & np.isfinite(one.residual))
+        if run.stop - run.start >= min_samples and one.t[run.stop - 1] > one.t[run.start]
+    ]
+    if not runs:
+        return None
+    one, run = max(runs, key=lambda found: found[1].stop - found[1].start)
+    t, r = one.t[run], one.residual[run]
+    even = np.interp(np.linspace(t[0], t[-1], len(t)), t, r)
+    rate = (len(t) - 1) / float(t[-1] - t[0])
+    length = min(len(r), max(256, len(r) // 4))
+    f, power = welch(even, fs=rate, nperseg=length, detrend="constant")
+    top = min(0.5 * rate, np.inf if cutoff_hz is None else 1.5 * cutoff_hz)
+    inside = (f > 0.0) & (f <= top) & (power > 0.0)
+    f, density = f[inside], np.sqrt(power[inside])
+    if len(f) < 2:
+        return None
+    unit, title = f"{place.unit}/\u221aHz", f"Spectrum of the residual of {place.joint}"
+    decades = 10 ** np.floor(np.log10(density.min())), 10 ** np.ceil(np.log10(density.max()))
+    x, x_range = ("frequency", "Hz"), (0.0, float(top))
+    panel = small_panel(x, x_range, f"residual, {unit}", decades, y_log=True)
+    if cutoff_hz is not None and cutoff_hz < top:
+        panel.upright(cutoff_hz, "line-mark")
+    kept = extremes(f, np.log10(density), columns)
+    panel.line(f[kept], density[kept], "residual", name="density", unit=unit)
+    parts = np.array_split(np.arange(len(f)), min(_ROWS, len(f)))
+    peaks = [part[np.argmax(density[part])] for part in parts]
+    rows = [(float(f[k]), float(density[k])) for k in peaks]
+    heads = "frequency [Hz] | density [{unit}]"
+    values = table(f"{title}, its peaks", heads, "number4 number", rows, unit=unit)
+    text = f"Strongest at {f[np.argmax(density)]:.2f} Hz."
+    legend, name = {"residual": "density", "line-mark": "cut-off"}, "Spectrum of the residual"
+    return figure([panel], title, text, legend, values, name=name, note=text)
+
+
+def extremes(x: Array, y: Array, columns: int) -> Index:
+    """Return the indices of the smallest and largest y in each of `columns` equal parts of x.
+
+    x (N,) does not fall, y (N,) is finite. At most 2 columns + 2 rise, first and last among them.
+    """
+    if len(x) <= 2 * columns + 2:
+        return np.arange(len(x))
+    span = x[-1] - x[0]
+    share = (x - x[0]) / span if span > 0.0 else np.zeros(len(x))
+    column = np.minimum((share * columns).astype(np.int64), columns - 1)
+    starts = np.flatnonzero(np.diff(column, prepend=-1))
+    sizes, found = np.diff(np.append(starts, len(x))), [np.array([0, len(x) - 1])]
+    for extreme in (np.minimum, np.maximum):  # the first sample that reaches it
+        reached = y == np.repeat(extreme.reduceat(y, starts), sizes)
+        found.append(np.minimum.reduceat(np.where(reached, np.arange(len(x)), len(x)), starts))
+    return np.unique(np.concatenate(found))
+
+
+def pieces(t: Array, good: Mask, *, max_gap: float = 5.0) -> list[slice]:
+    """Return the runs of good samples without a gap in time, as slices."""
+    if not len(t):
+        return []
+    steps = np.diff(t)
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
+    cuts = np.flatnonzero((steps > max_gap * usual) | (good[1:] != good[:-1])) + 1
+    ends = zip((0, *cuts.tolist()), (*cuts.tolist(), len(t)), strict=True)
+    return [slice(start, stop) for start, stop in ends if good[start]]
+
 
 _MOST_LOGS = 3  # with a figure each; the tables hold all
 _COLUMNS = 250  # of a figure

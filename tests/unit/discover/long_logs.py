@@ -9,7 +9,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from seqid_cli.discover.excerpts.excerpts import Excerpts, take_excerpts
+from seqid_cli.discover.excerpts import Excerpts, take_excerpts
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.logs.recording import Recording

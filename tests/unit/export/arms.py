@@ -14,7 +14,7 @@ from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Array, Robot
-from seqid_cli.robot.urdf.text import read_urdf_text
+from seqid_cli.robot.urdf import read_urdf_text
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_6R, NAMES_GANTRY, urdf_6r, urdf_gantry
 from tests.plants.robots.stages import random_bodies, save_robot, seven_joints, stages_of

@@ -11,7 +11,7 @@ from seqid_cli.motion.planned import sampled
 from seqid_cli.plan.functions import plan
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.robot.types import Robot
-from seqid_cli.robot.urdf.geometry import geometry_of
+from seqid_cli.robot.urdf_model import geometry_of
 from tests.plants.robots.small import joint, link, urdf
 from tests.plants.robots.stages import save_robot
 

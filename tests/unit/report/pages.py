@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from seqid_cli.identify.prediction.predict import LogPrediction
-from seqid_cli.identify.prediction.torques_parquet import parquet_writer
+from seqid_cli.identify.prediction.torque_files import parquet_writer
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import Document, Source

@@ -13,7 +13,7 @@ pytest.importorskip("distributed", reason="Dask is not installed (seqid[dask])")
 from seqid_cli.commands.app import run
 from seqid_cli.errors import UsageError
 from seqid_cli.identify import RigidOptions, inertia
-from seqid_cli.scale.executors import dask_cluster
+from seqid_cli.scale import dask_cluster
 from tests import ROOT
 
 pytestmark = [
@@ -62,7 +62,7 @@ def test_the_cluster_changes_no_bit_and_no_order(
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
 def test_a_missing_scheduler_is_named(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("seqid_cli.scale.executors.PATIENCE_S", 0.2)
+    monkeypatch.setattr("seqid_cli.scale.PATIENCE_S", 0.2)
     with pytest.raises(UsageError, match="no Dask scheduler answers"), dask_cluster(address):
         raise AssertionError
 

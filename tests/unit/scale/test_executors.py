@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.scale.executors import Reply, WorkerError, ordered, processes
+from seqid_cli.scale import Reply, WorkerError, ordered, processes
 
 
 @dataclass(frozen=True)

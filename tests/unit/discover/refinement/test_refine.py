@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.discover.excerpts import excerpts
+from seqid_cli.discover import excerpts
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import held_out

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from seqid_cli.identify.prediction.predict import LogPrediction
-from seqid_cli.identify.prediction.torques_mcap import TOPICS, mcap_writer
+from seqid_cli.identify.prediction.torque_files import TOPICS, mcap_writer
 from tests import ROOT
 from tests.plants.robots.made import made_prediction
 

@@ -19,7 +19,7 @@ from seqid_cli.logs.mcap.rosbags import _bounded
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import expand
-from seqid_cli.robot.toml.schema import Channels
+from seqid_cli.robot.toml_schema import Channels
 from tests.unit.logs import format_writers as formats
 from tests.unit.logs.format_writers import T0_NS, Data, rosbag1, rosbag2_sqlite, write_bag
 from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot

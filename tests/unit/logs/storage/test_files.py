@@ -13,7 +13,7 @@ import pytest
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.storage.files import check_log, expand
-from seqid_cli.logs.storage.temporary import temporary_folder
+from seqid_cli.logs.storage.remote import temporary_folder
 
 
 def write(folder: Path, names: str) -> Path:

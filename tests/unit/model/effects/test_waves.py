@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from seqid_cli.model.effects.effect import Settings
+from seqid_cli.model.effects.periodic_disturbance import Signal, strongest_lines
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.spectral_lines import Signal, strongest_lines
 from seqid_cli.model.effects.torque_ripple import LAWS, TorqueRipple
 from tests import Array
 from tests.plants.robots.two_joint import GEAR, two_joint_robot

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from seqid_cli.discover import excerpts
 from seqid_cli.discover.diagnosis import diagnose
-from seqid_cli.discover.excerpts import excerpts, residual_survey
-from seqid_cli.discover.excerpts.excerpts import Excerpts, one_each, take_excerpts
+from seqid_cli.discover.excerpts import Excerpts, one_each, take_excerpts
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
@@ -125,7 +125,7 @@ def test_memory_of_the_pass_does_not_grow_with_the_log(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Bytes at the worst moment, of the same log three and nine times over."""
-    monkeypatch.setattr(residual_survey, "SPAN", 500)
+    monkeypatch.setattr(excerpts, "SPAN", 500)
     case, log, peaks = long_case(), long_case().log, []
     known = {"robot": case.robot, "stages": case.stages, "options": InertiaOptions()}
     for times in (3, 9):
@@ -136,7 +136,7 @@ def test_memory_of_the_pass_does_not_grow_with_the_log(
         surveyed = open_surveyed(path, case.robot)
         gc.collect()
         tracemalloc.start()
-        residual_survey.residual_survey(surveyed, **known)
+        excerpts.residual_survey(surveyed, **known)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.15 * peaks[0]

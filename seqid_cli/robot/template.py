@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
-from seqid_cli.robot.toml.schema import SCHEMA, Columns
+from seqid_cli.robot.toml_schema import SCHEMA, Columns
 from seqid_cli.templates import filled
 
 if TYPE_CHECKING:

@@ -11,9 +11,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.toml.checks import LARGEST, LEAST_AXIS, nearest
-from seqid_cli.robot.toml.read import read_limited
-from seqid_cli.robot.toml.schema import JointEntry
+from seqid_cli.robot.toml import LARGEST, LEAST_AXIS, nearest, read_limited
+from seqid_cli.robot.toml_schema import JointEntry
 
 SIZE_LIMIT = 64 * 2**20  # bytes
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})

@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from seqid_cli.logs.checks.lost_samples import Mended, mended
 from seqid_cli.logs.long import open_long
+from seqid_cli.logs.lost_samples import Mended, mended
 from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.read import read_recording
 from tests import Array

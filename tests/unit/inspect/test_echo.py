@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from seqid_cli.logs.checks.echo import echoes
+from seqid_cli.inspect.dynamics.echo import echoes
 from tests import Array
 from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.discover.drawn_logs import wander

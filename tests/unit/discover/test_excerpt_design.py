@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.discover.excerpts.excerpts import PIECE_S, excerpts_of
-from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey
+from seqid_cli.discover.excerpts import PIECE_S, ResidualSurvey, excerpts_of
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.logs.recording import Whole
 from tests import Array

@@ -1,1 +1,0 @@
-"""Excerpts of logs that are too long to be held."""

@@ -1,1 +1,0 @@
-"""The robot file: its schema, reading, checks, and a template to begin with."""

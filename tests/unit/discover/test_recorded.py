@@ -8,6 +8,7 @@ import pytest
 
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recording
@@ -111,3 +112,10 @@ def test_ripple_of_a_harmonic_drive() -> None:
     # joint turn, are the same line
     assert any(abs(order - 2.0) < 0.025 for order in orders)
     assert not any(abs(order - 177.0 / 101.0) < 0.03 for order in orders)
+
+
+def test_diagnosis_of_an_echo_is_refused() -> None:
+    with pytest.raises(InputError, match="echo of the command") as caught:
+        diagnosed("dfki_simple_pendulum", ["gravity_compensation.parquet"])
+    assert caught.value.where.endswith("gravity_compensation.parquet")
+    assert "motor current" in caught.value.hint

@@ -91,7 +91,8 @@ def lines(data: bytearray, rng: np.random.Generator) -> None:
     data[:] = b"\n".join(rows)
 
 
-BINARY: tuple[Damage, ...] = (flip, cut, lose, zero, junk, word, word, copy)
+BYTES: tuple[Damage, ...] = (flip, cut, lose, zero, junk)
+BINARY: tuple[Damage, ...] = (*BYTES, word, word, copy)
 TEXT: tuple[Damage, ...] = (flip, cut, lose, junk, copy, *([token] * 12), swap, lines, lines)
 
 

@@ -191,6 +191,10 @@ def _alone(group: Group, names: Iterable[str]) -> list[Condition]:
     return [_single(group, rig, name, seed, size) for seed, size, rig, name in every]
 
 
+def outside() -> list[Condition]:
+    return _alone("outside", OUTSIDE)
+
+
 def clean() -> Iterator[Condition]:
     for number, sensors in enumerate(SENSORS):
         first = CLEAN_SEED + SEEDS_APART * number
@@ -227,13 +231,7 @@ def starts() -> Iterator[Condition]:
 
 
 def matrix() -> tuple[Condition, ...]:
-    return (
-        *clean(),
-        *_alone("catalogue", CATALOGUE),
-        *pairs(),
-        *_alone("outside", OUTSIDE),
-        *starts(),
-    )
+    return (*clean(), *_alone("catalogue", CATALOGUE), *pairs(), *outside(), *starts())
 
 
 def in_the_model(condition: Condition, name: str) -> bool:

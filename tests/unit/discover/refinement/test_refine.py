@@ -23,7 +23,8 @@ from seqid_cli.motion import blocks as motion_blocks
 from seqid_cli.params.schema import ParameterFile
 from tests.plants.robots.identified import sequential
 from tests.plants.robots.sample import sample_rig
-from tests.studies.loop.logs import Case, recorded
+from tests.studies.loop.logs import recorded
+from tests.studies.undeclared.cases import Condition
 from tests.studies.undeclared.refine import file_of
 from tests.unit.discover.long_logs import long_case
 
@@ -181,7 +182,8 @@ def test_smooth_terms_are_proposed_where_they_were_not_allowed_yet() -> None:
 
 @pytest.mark.slow
 def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) -> None:
-    logs = recorded(Case("two", "load_dependent_friction", 0, 12), tmp_path)
+    effects = (("load_dependent_friction", 0, 1.0),)
+    logs = recorded(Condition("starts", "two", 12, effects, "sequential_with"), tmp_path)
     first, *rest = logs.robot.joints
     reflected = first.gear_ratio**2 * first.rotor_inertia
     robot = replace(logs.robot, joints=(replace(first, rotor_inertia=None), *rest))

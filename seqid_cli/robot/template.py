@@ -54,7 +54,7 @@ def robot_toml(template: RobotTemplate) -> str:
         "pattern": partial(json.dumps, ensure_ascii=False),
     }
     content = {**vars(template), "schema": SCHEMA}
-    return filled("seqid_cli.robot.toml", "robot.toml.j2", content, filters=filters)
+    return filled("seqid_cli.robot", "robot.toml.j2", content, filters=filters)
 
 
 def _number(value: float, digits: int) -> str:

@@ -77,8 +77,6 @@ def largest_mass(robot: Robot, bodies: Array, armature: Array, *, positions: int
     """Return the largest entries (n, n) of the mass matrix over random positions, kg m^2."""
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, size=(positions, robot.n))
     rest, zero = np.zeros_like(q), np.zeros(3)
-    columns = [
-        inverse_dynamics(robot.chain, zero, bodies, q, rest, np.broadcast_to(unit, q.shape))
-        for unit in np.eye(robot.n)
-    ]
+    pushes = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.n))
+    columns = [inverse_dynamics(robot.chain, zero, bodies, q, rest, ddq) for ddq in pushes]
     return np.asarray(np.abs(np.stack(columns, axis=2)).max(axis=0) + np.diag(armature))

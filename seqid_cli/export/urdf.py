@@ -36,9 +36,9 @@ def urdf(model: ExportModel) -> str:
     for k, body in enumerate(bodies):
         own = rendered("inertial.urdf.jinja", model, body=Body.of(model.nearest.links[k]))
         _replace(links[body.link], "inertial", _parsed(own), missing=True)
-        for link in (links[name] for name in body.merged):
+        for name in body.merged:
             part = document.createComment(f" seqid: part of {plain(body.link)} ")
-            _replace(link, "inertial", part)
+            _replace(links[name], "inertial", part)
         _set_joint(document, joints[model.robot.joint_names[k]], model, k)
         if model.nearest.rotor[k] > 0.0:
             _set_rotor(document, root, model, k)

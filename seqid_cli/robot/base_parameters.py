@@ -19,15 +19,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.robot.regressor import (
-    PER_LINK,
-    Coupling,
-    columns_by_link,
-    gravity_regressor,
-    link_blocks,
-    rotor_regressor,
-    torque_regressor,
-)
+from seqid_cli.robot import regressor
+from seqid_cli.robot.regressor import PER_LINK, Coupling
 from seqid_cli.robot.types import Array, Chain, Robot
 
 STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -118,35 +111,28 @@ def standard_regressor(
     `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `coupling` {"diagonal",
     "gyroscopic"}. Returns (N, n, 11 n).
     """
-    Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
-    rotors = rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
+    Y = regressor.torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
+    rotors = regressor.rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
     return np.concatenate((Y, rotors), axis=2)
 
 
 def base_regressor(
-    robot: Robot,
-    basis: Basis,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    *,
-    spare: int = 0,
-    out: Array | None = None,
+    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, *, out: Array | None = None
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
-    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `spare`: columns to be filled
-    by the caller; zeros without `out`. `out` (n, b + spare, M): written to, where `loaded_columns`
-    tells that H can differ from zero; zeros elsewhere. Returns (N, n, b + spare): each column
-    contiguous in memory.
+    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `out` (n, b or more, M):
+    written to, where `loaded_columns` tells that H can differ from zero; zeros elsewhere. More
+    columns are the caller's. Returns (N, n, b or more): each column contiguous in memory.
     """
-    whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
+    whole = np.zeros((robot.n, basis.size, len(q))) if out is None else out
     H = whole[:, :, : len(q)]
     P, rotors = np.split(basis.representative, [PER_LINK * robot.n])
-    kept = columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
+    kept = regressor.columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
     if out is not None:
         H[:, : basis.size] = 0.0
-    for i, rows, block in link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept):
+    blocks = regressor.link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept)
+    for i, rows, block in blocks:
         for column, c in enumerate(PER_LINK * i + kept[i]):
             for k in np.flatnonzero(P[c]):
                 H[: i + 1, k, rows] += P[c, k] * block[:, column]
@@ -179,8 +165,7 @@ def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
 def base_parameters(robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10) -> Basis:
     """Find the base parameters of the rigid body and of the rotors to identify, gravity's first.
 
-    `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known and left
-    out.
+    `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known, left out.
     """
     W_gravity, W = _random_regressors(robot)
     order = _reading_order(robot.chain)
@@ -214,8 +199,7 @@ def _reading_order(chain: Chain) -> list[int]:
     for i in range(chain.n):
         along = int(np.argmax(np.abs(chain.axis[i])))
         first, last = [k for k in range(3) if k != along]
-        axes = ("x", "y", "z")
-        diagonal = [f"I{axes[k]}{axes[k]}" for k in (first, along, last)]
+        diagonal = [f"I{2 * 'xyz'[k]}" for k in (first, along, last)]
         kinds = ["mx", "my", "mz", diagonal[0], "Ixy", "Ixz", "Iyz", *diagonal[1:], "m"]
         order += [PER_LINK * i + STANDARD.index(kind) for kind in kinds]
     return order
@@ -231,7 +215,7 @@ def _random_regressors(robot: Robot) -> tuple[Array, Array]:
     q = q * np.where(robot.chain.prismatic, 1.0, np.pi)
     Y = standard_regressor(robot, q, 3.0 * dq, 10.0 * ddq, coupling="diagonal")
     Y_gravity = np.zeros_like(Y)
-    Y_gravity[:, :, : PER_LINK * n] = gravity_regressor(robot.chain, robot.gravity, q)
+    Y_gravity[:, :, : PER_LINK * n] = regressor.gravity_regressor(robot.chain, robot.gravity, q)
     return Y_gravity.reshape(-1, Y.shape[2]), Y.reshape(-1, Y.shape[2])
 
 

@@ -97,9 +97,8 @@ class LinkMotion:
 
 def cross(u: Array, v: Array) -> Array:
     """Take the cross product along the first axis (3, ...), with broadcasting."""
-    return np.stack(
-        (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
-    )
+    x, y = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2]
+    return np.stack((x, y, u[0] * v[1] - u[1] * v[0]))
 
 
 def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
@@ -113,9 +112,8 @@ def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
     cosine = chain.rotation @ (turning * (np.eye(3) - along))
     sine = chain.rotation @ (turning * np.stack([skew(axis) for axis in chain.axis]))
     parts = np.stack((still, cosine, sine), axis=-1).reshape(chain.n, 9, 3)
-    R = (parts @ np.stack((np.ones_like(q), np.cos(q), np.sin(q)), axis=1)).reshape(
-        chain.n, 3, 3, -1
-    )
+    turns = np.stack((np.ones_like(q), np.cos(q), np.sin(q)), axis=1)
+    R = (parts @ turns).reshape(chain.n, 3, 3, -1)
     slide = (1.0 - turning[:, 0]) * np.einsum("nab,nb->na", chain.rotation, chain.axis)
     return R, chain.position[:, :, None] + slide[:, :, None] * q[:, None, :]
 
@@ -173,8 +171,7 @@ def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) ->
     """Vector a (K, 2) m/s^2 of Eq. 13 at positions q (K,) of one joint, the others locked.
 
     `configuration` (n,): positions of the joints before it [rad]. (K, 1) for a prismatic joint,
-    whose gravity force is mass times gravity along the axis; no column where gravity has no part
-    across the axis.
+    whose gravity force is mass times gravity along the axis; (K, 0) where none is across the axis.
     """
     zero = configuration.copy()
     zero[joint] = 0.0

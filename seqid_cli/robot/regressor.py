@@ -14,8 +14,7 @@ each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered).
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,18 +24,13 @@ from seqid_cli.robot.types import Array, Chain
 
 PER_LINK = 10
 Kinds = NDArray[np.intp]
+Columns = Sequence[int] | None  # of the regressor; None is all
 Coupling = Literal["diagonal", "gyroscopic"]
 _BLOCK = 4096  # samples at a time: numpy call overhead against cache
 
 
 def torque_regressor(
-    chain: Chain,
-    gravity: Array,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    *,
-    columns: Sequence[int] | None = None,
+    chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array, *, columns: Columns = None
 ) -> Array:
     """Compute the regressor Y of the rigid-body joint torque: tau = Y phi (Eq. 3, without rotors).
 
@@ -75,7 +69,7 @@ def link_blocks(
     largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
     room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
     starts = np.cumsum([0, *(len(kinds) for kinds in kept)])
-    walk = _Walk.along(chain, min(_BLOCK, len(q)))
+    walk = _Walk(chain, min(_BLOCK, len(q)))
     for start in range(0, len(q), _BLOCK):
         rows = slice(start, min(start + _BLOCK, len(q)))
         state = (np.ascontiguousarray(x[rows].T) for x in (q, dq, ddq))
@@ -117,7 +111,7 @@ def rotor_regressor(
         Y[i, i] = gear_ratio[i] ** 2 * ddq[:, i]
     if coupling == "gyroscopic":
         state = (np.ascontiguousarray(x.T) for x in (q, dq, ddq))
-        walk = _Walk.along(chain, len(q))
+        walk = _Walk(chain, len(q))
         for i, link in enumerate(walk.links(np.zeros(3), *state), start=1):
             if i == n or chain.prismatic[i]:
                 continue
@@ -138,8 +132,7 @@ def inverse_dynamics(
     rad/s^2; m where prismatic].
     """
     motion = link_motion(chain, gravity, q.T, dq.T, ddq.T)
-    force = np.zeros((3, len(q)))
-    moment = np.zeros((3, len(q)))
+    force, moment = np.zeros((2, 3, len(q)))
     tau = np.empty((chain.n, len(q)))
     for i in reversed(range(chain.n)):
         w, dw, a = motion.w[i], motion.dw[i], motion.a[i]
@@ -154,53 +147,33 @@ def inverse_dynamics(
     return np.ascontiguousarray(tau.T)
 
 
-def columns_by_link(n: int, columns: Sequence[int] | None) -> list[Kinds]:
-    """Split columns of the regressor, in ascending order, into those of each link; None is all."""
+def columns_by_link(n: int, columns: Columns) -> list[Kinds]:
+    """Split columns of the regressor, in ascending order, into those of each link."""
     every = np.arange(PER_LINK * n) if columns is None else np.asarray(columns, dtype=np.intp)
     return [every[every // PER_LINK == i] % PER_LINK for i in range(n)]
 
 
-@dataclass(frozen=True)
-class _Link:
+class _Link(NamedTuple):
     """The load of a link, in its frame, samples last; the next link but one uses the arrays again.
 
-    `rows` (36, N) holds, for one product with a constant matrix to carry all to the next link,
-    12 of `load`'s z, w, dw, 12 of `load`'s l, and 6 unused. `load` (2, 3, 4, N) makes the force of
-    mass and first moment: m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c).
-    `screws` (2, 3, i + 1, N) are those of joints 0..i: z, then l.
+    `load` (2, 3, 4, N) makes the force of mass and first moment: m and c of z . (c x a) =
+    (a x z) . c, and of l . (m a + H c). `screws` (2, 3, i + 1, N) are those of joints 0..i: z,
+    then l.
     """
 
-    rows: Array
+    w: Array
+    dw: Array
+    load: Array
     screws: Array
 
-    @property
-    def w(self) -> Array:
-        return self.rows[12:15]
 
-    @property
-    def dw(self) -> Array:
-        return self.rows[15:18]
-
-    @property
-    def load(self) -> Array:
-        return self.rows.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
-
-
-@dataclass(frozen=True)
 class _Walk:
-    """Walks along a chain, in the same arrays every time."""
+    """Walks along a chain, so many samples at a time, in the same arrays every time."""
 
-    chain: Chain
-    carriers: list[tuple[Array, Array]]
-    rows: Array  # (2, 36, N): of this link and the one before
-    screws: Array  # (2, 6, n N)
-
-    @classmethod
-    def along(cls, chain: Chain, samples: int) -> "_Walk":
-        """Make room for so many samples at a time."""
+    def __init__(self, chain: Chain, samples: int) -> None:
         # Matrices (9, 18) that carry (w, dw, a | H), (6, 6) that carry (z, l) to a frame fixed in
         # the link before, turned by C and placed at p.
-        carriers = []
+        self.chain, self.carriers = chain, list[tuple[Array, Array]]()
         for C, p in zip(chain.rotation, chain.position, strict=True):
             to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
             to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
@@ -208,10 +181,11 @@ class _Walk:
             to_motion[6:, 6:] = C.T @ np.kron(np.eye(3), point)
             to_screws[:3, :3] = to_screws[3:, 3:] = C.T
             to_screws[3:, :3] = -C.T @ skew(p)
-            carriers.append((to_motion, to_screws))
+            self.carriers.append((to_motion, to_screws))
+        # Of this link and the one before: screws, and for one product with a constant matrix to
+        # carry all to the next link, 12 rows of the load's z, w, dw, 12 of its l, and 6 unused.
         # Zeros, because mass and own component of the moment in z . (c x a) are never written.
-        rows, screws = np.zeros((2, 36, samples)), np.empty((2, 6, chain.n * samples))
-        return cls(chain, carriers, rows, screws)
+        self.rows, self.screws = np.zeros((2, 36, samples)), np.empty((2, 6, chain.n * samples))
 
     def links(self, gravity: Array, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
         """Carry motion and screws from link to link; q, dq, ddq (n, M), M not above N."""
@@ -226,11 +200,13 @@ class _Walk:
             np.matmul(to_screws, screws[old, :, : i * samples], out=carried)
             before = carried.reshape(2, 3, i, samples)
             every = screws[new, :, : (i + 1) * samples].reshape(2, 3, i + 1, samples)
-            link = _Link(rows[new], every)
+            own = rows[new]
+            load = own.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
+            link = _Link(own[12:15], own[15:18], load, every)
             move = _slide if self.chain.prismatic[i] else _turn
             move(motion, before, axis, q[i], dq[i], ddq[i])
-            link.rows[12:18] = motion[:2].reshape(6, samples)
-            (turning, moving), a = link.load, motion[2]
+            own[12:18] = motion[:2].reshape(6, samples)
+            (turning, moving), a = load, motion[2]
             np.copyto(moving[:, 0], a)
             fill_motion_matrix(moving[:, 1:], link.w, link.dw)
             turning[1, 1], turning[2, 1] = -a[2], a[1]
@@ -265,9 +241,8 @@ def _turn_back(vectors: Array, axis: Array, cosine: Array, sine: Array) -> None:
         v *= cosine
         v -= from_u
         return
-    along = np.einsum("a,ga...->g...", axis, vectors)[:, None] * axis.reshape(
-        (1, 3) + (1,) * (vectors.ndim - 2)
-    )
+    beside = axis.reshape((1, 3) + (1,) * (vectors.ndim - 2))
+    along = np.einsum("a,ga...->g...", axis, vectors)[:, None] * beside
     across = np.einsum("ab,gb...->ga...", skew(axis), vectors)
     vectors[:] = cosine * (vectors - along) + along - sine * across
 

@@ -32,8 +32,7 @@ class RobotTemplate:
     """The content of the file.
 
     `urdf` is the path to write (None for a DH stub), `effort` what the log carries ("torque",
-    "current", "effort" where it does not say which, or empty), `left_out` are joints of the URDF
-    that are not in the log.
+    "current", "effort" if it does not say, or empty), `left_out` are joints that the log lacks.
     """
 
     name: str

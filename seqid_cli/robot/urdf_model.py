@@ -37,9 +37,8 @@ def chain_from_urdf(
 ) -> tuple[Chain, Array | None]:
     """Build the chain of the joints `names`, all other joints locked at zero and merged.
 
-    Quarter turns and zeros that it rounds are exact (see `tidy_rotation`). Raises ConfigError, of
-    the robot file `source`: the URDF is inconsistent, or `names` is not a serial chain in this
-    order.
+    Quarter turns and zeros that it rounds are exact (see `tidy_rotation`). Raises ConfigError: the
+    URDF is inconsistent, or in the robot file `source` `names` is no serial chain in this order.
     """
     whole = whole_model(urdf)
     others = [k for k in range(1, whole.njoints) if whole.names[k] not in names]

@@ -163,14 +163,12 @@ def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     for a in range(4):
         probe[a : a + chunk.intervals] += JERK[a] * over
     answer = solution.inverse(probe.reshape(-1, 1)).reshape(-1, n)
-    found, seen = (
-        jerk_of(c, chunk.spacing) / (jerk.size * jerk.relative) for c in (solution.c, answer)
-    )
+    usual = jerk.size * jerk.relative
+    found, seen = (jerk_of(c, chunk.spacing) / usual for c in (solution.c, answer))
     # Expectation and maximisation for the correlations, the faster fixed point for the sizes.
     left_open = signs.T @ seen
     second = found.T @ found + 0.5 * (left_open + left_open.T)
-    renewed = _renewed_jerk(chunk, solution.c, jerk, seen * signs)
-    return replace(renewed, correlation=_correlation(second))
+    return replace(_renewed_jerk(solution, seen * signs), correlation=_correlation(second))
 
 
 def _correlation(second: Array, *, shrink: float = 0.02) -> Array:
@@ -184,9 +182,7 @@ def _correlation(second: Array, *, shrink: float = 0.02) -> Array:
 
 
 def _renewed_jerk(
-    chunk: Chunk,
-    c: Array,
-    jerk: Jerk,
+    solution: Solution,
     left_open: Array,
     *,
     least_jerk: float = 30.0,
@@ -203,9 +199,9 @@ def _renewed_jerk(
     # `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk that the
     # data leave to its prior. The rest tells its size: all intervals together, those nearby how it
     # compares there. Where they tell nothing it is taken to be as large as on the average.
-    m = chunk.intervals
+    chunk, jerk, m = solution.chunk, solution.jerk, solution.chunk.intervals
     known = np.maximum(m - left_open.sum(axis=0), least_known * m)
-    found = jerk_of(c, chunk.spacing)
+    found = jerk_of(solution.c, chunk.spacing)
     size = np.sqrt(np.sum((found / jerk.relative) ** 2, axis=0) / known)
     size = np.clip(size, jerk.size / largest_change, jerk.size * largest_change)
     size = np.maximum(size, least_jerk)

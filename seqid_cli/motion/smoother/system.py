@@ -6,16 +6,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from seqid_cli.motion.imu.sensor import link_slopes, link_state
-from seqid_cli.motion.smoother.chunk import (
-    JERK,
-    Chunk,
-    Jerk,
-    Mounted,
-    jerk_of,
-    mean_motion,
-    sampled,
-    spline_weights,
-)
+from seqid_cli.motion.smoother import chunk as splines
+from seqid_cli.motion.smoother.chunk import Chunk, Jerk, Mounted, jerk_of, mean_motion, sampled
 from seqid_cli.typing import Array, Index, Mask
 
 Constants = Literal["none", "clock", "place", "all"]  # all but the channels' axes: "place"
@@ -41,7 +33,7 @@ class Normal(NamedTuple):
 def _encoders(chunk: Chunk, c: Array) -> tuple[Array, Array]:
     """What encoders say of each joint: information (M, n, 4, 4) and gradients (4, M, n)."""
     m, every, n = chunk.intervals, chunk.every, chunk.joints
-    at_edges = spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
+    at_edges = splines.spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
     speed = sampled(c, chunk.knots[:, 1]).transpose(1, 0, 2).reshape(m * every, n)
     weight, seen = np.zeros((2, 2, m * every, n))  # of samples, and of the edges behind them
     for j, view in enumerate(chunk.views):
@@ -107,7 +99,7 @@ def normal_equations(
     # Each interval tells of its own four coefficients. `stretch`: intervals laid out at once.
     m, n, count = chunk.intervals, chunk.joints, len(chunk.cells)
     own, pulls = _encoders(chunk, c)
-    rise, precision = JERK / chunk.spacing**3, jerk.precision
+    rise, precision = splines.JERK / chunk.spacing**3, jerk.precision
     unlikely = jerk_of(c, chunk.spacing) / jerk.relative @ precision / jerk.relative
     pulls -= rise[:, None, None] * unlikely
     slots = list(chosen(chunk, constants)) if linear else []

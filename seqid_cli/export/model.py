@@ -26,29 +26,21 @@ _LEFT_OUT = "cannot be written to a model file and is left out"
 
 @dataclass(frozen=True)
 class ExportModel:
-    """One arm, ready to be written.
-
-    `nearest`: standard parameters that are written as each link's inertial, and rotor inertias,
-    motor side [kg m^2]. `kept` (n, 10): the rest of each body: links behind other joints, which
-    keep theirs. `deviations`: of every identified base parameter. `springs` (n, 4): torque of a
-    joint by powers of its position [N m, N m/rad ...]; `gaps` (n,): backlash [rad]. `observer`:
-    when a momentum observer raises an alarm. `notes`: what the reader of the file has to know.
-    `urdf`: that of the robot, if any, and the `links` of it that belong to each joint.
-    """
+    """One arm, ready to be written."""
 
     robot: Robot
-    urdf: UrdfText | None
-    links: tuple[UrdfBody, ...]
-    nearest: NearestBodies
-    kept: Array
+    urdf: UrdfText | None  # that of the robot
+    links: tuple[UrdfBody, ...]  # of the URDF that belong to each joint; empty without one
+    nearest: NearestBodies  # links' inertials as written, and rotor inertias, motor side, kg m^2
+    kept: Array  # (n, 10) the rest of each body: links behind other joints, which keep theirs
     coupling: Coupling
     surfaces: tuple[FrictionSurface | None, ...]
     friction: tuple[ExportedFriction | None, ...]
-    deviations: tuple[ExportedParameter, ...]
-    springs: Array
-    gaps: Array
-    observer: Thresholds
-    notes: tuple[str, ...]
+    deviations: tuple[ExportedParameter, ...]  # of every identified base parameter
+    springs: Array  # (n, 4) torque of a joint by powers of its position, N m, N m/rad ...
+    gaps: Array  # (n,) rad, backlash
+    observer: Thresholds  # when a momentum observer raises an alarm
+    notes: tuple[str, ...]  # what the reader of the file has to know
 
     @property
     def bodies(self) -> Array:

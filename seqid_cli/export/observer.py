@@ -23,16 +23,12 @@ _POSITIONS = 41
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Limits of a momentum observer.
+    """Limits of a momentum observer."""
 
-    `gain` 1/s; `limit` (n,) N m of each joint, infinite where its error is not known. Slower than
-    `slow` (n,) rad/s friction is known only to lie within +-`stiction` (n,) N m.
-    """
-
-    gain: float
-    limit: Array
-    stiction: Array
-    slow: Array
+    gain: float  # 1/s
+    limit: Array  # (n,) N m, infinite where the error of a joint is not known
+    stiction: Array  # (n,) N m, within +- of which friction is known to lie at speeds below `slow`
+    slow: Array  # (n,) rad/s
 
 
 def thresholds(

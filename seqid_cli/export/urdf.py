@@ -2,8 +2,7 @@
 
 URDF has no place for rotor inertia. It is written where readers look for it: as `drake:` tags in
 the joint's transmission (with the gear ratio beside it, as Drake reads them), in a comment, and
-beside friction as a parameter of the joint in a `ros2_control` system, which is added to a URDF
-that has none.
+beside friction as a parameter of the joint in a `ros2_control` system, added where there is none.
 """
 
 from xml.dom import minidom

@@ -116,8 +116,7 @@ def _directions(position: Array, step: float) -> list[tuple[int, int]]:
     for i in (np.flatnonzero(np.diff(counts)) + 1).tolist():
         change = position[i] - position[extreme]
         if direction == 0 and abs(change) > 3 * step:
-            direction = int(np.sign(change))
-            extreme = i
+            direction, extreme = int(np.sign(change)), i
         elif direction * change > 0:
             extreme = i
         elif direction != 0 and abs(change) > 3 * step:

@@ -2,7 +2,7 @@
 
 Symbols: phi (p,) standard parameters, 10 per link and then one rotor inertia per joint; `pi` (b,)
 base parameters; E and P as in pi = E phi and Y P pi = Y phi, for every state. Y is the regressor of
-Eq. 3, H = Y P that of Eq. 4.
+Eq. 3, H = Y P that of Eq. 4. States `q`, `dq`, `ddq` (N, n) are those of `regressor`.
 
 Columns of Y are taken one by one in a readable order (first link first, a link's mass
 last, rotors after all links); a column that depends on those before it is dropped and its parameter
@@ -34,18 +34,12 @@ _SNAP = 1e-9
 
 @dataclass(frozen=True)
 class Basis:
-    """Base parameters of one robot.
+    """Base parameters of one robot; a rotor acts on its own joint alone."""
 
-    `names`: the standard parameter that stands for each base parameter. `expression` (b, p): E:
-    base parameters from standard ones, p = 11 n. `representative` (p, b): P: standard parameters,
-    most of them zero, that give the same torque. `gravity` (b,): true for the parameters of the
-    gravity torque; these come first. A rotor acts on its own joint alone.
-    """
-
-    names: tuple[str, ...]
-    expression: Array
-    representative: Array
-    gravity: NDArray[np.bool_]
+    names: tuple[str, ...]  # the standard parameter that stands for each base parameter
+    expression: Array  # E (b, p): base parameters from standard ones, p = 11 n
+    representative: Array  # P (p, b): standard ones, most of them zero, that give the same torque
+    gravity: NDArray[np.bool_]  # (b,) those of the gravity torque; these come first
 
     @property
     def size(self) -> int:
@@ -69,8 +63,7 @@ class Basis:
         """Write base parameter `k` as text, for example ``Izz_1 + 0.16*m_2 + 36*Ia_1``."""
         text = ""
         for name, factor in self.terms(k).items():
-            sign = "-" if factor < 0 else "+"
-            size = abs(factor)
+            size, sign = abs(factor), "-" if factor < 0 else "+"
             part = name if abs(size - 1.0) < _SNAP else f"{size:.6g}*{name}"
             text = f"{text} {sign} {part}" if text else f"{'-' * (factor < 0)}{part}"
         return text
@@ -86,10 +79,8 @@ class Basis:
 
 def parameter_unit(name: str) -> str:
     """Return the SI unit of the standard parameter `name`, for example kg m of "mx_2"."""
-    kind = name.rpartition("_")[0]
-    if kind == "m":
-        return "kg"
-    return "kg m" if kind in {"mx", "my", "mz"} else "kg m^2"
+    units = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m"}
+    return units.get(name.rpartition("_")[0], "kg m^2")
 
 
 def standard_names(n: int) -> tuple[str, ...]:
@@ -106,11 +97,7 @@ def gear_ratios(robot: Robot) -> Array:
 def standard_regressor(
     robot: Robot, q: Array, dq: Array, ddq: Array, *, coupling: Coupling
 ) -> Array:
-    """Compute the regressor of the standard parameters, rotor inertias last (Eq. 3).
-
-    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `coupling` {"diagonal",
-    "gyroscopic"}. Returns (N, n, 11 n).
-    """
+    """Compute the regressor (N, n, 11 n) of the standard parameters, rotors last (Eq. 3)."""
     Y = regressor.torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
     rotors = regressor.rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
     return np.concatenate((Y, rotors), axis=2)
@@ -121,9 +108,9 @@ def base_regressor(
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
-    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `out` (n, b or more, M):
-    written to, where `loaded_columns` tells that H can differ from zero; zeros elsewhere. More
-    columns are the caller's. Returns (N, n, b or more): each column contiguous in memory.
+    `out` (n, b or more, M): written to, where `loaded_columns` tells that H can differ from zero;
+    zeros elsewhere. More columns are the caller's. Returns (N, n, b or more): each column
+    contiguous in memory.
     """
     whole = np.zeros((robot.n, basis.size, len(q))) if out is None else out
     H = whole[:, :, : len(q)]
@@ -143,10 +130,7 @@ def base_regressor(
 
 
 def gravity_base_regressor(robot: Robot, basis: Basis, q: Array) -> Array:
-    """Compute H_g (N, n, g), the columns of the base regressor that gravity has (Eq. 17-19).
-
-    `q` (N, n) [rad; m where prismatic]. At rest the other columns vanish.
-    """
+    """Compute H_g (N, n, g): columns of the base regressor that last at rest (Eq. 17-19)."""
     own, still = int(basis.gravity.sum()), np.zeros_like(q)
     P, names = basis.representative[:, :own], basis.names[:own]
     alone = Basis(names, basis.expression[:own], P, basis.gravity[:own])
@@ -209,8 +193,7 @@ def _random_regressors(robot: Robot) -> tuple[Array, Array]:
     """Stack gravity and full regressors (rows, 11 n) over random states."""
     # Joint limits play no part: the torque is analytic in the state, so columns that depend
     # linearly in one range do so in all, and a wide range shows it with the widest gap.
-    rng = np.random.default_rng(0)
-    n = robot.n
+    rng, n = np.random.default_rng(0), robot.n
     q, dq, ddq = rng.uniform(-1.0, 1.0, size=(3, 3 * (PER_LINK + 1) * n, n))
     q = q * np.where(robot.chain.prismatic, 1.0, np.pi)
     Y = standard_regressor(robot, q, 3.0 * dq, 10.0 * ddq, coupling="diagonal")

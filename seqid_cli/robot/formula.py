@@ -91,9 +91,7 @@ def _tree(text: str, before: int) -> ast.expr:
 def symbol_of(name: str) -> Symbol | None:
     """The quantity that a name stands for; None if for none."""
     match = _SYMBOL.fullmatch(name)
-    if match is None:
-        return None
-    return Symbol(match[1], int(match[2]) - 1 if match[2] else None)
+    return None if match is None else Symbol(match[1], int(match[2]) - 1 if match[2] else None)
 
 
 def is_coefficient(name: str) -> bool:

@@ -7,7 +7,7 @@ minus gravity, all three in the link's own frame. A link is called by the joint 
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,8 +69,7 @@ def chain_from_dh(rows: Sequence[Sequence[float]], sliding: Collection[int] = ()
     return Chain(np.array(rotations), np.array(positions), axes, prismatic)
 
 
-@dataclass(frozen=True)
-class Frames:
+class Frames(NamedTuple):
     """Link frames: `R` (N, n, 3, 3) base from link, origins `p` (N, n, 3) m, axes `z` (N, n, 3)."""
 
     R: Array
@@ -78,21 +77,15 @@ class Frames:
     z: Array
 
 
-@dataclass(frozen=True)
-class LinkMotion:
-    """All links' motion, samples last: the forward pass of Newton-Euler.
+class LinkMotion(NamedTuple):
+    """All links' motion, samples last: the forward pass of Newton-Euler."""
 
-    `R` (n, 3, 3, N) parent from link, `p` (n, 3, N) m origin in the parent, and in the link's own
-    frame `w` (n, 3, N) rad/s, `dw` (n, 3, N) rad/s^2, `a` (n, 3, N) m/s^2 (origin minus gravity)
-    and `H` (n, 3, 3, N) = skew(dw) + skew(w) skew(w): a point at r has acceleration a + H r.
-    """
-
-    R: Array
-    p: Array
-    w: Array
-    dw: Array
-    a: Array
-    H: Array
+    R: Array  # (n, 3, 3, N) parent from link
+    p: Array  # (n, 3, N) m, origin in the parent
+    w: Array  # (n, 3, N) rad/s, as all that follows in the link's own frame
+    dw: Array  # (n, 3, N) rad/s^2
+    a: Array  # (n, 3, N) m/s^2, origin minus gravity
+    H: Array  # (n, 3, 3, N) skew(dw) + skew(w) skew(w): a point at r has acceleration a + H r
 
 
 def cross(u: Array, v: Array) -> Array:

@@ -10,7 +10,8 @@ gravity) the force on a link and the moment about its origin are
 and joint j <= i feels z_j . n + l_j . f, where (z_j, l_j) is its screw carried forward into the
 frame of link i: the angular velocity and the velocity of the link's origin per unit rate. Only
 joint-link pairs with j <= i are formed. Inside, samples are the last axis: of the (N, n, p) results
-each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered).
+each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered). States `q`, `dq`, `ddq`
+(N, n) are in rad, rad/s, rad/s^2 (m where prismatic), `gravity` (3,) in m/s^2 in the base frame.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,9 +35,8 @@ def torque_regressor(
 ) -> Array:
     """Compute the regressor Y of the rigid-body joint torque: tau = Y phi (Eq. 3, without rotors).
 
-    `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where
-    prismatic]. `columns`: the ones to compute of the 10 n, ascending. Returns (N, n, 10 n or
-    len(columns)): link-major, in Pinocchio's order, N m (N where prismatic) per unit.
+    `columns`: the ones to compute of the 10 n, ascending. Returns (N, n, 10 n or len(columns)):
+    link-major, in Pinocchio's order, N m (N where prismatic) per unit.
     """
     kept = columns_by_link(chain.n, columns)
     Y = np.empty((chain.n, sum(len(kinds) for kinds in kept), len(q)))
@@ -61,10 +61,9 @@ def link_blocks(
 ) -> Iterator[tuple[int, slice, Array]]:
     """Compute the regressor of `torque_regressor` piece by piece, to be regrouped.
 
-    `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where
-    prismatic]. `kept`: per link the numbers of its columns to compute, ascending (see
-    `columns_by_link`). `out` (n, p, N): where all columns go, link after link; without it each
-    array is filled anew for the next. Yields: link i, the samples, and the torques of joints 0..i.
+    `kept`: per link the numbers of its columns to compute, ascending (see `columns_by_link`).
+    `out` (n, p, N): where all columns go, link after link; without it each array is filled anew
+    for the next. Yields: link i, the samples, and the torques of joints 0..i.
     """
     largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
     room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
@@ -84,10 +83,7 @@ def link_blocks(
 
 
 def gravity_regressor(chain: Chain, gravity: Array, q: Array) -> Array:
-    """Compute the regressor (N, n, 10 n) of gravity alone (Eq. 18); inertia columns are zero.
-
-    `gravity` (3,) [m/s^2], base frame. `q` (N, n) [rad; m where prismatic].
-    """
+    """Compute the regressor (N, n, 10 n) of gravity alone (Eq. 18); inertia columns are zero."""
     still = np.zeros_like(q)
     return torque_regressor(chain, gravity, q, still, still)
 
@@ -100,10 +96,9 @@ def rotor_regressor(
     "diagonal": rotor i loads its own joint only, by N_i^2 ddq_i (Eq. 2). "gyroscopic": rotor i
     rides on link i-1 and turns about axis i at N_i dq_i relative to it, so that link feels the
     moment N_i (ddq_i z_i + dq_i w x z_i), and joint i also N_i z_i . dw. Its inertia as a dead mass
-    belongs to the link. Rotors of prismatic joints have the diagonal term only. `q`, `dq`, `ddq`
-    (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `gear_ratio` (n,): motor turns per joint turn,
-    signed [rad/m where prismatic]. `coupling` {"diagonal", "gyroscopic"}. Returns (N, n, n): torque
-    of joint j per rotor inertia i at [:, j, i].
+    belongs to the link. Rotors of prismatic joints have the diagonal term only. `gear_ratio` (n,):
+    motor turns per joint turn, signed [rad/m where prismatic]. Returns (N, n, n): torque of joint j
+    per rotor inertia i at [:, j, i].
     """
     n = chain.n
     Y = np.zeros((n, n, len(q)))
@@ -127,9 +122,8 @@ def inverse_dynamics(
 ) -> Array:
     """Compute the joint torque (N, n) [N m; N where prismatic] by recursive Newton-Euler.
 
-    `gravity` (3,) [m/s^2], base frame. `phi` (n, 10): standard parameters, physical or not
-    (Pinocchio's order, inertia about the link frame's origin). `q`, `dq`, `ddq` (N, n) [rad, rad/s,
-    rad/s^2; m where prismatic].
+    `phi` (n, 10): standard parameters, physical or not (Pinocchio's order, inertia about the link
+    frame's origin).
     """
     motion = link_motion(chain, gravity, q.T, dq.T, ddq.T)
     force, moment = np.zeros((2, 3, len(q)))
@@ -154,17 +148,12 @@ def columns_by_link(n: int, columns: Columns) -> list[Kinds]:
 
 
 class _Link(NamedTuple):
-    """The load of a link, in its frame, samples last; the next link but one uses the arrays again.
-
-    `load` (2, 3, 4, N) makes the force of mass and first moment: m and c of z . (c x a) =
-    (a x z) . c, and of l . (m a + H c). `screws` (2, 3, i + 1, N) are those of joints 0..i: z,
-    then l.
-    """
+    """Load of a link, in its frame, samples last; the next link but one uses the arrays again."""
 
     w: Array
     dw: Array
-    load: Array
-    screws: Array
+    load: Array  # (2, 3, 4, N): m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c)
+    screws: Array  # (2, 3, i + 1, N) of joints 0..i: z, then l
 
 
 class _Walk:
@@ -202,19 +191,18 @@ class _Walk:
             every = screws[new, :, : (i + 1) * samples].reshape(2, 3, i + 1, samples)
             own = rows[new]
             load = own.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
-            link = _Link(own[12:15], own[15:18], load, every)
             move = _slide if self.chain.prismatic[i] else _turn
             move(motion, before, axis, q[i], dq[i], ddq[i])
             own[12:18] = motion[:2].reshape(6, samples)
             (turning, moving), a = load, motion[2]
             np.copyto(moving[:, 0], a)
-            fill_motion_matrix(moving[:, 1:], link.w, link.dw)
+            fill_motion_matrix(moving[:, 1:], own[12:15], own[15:18])
             turning[1, 1], turning[2, 1] = -a[2], a[1]
             turning[0, 2], turning[2, 2] = a[2], -a[0]
             turning[0, 3], turning[1, 3] = -a[1], a[0]
             every[:, :, i] = 0.0
             every[int(self.chain.prismatic[i]), :, i] = axis[:, None]
-            yield link
+            yield _Link(own[12:15], own[15:18], load, every)
 
 
 def _turn(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:

@@ -29,19 +29,15 @@ class JointTemplate:
 
 @dataclass(frozen=True)
 class RobotTemplate:
-    """The content of the file.
-
-    `urdf` is the path to write (None for a DH stub), `effort` what the log carries ("torque",
-    "current", "effort" if it does not say, or empty), `left_out` are joints that the log lacks.
-    """
+    """The content of the file."""
 
     name: str
     joints: tuple[JointTemplate, ...]
-    urdf: str | None = None
-    effort: str = ""
+    urdf: str | None = None  # the path to write; None for a DH stub
+    effort: str = ""  # of the log: "torque", "current", "effort" where it does not say, or empty
     imus: tuple["Imu", ...] = ()
     channels: Mapping[str, Columns] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # joints of the URDF that are not in the log
 
 
 def robot_toml(template: RobotTemplate) -> str:

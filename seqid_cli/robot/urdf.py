@@ -29,21 +29,18 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint: limits in rad (m), rad/s (m/s), N m (N), None if not given; `axis` in its own frame.
-
-    `follows` names the joint that it mimics, empty where it moves by itself.
-    """
+    """A joint between two links; limits are None where not given."""
 
     name: str
     kind: str
     parent: str
     child: str
-    follows: str
-    axis: tuple[float, ...]
-    lower: float | None
+    follows: str  # the joint that it mimics; empty where it moves by itself
+    axis: tuple[float, ...]  # (3,) in its own frame
+    lower: float | None  # rad (m)
     upper: float | None
-    velocity: float | None
-    effort: float | None
+    velocity: float | None  # rad/s (m/s)
+    effort: float | None  # N m (N)
 
 
 @dataclass(frozen=True)

@@ -150,8 +150,7 @@ def geometry_of(
     `postures` (P, n): drawn ones, by which links that always touch are found. `boxes`: where no
     link may be. `workspace`: out of which no link may reach. `clearance_m`: how near counts as a
     collision, m. `usual_contact`: share of the postures in which links that touch are not checked
-    against each other. Returns None where there is no URDF, or its links have no shapes, or a mesh
-    is not found.
+    against each other. Returns None without a URDF, without shapes, or where a mesh is not found.
     """
     if robot.urdf is None:
         return None

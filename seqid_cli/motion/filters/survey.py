@@ -31,13 +31,11 @@ class Welch:
         self._differences = differences  # that are taken of the samples first
         self._window = get_window("hann", length)
         self._sum: Array | float = 0.0
-        self._segments = 0
-        self._start = 0  # of the next segment
+        self._segments = self._start = 0  # taken so far; where the next one begins
 
     def look(self, samples: Array, begin: int, *, dense: int = 262144, sparse: int = 4) -> int:
         """Take what is new in samples from number `begin` on; tells which is wanted next."""
-        hop = self.length - self.length // 2
-        wanted = self.length + self._differences
+        hop, wanted = self.length - self.length // 2, self.length + self._differences
         while self._start + wanted <= begin + len(samples):
             start = self._start - begin
             piece = samples[start : start + wanted].T

@@ -136,8 +136,7 @@ def disagreement(
     times the encoder's noise, whose quantisation is not white in slow moves. `max_share`: share of
     the acceleration: what shakes faster than IMUs sample shows up below.
     """
-    seen = encoder.moving.any(axis=0)
-    used = encoder.usable
+    seen, used = encoder.moving.any(axis=0), encoder.usable
     apart = np.sqrt(np.mean((ddq - encoder.ddq)[used] ** 2, axis=0))
     size = np.sqrt(np.mean(encoder.ddq[used] ** 2, axis=0))
     limit = max_noise_ratio * encoder.cutoff.acceleration_noise + max_share * size

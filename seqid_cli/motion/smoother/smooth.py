@@ -152,8 +152,7 @@ def _searched(
 
 def _later(values: Array, lag: int) -> Array:
     """Rows `lag` further on, zero where there are none."""
-    out = np.zeros_like(values)
-    m = len(values)
+    out, m = np.zeros_like(values), len(values)
     out[max(-lag, 0) : m - max(lag, 0)] = values[max(lag, 0) : m + min(lag, 0)]
     return out
 
@@ -168,7 +167,7 @@ def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Arra
     """Residuals (C, K), their noise (K,), whitened Jacobians (C, K, g), information (g, g)."""
     r = _cell_means(chunk, x, x.y - predicted(chunk, c, x))
     noise: Array = np.maximum(x.spread, gaussian_spread(r))
-    G = jacobians(chunk, c, x, gains=False).by_constants[:, :, :count]
+    G = jacobians(chunk, c, x, gains=False)[1][:, :, :count]
     there = np.add.reduceat(x.seen.astype(float), chunk.cells) > 0
     G = G * there[:, :, None] / noise[:, None]
     return r, noise, G, np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]

@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from seqid_cli.motion.smoother import system
 from seqid_cli.motion.smoother.chunk import JERK, Chunk, Jerk, jerk_of
 from seqid_cli.motion.smoother.imus import moved
+from seqid_cli.motion.smoother.system import Constants, Linear, Told, normal_equations
 from seqid_cli.typing import Array, Index
 
 
@@ -25,7 +26,7 @@ class Solution:
     factor: Array  # Cholesky factor of the band
     border: Array  # (Kn, g): inverse of the factor times the border
     schur: Array  # (g, g): information about the constants
-    constants: system.Constants = "none"
+    constants: Constants = "none"
 
     def inverse(self, right: Array) -> Array:
         """Covariance of the coefficients times `right` (Kn, m)."""
@@ -77,7 +78,7 @@ def _factor(band: Array, *, stiffness: tuple[float, ...] = (0.0, 1e-14, 1e-12, 1
 def settled(coarse: Chunk, c: Array, jerk: Jerk, *, known_axes: float = 0.002) -> Solution:
     """Find the IMUs' constants with the motion on coarse knots; axes that are known stay."""
     rng = np.random.default_rng(0)
-    rounds: list[system.Constants] = ["place" if coarse.imus else "none"]
+    rounds: list[Constants] = ["place" if coarse.imus else "none"]
     axes = [np.diag(x.precision)[x.place.channels + 7 :].min() for x in coarse.imus]
     if axes and min(axes) <= known_axes**-2.0:
         rounds.append("all")
@@ -104,21 +105,16 @@ def detailed(fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1)
 
 
 def renewed(
-    chunk: Chunk,
-    c: Array,
-    jerk: Jerk,
-    linear: tuple[system.Cells, ...],
-    constants: system.Constants,
-    told: tuple[Array, ...] | None = None,
+    chunk: Chunk, c: Array, jerk: Jerk, linear: Linear, constants: Constants, told: Told = None
 ) -> Solution:
     """One step of Gauss-Newton about the coefficients `c` (K, n), constants with them."""
-    normal = system.normal_equations(chunk, c, jerk, linear, constants=constants, told=told)
-    factor = _factor(normal.band)
-    border = halved(factor, normal.border)
-    schur = normal.corner - border.T @ border
-    free = halved(factor, normal.gradient[:, None])[:, 0]
+    band, border, corner, gradient, pull = normal_equations(chunk, c, jerk, linear, constants, told)
+    factor = _factor(band)
+    border = halved(factor, border)
+    schur = corner - border.T @ border
+    free = halved(factor, gradient[:, None])[:, 0]
     if len(schur):
-        right = normal.corner_gradient - border.T @ free
+        right = pull - border.T @ free
         found: Array = np.asarray(np.linalg.solve(schur, right), dtype=np.float64)
         free = free - border @ found
         imus = []

@@ -1,8 +1,7 @@
 """Who works on many items: processes of this machine, a Dask cluster, or any other executor.
 
 Everything here takes and gives a `concurrent.futures.Executor`. Results come in the order of the
-items, and what goes wrong comes as an exception that names its item. Kept free of heavy imports for
-the command line.
+items, and what goes wrong comes as an exception that names its item. Imports nothing heavy.
 """
 
 import contextlib
@@ -116,9 +115,8 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
     if forked:
         context.set_forkserver_preload(list(PRELOAD))
     # Whoever asked for the processes deals with interrupts, and ends them.
-    executor = ProcessPoolExecutor(
-        jobs or cores(), context, signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    )
+    deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    executor = ProcessPoolExecutor(jobs or cores(), context, *deaf)
     _ENDED_AT_ONCE.add(executor)
     try:
         yield executor
@@ -146,14 +144,9 @@ def dask_cluster(scheduler: str | None = None, jobs: int | None = None) -> Itera
     with contextlib.ExitStack() as stack:
         address: Any = scheduler
         if scheduler is None:
-            address = stack.enter_context(
-                LocalCluster(
-                    n_workers=jobs or cores(),
-                    threads_per_worker=1,
-                    dashboard_address="127.0.0.1:0",
-                    silence_logs=logging.ERROR,
-                )
-            )
+            quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.ERROR}
+            own = LocalCluster(n_workers=jobs or cores(), threads_per_worker=1, **quiet)
+            address = stack.enter_context(own)
         try:
             client = stack.enter_context(Client(address, timeout=PATIENCE_S, set_as_default=False))
         except (OSError, ValueError, TimeoutError) as error:

@@ -98,15 +98,8 @@ def _judged(
     relative = abs(b - a) / size if size > 0.0 else 0.0
     sigmas = abs(b - a) / error if error > 0.0 else None
     within = sigmas is not None and rule.sigma is not None and sigmas <= rule.sigma
-    return replace(
-        where,
-        a=a,
-        b=b,
-        std_error=error or None,
-        sigmas=sigmas,
-        relative=relative,
-        different=not within and relative > rule.rtol,
-    )
+    judged = replace(where, different=not within and relative > rule.rtol)
+    return replace(judged, a=a, b=b, std_error=error or None, sigmas=sigmas, relative=relative)
 
 
 def _missing(stage: str, name: str, joint: str = "", *, there: bool) -> Difference:
@@ -285,8 +278,7 @@ def _errors(
                 yield _missing(stage, name, joint, there=before is not None)
 
 
-def _verdict_notes(a: schema.Stages, b: schema.Stages) -> list[str]:
-    notes = []
+def _verdict_notes(a: schema.Stages, b: schema.Stages) -> Iterator[str]:
     for name in ("friction", "gravity", "imu", "inertia"):
         one, other = getattr(a, name), getattr(b, name)
         if one is None or other is None:
@@ -296,5 +288,4 @@ def _verdict_notes(a: schema.Stages, b: schema.Stages) -> list[str]:
             before, after = (poor_because(stage.verdicts, joint) for stage in (one, other))
             if joint in judged and bool(before) != bool(after):
                 said = f"poor: {after}" if after else "good"
-                notes.append(f"{name}: the verdict on {joint or 'the stage'} is now {said}")
-    return notes
+                yield f"{name}: the verdict on {joint or 'the stage'} is now {said}"

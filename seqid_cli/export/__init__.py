@@ -22,8 +22,7 @@ def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
     """Write a model in the form that the suffix of `output` stands for.
 
     Forms are URDF, MJCF, ROS 2 parameters, a C header and a numpy module. Links get inertial
-    parameters that a body can have, with the identified torque, as near as possible to those of the
-    URDF.
+    parameters that a body can have, with the identified torque, as near as can be to the URDF's.
 
     Parameters
     ----------

@@ -4,20 +4,15 @@ The joint torque is that of recursive Newton-Euler, with the numbers inlined. Un
 they keep the whole friction surface and the coupling of rotors.
 """
 
-from __future__ import annotations
-
 import re
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from seqid_cli.export.model import ExportModel
 from seqid_cli.export.text import plain, rendered
+from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import FADE
 from seqid_cli.robot.base_parameters import gear_ratios
-
-if TYPE_CHECKING:
-    from seqid_cli.export.model import ExportModel
-    from seqid_cli.model.friction import FrictionSurface
 
 _NO_LIMIT = 1e300  # N m: no alarm from a joint whose error is not known
 _KEYWORDS = frozenset({"auto", "double", "float", "int", "long", "short", "static", "void"})

@@ -53,9 +53,9 @@ def format_of(path: Path) -> str:
 def export(
     robot: Robot, stages: Stages, *, kind: str, errors: Mapping[str, float] | None = None
 ) -> Exported:
-    """Write an identified arm in a form of `FORMATS`; RMS `errors` on new logs set its limits."""
+    """Write an arm in a form of `FORMATS`; RMS torque `errors` [N m] on new logs set its limits."""
     from seqid_cli.export.model import export_model
 
     module, function, holds = _WRITERS[kind]
-    model = export_model(robot, stages, holds=holds, errors=errors)
+    model = export_model(robot, stages, holds, errors)
     return Exported(model, getattr(import_module(f"seqid_cli.export.{module}"), function)(model))

@@ -3,8 +3,7 @@
 Bodies are nested like the chain, in the joints' own frames; links behind joints that were not
 identified are part of the body that carries them, locked at zero. A spring is the joint's
 stiffness (where it is not linear, several numbers, which needs MuJoCo 4), backlash a joint of its
-own between two stiff stops. Capsules along the links show the arm; they have no mass and touch
-nothing.
+own between two stiff stops. Capsules along the links show the arm, without mass or contact.
 """
 
 import numpy as np

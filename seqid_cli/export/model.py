@@ -1,6 +1,6 @@
 """The exported model, whatever the format: bodies, rotors, friction, and effects left out."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,30 +26,21 @@ _LEFT_OUT = "cannot be written to a model file and is left out"
 
 @dataclass(frozen=True)
 class ExportModel:
-    """One arm, ready to be written.
-
-    `nearest`: standard parameters that are written as each link's inertial, and rotor inertias,
-    motor side [kg m^2]. `kept` (n, 10): the rest of each body: links behind other joints, which
-    keep theirs. `deviations`: of every identified base parameter. `springs` (n, 4): torque of a
-    joint by powers of its position [N m, N m/rad ...]; `gaps` (n,): backlash [rad]. `observer`:
-    when a momentum observer raises an alarm. `notes`: what the reader of the file has to know.
-    `urdf`: that of the robot, and the `links` of it that belong to each joint; None where there is
-    none.
-    """
+    """One arm, ready to be written."""
 
     robot: Robot
-    urdf: UrdfText | None
-    links: tuple[UrdfBody, ...]
-    nearest: NearestBodies
-    kept: Array
+    urdf: UrdfText | None  # that of the robot
+    links: tuple[UrdfBody, ...]  # of the URDF that belong to each joint; empty without one
+    nearest: NearestBodies  # links' inertials as written, and rotor inertias, motor side, kg m^2
+    kept: Array  # (n, 10) the rest of each body: links behind other joints, which keep theirs
     coupling: Coupling
     surfaces: tuple[FrictionSurface | None, ...]
     friction: tuple[ExportedFriction | None, ...]
-    deviations: tuple[ExportedParameter, ...]
-    springs: Array
-    gaps: Array
-    observer: Thresholds
-    notes: tuple[str, ...]
+    deviations: tuple[ExportedParameter, ...]  # of every identified base parameter
+    springs: Array  # (n, 4) torque of a joint by powers of its position, N m, N m/rad ...
+    gaps: Array  # (n,) rad, backlash
+    observer: Thresholds  # when a momentum observer raises an alarm
+    notes: tuple[str, ...]  # what the reader of the file has to know
 
     @property
     def bodies(self) -> Array:
@@ -69,11 +60,7 @@ class ExportModel:
 
 
 def export_model(
-    robot: Robot,
-    stages: Stages,
-    *,
-    holds: Collection[str] = (),
-    errors: Mapping[str, float] | None = None,
+    robot: Robot, stages: Stages, holds: Collection[str], errors: Mapping[str, float] | None
 ) -> ExportModel:
     """Find physically consistent parameters of a whole arm.
 
@@ -96,6 +83,7 @@ def export_model(
     nearest = nearest_bodies(robot, demand, kept)
     surfaces = tuple(friction_surfaces(stages, robot))
     friction = tuple(None if s is None else simple_friction(s) for s in surfaces)
+    found = _notes_on_links(robot, stages, demand, nearest)
     mass = largest_mass(robot, nearest.links + kept, gear_ratios(robot) ** 2 * nearest.rotor)
     return ExportModel(
         robot=robot,
@@ -110,11 +98,7 @@ def export_model(
         springs=springs,
         gaps=gaps,
         observer=thresholds(robot, stages, surfaces, mass, errors),
-        notes=(
-            *_notes_on_links(robot, stages, demand, nearest),
-            *_notes_on_friction(robot, friction),
-            *notes,
-        ),
+        notes=(*found, *_notes_on_friction(robot, friction), *notes),
     )
 
 
@@ -148,42 +132,33 @@ def _effects(
 
 def _notes_on_links(
     robot: Robot, stages: Stages, demand: Identified, nearest: NearestBodies
-) -> list[str]:
-    notes = []
+) -> Iterator[str]:
     if stages.inertia is None:
         what = "masses and inertias" if stages.gravity is None else "inertias"
-        notes.append(f"no inertia stage in the file: {what} are the URDF's, as far as gravity lets")
+        yield f"no inertia stage in the file: {what} are the URDF's, as far as gravity lets"
     elif demand.open:
-        notes.append("not determined by the logs, so as in the prior: " + "; ".join(demand.open))
+        yield "not determined by the logs, so as in the prior: " + "; ".join(demand.open)
     joints = zip(robot.joint_names, nearest.from_cad, strict=True)
     if guessed := [name for name, cad in joints if not cad]:
-        notes.append(
-            "no inertial in a URDF, so that what torque does not show was guessed from the arm's "
-            "geometry (the torque does not depend on it): links of " + ", ".join(guessed)
-        )
-    return notes
+        unseen = "no inertial in a URDF, so that what torque does not show"
+        why = f"{unseen} was guessed from the arm's geometry (the torque does not depend on it)"
+        yield f"{why}: links of {', '.join(guessed)}"
 
 
 def _notes_on_friction(
     robot: Robot, friction: tuple[ExportedFriction | None, ...], *, poor: float = 0.2
-) -> list[str]:
-    notes = []
+) -> Iterator[str]:
     for name, fit in zip(robot.joint_names, friction, strict=True):
         if fit is None:
-            notes.append(f"{name}: friction was not identified and is left out")
+            yield f"{name}: friction was not identified and is left out"
             continue
         if fit.rms_misfit > poor * fit.rms:
-            share = 100.0 * fit.rms_misfit / fit.rms
-            notes.append(
-                f"{name}: Coulomb and viscous friction miss {share:.0f} % of the identified "
-                f"friction surface ({fit.rms_misfit:.3g} of {fit.rms:.3g} RMS)"
-            )
+            share = f"{100.0 * fit.rms_misfit / fit.rms:.0f} % of the identified friction surface"
+            sizes = f"({fit.rms_misfit:.3g} of {fit.rms:.3g} RMS)"
+            yield f"{name}: Coulomb and viscous friction miss {share} {sizes}"
         if abs(fit.offset) > poor * fit.rms:
-            notes.append(
-                f"{name}: a constant of {fit.offset:.3g} that does not change with the direction "
-                "has no place in model files"
-            )
-    return notes
+            constant = f"a constant of {fit.offset:.3g} that does not change with the direction"
+            yield f"{name}: {constant} has no place in model files"
 
 
 def simple_friction(surface: FrictionSurface) -> ExportedFriction:

@@ -23,16 +23,12 @@ _POSITIONS = 41
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Limits of a momentum observer.
+    """Limits of a momentum observer."""
 
-    `gain` 1/s; `limit` (n,) N m of each joint, infinite where its error is not known. Slower than
-    `slow` (n,) rad/s friction is known only to lie within +-`stiction` (n,) N m.
-    """
-
-    gain: float
-    limit: Array
-    stiction: Array
-    slow: Array
+    gain: float  # 1/s
+    limit: Array  # (n,) N m, infinite where the error of a joint is not known
+    stiction: Array  # (n,) N m, within +- of which friction is known to lie at speeds below `slow`
+    slow: Array  # (n,) rad/s
 
 
 def thresholds(
@@ -77,8 +73,6 @@ def largest_mass(robot: Robot, bodies: Array, armature: Array, *, positions: int
     """Return the largest entries (n, n) of the mass matrix over random positions, kg m^2."""
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, size=(positions, robot.n))
     rest, zero = np.zeros_like(q), np.zeros(3)
-    columns = [
-        inverse_dynamics(robot.chain, zero, bodies, q, rest, np.broadcast_to(unit, q.shape))
-        for unit in np.eye(robot.n)
-    ]
+    pushes = (np.broadcast_to(unit, q.shape) for unit in np.eye(robot.n))
+    columns = [inverse_dynamics(robot.chain, zero, bodies, q, rest, ddq) for ddq in pushes]
     return np.asarray(np.abs(np.stack(columns, axis=2)).max(axis=0) + np.diag(armature))

@@ -2,8 +2,7 @@
 
 URDF has no place for rotor inertia. It is written where readers look for it: as `drake:` tags in
 the joint's transmission (with the gear ratio beside it, as Drake reads them), in a comment, and
-beside friction as a parameter of the joint in a `ros2_control` system, which is added to a URDF
-that has none.
+beside friction as a parameter of the joint in a `ros2_control` system, added where there is none.
 """
 
 from xml.dom import minidom
@@ -36,9 +35,9 @@ def urdf(model: ExportModel) -> str:
     for k, body in enumerate(bodies):
         own = rendered("inertial.urdf.jinja", model, body=Body.of(model.nearest.links[k]))
         _replace(links[body.link], "inertial", _parsed(own), missing=True)
-        for link in (links[name] for name in body.merged):
+        for name in body.merged:
             part = document.createComment(f" seqid: part of {plain(body.link)} ")
-            _replace(link, "inertial", part)
+            _replace(links[name], "inertial", part)
         _set_joint(document, joints[model.robot.joint_names[k]], model, k)
         if model.nearest.rotor[k] > 0.0:
             _set_rotor(document, root, model, k)

@@ -19,14 +19,11 @@ from seqid_cli.robot.urdf_model import whole_model
 
 @dataclass(frozen=True)
 class UrdfBody:
-    """The links that one identified joint moves: `merged` are fixed to `link`.
-
-    `kept` (10,) are the standard parameters, in the frame of `link`, of all links behind joints
-    that are not identified; zero where there are none.
-    """
+    """The links that one identified joint moves."""
 
     link: str
-    merged: tuple[str, ...] = ()
+    merged: tuple[str, ...] = ()  # fixed to it
+    # (10,) standard parameters, in its frame, of all links behind joints that are not identified.
     kept: Array = field(default_factory=lambda: np.zeros(PER_LINK))
 
 

@@ -26,17 +26,14 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True)
 class Plan:
-    """How a log is filtered: its rate, cut-off, noise steps (n,) rad, and every which sample stays.
-
-    `rows` (a multiple of `factor`) samples make a block, `margin` more are needed on either side.
-    """
+    """How a log is filtered."""
 
     rate_hz: float
     cutoff: Cutoff
-    step: Array
-    factor: int
-    rows: int
-    margin: int
+    step: Array  # (n,) rad, noise steps
+    factor: int  # every which sample stays
+    rows: int  # samples of a block, a multiple of `factor`
+    margin: int  # more that are needed on either side
 
     @property
     def lowpass(self) -> Lowpass:
@@ -50,9 +47,7 @@ LEAST_BLOCK = 32_768  # samples; thinned ones need less memory and are twice as 
 def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff: float) -> Plan:
     """Plan the blocks for noise steps (n,) rad; `samples_per_cutoff` stay, infinite keeps all."""
     lowpass = Lowpass(cutoff.hz, rate_hz)
-    factor = 1
-    if lowpass.active:
-        factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz)))
+    factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz))) if lowpass.active else 1
     margin = max(2 * lowpass.memory + SIDE, 2 * lowpass.settling, motion_reach(rate_hz))
     margin = -(-(margin + factor) // factor) * factor if factor > 1 else margin
     least = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK

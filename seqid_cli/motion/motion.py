@@ -125,12 +125,10 @@ def as_asked(
     if hz is None:
         return chosen
     if hz > highest and options.origin not in ("", "as given"):
-        raise InputError(
-            f"{rate_hz:.4g} samples per second are too few for the cut-off of {hz:.3g} "
-            f"Hz, {options.origin}; the highest that this log allows is {highest:.3g} Hz",
-            hint=f"identify and use the model with --cutoff {highest:.3g}, or leave this log out",
-            where=str(path),
-        )
+        few = f"{rate_hz:.4g} samples per second are too few for the cut-off of {hz:.3g} Hz"
+        message = f"{few}, {options.origin}; the highest that this log allows is {highest:.3g} Hz"
+        hint = f"identify and use the model with --cutoff {highest:.3g}, or leave this log out"
+        raise InputError(message, hint=hint, where=str(path))
     return replace(chosen, hz=hz, alone_hz=chosen.hz)
 
 
@@ -160,8 +158,7 @@ def decimated(motion: Motion, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) ->
 
 def thinned(motion: Motion, factor: int, start: int = 0, stop: int | None = None) -> Motion:
     """Keep every `factor`-th sample of [start, stop), valid if all up to the next one are."""
-    if stop is None:
-        stop = motion.samples
+    stop = motion.samples if stop is None else stop
     rate, groups = motion.rate_hz / factor, np.arange(0, stop - start, factor)
     valid = np.logical_and.reduceat(motion.valid[start:stop], groups)
     lowpass = Lowpass(motion.lowpass.cutoff_hz, rate, factor * motion.lowpass.every)

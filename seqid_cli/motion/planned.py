@@ -10,8 +10,6 @@ A stroke gets up to its speed v and back to rest in cosine ramps, v (1 - cos(pi 
 length r = pi v / (2 a) at which their largest acceleration is a.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -35,7 +33,7 @@ class Shapes:
     ddy: Array
 
     @classmethod
-    def over(cls, seconds: float, rate_hz: float) -> Shapes:
+    def over(cls, seconds: float, rate_hz: float) -> "Shapes":
         """Sample them from 0 to `seconds`, both ends included."""
         t = np.linspace(0.0, seconds, round(seconds * rate_hz) + 1)
         ramp = seconds / (2 * HARMONICS)

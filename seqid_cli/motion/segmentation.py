@@ -3,8 +3,7 @@
 A coarse encoder shows a slow joint as rare single counts, so motion is looked for on several time
 scales: a joint moves where its position changes by more than two counts within the window of a
 scale. A stretch of constant velocity is one where the windowed velocity neither drifts nor steps
-by more than the encoder's own uncertainty plus a few percent; the ramps at its ends fall away with
-the window.
+by more than the encoder's uncertainty and a few percent; ramps at its ends fall away by the window.
 """
 
 from dataclasses import dataclass
@@ -117,8 +116,7 @@ def _directions(position: Array, step: float) -> list[tuple[int, int]]:
     for i in (np.flatnonzero(np.diff(counts)) + 1).tolist():
         change = position[i] - position[extreme]
         if direction == 0 and abs(change) > 3 * step:
-            direction = int(np.sign(change))
-            extreme = i
+            direction, extreme = int(np.sign(change)), i
         elif direction * change > 0:
             extreme = i
         elif direction != 0 and abs(change) > 3 * step:
@@ -182,7 +180,7 @@ def _trimmed(
 
 def _end_velocities(
     piece: Array, step: float, *, slower: float = 0.1, steady: float = 0.15
-) -> tuple[float, float]:
+) -> list[float]:
     """How far the velocity at either end is from the mean, over what is allowed; a cubic fit."""
     x = np.linspace(-1.0, 1.0, len(piece))
     cubic = Polynomial.fit(x, piece, 3, domain=[-1, 1], window=[-1, 1]).deriv()
@@ -191,11 +189,8 @@ def _end_velocities(
     slack = 30 * step / np.sqrt(12 * len(piece)) / abs(mean)
     first, middle, last = (float(cubic(at)) / mean for at in (-1.0, 0.0, 1.0))
     # An end faster than the middle is a controller settling, a slower one the top of a sine.
-    excess = [
-        float(max(abs(end - 1) / (steady + slack), (middle - end) / (slower + slack)))
-        for end in (first, last)
-    ]
-    return excess[0], excess[1]
+    steady, slower = steady + slack, slower + slack
+    return [float(max(abs(end - 1) / steady, (middle - end) / slower)) for end in (first, last)]
 
 
 def unmoved(

@@ -43,21 +43,16 @@ FRICTION_TERMS = 2  # changes of each joint's friction: as it is, and in proport
 
 @dataclass(frozen=True)
 class PayloadFit:
-    """Standard parameters `phi` (10,) of the body in the last joint's frame, with all errors.
+    """The body that the logs carry."""
 
-    `determined` (10,): what the logs give by themselves. `before`, `after` (n,) N m: RMS errors
-    of the sliding samples without and with the body, `measured` RMS torque; `friction_change`
-    (n,) [1].
-    """
-
-    phi: Array
-    covariance: Array
-    determined: Mask
-    before: Array
-    after: Array
-    measured: Array
-    samples: Array
-    friction_change: Array
+    phi: Array  # (10,) standard parameters in the frame of the last joint
+    covariance: Array  # (10, 10) with all errors
+    determined: Mask  # (10,) what the logs give by themselves
+    before: Array  # (n,) N m, RMS error of the sliding samples without the body
+    after: Array  # with it
+    measured: Array  # RMS of the torque
+    samples: Array  # (n,) that slide
+    friction_change: Array  # (n,) [1], by how much friction was found to differ
 
 
 def fit_payload(

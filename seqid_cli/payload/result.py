@@ -152,20 +152,16 @@ def _verdicts(
         poses = "move a joint whose torque gravity changes, in more poses"
         yield Verdict(good=False, reason=f"the mass is not determined: {poses}")
         return
-    limit = percent(good_error)
-    faults = {
-        f", above {limit} of it: record more moves with more of the arm": (
-            not error < good_error * abs(mass)
-        ),
-        "; the model holds a body that these logs do not carry: swap the two": (
-            mass < -negative * error
-        ),
-        f"; the estimate is {entry.distance:.2g} standard errors from any body that can exist: "
-        "what is left is not of the payload alone": entry.distance > far,
-    }
-    reason = f"mass {mass:.4g} kg, standard error {error:.2g} kg"
-    found = [text for text, holds in faults.items() if holds]
-    yield Verdict(good=not found, reason=reason + "".join(found))
+    faults = ""
+    if not error < good_error * abs(mass):
+        faults += f", above {percent(good_error)} of it: record more moves with more of the arm"
+    if mass < -negative * error:
+        faults += "; the model holds a body that these logs do not carry: swap the two"
+    if entry.distance > far:
+        away = f"{entry.distance:.2g} standard errors from any body that can exist"
+        faults += f"; the estimate is {away}: what is left is not of the payload alone"
+    reason = f"mass {mass:.4g} kg, standard error {error:.2g} kg{faults}"
+    yield Verdict(good=not faults, reason=reason)
     for j, name in enumerate(names):
         left = _joint(fit, j).relative
         if left is not None and left > poor_left:
@@ -179,10 +175,8 @@ def _notes(
     if missing := [kind for k, kind in enumerate(STANDARD) if not fit.determined[k]]:
         yield f"not determined by these logs: {', '.join(missing)} of the payload"
     if entry.distance > 0.0:
-        yield (
-            "the least-squares estimate is no body; the nearest one is given, "
-            f"{entry.distance:.2g} standard errors away"
-        )
+        away = f"{entry.distance:.2g} standard errors away"
+        yield f"the least-squares estimate is no body; the nearest one is given, {away}"
     changes = zip(names, fit.friction_change.tolist(), strict=True)
     if changed := [f"{name} {percent(change)}" for name, change in changes if abs(change) > 0.05]:
         yield f"friction differs from the model's: {', '.join(changed)}"

@@ -2,7 +2,7 @@
 
 Symbols: phi (p,) standard parameters, 10 per link and then one rotor inertia per joint; `pi` (b,)
 base parameters; E and P as in pi = E phi and Y P pi = Y phi, for every state. Y is the regressor of
-Eq. 3, H = Y P that of Eq. 4.
+Eq. 3, H = Y P that of Eq. 4. States `q`, `dq`, `ddq` (N, n) are those of `regressor`.
 
 Columns of Y are taken one by one in a readable order (first link first, a link's mass
 last, rotors after all links); a column that depends on those before it is dropped and its parameter
@@ -19,15 +19,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.robot.regressor import (
-    PER_LINK,
-    Coupling,
-    columns_by_link,
-    gravity_regressor,
-    link_blocks,
-    rotor_regressor,
-    torque_regressor,
-)
+from seqid_cli.robot import regressor
+from seqid_cli.robot.regressor import PER_LINK, Coupling
 from seqid_cli.robot.types import Array, Chain, Robot
 
 STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
@@ -41,18 +34,12 @@ _SNAP = 1e-9
 
 @dataclass(frozen=True)
 class Basis:
-    """Base parameters of one robot.
+    """Base parameters of one robot; a rotor acts on its own joint alone."""
 
-    `names`: the standard parameter that stands for each base parameter. `expression` (b, p): E:
-    base parameters from standard ones, p = 11 n. `representative` (p, b): P: standard parameters,
-    most of them zero, that give the same torque. `gravity` (b,): true for the parameters of the
-    gravity torque; these come first. A rotor acts on its own joint alone.
-    """
-
-    names: tuple[str, ...]
-    expression: Array
-    representative: Array
-    gravity: NDArray[np.bool_]
+    names: tuple[str, ...]  # the standard parameter that stands for each base parameter
+    expression: Array  # E (b, p): base parameters from standard ones, p = 11 n
+    representative: Array  # P (p, b): standard ones, most of them zero, that give the same torque
+    gravity: NDArray[np.bool_]  # (b,) those of the gravity torque; these come first
 
     @property
     def size(self) -> int:
@@ -76,8 +63,7 @@ class Basis:
         """Write base parameter `k` as text, for example ``Izz_1 + 0.16*m_2 + 36*Ia_1``."""
         text = ""
         for name, factor in self.terms(k).items():
-            sign = "-" if factor < 0 else "+"
-            size = abs(factor)
+            size, sign = abs(factor), "-" if factor < 0 else "+"
             part = name if abs(size - 1.0) < _SNAP else f"{size:.6g}*{name}"
             text = f"{text} {sign} {part}" if text else f"{'-' * (factor < 0)}{part}"
         return text
@@ -93,10 +79,8 @@ class Basis:
 
 def parameter_unit(name: str) -> str:
     """Return the SI unit of the standard parameter `name`, for example kg m of "mx_2"."""
-    kind = name.rpartition("_")[0]
-    if kind == "m":
-        return "kg"
-    return "kg m" if kind in {"mx", "my", "mz"} else "kg m^2"
+    units = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m"}
+    return units.get(name.rpartition("_")[0], "kg m^2")
 
 
 def standard_names(n: int) -> tuple[str, ...]:
@@ -113,40 +97,29 @@ def gear_ratios(robot: Robot) -> Array:
 def standard_regressor(
     robot: Robot, q: Array, dq: Array, ddq: Array, *, coupling: Coupling
 ) -> Array:
-    """Compute the regressor of the standard parameters, rotor inertias last (Eq. 3).
-
-    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `coupling` {"diagonal",
-    "gyroscopic"}. Returns (N, n, 11 n).
-    """
-    Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
-    rotors = rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
+    """Compute the regressor (N, n, 11 n) of the standard parameters, rotors last (Eq. 3)."""
+    Y = regressor.torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
+    rotors = regressor.rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
     return np.concatenate((Y, rotors), axis=2)
 
 
 def base_regressor(
-    robot: Robot,
-    basis: Basis,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    *,
-    spare: int = 0,
-    out: Array | None = None,
+    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, *, out: Array | None = None
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
-    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `spare`: columns to be filled
-    by the caller; zeros without `out`. `out` (n, b + spare, M): written to, where `loaded_columns`
-    tells that H can differ from zero; zeros elsewhere. Returns (N, n, b + spare): each column
+    `out` (n, b or more, M): written to, where `loaded_columns` tells that H can differ from zero;
+    zeros elsewhere. More columns are the caller's. Returns (N, n, b or more): each column
     contiguous in memory.
     """
-    whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
+    whole = np.zeros((robot.n, basis.size, len(q))) if out is None else out
     H = whole[:, :, : len(q)]
     P, rotors = np.split(basis.representative, [PER_LINK * robot.n])
-    kept = columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
+    kept = regressor.columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
     if out is not None:
         H[:, : basis.size] = 0.0
-    for i, rows, block in link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept):
+    blocks = regressor.link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept)
+    for i, rows, block in blocks:
         for column, c in enumerate(PER_LINK * i + kept[i]):
             for k in np.flatnonzero(P[c]):
                 H[: i + 1, k, rows] += P[c, k] * block[:, column]
@@ -157,10 +130,7 @@ def base_regressor(
 
 
 def gravity_base_regressor(robot: Robot, basis: Basis, q: Array) -> Array:
-    """Compute H_g (N, n, g), the columns of the base regressor that gravity has (Eq. 17-19).
-
-    `q` (N, n) [rad; m where prismatic]. At rest the other columns vanish.
-    """
+    """Compute H_g (N, n, g): columns of the base regressor that last at rest (Eq. 17-19)."""
     own, still = int(basis.gravity.sum()), np.zeros_like(q)
     P, names = basis.representative[:, :own], basis.names[:own]
     alone = Basis(names, basis.expression[:own], P, basis.gravity[:own])
@@ -179,8 +149,7 @@ def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
 def base_parameters(robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10) -> Basis:
     """Find the base parameters of the rigid body and of the rotors to identify, gravity's first.
 
-    `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known and left
-    out.
+    `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known, left out.
     """
     W_gravity, W = _random_regressors(robot)
     order = _reading_order(robot.chain)
@@ -214,8 +183,7 @@ def _reading_order(chain: Chain) -> list[int]:
     for i in range(chain.n):
         along = int(np.argmax(np.abs(chain.axis[i])))
         first, last = [k for k in range(3) if k != along]
-        axes = ("x", "y", "z")
-        diagonal = [f"I{axes[k]}{axes[k]}" for k in (first, along, last)]
+        diagonal = [f"I{2 * 'xyz'[k]}" for k in (first, along, last)]
         kinds = ["mx", "my", "mz", diagonal[0], "Ixy", "Ixz", "Iyz", *diagonal[1:], "m"]
         order += [PER_LINK * i + STANDARD.index(kind) for kind in kinds]
     return order
@@ -225,13 +193,12 @@ def _random_regressors(robot: Robot) -> tuple[Array, Array]:
     """Stack gravity and full regressors (rows, 11 n) over random states."""
     # Joint limits play no part: the torque is analytic in the state, so columns that depend
     # linearly in one range do so in all, and a wide range shows it with the widest gap.
-    rng = np.random.default_rng(0)
-    n = robot.n
+    rng, n = np.random.default_rng(0), robot.n
     q, dq, ddq = rng.uniform(-1.0, 1.0, size=(3, 3 * (PER_LINK + 1) * n, n))
     q = q * np.where(robot.chain.prismatic, 1.0, np.pi)
     Y = standard_regressor(robot, q, 3.0 * dq, 10.0 * ddq, coupling="diagonal")
     Y_gravity = np.zeros_like(Y)
-    Y_gravity[:, :, : PER_LINK * n] = gravity_regressor(robot.chain, robot.gravity, q)
+    Y_gravity[:, :, : PER_LINK * n] = regressor.gravity_regressor(robot.chain, robot.gravity, q)
     return Y_gravity.reshape(-1, Y.shape[2]), Y.reshape(-1, Y.shape[2])
 
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 def load_robot(path: Path) -> "Robot":
     """Read the robot file `path`, and the URDF beside it that it names, and check both.
 
-    The robot's `sha256` is over the bytes of both. Raises ConfigError naming the file, the key's
-    full path, the value and the remedy.
+    The robot's `sha256` is over the bytes of the one and then the other. Raises ConfigError naming
+    the file, the key's full path, the value and the remedy.
     """
     raw, content, formulas = read_robot_file(path)
     names = tuple(joint.name for joint in content.joint)

@@ -91,9 +91,7 @@ def _tree(text: str, before: int) -> ast.expr:
 def symbol_of(name: str) -> Symbol | None:
     """The quantity that a name stands for; None if for none."""
     match = _SYMBOL.fullmatch(name)
-    if match is None:
-        return None
-    return Symbol(match[1], int(match[2]) - 1 if match[2] else None)
+    return None if match is None else Symbol(match[1], int(match[2]) - 1 if match[2] else None)
 
 
 def is_coefficient(name: str) -> bool:
@@ -125,9 +123,8 @@ class _Reader:
             case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=inner):
                 return self.linear(inner, deeper)
             case ast.BinOp(left=left, op=op, right=right):
-                return self._combined(
-                    node, op, self.linear(left, deeper), self.linear(right, deeper)
-                )
+                sides = self.linear(left, deeper), self.linear(right, deeper)
+                return self._combined(node, op, *sides)
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 wanted = 2 if name in {"min", "max"} else 1
                 reason = f"has a coefficient inside {name}(): terms must be linear in them"
@@ -147,8 +144,8 @@ class _Reader:
         symbol = symbol_of(name)
         if symbol is not None:
             if symbol.joint is not None and symbol.joint >= self.joints:
-                reason = f"names {name!r}, but the robot has {self.joints} joints"
-                raise self._refused(node, reason)
+                few = f"the robot has {self.joints} joints"
+                raise self._refused(node, f"names {name!r}, but {few}")
             self.symbols.add(symbol)
         elif name in self.settings:
             self.used.add(name)

@@ -7,7 +7,7 @@ minus gravity, all three in the link's own frame. A link is called by the joint 
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,8 +69,7 @@ def chain_from_dh(rows: Sequence[Sequence[float]], sliding: Collection[int] = ()
     return Chain(np.array(rotations), np.array(positions), axes, prismatic)
 
 
-@dataclass(frozen=True)
-class Frames:
+class Frames(NamedTuple):
     """Link frames: `R` (N, n, 3, 3) base from link, origins `p` (N, n, 3) m, axes `z` (N, n, 3)."""
 
     R: Array
@@ -78,28 +77,21 @@ class Frames:
     z: Array
 
 
-@dataclass(frozen=True)
-class LinkMotion:
-    """All links' motion, samples last: the forward pass of Newton-Euler.
+class LinkMotion(NamedTuple):
+    """All links' motion, samples last: the forward pass of Newton-Euler."""
 
-    `R` (n, 3, 3, N) parent from link, `p` (n, 3, N) m origin in the parent, and in the link's own
-    frame `w` (n, 3, N) rad/s, `dw` (n, 3, N) rad/s^2, `a` (n, 3, N) m/s^2 (origin minus gravity)
-    and `H` (n, 3, 3, N) = skew(dw) + skew(w) skew(w): a point at r has acceleration a + H r.
-    """
-
-    R: Array
-    p: Array
-    w: Array
-    dw: Array
-    a: Array
-    H: Array
+    R: Array  # (n, 3, 3, N) parent from link
+    p: Array  # (n, 3, N) m, origin in the parent
+    w: Array  # (n, 3, N) rad/s, as all that follows in the link's own frame
+    dw: Array  # (n, 3, N) rad/s^2
+    a: Array  # (n, 3, N) m/s^2, origin minus gravity
+    H: Array  # (n, 3, 3, N) skew(dw) + skew(w) skew(w): a point at r has acceleration a + H r
 
 
 def cross(u: Array, v: Array) -> Array:
     """Take the cross product along the first axis (3, ...), with broadcasting."""
-    return np.stack(
-        (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
-    )
+    x, y = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2]
+    return np.stack((x, y, u[0] * v[1] - u[1] * v[0]))
 
 
 def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
@@ -113,9 +105,8 @@ def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
     cosine = chain.rotation @ (turning * (np.eye(3) - along))
     sine = chain.rotation @ (turning * np.stack([skew(axis) for axis in chain.axis]))
     parts = np.stack((still, cosine, sine), axis=-1).reshape(chain.n, 9, 3)
-    R = (parts @ np.stack((np.ones_like(q), np.cos(q), np.sin(q)), axis=1)).reshape(
-        chain.n, 3, 3, -1
-    )
+    turns = np.stack((np.ones_like(q), np.cos(q), np.sin(q)), axis=1)
+    R = (parts @ turns).reshape(chain.n, 3, 3, -1)
     slide = (1.0 - turning[:, 0]) * np.einsum("nab,nb->na", chain.rotation, chain.axis)
     return R, chain.position[:, :, None] + slide[:, :, None] * q[:, None, :]
 
@@ -173,8 +164,7 @@ def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) ->
     """Vector a (K, 2) m/s^2 of Eq. 13 at positions q (K,) of one joint, the others locked.
 
     `configuration` (n,): positions of the joints before it [rad]. (K, 1) for a prismatic joint,
-    whose gravity force is mass times gravity along the axis; no column where gravity has no part
-    across the axis.
+    whose gravity force is mass times gravity along the axis; (K, 0) where none is across the axis.
     """
     zero = configuration.copy()
     zero[joint] = 0.0

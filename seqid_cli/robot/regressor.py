@@ -10,12 +10,12 @@ gravity) the force on a link and the moment about its origin are
 and joint j <= i feels z_j . n + l_j . f, where (z_j, l_j) is its screw carried forward into the
 frame of link i: the angular velocity and the velocity of the link's origin per unit rate. Only
 joint-link pairs with j <= i are formed. Inside, samples are the last axis: of the (N, n, p) results
-each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered).
+each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered). States `q`, `dq`, `ddq`
+(N, n) are in rad, rad/s, rad/s^2 (m where prismatic), `gravity` (3,) in m/s^2 in the base frame.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,24 +25,18 @@ from seqid_cli.robot.types import Array, Chain
 
 PER_LINK = 10
 Kinds = NDArray[np.intp]
+Columns = Sequence[int] | None  # of the regressor; None is all
 Coupling = Literal["diagonal", "gyroscopic"]
 _BLOCK = 4096  # samples at a time: numpy call overhead against cache
 
 
 def torque_regressor(
-    chain: Chain,
-    gravity: Array,
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    *,
-    columns: Sequence[int] | None = None,
+    chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array, *, columns: Columns = None
 ) -> Array:
     """Compute the regressor Y of the rigid-body joint torque: tau = Y phi (Eq. 3, without rotors).
 
-    `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where
-    prismatic]. `columns`: the ones to compute of the 10 n, ascending. Returns (N, n, 10 n or
-    len(columns)): link-major, in Pinocchio's order, N m (N where prismatic) per unit.
+    `columns`: the ones to compute of the 10 n, ascending. Returns (N, n, 10 n or len(columns)):
+    link-major, in Pinocchio's order, N m (N where prismatic) per unit.
     """
     kept = columns_by_link(chain.n, columns)
     Y = np.empty((chain.n, sum(len(kinds) for kinds in kept), len(q)))
@@ -67,15 +61,14 @@ def link_blocks(
 ) -> Iterator[tuple[int, slice, Array]]:
     """Compute the regressor of `torque_regressor` piece by piece, to be regrouped.
 
-    `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where
-    prismatic]. `kept`: per link the numbers of its columns to compute, ascending (see
-    `columns_by_link`). `out` (n, p, N): where all columns go, link after link; without it each
-    array is filled anew for the next. Yields: link i, the samples, and the torques of joints 0..i.
+    `kept`: per link the numbers of its columns to compute, ascending (see `columns_by_link`).
+    `out` (n, p, N): where all columns go, link after link; without it each array is filled anew
+    for the next. Yields: link i, the samples, and the torques of joints 0..i.
     """
     largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
     room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
     starts = np.cumsum([0, *(len(kinds) for kinds in kept)])
-    walk = _Walk.along(chain, min(_BLOCK, len(q)))
+    walk = _Walk(chain, min(_BLOCK, len(q)))
     for start in range(0, len(q), _BLOCK):
         rows = slice(start, min(start + _BLOCK, len(q)))
         state = (np.ascontiguousarray(x[rows].T) for x in (q, dq, ddq))
@@ -90,10 +83,7 @@ def link_blocks(
 
 
 def gravity_regressor(chain: Chain, gravity: Array, q: Array) -> Array:
-    """Compute the regressor (N, n, 10 n) of gravity alone (Eq. 18); inertia columns are zero.
-
-    `gravity` (3,) [m/s^2], base frame. `q` (N, n) [rad; m where prismatic].
-    """
+    """Compute the regressor (N, n, 10 n) of gravity alone (Eq. 18); inertia columns are zero."""
     still = np.zeros_like(q)
     return torque_regressor(chain, gravity, q, still, still)
 
@@ -106,10 +96,9 @@ def rotor_regressor(
     "diagonal": rotor i loads its own joint only, by N_i^2 ddq_i (Eq. 2). "gyroscopic": rotor i
     rides on link i-1 and turns about axis i at N_i dq_i relative to it, so that link feels the
     moment N_i (ddq_i z_i + dq_i w x z_i), and joint i also N_i z_i . dw. Its inertia as a dead mass
-    belongs to the link. Rotors of prismatic joints have the diagonal term only. `q`, `dq`, `ddq`
-    (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `gear_ratio` (n,): motor turns per joint turn,
-    signed [rad/m where prismatic]. `coupling` {"diagonal", "gyroscopic"}. Returns (N, n, n): torque
-    of joint j per rotor inertia i at [:, j, i].
+    belongs to the link. Rotors of prismatic joints have the diagonal term only. `gear_ratio` (n,):
+    motor turns per joint turn, signed [rad/m where prismatic]. Returns (N, n, n): torque of joint j
+    per rotor inertia i at [:, j, i].
     """
     n = chain.n
     Y = np.zeros((n, n, len(q)))
@@ -117,7 +106,7 @@ def rotor_regressor(
         Y[i, i] = gear_ratio[i] ** 2 * ddq[:, i]
     if coupling == "gyroscopic":
         state = (np.ascontiguousarray(x.T) for x in (q, dq, ddq))
-        walk = _Walk.along(chain, len(q))
+        walk = _Walk(chain, len(q))
         for i, link in enumerate(walk.links(np.zeros(3), *state), start=1):
             if i == n or chain.prismatic[i]:
                 continue
@@ -133,13 +122,11 @@ def inverse_dynamics(
 ) -> Array:
     """Compute the joint torque (N, n) [N m; N where prismatic] by recursive Newton-Euler.
 
-    `gravity` (3,) [m/s^2], base frame. `phi` (n, 10): standard parameters, physical or not
-    (Pinocchio's order, inertia about the link frame's origin). `q`, `dq`, `ddq` (N, n) [rad, rad/s,
-    rad/s^2; m where prismatic].
+    `phi` (n, 10): standard parameters, physical or not (Pinocchio's order, inertia about the link
+    frame's origin).
     """
     motion = link_motion(chain, gravity, q.T, dq.T, ddq.T)
-    force = np.zeros((3, len(q)))
-    moment = np.zeros((3, len(q)))
+    force, moment = np.zeros((2, 3, len(q)))
     tau = np.empty((chain.n, len(q)))
     for i in reversed(range(chain.n)):
         w, dw, a = motion.w[i], motion.dw[i], motion.a[i]
@@ -154,53 +141,28 @@ def inverse_dynamics(
     return np.ascontiguousarray(tau.T)
 
 
-def columns_by_link(n: int, columns: Sequence[int] | None) -> list[Kinds]:
-    """Split columns of the regressor, in ascending order, into those of each link; None is all."""
+def columns_by_link(n: int, columns: Columns) -> list[Kinds]:
+    """Split columns of the regressor, in ascending order, into those of each link."""
     every = np.arange(PER_LINK * n) if columns is None else np.asarray(columns, dtype=np.intp)
     return [every[every // PER_LINK == i] % PER_LINK for i in range(n)]
 
 
-@dataclass(frozen=True)
-class _Link:
-    """The load of a link, in its frame, samples last; the next link but one uses the arrays again.
+class _Link(NamedTuple):
+    """Load of a link, in its frame, samples last; the next link but one uses the arrays again."""
 
-    `rows` (36, N) holds, for one product with a constant matrix to carry all to the next link,
-    12 of `load`'s z, w, dw, 12 of `load`'s l, and 6 unused. `load` (2, 3, 4, N) makes the force of
-    mass and first moment: m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c).
-    `screws` (2, 3, i + 1, N) are those of joints 0..i: z, then l.
-    """
-
-    rows: Array
-    screws: Array
-
-    @property
-    def w(self) -> Array:
-        return self.rows[12:15]
-
-    @property
-    def dw(self) -> Array:
-        return self.rows[15:18]
-
-    @property
-    def load(self) -> Array:
-        return self.rows.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
+    w: Array
+    dw: Array
+    load: Array  # (2, 3, 4, N): m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c)
+    screws: Array  # (2, 3, i + 1, N) of joints 0..i: z, then l
 
 
-@dataclass(frozen=True)
 class _Walk:
-    """Walks along a chain, in the same arrays every time."""
+    """Walks along a chain, so many samples at a time, in the same arrays every time."""
 
-    chain: Chain
-    carriers: list[tuple[Array, Array]]
-    rows: Array  # (2, 36, N): of this link and the one before
-    screws: Array  # (2, 6, n N)
-
-    @classmethod
-    def along(cls, chain: Chain, samples: int) -> "_Walk":
-        """Make room for so many samples at a time."""
+    def __init__(self, chain: Chain, samples: int) -> None:
         # Matrices (9, 18) that carry (w, dw, a | H), (6, 6) that carry (z, l) to a frame fixed in
         # the link before, turned by C and placed at p.
-        carriers = []
+        self.chain, self.carriers = chain, list[tuple[Array, Array]]()
         for C, p in zip(chain.rotation, chain.position, strict=True):
             to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
             to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
@@ -208,10 +170,11 @@ class _Walk:
             to_motion[6:, 6:] = C.T @ np.kron(np.eye(3), point)
             to_screws[:3, :3] = to_screws[3:, 3:] = C.T
             to_screws[3:, :3] = -C.T @ skew(p)
-            carriers.append((to_motion, to_screws))
+            self.carriers.append((to_motion, to_screws))
+        # Of this link and the one before: screws, and for one product with a constant matrix to
+        # carry all to the next link, 12 rows of the load's z, w, dw, 12 of its l, and 6 unused.
         # Zeros, because mass and own component of the moment in z . (c x a) are never written.
-        rows, screws = np.zeros((2, 36, samples)), np.empty((2, 6, chain.n * samples))
-        return cls(chain, carriers, rows, screws)
+        self.rows, self.screws = np.zeros((2, 36, samples)), np.empty((2, 6, chain.n * samples))
 
     def links(self, gravity: Array, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
         """Carry motion and screws from link to link; q, dq, ddq (n, M), M not above N."""
@@ -226,19 +189,20 @@ class _Walk:
             np.matmul(to_screws, screws[old, :, : i * samples], out=carried)
             before = carried.reshape(2, 3, i, samples)
             every = screws[new, :, : (i + 1) * samples].reshape(2, 3, i + 1, samples)
-            link = _Link(rows[new], every)
+            own = rows[new]
+            load = own.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
             move = _slide if self.chain.prismatic[i] else _turn
             move(motion, before, axis, q[i], dq[i], ddq[i])
-            link.rows[12:18] = motion[:2].reshape(6, samples)
-            (turning, moving), a = link.load, motion[2]
+            own[12:18] = motion[:2].reshape(6, samples)
+            (turning, moving), a = load, motion[2]
             np.copyto(moving[:, 0], a)
-            fill_motion_matrix(moving[:, 1:], link.w, link.dw)
+            fill_motion_matrix(moving[:, 1:], own[12:15], own[15:18])
             turning[1, 1], turning[2, 1] = -a[2], a[1]
             turning[0, 2], turning[2, 2] = a[2], -a[0]
             turning[0, 3], turning[1, 3] = -a[1], a[0]
             every[:, :, i] = 0.0
             every[int(self.chain.prismatic[i]), :, i] = axis[:, None]
-            yield link
+            yield _Link(own[12:15], own[15:18], load, every)
 
 
 def _turn(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:
@@ -265,9 +229,8 @@ def _turn_back(vectors: Array, axis: Array, cosine: Array, sine: Array) -> None:
         v *= cosine
         v -= from_u
         return
-    along = np.einsum("a,ga...->g...", axis, vectors)[:, None] * axis.reshape(
-        (1, 3) + (1,) * (vectors.ndim - 2)
-    )
+    beside = axis.reshape((1, 3) + (1,) * (vectors.ndim - 2))
+    along = np.einsum("a,ga...->g...", axis, vectors)[:, None] * beside
     across = np.einsum("ab,gb...->ga...", skew(axis), vectors)
     vectors[:] = cosine * (vectors - along) + along - sine * across
 

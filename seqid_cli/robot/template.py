@@ -29,20 +29,15 @@ class JointTemplate:
 
 @dataclass(frozen=True)
 class RobotTemplate:
-    """The content of the file.
-
-    `urdf` is the path to write (None for a DH stub), `effort` what the log carries ("torque",
-    "current", "effort" where it does not say which, or empty), `left_out` are joints of the URDF
-    that are not in the log.
-    """
+    """The content of the file."""
 
     name: str
     joints: tuple[JointTemplate, ...]
-    urdf: str | None = None
-    effort: str = ""
+    urdf: str | None = None  # the path to write; None for a DH stub
+    effort: str = ""  # of the log: "torque", "current", "effort" where it does not say, or empty
     imus: tuple["Imu", ...] = ()
     channels: Mapping[str, Columns] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # joints of the URDF that are not in the log
 
 
 def robot_toml(template: RobotTemplate) -> str:
@@ -54,7 +49,7 @@ def robot_toml(template: RobotTemplate) -> str:
         "pattern": partial(json.dumps, ensure_ascii=False),
     }
     content = {**vars(template), "schema": SCHEMA}
-    return filled("seqid_cli.robot.toml", "robot.toml.j2", content, filters=filters)
+    return filled("seqid_cli.robot", "robot.toml.j2", content, filters=filters)
 
 
 def _number(value: float, digits: int) -> str:

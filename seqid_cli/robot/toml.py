@@ -17,23 +17,8 @@ from typing import Any, cast
 import msgspec
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.formula import (
-    SYMBOLS,
-    Formula,
-    FormulaError,
-    is_coefficient,
-    parse_formula,
-    symbol_of,
-)
-from seqid_cli.robot.toml_schema import (
-    SCHEMA,
-    SCHEMA_VERSION,
-    TABLES,
-    EffectEntry,
-    ImuEntry,
-    JointEntry,
-    RobotFile,
-)
+from seqid_cli.robot import formula, toml_schema
+from seqid_cli.robot.toml_schema import SCHEMA, EffectEntry, ImuEntry, JointEntry, RobotFile
 
 Problem = tuple[str, str]  # fault, hint
 _OF_THE_LOG = ("time", "effort", "unit", "length_unit")  # not of each joint
@@ -156,7 +141,7 @@ def _effect(key: str, effect: EffectEntry, joints: list[str]) -> Iterator[Proble
         hint = f"{nearest(effect.joint, joints)}Joints: {', '.join(joints)}; or leave it out."
         yield f"{key}.joint is {effect.joint!r}, which is no joint{named}", hint
     for name, (low, high) in effect.settings.items():
-        taken = symbol_of(name) or is_coefficient(name) or not _WORD.fullmatch(name)
+        taken = formula.symbol_of(name) or formula.is_coefficient(name) or not _WORD.fullmatch(name)
         if taken or not -math.inf < low < high < math.inf:
             hint = "Write width = [lowest, highest], under a name that no symbol has."
             yield f"{key}.settings.{name} is [{low}, {high}]{named}", hint
@@ -184,11 +169,9 @@ def _channels(robot: RobotFile) -> Iterator[Problem]:
     for source, kind in said.items():
         for k, joint in enumerate(robot.joint):
             for name in (name for name in _NEEDED[kind] if getattr(joint, name) is None):
-                yield (
-                    f"{source} says that the log carries {kind}, but joint[{k}].{name} "
-                    f"(joint {joint.name!r}) is missing",
-                    f"Add {name} and gear_ratio to that joint. {_MEANINGS[name]}",
-                )
+                text = f"{source} says that the log carries {kind}, but joint[{k}].{name}"
+                hint = f"Add {name} and gear_ratio to that joint. {_MEANINGS[name]}"
+                yield f"{text} (joint {joint.name!r}) is missing", hint
 
 
 def _pattern(key: str, pattern: str, joints: int) -> Iterator[Problem]:
@@ -212,7 +195,7 @@ _PART = r"(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')"
 _DEEP_KEY = re.compile(rf"(?<![\w\-\"'.]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST_PARTS}}}")
 
 
-def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[Formula | None]]:
+def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[formula.Formula | None]]:
     """Read a robot file and check all that needs neither a URDF nor geometry.
 
     Returns its bytes, its content, and the formulas of its effects: None where an installed package
@@ -226,7 +209,7 @@ def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[Formula | None]]
         message = f"schema is {schema!r}, not {SCHEMA!r}"
         message = "the key 'schema' is missing" if schema is None else message
         raise ConfigError(message, where=str(path), hint=hint)
-    if int(match[1]) > SCHEMA_VERSION:
+    if int(match[1]) > toml_schema.SCHEMA_VERSION:
         message = f"schema {schema!r} is newer than this seqid knows ({SCHEMA!r})"
         raise ConfigError(message, where=str(path), hint="Update seqid.")
     try:
@@ -238,15 +221,15 @@ def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[Formula | None]]
         raise ConfigError(message, where=str(path), hint=hint) from None
     for message, hint in problems(content):
         raise ConfigError(message, where=str(path), hint=hint)
-    formulas: list[Formula | None] = []
+    formulas = list[formula.Formula | None]()
     for k, effect in enumerate(content.effect):
-        text, joints = effect.torque, len(content.joint)
+        text, given = effect.torque, (len(content.joint), effect.settings)
         try:
-            formulas.append(None if text is None else parse_formula(text, joints, effect.settings))
-        except FormulaError as problem:
+            formulas.append(None if text is None else formula.parse_formula(text, *given))
+        except formula.FormulaError as problem:
             message = f"effect[{k}].torque {problem} (effect {effect.name!r})"
             sums = "Write a sum of terms as in 'c1 * sign(dq) * abs(load)'"
-            hint = f"{sums}; of {', '.join(SYMBOLS)}."
+            hint = f"{sums}; of {', '.join(formula.SYMBOLS)}."
             raise ConfigError(message, where=str(path), hint=hint) from None
     return raw, content, formulas
 
@@ -304,7 +287,7 @@ def _explained(
     what, at = match["what"], match["path"] or ""
     prefix = f"{at}." if at else ""
     if unknown := _UNKNOWN.match(what):
-        known = TABLES.get(re.sub(r"\[[^\]]*\]", "", at), RobotFile).__struct_fields__
+        known = toml_schema.TABLES.get(re.sub(r"\[[^\]]*\]", "", at), RobotFile).__struct_fields__
         hint = f"{nearest(unknown['key'], known)}Known here: {', '.join(known)}."
         message = f"unknown key '{prefix}{unknown['key']}'"
     elif missing := _MISSING.match(what):

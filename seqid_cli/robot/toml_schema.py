@@ -60,10 +60,7 @@ class ImuEntry(Table, frozen=True):
 
 
 class Channels(Table, frozen=True):
-    """`[channels]`: names that a log uses instead of the default ones; None means the default.
-
-    `effort` says what it is, else torque. `unit` is of angles, `length_unit` of sliding joints.
-    """
+    """`[channels]`: names that a log uses instead of the default ones; None means the default."""
 
     time: str | int | None = None
     position: Columns | None = None
@@ -75,9 +72,9 @@ class Channels(Table, frozen=True):
     voltage: Columns | None = None
     pwm: Columns | None = None
     temperature: Columns | None = None
-    effort: Literal["torque", "current", "gravity_compensated"] | None = None
-    unit: Literal["rad", "deg"] = "rad"
-    length_unit: Literal["m", "mm"] = "m"
+    effort: Literal["torque", "current", "gravity_compensated"] | None = None  # what it is
+    unit: Literal["rad", "deg"] = "rad"  # of angles
+    length_unit: Literal["m", "mm"] = "m"  # of sliding joints' positions
 
 
 class EffectEntry(Table, frozen=True):

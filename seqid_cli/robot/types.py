@@ -17,35 +17,27 @@ from seqid_cli.units import unit_of
 
 @dataclass(frozen=True)
 class Joint:
-    """One actuated joint of the chain (rad and N m; m and N where prismatic).
-
-    `torque_constant` [N m/A] and `rotor_inertia` [kg m^2] are on the motor side;
-    `winding_resistance` [ohm] and `supply_voltage` [V] are for logs of voltage or duty cycle.
-    `torque_constant_error` is the relative standard error of the joint's torque scale.
-    `encoder_side` tells which side of the gear the positions are of. `urdf` holds what the URDF
-    says of the joint, None where there is none.
-    """
+    """One actuated joint of the chain (rad and N m; m and N where prismatic)."""
 
     name: str
     prismatic: bool = False
-    torque_constant: float | None = None
-    torque_constant_error: float = 0.0
+    torque_constant: float | None = None  # N m/A, motor side
+    torque_constant_error: float = 0.0  # relative standard error of the joint's torque scale
     gear_ratio: float | None = None
-    rotor_inertia: float | None = None
-    winding_resistance: float | None = None
-    supply_voltage: float | None = None
+    rotor_inertia: float | None = None  # kg m^2, motor side
+    winding_resistance: float | None = None  # ohm; as the voltage for logs of voltage or duty cycle
+    supply_voltage: float | None = None  # V
     encoder_resolution: float | None = None
-    encoder_side: Literal["motor", "link"] = "motor"
+    encoder_side: Literal["motor", "link"] = "motor"  # of the gear, that the positions are of
     position_limits: tuple[float, float] | None = None
     velocity_limit: float | None = None
-    urdf: UrdfJoint | None = None
+    urdf: UrdfJoint | None = None  # what the URDF says of the joint
 
     @property
     def torque_per_ampere(self) -> float | None:
         """Joint torque per motor current, N m/A."""
-        if self.torque_constant is None:
-            return None
-        return self.torque_constant * (self.gear_ratio or 1.0)
+        constant = self.torque_constant
+        return None if constant is None else constant * (self.gear_ratio or 1.0)
 
     def unit(self, unit: str) -> str:
         """Return the joint's own unit for one that is written as for a revolute joint."""
@@ -54,30 +46,22 @@ class Joint:
 
 @dataclass(frozen=True)
 class Imu:
-    """An accelerometer array, or an ordinary IMU, riding on the link after a joint.
-
-    `positions` (K, 3) m and `axes` (K, 3) unit vectors are in the IMU's own frame. An ordinary IMU
-    (triad, with or without gyro) has three orthogonal axes at its origin.
-    """
+    """An accelerometer array, or an ordinary IMU, riding on the link after a joint."""
 
     name: str
     after_joint: int
-    positions: Array
-    axes: Array
+    positions: Array  # (K, 3) m in the IMU's own frame
+    axes: Array  # (K, 3) unit vectors; an ordinary IMU has three orthogonal ones at its origin
     gyro: bool = False
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Kinematic constants of a serial chain of n joints.
+    """Kinematic constants of a serial chain of n joints."""
 
-    At q = 0 joint i's frame is `rotation[i]` (3, 3), `position[i]` (3,) m in the frame of joint i-1
-    (of the base for i = 0). `axis[i]` (3,) is the unit axis in joint i's own frame.
-    """
-
-    rotation: Array  # (n, 3, 3)
-    position: Array  # (n, 3)
-    axis: Array  # (n, 3)
+    rotation: Array  # (n, 3, 3) joints' frames at q = 0 in that of the joint before or the base
+    position: Array  # (n, 3) m, their origins
+    axis: Array  # (n, 3) unit axis in the joint's own frame
     prismatic: Mask  # (n,)
 
     @property
@@ -88,34 +72,28 @@ class Chain:
 
 @dataclass(frozen=True)
 class OwnEffect:
-    """An effect that the robot file adds to the catalogue: a formula, or a package's (None).
-
-    `joint` is where it is looked for, None for everywhere; `settings` have their limits.
-    """
+    """An effect that the robot file adds to the catalogue."""
 
     name: str
-    joint: int | None = None
-    formula: Formula | None = None
-    settings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    joint: int | None = None  # where it is looked for; None: everywhere
+    formula: Formula | None = None  # None: an installed package offers it
+    settings: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # limits of each
 
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot file, read and checked, with its URDF (`urdf`, None where it names none).
-
-    `gravity` (3,) m/s^2 in the base frame. `nominal` (n, 10) are the standard inertial parameters
-    of the URDF, if it has any, in Pinocchio's order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz),
-    inertia about the joint frame's origin.
-    """
+    """A robot file, read and checked, with its URDF, if it names one."""
 
     name: str
     joints: tuple[Joint, ...]
     chain: Chain
-    gravity: Array
+    gravity: Array  # (3,) m/s^2 in the base frame
     sha256: str
     source: Path
     imus: tuple[Imu, ...] = ()
     channels: Channels = field(default_factory=Channels)
+    # (n, 10) of the URDF, if it has any, in Pinocchio's order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz,
+    # Iyz, Izz), inertia about the joint frame's origin.
     nominal: Array | None = None
     urdf: Path | None = None
     effects: tuple[OwnEffect, ...] = ()

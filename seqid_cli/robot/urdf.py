@@ -29,18 +29,18 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint: limits in rad (m), rad/s (m/s), N m (N); `follows` names the one that it mimics."""
+    """A joint between two links; limits are None where not given."""
 
     name: str
     kind: str
     parent: str
     child: str
-    follows: str
-    axis: tuple[float, ...]
-    lower: float | None
+    follows: str  # the joint that it mimics; empty where it moves by itself
+    axis: tuple[float, ...]  # (3,) in its own frame
+    lower: float | None  # rad (m)
     upper: float | None
-    velocity: float | None
-    effort: float | None
+    velocity: float | None  # rad/s (m/s)
+    effort: float | None  # N m (N)
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,8 @@ class UrdfText:
 def read_urdf_text(path: Path) -> UrdfText:
     """Read a URDF file and check it.
 
-    Raises ConfigError naming the file, the joint or link: there is no file, it is a xacro file, not
-    well-formed XML or not a URDF, has numbers that are none, names twice, or links that do not hang
-    in one tree.
+    Raises ConfigError naming the file, the joint or link: there is no file, it is a xacro file, no
+    well-formed XML or no URDF, has numbers that are none, names twice, or links that are no tree.
     """
     raw = read_limited(path, "URDF", SIZE_LIMIT)
     text = re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
@@ -164,7 +163,7 @@ def _faults_of_the_tree(
 
 
 def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> None:
-    """Check that the robot file's joints are joints of the URDF that move by themselves."""
+    """Check that joints of a robot file move by themselves in the URDF; raises ConfigError."""
     file = urdf.path.name
     known = f"Movable joints of {file}: {', '.join(urdf.movable) or 'none'}."
     for k, entry in enumerate(joints):
@@ -190,7 +189,7 @@ def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> 
 def best_chain(
     urdf: UrdfText, worth: Callable[[UrdfJoint], float] = lambda joint: 1.0
 ) -> tuple[UrdfJoint, ...]:
-    """Driven joints from the root to a tip, of the largest worth; of equals the first."""
+    """Driven joints from the root to a tip, of the largest worth; of equals the first, if any."""
     by_child = {joint.child: joint for joint in urdf.joints.values()}
     inner = {joint.parent for joint in urdf.joints.values()}
     chains = []

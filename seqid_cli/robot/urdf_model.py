@@ -37,9 +37,8 @@ def chain_from_urdf(
 ) -> tuple[Chain, Array | None]:
     """Build the chain of the joints `names`, all other joints locked at zero and merged.
 
-    Quarter turns and zeros that it rounds are exact (see `tidy_rotation`). Raises ConfigError, of
-    the robot file `source`: the URDF is inconsistent, or `names` is not a serial chain in this
-    order.
+    Quarter turns and zeros that it rounds are exact (see `tidy_rotation`). Raises ConfigError: the
+    URDF is inconsistent, or in the robot file `source` `names` is no serial chain in this order.
     """
     whole = whole_model(urdf)
     others = [k for k in range(1, whole.njoints) if whole.names[k] not in names]
@@ -151,8 +150,7 @@ def geometry_of(
     `postures` (P, n): drawn ones, by which links that always touch are found. `boxes`: where no
     link may be. `workspace`: out of which no link may reach. `clearance_m`: how near counts as a
     collision, m. `usual_contact`: share of the postures in which links that touch are not checked
-    against each other. Returns None where there is no URDF, or its links have no shapes, or a mesh
-    is not found.
+    against each other. Returns None without a URDF, without shapes, or where a mesh is not found.
     """
     if robot.urdf is None:
         return None

@@ -68,7 +68,7 @@ def trend_file(
         inflation={stage: inflation for stage, (inflation, _) in scatters.items()},
         changes=changes,
         series=series,
-        notes=_notes(robots),
+        notes=list(_notes(robots)),
     )
 
 
@@ -79,14 +79,12 @@ def _limit(series: Sequence[trend.SeriesEntry], differences: Sequence[int], alph
     return float(stats.t.isf(share, min(differences) / 2) if differences else stats.norm.isf(share))
 
 
-def _notes(robots: Mapping[str, Sequence[ParameterFile]]) -> list[str]:
-    single = [name for name, files in robots.items() if len(files) < 2]
-    notes = [f"one file each, nothing to compare: {', '.join(single)}"] if single else []
-    return notes + [
-        f"{name}: the robot files differ: geometry, limits or drives may have changed"
-        for name, files in robots.items()
-        if len({file.robot.sha256 for file in files}) > 1
-    ]
+def _notes(robots: Mapping[str, Sequence[ParameterFile]]) -> Iterator[str]:
+    if single := [name for name, files in robots.items() if len(files) < 2]:
+        yield f"one file each, nothing to compare: {', '.join(single)}"
+    for name, files in robots.items():
+        if len({file.robot.sha256 for file in files}) > 1:
+            yield f"{name}: the robot files differ: geometry, limits or drives may have changed"
 
 
 def scatter_of(series: Sequence[trend.SeriesEntry], *, enough: int = 30) -> tuple[float, int]:

@@ -122,7 +122,7 @@ def filtered_regressor(
         stop = min(start + chunk, last)
         low, high = max(0, start - reach), min(stop + reach, motion.samples)
         near, inner = motion.part(slice(low, high)), slice(start - low, stop - low)
-        base_regressor(robot, basis, near.q, near.dq, near.ddq, spare=spare, out=room)
+        base_regressor(robot, basis, near.q, near.dq, near.ddq, out=room)
         motion.lowpass.filter_rows(rows[:, : near.samples], near.valid, only=only)
         H = room.transpose(2, 0, 1)[inner]
         if beside is not None:

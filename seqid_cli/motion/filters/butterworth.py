@@ -36,7 +36,10 @@ NEGLIGIBLE = 1e-14
 
 @dataclass(frozen=True)
 class Lowpass:
-    """Zero-phase low-pass; of every `every`-th sample, with the response of the log's own rate."""
+    """Zero-phase low-pass of signals at `rate_hz`, which may be each `every`-th sample of a log.
+
+    The response is that of the log's own rate.
+    """
 
     cutoff_hz: float
     rate_hz: float
@@ -128,14 +131,19 @@ def single(values: Array) -> Array:
     return cast(Array, values.astype(np.float32))
 
 
-@dataclass(frozen=True)
 class _Response:
-    """Gain of some passes over pieces of `size` samples; `reach` on either side depends."""
+    """Gain of some passes over pieces of `longer` reaches and `least` samples, or a little more."""
 
-    reach: int  # samples, a multiple of `every`
-    size: int
-    every: int  # of so many samples one is wanted
-    gain: Array  # (size // 2 + 1,) real: the phase is zero
+    def __init__(
+        self, lowpass: Lowpass, times: int, every: int, *, longer: int = 8, least: int = 512
+    ) -> None:
+        h = impulse_response(lowpass)
+        self.every = every  # of so many samples one is wanted
+        self.reach = -(-times * (len(h) // 2) // every) * every  # that depend, on either side
+        self.size = every * next_fast_len(-(-(longer * self.reach + least) // every), real=True)
+        both = np.zeros(self.size)
+        both[: len(h)] = h
+        self.gain = rfft(np.roll(both, -(len(h) // 2))).real ** times  # the phase is zero
 
     def of(self, piece: Array) -> Array:
         """Filter a piece (c, m), from its sample `reach` on; zeros follow it."""
@@ -167,14 +175,4 @@ def impulse_response(lowpass: Lowpass) -> Array:
     return np.asarray(both / both.sum())
 
 
-@lru_cache(maxsize=64)
-def _response(
-    lowpass: Lowpass, times: int, every: int, *, longer: int = 8, least: int = 512
-) -> _Response:
-    """Pieces are `longer` reaches and `least` samples long, or a little longer."""
-    h = impulse_response(lowpass)
-    reach = -(-times * (len(h) // 2) // every) * every
-    size = every * next_fast_len(-(-(longer * reach + least) // every), real=True)
-    both = np.zeros(size)
-    both[: len(h)] = h
-    return _Response(reach, size, every, rfft(np.roll(both, -(len(h) // 2))).real ** times)
+_response = lru_cache(maxsize=64)(_Response)

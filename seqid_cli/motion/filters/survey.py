@@ -30,30 +30,26 @@ class Welch:
         self.length = length
         self._differences = differences  # that are taken of the samples first
         self._window = get_window("hann", length)
-        self._sum: Array | None = None
-        self._segments = 0
-        self._start = 0  # of the next segment
+        self._sum: Array | float = 0.0
+        self._segments = self._start = 0  # taken so far; where the next one begins
 
     def look(self, samples: Array, begin: int, *, dense: int = 262144, sparse: int = 4) -> int:
         """Take what is new in samples from number `begin` on; tells which is wanted next."""
-        hop = self.length - self.length // 2
-        wanted = self.length + self._differences
+        hop, wanted = self.length - self.length // 2, self.length + self._differences
         while self._start + wanted <= begin + len(samples):
             start = self._start - begin
             piece = samples[start : start + wanted].T
             if self._differences:
                 piece = np.diff(piece, self._differences, axis=1)
             spectrum = rfft(piece * self._window, axis=1, overwrite_x=True)
-            power = spectrum.real**2 + spectrum.imag**2
-            self._sum = power if self._sum is None else self._sum + power
+            self._sum = self._sum + (spectrum.real**2 + spectrum.imag**2)
             self._segments += 1
             self._start += hop if self._start < dense else sparse * hop
         return self._start
 
     def density(self, rate_hz: float) -> tuple[Array, Array]:
         """Return frequencies (F,) Hz and densities (c, F) of samples at a rate."""
-        assert self._sum is not None  # there was a segment
-        density = self._sum / (rate_hz * np.sum(self._window**2) * self._segments)
+        density = np.asarray(self._sum / (rate_hz * np.sum(self._window**2) * self._segments))
         density[:, 1 : None if self.length % 2 else -1] *= 2
         frequency = np.arange(self.length // 2 + 1) * (rate_hz / self.length)
         return np.asarray(frequency, dtype=np.float64), density
@@ -64,8 +60,7 @@ class Survey:
 
     def __init__(self, n: int, rate_hz: float, samples: int = MANY) -> None:
         self.rate_hz = rate_hz
-        self._levels: list[Array | None] = [np.zeros(0) for _ in range(n)]
-        self._known: list[Array] = [np.zeros(0) for _ in range(n)]
+        self._levels: list[Array] = [np.zeros(0) for _ in range(n)]
         self._fourth = Thinned(MOST_LEVELS)
         second, velocity, self._halves = _lengths(rate_hz, samples)
         self._second, self._velocity = Welch(second, 2), Welch(velocity, 1)
@@ -83,32 +78,26 @@ class Survey:
     def push(self, q: Array) -> None:
         """Take the next samples."""
         for j, levels in enumerate(self._levels):
-            if levels is not None:
+            if len(levels) <= MOST_LEVELS:
                 values = np.round(q[:, j], 10)
                 values = values[np.diff(values, prepend=np.nan) != 0]
-                self._known[j] = known = np.unique(np.concatenate([levels, values]))
-                self._levels[j] = None if len(known) > MOST_LEVELS else known
+                self._levels[j] = np.unique(np.concatenate([levels, values]))
         wide = q if self._tail is None else np.concatenate([self._tail, q])
         end = self._seen + len(q)
         begin = end - len(wide)
         self._fourth.push(np.abs(np.diff(wide[max(0, self._seen - begin - 4) :], 4, axis=0)))
         wanted = [spectrum.look(wide, begin) for spectrum in (self._second, self._velocity)]
         for half in self._halves:
-            low = max(0, self._seen - begin - 2 * half)
-            self._add_travel(wide[low:], half, begin + low)
+            low, step = max(0, self._seen - begin - 2 * half), max(1, half // 16)
+            low += -(begin + low) % step  # on the same samples whatever parts they come in
+            if low + 2 * half < len(wide):
+                travel = np.abs(wide[low + 2 * half :: step] - wide[low : -2 * half : step])
+                largest = travel.max(axis=1, keepdims=True)
+                own = np.where(travel > SHAKEN * largest, travel, 0.0).max(axis=0)
+                self._travel = np.maximum(self._travel, own)
         keep = min([*wanted, end - 2 * max([*self._halves, 2])])
         self._tail = wide[max(0, keep - begin) :].copy(order="K")
         self._seen = end
-
-    def _add_travel(self, wide: Array, half: int, number: int, *, steps: int = 16) -> None:
-        step = max(1, half // steps)
-        first = -number % step  # on the same samples whatever parts they come in
-        if len(wide) <= 2 * half + first:
-            return
-        travel = np.abs(wide[2 * half + first :: step] - wide[first : -2 * half : step])
-        largest = travel.max(axis=1, keepdims=True)
-        own = np.where(travel > SHAKEN * largest, travel, 0.0).max(axis=0)
-        self._travel = np.maximum(self._travel, own)
 
     def at_rate(self, rate_hz: float, samples: int) -> bool:
         """Take the rate and the number of samples that came; False if others would be needed."""
@@ -118,7 +107,7 @@ class Survey:
 
     def encoder_step(self) -> Array:
         """Smallest step of each joint's position (n,) rad, 0 where it is not quantised."""
-        return np.array([bandwidth.step_of(levels) for levels in self._known])
+        return np.array([bandwidth.step_of(levels) for levels in self._levels])
 
     def count(self, resolution: Array) -> Array:
         """Step of each encoder (n,) rad: that of the robot file, else that of the positions."""
@@ -141,17 +130,18 @@ class Survey:
         self, resolution: Array, *, highest_hz: float = bandwidth.HIGHEST_HZ
     ) -> bandwidth.Cutoff:
         """Choose one low-pass cut-off by the joints that move; the others say nothing about it."""
+        # `resolution` (n,) rad: of the robot file, zero where the step is to be read off the data.
         step, joints = self._steps(resolution)
-        highest = min(highest_hz, self.rate_hz / 8)
+        highest, best = min(highest_hz, self.rate_hz / 8), 60
         floors = step**2 / 12 * 2 / self.rate_hz
-        if not len(joints):
-            middle = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)[60]
-            return bandwidth.Cutoff(float(middle), step, floors)
-        own = bandwidth.highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
-        highest = min(highest, own)
+        if len(joints):
+            own = bandwidth.highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
+            highest = min(highest, own)
         candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
-        score, floors[joints] = self._scored(joints, step, candidates)
-        return bandwidth.Cutoff(float(candidates[bandwidth.first_maximum(score)]), step, floors)
+        if len(joints):
+            score, floors[joints] = self._scored(joints, step, candidates)
+            best = bandwidth.first_maximum(score)
+        return bandwidth.Cutoff(float(candidates[best]), step, floors)
 
     def score(self, resolution: Array, cutoffs: Array) -> bandwidth.Score | None:
         """Score cut-offs (C,) Hz by the joints that move; None where none does."""

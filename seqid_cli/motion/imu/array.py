@@ -141,6 +141,7 @@ def read_angular(
     imu: Imu, accelerations: Array, gyro: Array | None, lowpass: Lowpass, valid: Mask
 ) -> AngularReading:
     """Angular acceleration, products of angular velocity, by the gyro (N, 3) rad/s or the array."""
+    # Low-passed once; `accelerations` (N, K) m/s^2, `valid` (N,) false in gaps.
     if gyro is not None:
         w = lowpass(gyro, valid)
         dw, _ = differentiate(w, lowpass.rate_hz, valid)

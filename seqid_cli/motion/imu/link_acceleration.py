@@ -173,13 +173,12 @@ def _solve(
 ) -> tuple[Array, Array]:
     """Weighted least squares per sample for the moving joints: accelerations, their error (n,)."""
     moving = np.flatnonzero(motion.moving.any(axis=0))
-    count = len(moving)
-    normal = np.zeros((motion.samples, count, count))
-    right = np.zeros((motion.samples, count))
+    count, N = len(moving), motion.samples
+    normal, right = np.zeros((N, count, count)), np.zeros((N, count))
     still = np.zeros_like(motion.q)
     for _, link, dw, sigma in readings:
         c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[1]
-        J, own = np.zeros((motion.samples, 3, count)), moving <= link
+        J, own = np.zeros((N, 3, count)), moving <= link
         J[:, :, own] = axes_in_link(robot, motion.q, link)[:, moving[own]].swapaxes(1, 2)
         weight = 1.0 / max(sigma, 1e-9) ** 2
         normal += weight * np.einsum("nik,nil->nkl", J, J)

@@ -83,8 +83,7 @@ def link_state(robot: Robot, link: int, motion: Array) -> Array:
 
 def link_slopes(robot: Robot, link: int, motion: Array) -> Array:
     """Derivatives (N, 9, 3 m) of a link's f, dw, w in q, dq, ddq (3, n, N), joint after joint."""
-    # From link to link they are carried on as the motion itself is
-    # (`robot.kinematics.link_motion`).
+    # From link to link they are carried on as the motion itself is (`link_motion`).
     head = _head(robot.chain, link + 1)
     own = link_motion(head, robot.gravity, *motion[:, : link + 1])
     D = np.zeros((motion.shape[2], 9, 3 * head.n))

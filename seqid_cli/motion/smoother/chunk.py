@@ -29,15 +29,12 @@ def spline_weights(u: Array, spacing: float) -> Array:
 
 @dataclass(frozen=True)
 class Jerk:
-    """White jerk of all joints: `size` (n,) rad/s^3 between knots, `correlation` (n, n).
+    """White jerk of all joints; an arm's inertia passes jolts on, so that jerks come together."""
 
-    A jolt of one joint jolts the others through the arm's inertia: jerks come together. `relative`
-    (M, n) is how much larger than usual they are in each interval: friction jolts a joint that
-    turns back, and an arm that rests has none.
-    """
-
-    size: Array
-    correlation: Array
+    size: Array  # (n,) rad/s^3 between knots
+    correlation: Array  # (n, n)
+    # (M, n) how much larger than usual it is in each interval: friction jolts a joint that turns
+    # back, and an arm that rests has none.
     relative: Array
 
     @property
@@ -127,10 +124,8 @@ CELL_S = 0.016  # within which an arm hardly turns
 class Mounted:
     """An IMU in one stretch: its readings as they came, as the knots gather them, its constants.
 
-    A reading stamped t was taken at t - `delay` s on the encoders' clock. The constants are the
-    channels' biases (K), the place on the link (3) m, a small turn (3) rad, the clock's offset (1)
-    s and the channels' axes (3 K); `away` (g,) is how far they are from where the prior, of
-    `precision` (g, g), had them.
+    The constants are the channels' biases (K), the place on the link (3) m, a small turn (3) rad,
+    the clock's offset (1) s and the channels' axes (3 K).
     """
 
     name: str
@@ -139,9 +134,9 @@ class Mounted:
     live: Mask  # (N, K)
     noise: Array  # (K,) of single readings
     bias: Array  # (K,)
-    delay: float
-    away: Array
-    precision: Array
+    delay: float  # a reading stamped t was taken at t - `delay` s on the encoders' clock
+    away: Array  # (g,) from where the prior had the constants
+    precision: Array  # (g, g) of the prior
     y: Array  # (M, K) averaged over knot intervals
     seen: Mask  # (M, K)
     fraction: float = 0.0  # of a sample, by which the gathered readings came later

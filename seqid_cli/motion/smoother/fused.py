@@ -30,12 +30,7 @@ from seqid_cli.typing import Array, Mask
 
 
 def fused_motion(
-    recording: Recording,
-    robot: Robot,
-    stage: ImuStage | None,
-    encoder: Motion,
-    *,
-    insist: bool = False,
+    log: Recording, robot: Robot, stage: ImuStage | None, encoder: Motion, *, insist: bool = False
 ) -> Motion:
     """Smooth a log with all its IMUs that can be believed, and filter it once.
 
@@ -44,21 +39,21 @@ def fused_motion(
     "fused" at that rate; the encoder's own, with warnings, where no IMU is calibrated, recorded and
     believed. Raises InputError: no stretch of the log is long enough to filter.
     """
-    missing = tuple(absent_imus(recording, robot, stage))
-    if not mounted_imus(recording, robot, stage):
+    missing = tuple(absent_imus(log, robot, stage))
+    if not mounted_imus(log, robot, stage):
         return replace(encoder, warnings=(*encoder.warnings, *missing))
-    smoothed = _smoothed(recording, robot, stage)
+    smoothed = _smoothed(log, robot, stage)
     warnings = (*encoder.warnings, *missing, *smoothed.notes)
     if not smoothed.mounted:
         return replace(encoder, warnings=warnings)
-    apart = disagreement(encoder, encoder.lowpass(smoothed.ddq, recording.valid))
+    apart = disagreement(encoder, encoder.lowpass(smoothed.ddq, log.valid))
     if apart.any():
         names = ", ".join(robot.joint_names[j] for j in np.flatnonzero(apart))
         doubt = f"{', '.join(smoothed.mounted)} and the encoder of {names} disagree"
         if not insist:
             return replace(encoder, warnings=(*warnings, f"{doubt}: encoders alone are used"))
         warnings = (*warnings, doubt)
-    return replace(_filtered(recording, encoder, smoothed), warnings=warnings)
+    return replace(_filtered(log, encoder, smoothed), warnings=warnings)
 
 
 def score_of_smoothed(
@@ -141,8 +136,7 @@ def disagreement(
     times the encoder's noise, whose quantisation is not white in slow moves. `max_share`: share of
     the acceleration: what shakes faster than IMUs sample shows up below.
     """
-    seen = encoder.moving.any(axis=0)
-    used = encoder.usable
+    seen, used = encoder.moving.any(axis=0), encoder.usable
     apart = np.sqrt(np.mean((ddq - encoder.ddq)[used] ** 2, axis=0))
     size = np.sqrt(np.mean(encoder.ddq[used] ** 2, axis=0))
     limit = max_noise_ratio * encoder.cutoff.acceleration_noise + max_share * size
@@ -190,10 +184,8 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: Smoothed) -> Moti
     variance, moves = smoothed.typical(valid), np.any(encoder.moving, axis=0)
     lowpass = Lowpass(cutoff.hz, recording.rate_hz)
     # What noise makes of locked joints must not pass for excitation.
-    motion = [
-        lowpass(np.where(moves, values, still), valid)
-        for values, still in ((smoothed.q, recording.q), (smoothed.dq, 0.0), (smoothed.ddq, 0.0))
-    ]
+    pairs = (smoothed.q, recording.q), (smoothed.dq, 0.0), (smoothed.ddq, 0.0)
+    motion = [lowpass(np.where(moves, values, still), valid) for values, still in pairs]
     hidden = moves & np.isinf(variance[:, 0])
     if hidden.any():
         q = lowpass(recording.q[:, hidden], valid)

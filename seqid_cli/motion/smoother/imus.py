@@ -23,11 +23,8 @@ LEAST_NOISE = 1e-3  # m/s^2 or rad/s
 def mounted_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> list[Mounted]:
     """IMUs with calibration and readings, as the calibration has them, without their readings."""
     known = stage.imus if stage else {}
-    return [
-        _mounted(imu, known[imu.name], recording)
-        for imu in robot.imus
-        if imu.name in known and imu.name in recording.accelerometers
-    ]
+    both = known.keys() & recording.accelerometers.keys()
+    return [_mounted(x, known[x.name], recording) for x in robot.imus if x.name in both]
 
 
 def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:

@@ -12,7 +12,6 @@ from the factor's rows behind some of the knots.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
@@ -20,17 +19,9 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.motion import encoder_resolution
+from seqid_cli.motion.smoother import chunk as splines
 from seqid_cli.motion.smoother import solve
-from seqid_cli.motion.smoother.chunk import (
-    Chunk,
-    Jerk,
-    Mounted,
-    bridged,
-    encoder_view,
-    mean_motion,
-    motion_at,
-    resampled,
-)
+from seqid_cli.motion.smoother.chunk import Chunk, Jerk, Mounted, resampled
 from seqid_cli.motion.smoother.imus import handed_on, mounted_imus, moved, read
 from seqid_cli.motion.smoother.system import chosen, jacobians, predicted
 from seqid_cli.params.schema import ImuStage
@@ -62,26 +53,17 @@ def believed(
     return replace(chunk, imus=tuple(kept)), notes
 
 
-class Misfit(NamedTuple):
-    """What no joint motion explains of an IMU's readings.
-
-    `size` is the RMS over the channels that `typical` of the intervals in motion do not exceed,
-    m/s^2 (rad/s): a jolt is over in less time than there is between coarse knots, which cannot
-    follow it. `noises` is the same over its noise, `share` over what encoders alone leave.
-    """
-
-    name: str
-    size: float
-    noises: float
-    share: float
+Misfit = tuple[str, float, str]  # an IMU, its share of what the encoders alone leave, and a text
 
 
 def misfits(
     chunk: Chunk, alone: Array, together: Array, *, in_motion: float = 0.05
 ) -> Iterator[Misfit]:
     """IMUs that leave more than noise of the motion by coefficients (K, n), encoders' and all."""
+    # The RMS over the channels, m/s^2 (rad/s), that `typical` of the intervals in motion do not
+    # exceed: a jolt is over in less time than there is between coarse knots, which cannot follow.
     for x in chunk.imus:
-        speed = np.abs(mean_motion(chunk, alone[:, : x.joints])[1])
+        speed = np.abs(splines.mean_motion(chunk, alone[:, : x.joints])[1])
         fastest = np.maximum(speed.max(axis=1, keepdims=True), 1e-9)
         own = x.there & (speed > in_motion * fastest).any(axis=0)
         own = own if own.any() else x.there
@@ -90,24 +72,20 @@ def misfits(
         if noises > BEYOND_NOISE:
             before = _without_drift(x, predicted(chunk, alone, x))
             share = noises / max(_typical(before / x.spread, x.seen, own), 1e-9)
-            yield Misfit(x.name, size, noises, share)
+            beyond = f"by {size:.3g}, {noises:.1f} times its noise and {percent(share, 0)}"
+            told = f"it differs from the motion {beyond} of what it differs from the encoders'"
+            yield x.name, share, told
 
 
 def contradiction(found: Sequence[Misfit], *, unexplained: float = 0.36) -> tuple[str, list[str]]:
     """The IMU to be left out, if any, and what is to be said of those that fit badly."""
     # A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
     # from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
-    texts = {
-        x.name: f"it differs from the motion by {x.size:.3g}, {x.noises:.1f} times its noise and "
-        f"{percent(x.share, 0)} of what it differs from the encoders'"
-        for x in found
-    }
-    worst = max(found, key=lambda x: x.share, default=None)
-    if worst is not None and worst.share > unexplained:
-        limit = f"(limit {percent(unexplained, 0)})"
-        return worst.name, [f"{worst.name} is left out: {texts[worst.name]} {limit}"]
+    name, share, text = max(found, key=lambda x: x[1], default=("", 0.0, ""))
+    if share > unexplained:
+        return name, [f"{name} is left out: {text} (limit {percent(unexplained, 0)})"]
     remedy = "check geometry, mounting and gravity"
-    return "", [f"{name} fits badly: {text}; {remedy}" for name, text in texts.items()]
+    return "", [f"{name} fits badly: {text}; {remedy}" for name, _, text in found]
 
 
 def _without_drift(x: Mounted, told: Array) -> Array:
@@ -174,8 +152,7 @@ def _searched(
 
 def _later(values: Array, lag: int) -> Array:
     """Rows `lag` further on, zero where there are none."""
-    out = np.zeros_like(values)
-    m = len(values)
+    out, m = np.zeros_like(values), len(values)
     out[max(-lag, 0) : m - max(lag, 0)] = values[max(lag, 0) : m + min(lag, 0)]
     return out
 
@@ -190,7 +167,7 @@ def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Arra
     """Residuals (C, K), their noise (K,), whitened Jacobians (C, K, g), information (g, g)."""
     r = _cell_means(chunk, x, x.y - predicted(chunk, c, x))
     noise: Array = np.maximum(x.spread, gaussian_spread(r))
-    G = jacobians(chunk, c, x, gains=False).by_constants[:, :, :count]
+    G = jacobians(chunk, c, x, gains=False)[1][:, :, :count]
     there = np.add.reduceat(x.seen.astype(float), chunk.cells) > 0
     G = G * there[:, :, None] / noise[:, None]
     return r, noise, G, np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
@@ -219,18 +196,19 @@ class Smoothed:
         return np.asarray(found)
 
 
-Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str]]
+Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str], Array]
 
 
-def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
-    """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse."""
-    # Of a chunk come motion (N, 3, n), variances at some places, its IMUs and what it says of them.
+def _smoothed(chunk: Chunk, size: Array) -> Part:
+    """Constants on coarse knots, motion on fine ones; from the jerk's size (n,) on the coarse."""
+    # Of a chunk come motion (N, 3, n), variances at some places, its IMUs, what it says of them,
+    # and the size of the jerk.
     coarse = _on_knots(chunk, COARSE_S if chunk.dt <= FINE_S else FINE_S).gathered()
     c, jerk = solve.encoder_motion(coarse, size)
     coarse, notes = believed(coarse, c)
     shared, said = _agreed(chunk, coarse, c, jerk)
     last = solve.detailed(*_refined(chunk, shared))
-    motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
+    motion = splines.motion_at(last.chunk, last.c)[:: last.chunk.stride]
     # IMUs as the next chunk is to take them; the clocks as the fine knots have them.
     covariance: Array = np.asarray(np.linalg.inv(shared.schur), dtype=np.float64)
     slots = chosen(shared.chunk, shared.constants)
@@ -239,7 +217,7 @@ def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
         for (x, taken, own), fine in zip(slots, last.chunk.imus, strict=True)
     )
     size = shared.jerk.size * np.sqrt(shared.chunk.spacing / coarse.spacing)
-    return (motion, *solve.probed_variance(last, shared), imus, notes + said), size
+    return motion, *solve.probed_variance(last, shared), imus, notes + said, size
 
 
 def _refined(chunk: Chunk, shared: solve.Solution) -> tuple[Chunk, Array, Jerk]:
@@ -255,8 +233,7 @@ def _refined(chunk: Chunk, shared: solve.Solution) -> tuple[Chunk, Array, Jerk]:
 
 def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[solve.Solution, list[str]]:
     """Settle the constants; IMUs whose readings no motion explains are left out one by one."""
-    # Coarse knots may not follow what an IMU feels: before it is left out, fine ones have their
-    # say.
+    # Coarse knots may not follow what an IMU feels: before it goes, fine ones have their say.
     notes = []
     while True:
         shared = solve.settled(coarse, c, jerk)
@@ -291,10 +268,9 @@ def smoothed_motion(
 ) -> Smoothed:
     """Smooth all joints of one log, by chunks of `chunk_s` s that fade into each other."""
     # A chunk begins with the constants that the one before has found. An IMU that reads in fewer
-    # than `mostly` of the samples is named. Joints that no believed IMU sees rest on their
-    # encoders.
+    # than `mostly` of the samples is named. Joints beyond believed IMUs rest on their encoders.
     samples, rate = len(recording.q), recording.rate_hz
-    filled = np.column_stack([bridged(x, np.isfinite(x)) for x in recording.q.T])
+    filled = np.column_stack([splines.bridged(x, np.isfinite(x)) for x in recording.q.T])
     step = encoder_resolution(robot)
     step = np.where(step > 0, step, encoder_step(filled))
     size = np.full(robot.n, first_jerk * np.sqrt(max(COARSE_S, 1.0 / rate) / FINE_S))
@@ -303,16 +279,14 @@ def smoothed_motion(
     used: set[str] = set()
     at, variances, notes = [], [], []
     for own, share in _fading(samples, chunk_s * rate, int(overlap_s * rate)):
-        views = tuple(
-            encoder_view(recording.q[own, j], float(step[j]), recording.valid[own])
-            for j in range(robot.n)
-        )
+        codes = zip(recording.q[own].T, step.tolist(), strict=True)
+        views = tuple(splines.encoder_view(q, count, recording.valid[own]) for q, count in codes)
         imus = tuple(read(x, recording, own) for x in known.values())
         live |= {x.name: live[x.name] + float(share @ x.live.any(axis=1)) for x in imus}
         # Threads of the linear algebra only get into each other's way with matrices this narrow.
         with threadpool_limits(1):
-            part, size = _smoothed(Chunk(robot, views, 1.0 / rate, 1, imus), size)
-        states, places, variance, found, said = part
+            given = Chunk(robot, views, 1.0 / rate, 1, imus)
+            states, places, variance, found, said, size = _smoothed(given, size)
         known |= {x.name: x for x in found}
         used |= {x.name for x in found}
         notes += [f"{own.start / rate:.1f} s: {x}" for x in said]

@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from seqid_cli.motion.smoother import system
 from seqid_cli.motion.smoother.chunk import JERK, Chunk, Jerk, jerk_of
 from seqid_cli.motion.smoother.imus import moved
+from seqid_cli.motion.smoother.system import Constants, Linear, Told, normal_equations
 from seqid_cli.typing import Array, Index
 
 
@@ -25,7 +26,7 @@ class Solution:
     factor: Array  # Cholesky factor of the band
     border: Array  # (Kn, g): inverse of the factor times the border
     schur: Array  # (g, g): information about the constants
-    constants: system.Constants = "none"
+    constants: Constants = "none"
 
     def inverse(self, right: Array) -> Array:
         """Covariance of the coefficients times `right` (Kn, m)."""
@@ -77,7 +78,7 @@ def _factor(band: Array, *, stiffness: tuple[float, ...] = (0.0, 1e-14, 1e-12, 1
 def settled(coarse: Chunk, c: Array, jerk: Jerk, *, known_axes: float = 0.002) -> Solution:
     """Find the IMUs' constants with the motion on coarse knots; axes that are known stay."""
     rng = np.random.default_rng(0)
-    rounds: list[system.Constants] = ["place" if coarse.imus else "none"]
+    rounds: list[Constants] = ["place" if coarse.imus else "none"]
     axes = [np.diag(x.precision)[x.place.channels + 7 :].min() for x in coarse.imus]
     if axes and min(axes) <= known_axes**-2.0:
         rounds.append("all")
@@ -104,21 +105,16 @@ def detailed(fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1)
 
 
 def renewed(
-    chunk: Chunk,
-    c: Array,
-    jerk: Jerk,
-    linear: tuple[system.Cells, ...],
-    constants: system.Constants,
-    told: tuple[Array, ...] | None = None,
+    chunk: Chunk, c: Array, jerk: Jerk, linear: Linear, constants: Constants, told: Told = None
 ) -> Solution:
     """One step of Gauss-Newton about the coefficients `c` (K, n), constants with them."""
-    normal = system.normal_equations(chunk, c, jerk, linear, constants=constants, told=told)
-    factor = _factor(normal.band)
-    border = halved(factor, normal.border)
-    schur = normal.corner - border.T @ border
-    free = halved(factor, normal.gradient[:, None])[:, 0]
+    band, border, corner, gradient, pull = normal_equations(chunk, c, jerk, linear, constants, told)
+    factor = _factor(band)
+    border = halved(factor, border)
+    schur = corner - border.T @ border
+    free = halved(factor, gradient[:, None])[:, 0]
     if len(schur):
-        right = normal.corner_gradient - border.T @ free
+        right = pull - border.T @ free
         found: Array = np.asarray(np.linalg.solve(schur, right), dtype=np.float64)
         free = free - border @ found
         imus = []
@@ -163,14 +159,12 @@ def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     for a in range(4):
         probe[a : a + chunk.intervals] += JERK[a] * over
     answer = solution.inverse(probe.reshape(-1, 1)).reshape(-1, n)
-    found, seen = (
-        jerk_of(c, chunk.spacing) / (jerk.size * jerk.relative) for c in (solution.c, answer)
-    )
+    usual = jerk.size * jerk.relative
+    found, seen = (jerk_of(c, chunk.spacing) / usual for c in (solution.c, answer))
     # Expectation and maximisation for the correlations, the faster fixed point for the sizes.
     left_open = signs.T @ seen
     second = found.T @ found + 0.5 * (left_open + left_open.T)
-    renewed = _renewed_jerk(chunk, solution.c, jerk, seen * signs)
-    return replace(renewed, correlation=_correlation(second))
+    return replace(_renewed_jerk(solution, seen * signs), correlation=_correlation(second))
 
 
 def _correlation(second: Array, *, shrink: float = 0.02) -> Array:
@@ -184,9 +178,7 @@ def _correlation(second: Array, *, shrink: float = 0.02) -> Array:
 
 
 def _renewed_jerk(
-    chunk: Chunk,
-    c: Array,
-    jerk: Jerk,
+    solution: Solution,
     left_open: Array,
     *,
     least_jerk: float = 30.0,
@@ -203,9 +195,9 @@ def _renewed_jerk(
     # `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk that the
     # data leave to its prior. The rest tells its size: all intervals together, those nearby how it
     # compares there. Where they tell nothing it is taken to be as large as on the average.
-    m = chunk.intervals
+    chunk, jerk, m = solution.chunk, solution.jerk, solution.chunk.intervals
     known = np.maximum(m - left_open.sum(axis=0), least_known * m)
-    found = jerk_of(c, chunk.spacing)
+    found = jerk_of(solution.c, chunk.spacing)
     size = np.sqrt(np.sum((found / jerk.relative) ** 2, axis=0) / known)
     size = np.clip(size, jerk.size / largest_change, jerk.size * largest_change)
     size = np.maximum(size, least_jerk)

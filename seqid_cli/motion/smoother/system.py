@@ -1,47 +1,27 @@
 """Normal equations of the motion smoother: encoders, jerk and IMUs along one stretch of a log."""
 
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from seqid_cli.motion.imu.sensor import link_slopes, link_state
-from seqid_cli.motion.smoother.chunk import (
-    JERK,
-    Chunk,
-    Jerk,
-    Mounted,
-    jerk_of,
-    mean_motion,
-    sampled,
-    spline_weights,
-)
+from seqid_cli.motion.smoother import chunk as splines
+from seqid_cli.motion.smoother.chunk import Chunk, Jerk, Mounted, jerk_of, mean_motion, sampled
 from seqid_cli.typing import Array, Index, Mask
 
 Constants = Literal["none", "clock", "place", "all"]  # all but the channels' axes: "place"
 
 
-class Cells(NamedTuple):
-    """Jacobians of one IMU in every cell: (C, K, 3, m) in q, dq, ddq, (C, K, g) in constants."""
-
-    by_motion: Array
-    by_constants: Array
-
-
-class Normal(NamedTuple):
-    """Normal equations: lower `band` (4n, Kn), `border` (Kn, g), `corner` (g, g), gradients."""
-
-    band: Array
-    border: Array
-    corner: Array
-    gradient: Array
-    corner_gradient: Array
+Cells = tuple[Array, Array]  # Jacobians (C, K, 3, m) in q, dq, ddq and (C, K, g) in constants
+Linear = tuple[Cells, ...]  # of all IMUs
+Told = tuple[Array, ...] | None  # their expected readings (M, K), if known
 
 
 def _encoders(chunk: Chunk, c: Array) -> tuple[Array, Array]:
     """What encoders say of each joint: information (M, n, 4, 4) and gradients (4, M, n)."""
     m, every, n = chunk.intervals, chunk.every, chunk.joints
-    at_edges = spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
+    at_edges = splines.spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
     speed = sampled(c, chunk.knots[:, 1]).transpose(1, 0, 2).reshape(m * every, n)
     weight, seen = np.zeros((2, 2, m * every, n))  # of samples, and of the edges behind them
     for j, view in enumerate(chunk.views):
@@ -58,8 +38,7 @@ def _encoders(chunk: Chunk, c: Array) -> tuple[Array, Array]:
 def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     """Jacobians of an IMU about the coefficients `c` (K, n), amid each cell's readings."""
     m, size, head = chunk.intervals, chunk.cell, x.joints
-    starts = chunk.cells
-    seen = x.there.astype(float)
+    starts, seen = chunk.cells, x.there.astype(float)
     count = np.add.reduceat(seen, starts)
     mean = np.add.reduceat(seen * np.arange(m), starts) / np.maximum(count, 1.0)
     amid = np.where(count > 0, mean.astype(int), np.minimum(starts + size // 2, m - 1))
@@ -72,7 +51,7 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     own = np.einsum("kl,nka->nkla", channels, seen @ x.place.R if gains else seen[..., :0])
     bias = np.broadcast_to(channels, (len(seen), *channels.shape))
     parts = [bias, lever, turn @ x.place.R, late[:, :, None], own.reshape(*late.shape, -1)]
-    return Cells(by_motion, np.concatenate(parts, axis=2))
+    return by_motion, np.concatenate(parts, axis=2)
 
 
 def _rate(chunk: Chunk, c: Array, fraction: float) -> Array:
@@ -88,26 +67,19 @@ def _rate(chunk: Chunk, c: Array, fraction: float) -> Array:
     return np.asarray((after - before) / ((last - first) * chunk.spacing))
 
 
-def linearised(chunk: Chunk, c: Array, *, gains: bool = False) -> tuple[Cells, ...]:
+def linearised(chunk: Chunk, c: Array, *, gains: bool = False) -> Linear:
     """Jacobians of all IMUs about the coefficients `c` (K, n)."""
     return tuple(jacobians(chunk, c, x, gains=gains) for x in chunk.imus)
 
 
 def normal_equations(
-    chunk: Chunk,
-    c: Array,
-    jerk: Jerk,
-    linear: tuple[Cells, ...] = (),
-    *,
-    constants: Constants = "none",
-    told: tuple[Array, ...] | None = None,
-    stretch: int = 256,
-) -> Normal:
-    """Gradients at `c` (K, n) and information; `told` are the readings expected there."""
-    # Each interval tells of its own four coefficients. `stretch`: intervals laid out at once.
+    chunk: Chunk, c: Array, jerk: Jerk, linear: Linear, constants: Constants, told: Told
+) -> tuple[Array, ...]:
+    """Lower band (4n, Kn), border (Kn, g), corner (g, g), and gradients of both at `c` (K, n)."""
+    # Each interval tells of its own four coefficients.
     m, n, count = chunk.intervals, chunk.joints, len(chunk.cells)
     own, pulls = _encoders(chunk, c)
-    rise, precision = JERK / chunk.spacing**3, jerk.precision
+    rise, precision = splines.JERK / chunk.spacing**3, jerk.precision
     unlikely = jerk_of(c, chunk.spacing) / jerk.relative @ precision / jerk.relative
     pulls -= rise[:, None, None] * unlikely
     slots = list(chosen(chunk, constants)) if linear else []
@@ -117,11 +89,12 @@ def normal_equations(
     of_cells = np.arange(m) // chunk.cell
     told_of: list[tuple[Mask, Array]] = []  # intervals (M,), cells' coefficients (C, 4n, 4n)
     for (x, taken, at), cells, expected in zip(slots, linear, told, strict=True):
+        by_motion, by_constants = cells
         # Of the four coefficients of an interval, and of the constants.
         W = np.zeros((count, len(x.noise), 4, n))
-        by_coefficients = chunk.mean_knots(x.fraction).T @ cells.by_motion
+        by_coefficients = chunk.mean_knots(x.fraction).T @ by_motion
         W[..., : x.joints] = by_coefficients / x.spread[:, None, None]
-        G = cells.by_constants[:, :, taken] / x.spread[:, None]
+        G = by_constants[:, :, taken] / x.spread[:, None]
         W = np.concatenate([W.reshape(count, -1, 4 * n), G], axis=2)
         there = np.add.reduceat(x.there.astype(float), chunk.cells)
         # Of each cell's intervals with readings, those in which a channel has one.
@@ -143,8 +116,8 @@ def normal_equations(
         gradient[a : a + m] += pulls[a]
     places = np.tile(np.arange(n * n).reshape(n, n), (4, 4)).ravel()
     rises = np.kron(np.multiply.outer(rise, rise), precision).ravel()
-    for start in range(0, m, stretch):
-        now = slice(start, start + stretch)
+    for start in range(0, m, 256):  # intervals laid out at once
+        now = slice(start, start + 256)
         size = 1.0 / jerk.relative[now]
         coupled = (size[:, :, None] * size[:, None]).reshape(-1, n * n)
         H = (coupled.take(places, axis=1) * rises).reshape(-1, 4, n, 4, n)
@@ -157,7 +130,7 @@ def normal_equations(
             first = start + k // n
             band[first : first + len(H), k % n, : 4 * n - k] += H[:, k, k:]
     whole = band.reshape(c.size, -1).T, border.reshape(total, c.size).T
-    return Normal(*whole, corner, gradient.ravel(), right)
+    return *whole, corner, gradient.ravel(), right
 
 
 def chosen(chunk: Chunk, constants: Constants) -> Iterator[tuple[Mounted, Index, slice]]:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 from seqid_cli import __version__
 from seqid_cli.errors import ConfigError
@@ -32,9 +32,17 @@ def now() -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
 
 
-def tool() -> schema.Tool:
-    """Return the identity of this program in the form of documents."""
-    return schema.Tool(version=__version__)
+class Head(TypedDict):
+    """What every document begins with."""
+
+    schema: str
+    created: str
+    tool: schema.Tool
+
+
+def head(name: str) -> Head:
+    """Return the head of a document of this schema, written now by this program."""
+    return {"schema": name, "created": now(), "tool": schema.Tool(version=__version__)}
 
 
 def robot_id(robot: "Robot") -> schema.RobotId:
@@ -105,9 +113,7 @@ def _file(
     closed_loop: schema.ClosedLoop | None = None,
 ) -> schema.ParameterFile:
     return schema.ParameterFile(
-        schema=schema.SCHEMA,
-        created=now(),
-        tool=tool(),
+        **head(schema.SCHEMA),
         robot=robot,
         inputs=list({(log.stage, log.sha256, log.path): log for log in inputs}.values()),
         stages=schema.Stages(**stages),  # type: ignore[arg-type]

@@ -109,11 +109,8 @@ def export(
 
 
 def _show_deviations(screen: Screen, file: ExportFile) -> None:
-    rows = [
-        (d.name, d.identified, d.exported, f"{d.std_errors:+.2f}", d.unit)
-        for d in file.base_parameters
-        if d.std_errors is not None and abs(d.std_errors) >= 0.01
-    ]
+    far = [d for d in file.base_parameters if abs(d.std_errors or 0.0) >= 0.01]
+    rows = [(d.name, d.identified, d.exported, f"{d.std_errors:+.2f}", d.unit) for d in far]
     screen.result("no body has the identified base parameters; the nearest ones are exported:")
     titles = "parameter | identified | exported | std errors | unit"
     screen.values(tables.values(titles, "text number5 number5 text text", rows))

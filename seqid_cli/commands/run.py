@@ -76,26 +76,26 @@ def run(
         message = f"the folder cannot be made: {problem.strerror}"
         raise UsageError(message, where=str(output), hint="Choose -o.") from None
     outcomes: list[dict[str, Any]] = []
+    rows = []
     for step in steps:
-        if step.current and not force:
+        kept = step.current and not force
+        if kept:
             screen.note(f"{step.command}: {step.writes} is newer than its logs, kept")
             poor = poor_of(step.writes)
             for verdict in poor:
                 screen.note(f"{verdict.joint or step.command}: poor: {verdict.reason}")
-            code, kept = EXIT_UNTRUSTED if poor else EXIT_DONE, True
+            code = EXIT_UNTRUSTED if poor else EXIT_DONE
         else:
             screen.note(f"--- {step.command}")
-            code, kept = _code(step, context), False
-            force = True  # what rests on it is old
-        made = {"command": step.command, "output": str(step.writes), "good": code != EXIT_UNTRUSTED}
-        outcomes.append({**made, "kept": kept, "partial": code == EXIT_PARTIAL})
+            code, force = _code(step, context), True  # what rests on it is old
+        path, good = str(step.writes), code != EXIT_UNTRUSTED
+        made = {"command": step.command, "output": path, "good": good, "kept": kept}
+        outcomes.append({**made, "partial": code == EXIT_PARTIAL})
+        state, how = "good" if good else "poor", "kept" if kept else "made"
+        rows.append((step.command, state, path, how))
         if code == EXIT_UNTRUSTED and not keep_going and step is not steps[-1]:
             screen.note(f"stopped at {step.command}: its verdict is poor (--keep-going goes on)")
             break
-    rows = []
-    for x in outcomes:
-        state, how = "good" if x["good"] else "poor", "kept" if x["kept"] else "made"
-        rows.append((x["command"], state, x["output"], how))
     screen.table(("step", "verdict", "file", ""), rows)
     screen.document({"steps": outcomes})
     if not all(outcome["good"] for outcome in outcomes):

@@ -141,11 +141,10 @@ def join(files: Sequence[tuple[str, schema.ParameterFile]]) -> schema.ParameterF
     """
     if not files:
         raise ConfigError("no parameter file given", hint="Name one with -p.")
-    first_name, first = files[0]
+    path, first = files[0]
     found: dict[str, tuple[object, str]] = {}
     for name, file in files:
-        hint = "Join files of one robot only."
-        check_same_robot((first_name, first.robot), (name, file.robot), hint)
+        check_same_robot((path, first.robot), (name, file.robot), "Join files of one robot only.")
         for stage, content in present(file.stages).items():
             known, source = found.setdefault(stage, (content, name))
             if known != content:

@@ -55,8 +55,7 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         message = f"cannot be written: {error.strerror or error}"
-        hint = "Check space and rights there."
-        raise UsageError(message, where=str(path), hint=hint) from error
+        raise UsageError(message, where=str(path), hint="Check space and rights there.") from error
 
 
 @contextlib.contextmanager
@@ -112,10 +111,8 @@ def process_runs(process: int) -> bool:
     """Tell whether there is a process of this number."""
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):  # somebody else's
-        return True
+    except (OSError, OverflowError) as error:  # any other one: the process is somebody else's
+        return not isinstance(error, ProcessLookupError)
     return True
 
 

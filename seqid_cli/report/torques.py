@@ -1,13 +1,10 @@
-"""The torques that `seqid predict --torques` wrote, a joint at a time.
-
-Imports numpy and pyarrow: only for use inside a command's body.
-"""
+"""The torques that `seqid predict --torques` wrote, a joint at a time."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -125,14 +122,6 @@ class TorqueTable:
         left = np.where(np.isnan(low) | np.isnan(torque), left, torque - nearest)
         motion = own.get("position"), own.get("velocity")
         return Series(log, t, torque, own["predicted"], left, used, sliding, low, high, *motion)
-
-
-def find_torques(prediction: Prediction, collection: Collection) -> TorqueTable | None:
-    """Open the `torques.parquet` beside a prediction, if there is one and it is of this one."""
-    path = Path(prediction.path).with_name("torques.parquet")
-    with contextlib.suppress(InputError):
-        return TorqueTable.open(path, replace(collection, predictions=(prediction,)))
-    return None
 
 
 @contextlib.contextmanager

@@ -279,14 +279,10 @@ def _side_by_side(collection: Collection) -> Group:
     common = frozenset.intersection(*logs)
     columns = heads("joint | unit", "text text")
     columns += [Head(collection.label(p), "number") for p in collection.predictions]
-    rows = [
-        (
-            name,
-            collection.place(name).unit,
-            *(_error_on(p, name, common) for p in collection.predictions),
-        )
-        for name in collection.robot.joints
-    ]
+    rows = []
+    for name in collection.robot.joints:
+        errors = (_error_on(item, name, common) for item in collection.predictions)
+        rows.append((name, collection.place(name).unit, *errors))
     note = f"RMS error, and its share of the RMS torque, on the {plural(len(common), 'log')} that "
     shown = Table("Error of each model", Values(columns, rows), f"{note}all of them predict.")
     return Group("torque-models", "Models side by side", tables=[shown], unfolded=True)
@@ -308,9 +304,7 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str) -> 
     cutoffs = [log.cutoff_hz for item in collection.predictions for log in item.content.logs]
     verdicts = [v for p in collection.judged for v in p.content.verdicts if v.joint == name]
     state, bad = badge(verdicts), [verdict.reason for verdict in verdicts if not verdict.good]
-    notes = []
-    if len(drawn) < len(series):
-        notes.append(f"Shown: the {len(drawn)} of {len(series)} logs with the largest errors.")
+    few = f"Shown: the {len(drawn)} of {len(series)} logs with the largest errors."
     return Group(
         f"torque-{collection.robot.joints.index(name) + 1}",
         name,
@@ -324,7 +318,7 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str) -> 
             spectrum(series, place, max(cutoffs, default=None), _COLUMNS),
         ],
         tables=[_errors(collection, place)],
-        notes=notes,
+        notes=[few] if len(drawn) < len(series) else [],
     )
 
 
@@ -335,13 +329,10 @@ def over_logs(
 
     A figure has at most two points to a line in each of its `columns`.
     """
-    models = {
-        collection.label(table.prediction) if table.prediction else short_path(table.path): {
-            series.log: series for series in table.series(name)
-        }
-        for table in tables
-        if name in table.joints
-    }
+    models = {}
+    for own in [own for own in tables if name in own.joints]:
+        label = collection.label(own.prediction) if own.prediction else short_path(own.path)
+        models[label] = {series.log: series for series in own.series(name)}
     series = list(next(iter(models.values()), {}).values())
     errors = {
         log.path: error.relative_rmse or 0.0
@@ -352,29 +343,21 @@ def over_logs(
     worst = sorted(series, key=lambda item: -errors.get(item.log, 0.0))[:_MOST_LOGS]
     figures = []
     for log in [item.log for item in series if any(item is one for one in worst)]:
-        own = {label: logs[log] for label, logs in models.items() if log in logs}
-        events = [
-            (event.start, event.end)
-            for item in collection.diagnoses
-            for event in item.content.events
-            if event.log == log and name in event.joints
-        ]
-        figures.append(over_time(own, collection.place(name), events, columns))
+        shown = {label: logs[log] for label, logs in models.items() if log in logs}
+        told = [event for item in collection.diagnoses for event in item.content.events]
+        events = [(x.start, x.end) for x in told if x.log == log and name in x.joints]
+        figures.append(over_time(shown, collection.place(name), events, columns))
     return series, figures
 
 
 def _errors(collection: Collection, place: Place) -> Table:
-    rows = [
-        (
-            short_path(log.path),
-            collection.label(item),
-            *(x.rmse, x.relative_rmse, x.max_abs, x.samples, x.share_sliding, x.rmse_all),
-            log.cutoff_hz,
-        )
-        for item in collection.predictions
-        for log in item.content.logs
-        if (x := log.joints.get(place.joint)) is not None
-    ]
+    rows = []
+    for item in collection.predictions:
+        for log in item.content.logs:
+            if (x := log.joints.get(place.joint)) is not None:
+                errors = (x.rmse, x.relative_rmse, x.max_abs, x.samples, x.share_sliding)
+                names = (short_path(log.path), collection.label(item))
+                rows.append((*names, *errors, x.rmse_all, log.cutoff_hz))
     titles = "log | model | RMS error [{unit}] | of RMS torque | largest [{unit}] | samples"
     titles += " | slides in | with rests [{unit}] | cut-off [Hz]"
     kinds = "text text number share number count share number number"

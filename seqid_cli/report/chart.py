@@ -22,6 +22,7 @@ WIDE, SMALL = 580.0, 372.0  # widths of drawings
 _LEFT, _RIGHT, _TOP, _FOOT = 62.0, 12.0, 26.0, 44.0  # around a panel
 _ROW, _NAMES, _LONGEST = 28.0, 150.0, 20  # height, width and letters of a row's name
 Numbers = Sequence[float] | Array
+Dots = Mapping[str, Sequence[tuple[str, float]]]  # style and value, by the name of the row
 
 
 def element(name: str, /, *children: str, **attributes: str | float) -> Markup:
@@ -251,20 +252,15 @@ def figure(
         class_="plot readable" if readable else "plot",
         viewBox=f"0 0 {box.right + _RIGHT:.0f} {box.bottom + _FOOT:.0f}",
         role="img",
-        tabindex="0" if readable else "",
+        tabindex="0" if readable else "",  # the keyboard reaches what can be read
     )
     return Figure(name or title, svg, legend, table, note, wide)
 
 
 def dots(
-    title: str,
-    rows: Mapping[str, Sequence[tuple[str, float]]],
-    x_title: str,
-    legend: Legend,
-    *,
-    mark: float = 0.0,
+    title: str, rows: Dots, x_title: str, legend: Legend, *, mark: float = 0.0
 ) -> Figure | None:
-    """Draw a row of dots (style, value) per name; a `mark` crosses them. None without rows."""
+    """Draw a row of joined dots per name; a `mark` crosses all rows. None where there are none."""
     if not rows:
         return None
     far = max([mark, *(value for points in rows.values() for _, value in points)])

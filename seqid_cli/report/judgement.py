@@ -52,7 +52,7 @@ def judge(collection: Collection) -> Judgement:
     """Judge the model by all documents.
 
     Poor is what a prediction on independent logs, or without one a stage, calls poor. Good needs a
-    prediction on logs that the model is not from; whatever else is open makes it reservations.
+    prediction on logs that the model is not from; what is open besides is a reservation.
     """
     tested = [(p, new) for p in collection.judged if (new := _new_logs(collection, p))]
     points = [
@@ -217,17 +217,13 @@ def _diagnosis_points(collection: Collection) -> Iterator[Point]:
 def unexplained(part: UnexplainedPart) -> str:
     """Return how much of the residual is not explained, and what it depends on."""
     on = listed([name.replace("_", " ") for name in part.depends_on]) or "nothing that was logged"
-    share = percent(part.share, 0)
-    return f"{part.joint}: {share} of the residual above the noise depends on {on}"
+    return f"{part.joint}: {percent(part.share, 0)} of the residual above the noise depends on {on}"
 
 
 def known_effects(collection: Collection) -> frozenset[tuple[str, str | None]]:
     """Return the effects that a refined model holds, with their joints."""
-    return frozenset(
-        (effect.effect, effect.joint)
-        for model in collection.models
-        for effect in model.stages.effects or []
-    )
+    added = [effect for model in collection.models for effect in model.stages.effects or []]
+    return frozenset((effect.effect, effect.joint) for effect in added)
 
 
 def _support(collection: Collection, tested: Tested) -> Iterator[str]:

@@ -34,24 +34,16 @@ def make_report(
     collection = collect(documents)
     tables, notes = open_torques(torques, collection)
     judgement = judge(collection)
-    sections = [
-        overview(collection, judgement),
-        pipeline(collection),
-        torque(collection, tables, notes),
-        friction(collection),
-        parameters(collection),
-        imu(collection),
-        diagnosis(collection),
-        closed_loop(collection),
-        payload(collection),
-        plan(collection),
-    ]
+    sections = [overview(collection, judgement), pipeline(collection)]
+    sections.append(torque(collection, tables, notes))
+    sections += [make(collection) for make in (friction, parameters, imu, diagnosis, closed_loop)]
+    results = (payload(collection), plan(collection))  # None where no file of one is given
     robot = collection.robot
     return Page(
         title or robot.name,
         [plural(len(robot.joints), "joint"), f"robot file {robot.sha256[:12]}"],
         judgement,
-        [section for section in sections if section is not None],
+        [*sections, *filter(None, results)],
         robot.name,
         [item.path for item in collection.sources],
         torques=[table.path for table in tables],

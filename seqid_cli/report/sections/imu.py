@@ -50,10 +50,8 @@ def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdi
         for joint, x in item.references.items()
     ]
     errors = item.std_errors_deg if len(item.std_errors_deg) == 3 else [item.std_error_deg] * 3
-    rows = [
-        (axis, *_fixed(row), error)
-        for axis, row, error in zip("xyz", item.rotation, errors, strict=True)
-    ]
+    axes = zip("xyz", item.rotation, errors, strict=True)
+    rows = [(axis, *_fixed(row), error) for axis, row, error in axes]
     titles = "link axis | IMU x | IMU y | IMU z | std error [\u00b0]"
     gains, counts = "joint | gain | std error | axis x | y | z", "text count count count count"
     return Group(
@@ -75,12 +73,11 @@ def _fixed(values: Sequence[float]) -> list[str]:
 
 
 def _motion(uses: Sequence[MotionUse], robot: RobotId) -> Table:
-    rows = [
-        (short_path(use.log), use.source, ", ".join(use.imus), joint, error, alone)
-        for use in uses
-        for joint, error in use.acceleration_error.items()
-        for alone in [use.encoder_error.get(joint)]
-    ]
+    rows = []
+    for use in uses:
+        log, imus = short_path(use.log), ", ".join(use.imus)
+        for joint, error in use.acceleration_error.items():
+            rows.append((log, use.source, imus, joint, error, use.encoder_error.get(joint)))
     titles = "log | motion from | IMUs | joint | std error of acceleration [{unit}]"
     titles += " | by encoders alone [{unit}]"
     unit = robot.unit("rad/s^2", *(row[3] for row in rows))

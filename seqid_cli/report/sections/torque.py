@@ -19,6 +19,9 @@ Event = tuple[float, float]
 _ROWS = 20  # of the tables of time series and spectra
 _BINS = 40
 _MOST_SPANS = 200
+_MOST_LOGS = 3  # with a figure each; the tables hold all
+_COLUMNS = 250  # of a figure
+_IN_BIN, _IN_RUN = 4, 64  # samples: fewer are not drawn
 _ROOM = 0.06  # above and below what is drawn, of its range
 
 
@@ -45,12 +48,9 @@ def over_time(
         kept = np.union1d(*(extremes(t[piece], bound, columns) for bound in (low, high)))
         torque.band(t[piece][kept], low[kept], high[kept], "faint")
     legend = _draw(models, torque, residual, unit, columns)
-    more = {
-        "faint": ("held at rest", np.any(rests)),
-        "event": ("pushed", events),
-        "unused": ("not counted", not np.all(series.used)),
-    }
-    legend |= {style: text for style, (text, there) in more.items() if there}
+    legend |= {"faint": "held at rest"} if np.any(rests) else {}
+    legend |= {"event": "pushed"} if events else {}
+    legend |= {} if np.all(series.used) else {"unused": "not counted"}
     name, text = short_path(series.log), "No sample is known."
     if np.any(shown):
         rms = float(np.sqrt(np.mean(np.square(series.residual[shown]))))
@@ -118,9 +118,7 @@ def _time_table(series: Series, good: Mask, unit: str, title: str) -> Table:
     return table(title, heads, "count number number number number number number", rows, u=unit)
 
 
-def over_quantity(
-    logs: Sequence[Series], place: Place, quantity: str, unit: str, *, min_samples: int = 4
-) -> Figure | None:
+def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str) -> Figure | None:
     """Draw the spread of the residual over position or velocity; None where it is not known."""
     kept = [np.zeros((2, 0))]
     for one in logs:
@@ -137,7 +135,7 @@ def over_quantity(
     bins = [
         (float(centre), *np.quantile(part, [0.0, 0.05, 0.5, 0.95, 1.0]).tolist())
         for centre, part in zip((edges[1:] + edges[:-1]) / 2, parts, strict=True)
-        if len(part) >= min_samples
+        if len(part) >= _IN_BIN
     ]
     if not bins:
         return None
@@ -161,19 +159,14 @@ def over_quantity(
 
 
 def spectrum(
-    logs: Sequence[Series],
-    place: Place,
-    cutoff_hz: float | None,
-    columns: int,
-    *,
-    min_samples: int = 64,
+    logs: Sequence[Series], place: Place, cutoff_hz: float | None, columns: int
 ) -> Figure | None:
     """Draw the amplitude spectral density of the residual in the longest run without a gap."""
     runs = [
         (one, run)
         for one in logs
         for run in pieces(one.t, one.used & np.isfinite(one.residual))
-        if run.stop - run.start >= min_samples and one.t[run.stop - 1] > one.t[run.start]
+        if run.stop - run.start >= _IN_RUN and one.t[run.stop - 1] > one.t[run.start]
     ]
     if not runs:
         return None
@@ -209,7 +202,8 @@ def spectrum(
 def extremes(x: Array, y: Array, columns: int) -> Index:
     """Return the indices of the smallest and largest y in each of `columns` equal parts of x.
 
-    x (N,) does not fall, y (N,) is finite. At most 2 columns + 2 rise, first and last among them.
+    x (N,) does not fall, y (N,) is finite. The indices, 2 columns + 2 at most, rise; the first and
+    the last sample are always among them.
     """
     if len(x) <= 2 * columns + 2:
         return np.arange(len(x))
@@ -235,10 +229,6 @@ def pieces(t: Array, good: Mask, *, max_gap: float = 5.0) -> list[slice]:
     return [slice(start, stop) for start, stop in ends if good[start]]
 
 
-_MOST_LOGS = 3  # with a figure each; the tables hold all
-_COLUMNS = 250  # of a figure
-
-
 def torque(
     collection: Collection, tables: Sequence[TorqueTable], found: Sequence[str] = ()
 ) -> Section:
@@ -258,6 +248,8 @@ def torque(
         "interval; there the residual that is drawn is the distance to it."
     )
     logs = [log.path for file in files[:1] for log in file.logs]
+    notes = [f"{short_path(x.path)}: {note}" for f in files for x in f.logs for note in x.notes]
+    notes += [note for file in files for note in file.notes]
     call = collection.call("predict", *(logs if len(logs) <= 4 else ()), output="prediction.json")
     return Section(
         "torque",
@@ -265,11 +257,7 @@ def torque(
         lead,
         groups,
         absent=[Absent(text, f"{call} --torques torques.parquet") for text in lacking],
-        notes=[
-            *(f"{short_path(x.path)}: {note}" for f in files for x in f.logs for note in x.notes),
-            *(note for file in files for note in file.notes),
-            *found,
-        ],
+        notes=[*notes, *found],
     )
 
 

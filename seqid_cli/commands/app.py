@@ -14,7 +14,7 @@ from typer.core import TyperGroup, TyperOption
 
 from seqid_cli import __version__
 from seqid_cli.commands.screen.layout import shortened, visible
-from seqid_cli.commands.screen.streams import cannot_be_written, give_up_output
+from seqid_cli.commands.screen.streams import cannot_be_written, to_nowhere
 from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 
 EXIT_BUG = 70
@@ -84,10 +84,10 @@ def run(arguments: Sequence[str]) -> int:
         code = _guarded(arguments)
         sys.stdout.flush()
     except BrokenPipeError:  # the reader has seen enough, as `head` does; the files are complete
-        give_up_output()
+        to_nowhere(sys.stdout)
         return 0
     except OSError as error:
-        give_up_output()
+        to_nowhere(sys.stdout)
         sys.stderr.write(f"seqid: error: standard output cannot be written: {error.strerror}\n")
         return UsageError.exit_code
     return code

@@ -6,7 +6,7 @@ from typing import Literal
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED, called
-from seqid_cli.commands.options import OUTPUT, ROBOT, command, only, option
+from seqid_cli.commands.options import OUTPUT, command, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.export.formats import FORMATS
 from seqid_cli.params.files import By
@@ -78,7 +78,6 @@ def export(
     parameters: list[Path] = typer.Argument(
         ..., metavar="FILE...", help="Parameter file; several are joined."
     ),
-    robot: Path = ROBOT,
     output: Path = option(..., "-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}."),
 ) -> int:
     """Write an identified arm as URDF, MJCF, ROS 2 parameters or C.

@@ -161,8 +161,7 @@ def _bytes(path: Path, hint: str = "Check the path given with -p.") -> bytes:
         if not path.is_file():
             what = "is not a file" if path.exists() else "does not exist"
             raise ConfigError(what, where=where, hint=hint)
-        size = path.stat().st_size
-        if size > _MAX_BYTES:
+        if (size := path.stat().st_size) > _MAX_BYTES:
             message = f"has {size} bytes, the limit is {_MAX_BYTES}"
             raise ConfigError(message, where=where, hint=hint)
         return path.read_bytes()

@@ -118,17 +118,6 @@ class Collection:
             return name
         return f"{'after' if model.kind == 'refined' else 'before'}: {name}"
 
-    def trained_on(self, prediction: Prediction) -> set[str]:
-        """Return the hashes of the logs that the model of a prediction was identified from."""
-        used = {item.sha256 for item in prediction.content.parameters}
-        own = [s.content for s in of_kind(self.sources, ParameterFile) if s.sha256 in used]
-        found: set[str] = set()
-        # Where its parameter files were not given, those of all models count.
-        for file in own or [model.file for model in self.models]:
-            held_out = file.closed_loop.held_out if file.closed_loop is not None else []
-            found |= {log.sha256 for log in file.inputs} - {log.sha256 for log in held_out}
-        return found
-
 
 def of_kind(documents: Iterable[Source[Document]], kind: type[D]) -> tuple[Source[D], ...]:
     """Return the documents of one kind."""

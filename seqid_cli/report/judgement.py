@@ -6,8 +6,8 @@ from typing import Literal
 
 from seqid_cli.params.results.diagnosis import UnexplainedPart, nothing_found, times_noise
 from seqid_cli.params.results.report import TITLES
-from seqid_cli.params.schema import ClosedLoop, Stages, Verdict
-from seqid_cli.report.collection import Collection, Prediction
+from seqid_cli.params.schema import ClosedLoop, ParameterFile, Stages, Verdict
+from seqid_cli.report.collection import Collection, Prediction, of_kind
 from seqid_cli.report.words import effect_at, file_name, listed, number, percent, plural, short_path
 
 Level = Literal["good", "reservations", "poor", "not_judged"]
@@ -75,7 +75,12 @@ def judge(collection: Collection) -> Judgement:
 
 def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
     """Return the logs that judge the model: not those it was identified from."""
-    trained = collection.trained_on(prediction)
+    used, trained = {item.sha256 for item in prediction.content.parameters}, set()
+    made_with = [x.content for x in of_kind(collection.sources, ParameterFile) if x.sha256 in used]
+    # Where its parameter files were not given, those of all models count.
+    for file in made_with or [model.file for model in collection.models]:
+        held_out = file.closed_loop.held_out if file.closed_loop is not None else []
+        trained |= {log.sha256 for log in file.inputs} - {log.sha256 for log in held_out}
     counted = [log for log in prediction.content.logs if log.sha256 not in trained]
     errors = [error for log in counted for error in log.joints.values()]
     judged = any(error.relative_rmse is not None for error in errors)

@@ -1,8 +1,7 @@
 """Figures, tables and sections for the templates: plain data, no HTML but finished drawings.
 
-The page is one HTML text of templates, style sheet and script, all from the package. Everything
-that comes from a file is escaped by the templates. The page may not load anything: its policy names
-the style sheet and the script by their hashes and forbids everything else.
+Everything that comes from a file is escaped by the templates. The page may not load anything: its
+policy names the style sheet and the script by their hashes and forbids everything else.
 """
 
 import base64

@@ -1,7 +1,4 @@
-"""A diagnosis and a refinement on the screen: the verdict first, then evidence, then what is open.
-
-Of one joint it says as well what was tried there, and why it was not taken.
-"""
+"""A diagnosis and a refinement on the screen: the verdict first, then evidence and what is open."""
 
 from collections.abc import Collection, Sequence
 

@@ -83,11 +83,10 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = _guarded(arguments)
         sys.stdout.flush()
-    except BrokenPipeError:  # the reader has seen enough, as `head` does; the files are complete
-        to_nowhere(sys.stdout)
-        return 0
     except OSError as error:
         to_nowhere(sys.stdout)
+        if isinstance(error, BrokenPipeError):  # the reader has seen enough; the files are complete
+            return 0
         sys.stderr.write(f"seqid: error: standard output cannot be written: {error.strerror}\n")
         return UsageError.exit_code
     return code

@@ -1,7 +1,5 @@
 """`seqid run`: from a folder of logs to a model and its report."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections.abc import Iterator, Sequence
@@ -14,9 +12,9 @@ from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED
 from seqid_cli.commands.options import JOBS, ROBOT, command, option
 from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.errors import InputError, UsageError
+from seqid_cli.params.schema import ParameterFile, Verdict
 
 if TYPE_CHECKING:
-    from seqid_cli.params.schema import Verdict
     from seqid_cli.robot.types import Robot
 
 STAGES = {"friction": "friction", "gravity": "gravity", "imu-calib": "imu", "inertia": "inertia"}
@@ -103,7 +101,7 @@ def run(
     return EXIT_PARTIAL if any(outcome["partial"] for outcome in outcomes) else EXIT_DONE
 
 
-def _steps(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None) -> Iterator[Step]:
+def _steps(folder: Path, path: Path, robot: "Robot", out: Path, jobs: int | None) -> Iterator[Step]:
     """Plan the commands for the logs that a folder has; slow friction trials serve gravity too."""
     there = {name: folder / name for name in FOLDERS if (folder / name).is_dir()}
     if "friction" not in there:
@@ -155,7 +153,6 @@ def poor_of(path: Path) -> list[Verdict]:
     if path.suffix != ".json":
         return []
     from seqid_cli.params.io import read_any
-    from seqid_cli.params.schema import ParameterFile
 
     (source,) = read_any([path])
     document: Any = source.content

@@ -3,11 +3,11 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.document import check_same_robot, join, present
-from seqid_cli.params.io import Document, Result, Source
+from seqid_cli.params.io import D, Document, Result, Source
 from seqid_cli.params.results.diagnosis import DiagnosisFile, ResidualEntry
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile
@@ -27,7 +27,6 @@ _MOST_JOINTS = 200
 Sources = Sequence[Source[Document]]
 Parameters = Source[ParameterFile]
 Prediction = Source[PredictionFile]
-D = TypeVar("D", bound=Document)
 
 
 class Place(NamedTuple):

@@ -1,11 +1,10 @@
 """The torques that `seqid predict --torques` wrote, a joint at a time."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pyarrow as pa
@@ -58,7 +57,7 @@ class TorqueTable:
     columns: frozenset[str]
 
     @classmethod
-    def open(cls, path: Path, collection: Collection) -> TorqueTable:
+    def open(cls, path: Path, collection: Collection) -> Self:
         """Open a torque file and check it against the documents.
 
         Raises InputError: it is unreadable, no torque file, or of another robot, log or model.

@@ -161,10 +161,8 @@ def _quantities(names: Sequence[str]) -> str:
 
 def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> None:
     """Print the rounds, the errors before and after, and the effects of the refined model."""
-    if loop.rounds:
-        screen.result(f"Added: {_named(loop.rounds)}.")
-    else:
-        screen.result(f"{diagnosis.nothing_added(loop)}.")
+    added = f"Added: {_named(loop.rounds)}" if loop.rounds else diagnosis.nothing_added(loop)
+    screen.result(f"{added}.")
     if loop.unconfirmed:
         screen.warn(f"verdict poor: the held-out logs do not confirm {_named(loop.unconfirmed)}")
     elif loop.rounds and not loop.verdicts:

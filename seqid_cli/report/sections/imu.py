@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from seqid_cli.params.schema import ImuCalibration, MotionUse, RobotId, Verdict
+from seqid_cli.params.schema import ImuStage, MotionUse, RobotId
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.views import Group, Section, Table, badge, lacking, reasons, table
 from seqid_cli.report.words import MINUS, number, short_path, with_error
@@ -22,10 +22,7 @@ def imu(collection: Collection) -> Section:
         "IMU (Eq. 38). The gain compares the joint's acceleration with the one that the IMU sees "
         "about the joint's axis: 1 if both agree (Eq. 31)."
     )
-    groups = [
-        _group(place, name, item, [v for v in stages.imu.verdicts if v.joint == name])
-        for place, (name, item) in enumerate(stages.imu.imus.items(), start=1)
-    ]
+    groups = [_group(k, name, stages.imu) for k, name in enumerate(stages.imu.imus, start=1)]
     uses = stages.inertia.motion_use if stages.inertia else []
     skipped: dict[str, list[str]] = {}  # remarks on IMUs that took no part, with their logs
     for use in uses:
@@ -36,7 +33,8 @@ def imu(collection: Collection) -> Section:
     return Section("imu", title, lead, groups, tables=motion, notes=notes)
 
 
-def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdict]) -> Group:
+def _group(place: int, name: str, stage: ImuStage) -> Group:
+    item, verdicts = stage.imus[name], [v for v in stage.verdicts if v.joint == name]
     facts = [("std error", f"{number(item.std_error_deg, 2)}\u00b0")]
     facts.append(("configurations", str(item.configurations)))
     if item.axis_rmse_deg is not None:

@@ -14,8 +14,6 @@ from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge,
 from seqid_cli.report.words import number, percent, plural, short_path
 from seqid_cli.typing import Array, Index, Mask
 
-Event = tuple[float, float]
-
 _ROWS = 20  # of the tables of time series and spectra
 _BINS = 40
 _MOST_SPANS = 200
@@ -26,7 +24,7 @@ _ROOM = 0.06  # above and below what is drawn, of its range
 
 
 def over_time(
-    models: Mapping[str, Series], place: Place, events: Sequence[Event], columns: int
+    models: Mapping[str, Series], place: Place, events: Sequence[tuple[float, float]], columns: int
 ) -> Figure:
     """Draw measured and predicted torque of one log above the residual, events shaded.
 

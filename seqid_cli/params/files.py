@@ -102,7 +102,7 @@ def _without_leftovers(target: Path) -> None:
     """Remove temporary files that killed runs left beside a file."""
     for path in target.parent.glob(f".{glob.escape(_short(target.name))}.*.tmp"):
         process = path.suffixes[-2][1:]
-        if process.isdecimal() and int(process) != os.getpid() and not process_runs(int(process)):
+        if process.isdecimal() and not process_runs(int(process)):
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
 

@@ -11,12 +11,11 @@ from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.results.tables import of_joints
 from seqid_cli.report.chart import dots
 from seqid_cli.report.collection import Collection, collect
-from seqid_cli.report.judgement import Judgement, Level, judge
+from seqid_cli.report.judgement import Judgement, judge
 from seqid_cli.report.views import Group, Page, Section, Table, table
 from seqid_cli.report.words import listed, plural
 
-_WORST: tuple[Level, ...] = ("poor", "not_judged", "reservations", "good")
-_BADGES = {"good": "good", "reservations": "open", "poor": "poor", "not_judged": ""}
+_BADGES = {"poor": "poor", "not_judged": "", "reservations": "open", "good": "good"}  # worst first
 
 
 class _Robot(NamedTuple):
@@ -41,7 +40,7 @@ def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str =
     """Return the page on `robots`, documents by name, with the verdict on the worst of them."""
     found = {name: collect(documents) for name, documents in robots.items()}
     judged = [_Robot(name, own, judge(own)) for name, own in found.items()]
-    judged.sort(key=lambda robot: _WORST.index(robot.judgement.level))
+    judged.sort(key=lambda robot: list(_BADGES).index(robot.judgement.level))
     by_level = groupby(judged, key=lambda robot: robot.judgement.level)
     said = [f"{TITLES[k].lower()}: {listed([own.name for own in of])}" for k, of in by_level]
     points = [p for robot in judged for p in robot.judgement.points if p.weight == "poor"]

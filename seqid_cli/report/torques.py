@@ -68,11 +68,8 @@ class TorqueTable:
         with _readable(where, "is no torque file"):
             file = opened_table(path)
             rows = _log_rows(path)
-        columns = {
-            column.name
-            for column in file.schema_arrow
-            if pa.types.is_floating(column.type) or pa.types.is_boolean(column.type)
-        }
+        numeric = (pa.types.is_floating, pa.types.is_boolean)
+        columns = {x.name for x in file.schema_arrow if any(is_one(x.type) for is_one in numeric)}
         there = {name.removesuffix(".predicted") for name in columns if name.endswith(".predicted")}
         joints = tuple(x for x in robot.joints if columns >= {f"{x}.{kind}" for kind in _KINDS})
         if "t" not in columns:

@@ -106,17 +106,13 @@ def parameters_text(item: diagnosis.FindingEntry | EffectOfJoint) -> str:
         return "not determined by these logs"
     if item.effect == UNEXPLAINED:
         return smooth_in_words(item.parameters, item.settings)
-    texts = [
-        f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}"
-        for x in item.parameters
-        if x.std_error < UNTOLD
-    ]
+    told = [x for x in item.parameters if x.std_error < UNTOLD]
+    texts = [f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}" for x in told]
     named, units = {x.name for x in item.parameters}, setting_units(item.effect)
-    texts += [
-        f"{name} {value if isinstance(value, str) else number(value)}{_unit(units.get(name, ''))}"
-        for name, value in item.settings.items()
-        if name not in named
-    ]
+    for name, value in item.settings.items():
+        if name not in named:
+            text = value if isinstance(value, str) else number(value)
+            texts.append(f"{name} {text}{_unit(units.get(name, ''))}")
     untold = [x.name for x in item.parameters if x.std_error >= UNTOLD]
     texts += [f"not determined: {', '.join(untold)}"] if untold else []
     return ", ".join(texts)

@@ -194,13 +194,8 @@ def evidence_figure(
     legend = {style: f"{name} it is taken off" for name, (style, *_) in curves.items()}
     none = [None] * len(shown.x)
     after = (shown.after or none, shown.after_spread or none)
-    bins = table(
-        title,
-        "{quantity} [{x}] | samples | before [{y}] | spread [{y}] | after [{y}] | spread [{y}]",
-        "number count number number number number",
-        zip(shown.x, shown.count, shown.before, shown.before_spread, *after, strict=True),
-        quantity=quantity,
-        x=shown.unit,
-        y=unit,
-    )
+    rows = zip(shown.x, shown.count, shown.before, shown.before_spread, *after, strict=True)
+    heads = "{quantity} [{x}] | samples | before [{y}] | spread [{y}] | after [{y}] | spread [{y}]"
+    kinds, names = "number count number number number number", {"x": shown.unit, "y": unit}
+    bins = table(title, heads, kinds, rows, quantity=quantity, **names)
     return figure([panel], title, text, legend, bins, note=text)

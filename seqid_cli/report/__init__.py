@@ -1,5 +1,7 @@
 """Results as one self-contained HTML page."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,7 +73,7 @@ def report(
     )
 
 
-def _page(documents: Sequence[Path], torques: Sequence[Path], title: str, by: By | None) -> "Page":
+def _page(documents: Sequence[Path], torques: Sequence[Path], title: str, by: By | None) -> Page:
     """Return a page about one robot, many, or what changed over time."""
     if len(documents) == 1 and (trend := read_trend(documents[0])) is not None:
         from seqid_cli.report.trend import trend_page

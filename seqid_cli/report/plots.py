@@ -1,5 +1,7 @@
 """Drawings of the report by themselves, for notebooks."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -21,7 +23,7 @@ _WIDTH, _HEIGHT = 620, 460  # of a figure in its frame, pixels
 class Drawing:
     """Figures with their legends, which a notebook shows; `svg` are their drawings alone."""
 
-    figures: "tuple[Figure, ...]"
+    figures: tuple[Figure, ...]
 
     @property
     def svg(self) -> tuple[str, ...]:
@@ -99,7 +101,7 @@ def plot_torques(files: Paths, torques: Paths, joint: str, *, columns: int = 200
     return Drawing(tuple(figures))
 
 
-def _collection(file: ParameterFile | DiagnosisFile) -> "Collection":
+def _collection(file: ParameterFile | DiagnosisFile) -> Collection:
     from seqid_cli.params.io import Source
     from seqid_cli.report.collection import collect
 

@@ -12,6 +12,4 @@ def unit_of(unit: str, prismatic: bool) -> str:
     `unit` is as for a revolute joint: "N m" for torque and "rad" for the joint's position; an angle
     that is not the joint's own (a phase, a tilt) must not be given.
     """
-    if not prismatic:
-        return unit
-    return _ANGLE.sub("m", _TORQUE.sub("N", unit))
+    return _ANGLE.sub("m", _TORQUE.sub("N", unit)) if prismatic else unit

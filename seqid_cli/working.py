@@ -1,7 +1,6 @@
 """Steps of work that takes long, told to whoever listens in this process, else to nobody.
 
-Standard library only. A listener is set for a block (`heard_by`); the work itself says `step` where
-a part of it begins, without passing anything down to where that is.
+Standard library only; nothing is passed down to where a part of the work begins.
 """
 
 import contextlib
@@ -14,8 +13,7 @@ _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 def step(text: str, done: int, total: int) -> None:
     """Say that part `done` (from 0) of `total` begins, and what it is."""
-    listener = _listener.get()
-    if listener is not None:
+    if (listener := _listener.get()) is not None:
         listener(done, total, text)
 
 

@@ -6,7 +6,6 @@ import json
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import typer
 from typer._click import Command, Context, HelpFormatter, Parameter
@@ -15,7 +14,7 @@ from typer.core import TyperGroup, TyperOption
 
 from seqid_cli import __version__
 from seqid_cli.commands.screen.layout import shortened, visible
-from seqid_cli.commands.screen.streams import cannot_be_written, give_up_output
+from seqid_cli.commands.screen.streams import cannot_be_written, to_nowhere
 from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 
 EXIT_BUG = 70
@@ -23,36 +22,29 @@ _NO_ROOM = ("cannot allocate memory", "failed to map segment")
 _BUG = "this is a bug in seqid"
 _REPORT_IT = "Report it with the command line and the output of the same command with --debug."
 _LONGEST = 4000  # letters of a message: names from files have any length
-_HELP = "From recorded robot logs to a dynamic model that an engineer trusts."
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
-class Entry(NamedTuple):
-    """Where a command lives, and its line in `seqid --help`."""
-
-    module: str
-    help: str
-
-
-COMMANDS: Mapping[str, Entry] = {
-    "init": Entry("logs", "Write a robot file from a log and a URDF, to be completed."),
-    "inspect": Entry("logs", "Look through logs: what is in them and what is wrong."),
-    "run": Entry("run", "Run every stage on a folder of logs, then predict and report."),
-    "friction": Entry("stages", "Identify joint friction from constant-velocity moves."),
-    "gravity": Entry("stages", "Identify the gravity parameters, given the friction."),
-    "imu-calib": Entry("stages", "Find how accelerometers and IMUs are mounted on the links."),
-    "inertia": Entry("stages", "Identify the inertia parameters, given friction and gravity."),
-    "predict": Entry("models", "Predict joint torques and compare them with the measured ones."),
-    "diagnose": Entry("models", "Find out which physical effects a model lacks."),
-    "refine": Entry("models", "Add the effects that a model lacks, checked on held-out logs."),
-    "simultaneous": Entry("stages", "Identify everything in one classical least squares."),
-    "plan": Entry("plan", "Plan what to record next, and the errors that it will give."),
-    "payload": Entry("models", "Identify the mass, centre and inertia that the flange carries."),
-    "trend": Entry("files", "Find what changed over dates, beyond its error."),
-    "report": Entry("files", "Write the results as one HTML page, the verdict first."),
-    "export": Entry("files", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
-    "compare": Entry("files", "Compare two results against their standard errors."),
-    "completion": Entry("completion", "Print the completion script of a shell."),
+# Where each command lives, and its line in `seqid --help`.
+COMMANDS: Mapping[str, tuple[str, str]] = {
+    "init": ("logs", "Write a robot file from a log and a URDF, to be completed."),
+    "inspect": ("logs", "Look through logs: what is in them and what is wrong."),
+    "run": ("run", "Run every stage on a folder of logs, then predict and report."),
+    "friction": ("stages", "Identify joint friction from constant-velocity moves."),
+    "gravity": ("stages", "Identify the gravity parameters, given the friction."),
+    "imu-calib": ("stages", "Find how accelerometers and IMUs are mounted on the links."),
+    "inertia": ("stages", "Identify the inertia parameters, given friction and gravity."),
+    "predict": ("models", "Predict joint torques and compare them with the measured ones."),
+    "diagnose": ("models", "Find out which physical effects a model lacks."),
+    "refine": ("models", "Add the effects that a model lacks, checked on held-out logs."),
+    "simultaneous": ("stages", "Identify everything in one classical least squares."),
+    "plan": ("plan", "Plan what to record next, and the errors that it will give."),
+    "payload": ("models", "Identify the mass, centre and inertia that the flange carries."),
+    "trend": ("files", "Find what changed over dates, beyond its error."),
+    "report": ("files", "Write the results as one HTML page, the verdict first."),
+    "export": ("files", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
+    "compare": ("files", "Compare two results against their standard errors."),
+    "completion": ("completion", "Print the completion script of a shell."),
 }
 
 
@@ -73,12 +65,12 @@ class LazyGroup(TyperGroup):
     def format_commands(self, ctx: Context, formatter: HelpFormatter) -> None:
         """Write the list of commands without importing any."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, entry.help) for name, entry in COMMANDS.items()])
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
 
 def load_command(name: str) -> Command:
     """Build the parser of one command."""
-    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
+    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name][0]}")
     function = getattr(module, name.replace("-", "_"))
     examples = "\n".join(f"  {example}" for example in function.examples)
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -91,11 +83,10 @@ def run(arguments: Sequence[str]) -> int:
     try:
         code = _guarded(arguments)
         sys.stdout.flush()
-    except BrokenPipeError:  # the reader has seen enough, as `head` does; the files are complete
-        give_up_output()
-        return 0
     except OSError as error:
-        give_up_output()
+        to_nowhere(sys.stdout)
+        if isinstance(error, BrokenPipeError):  # the reader has seen enough; the files are complete
+            return 0
         sys.stderr.write(f"seqid: error: standard output cannot be written: {error.strerror}\n")
         return UsageError.exit_code
     return code
@@ -140,7 +131,7 @@ def invoke(arguments: Sequence[str]) -> int:
     )
     group = LazyGroup(
         name="seqid",
-        help=_HELP,
+        help="From recorded robot logs to a dynamic model that an engineer trusts.",
         params=[version],
         context_settings=_SETTINGS,
         rich_markup_mode=None,

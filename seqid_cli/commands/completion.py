@@ -37,7 +37,7 @@ def all_words() -> dict[str, dict[str, Any]]:
     from seqid_cli.commands.app import COMMANDS, load_command
 
     words = {}
-    for name, entry in COMMANDS.items():
+    for name, (_, text) in COMMANDS.items():
         flags, firsts = [], []
         for param in load_command(name).params:
             choices = tuple(getattr(param.type, "choices", ()))
@@ -46,7 +46,7 @@ def all_words() -> dict[str, dict[str, Any]]:
             else:
                 firsts.append(choices)
         flags.append(_flag(["-h", "--help"], "Show the help."))
-        words[name] = {"help": entry.help, "flags": flags, "choices": firsts[0]}
+        words[name] = {"help": text, "flags": flags, "choices": firsts[0]}
     return words
 
 

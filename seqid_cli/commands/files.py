@@ -6,7 +6,7 @@ from typing import Literal
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED, called
-from seqid_cli.commands.options import OUTPUT, ROBOT, command, only, option
+from seqid_cli.commands.options import OUTPUT, command, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.export.formats import FORMATS
 from seqid_cli.params.files import By
@@ -78,7 +78,6 @@ def export(
     parameters: list[Path] = typer.Argument(
         ..., metavar="FILE...", help="Parameter file; several are joined."
     ),
-    robot: Path = ROBOT,
     output: Path = option(..., "-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}."),
 ) -> int:
     """Write an identified arm as URDF, MJCF, ROS 2 parameters or C.
@@ -109,11 +108,8 @@ def export(
 
 
 def _show_deviations(screen: Screen, file: ExportFile) -> None:
-    rows = [
-        (d.name, d.identified, d.exported, f"{d.std_errors:+.2f}", d.unit)
-        for d in file.base_parameters
-        if d.std_errors is not None and abs(d.std_errors) >= 0.01
-    ]
+    far = [d for d in file.base_parameters if abs(d.std_errors or 0.0) >= 0.01]
+    rows = [(d.name, d.identified, d.exported, f"{d.std_errors:+.2f}", d.unit) for d in far]
     screen.result("no body has the identified base parameters; the nearest ones are exported:")
     titles = "parameter | identified | exported | std errors | unit"
     screen.values(tables.values(titles, "text number5 number5 text text", rows))

@@ -1,7 +1,5 @@
 """What commands have in common: they listen to one function, and turn its result into a code."""
 
-from __future__ import annotations
-
 import contextlib
 import inspect
 import sys
@@ -42,10 +40,10 @@ class Told:
     screen: Screen
     line: ProgressLine
     given: Mapping[str, Any]
-    findings: list[InspectionFinding] = field(default_factory=list)
+    findings: "list[InspectionFinding]" = field(default_factory=list)
     partial: bool = False
 
-    def __call__(self, progress: Progress) -> None:
+    def __call__(self, progress: "Progress") -> None:
         """Take what is told."""
         with self.line.hidden():
             if progress.state == "note":
@@ -131,7 +129,7 @@ def _arguments(function: Callable[..., object], told: Told) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def _workers(given: Mapping[str, Any]) -> Iterator[dict[str, Executor]]:
+def _workers(given: Mapping[str, Any]) -> Iterator["dict[str, Executor]"]:
     """Whoever is to read the logs of a command with --jobs, as an argument of its function."""
     dask, scheduler = given.get("engine") == "dask", given.get("scheduler")
     if scheduler is not None and not dask:

@@ -88,10 +88,8 @@ def init(
     What nobody can read off a log stands in it as a TODO.
     """
     screen = screen_of(context)
-    drives = {
-        "torque_constant": _numbers("--torque-constant", torque_constant),
-        "gear_ratio": _numbers("--gear-ratio", gear_ratio),
-    }
+    given = {"torque_constant": torque_constant, "gear_ratio": gear_ratio}
+    drives = {key: _numbers(key, text) for key, text in given.items() if text}
     files = [*dict.fromkeys([*expand(logs[:1]), *expand(logs)])]  # the first decides on channels
     for file in files:
         check_log(file)
@@ -109,7 +107,7 @@ def init(
         files,
         urdf=text,
         urdf_path=_beside(urdf, output),
-        drives={key: values for key, values in drives.items() if values},
+        drives=drives,
         name=name or (text.root.get("name") if text else "") or "robot",
     )
     content = robot_toml(proposal.template)
@@ -133,13 +131,14 @@ def init(
     return 0
 
 
-def _numbers(option: str, text: str | None) -> list[float]:
+def _numbers(name: str, text: str) -> list[float]:
     """Read numbers between commas."""
     try:
-        return [float(part) for part in text.split(",")] if text else []
+        return [float(part) for part in text.split(",")]
     except ValueError:
+        message = f"--{name.replace('_', '-')} {text!r} holds no numbers"
         hint = "Give one number for all joints, or one for each: 0.12,0.12,0.09."
-        raise UsageError(f"{option} {text!r} holds no numbers", hint=hint) from None
+        raise UsageError(message, hint=hint) from None
 
 
 def _beside(urdf: Path | None, output: Path | None) -> str | None:

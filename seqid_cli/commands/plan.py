@@ -6,7 +6,7 @@ from pathlib import Path
 import typer
 
 from seqid_cli.commands.job import any_poor, called
-from seqid_cli.commands.options import OUTPUT, ROBOT, SIX, command, only, option
+from seqid_cli.commands.options import OUTPUT, SIX, command, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile
@@ -32,7 +32,6 @@ def plan(
     what: What = typer.Argument(
         ..., help="The stage to record for, a whole session, or two effects to tell apart."
     ),
-    robot: Path = ROBOT,
     parameters: list[Path] | None = option(
         None,
         "-p --parameters FILE",

@@ -1,7 +1,5 @@
 """`seqid run`: from a folder of logs to a model and its report."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 from collections.abc import Iterator, Sequence
@@ -14,9 +12,9 @@ from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED
 from seqid_cli.commands.options import JOBS, ROBOT, command, option
 from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.errors import InputError, UsageError
+from seqid_cli.params.schema import ParameterFile, Verdict
 
 if TYPE_CHECKING:
-    from seqid_cli.params.schema import Verdict
     from seqid_cli.robot.types import Robot
 
 STAGES = {"friction": "friction", "gravity": "gravity", "imu-calib": "imu", "inertia": "inertia"}
@@ -76,26 +74,26 @@ def run(
         message = f"the folder cannot be made: {problem.strerror}"
         raise UsageError(message, where=str(output), hint="Choose -o.") from None
     outcomes: list[dict[str, Any]] = []
+    rows = []
     for step in steps:
-        if step.current and not force:
+        kept = step.current and not force
+        if kept:
             screen.note(f"{step.command}: {step.writes} is newer than its logs, kept")
             poor = poor_of(step.writes)
             for verdict in poor:
                 screen.note(f"{verdict.joint or step.command}: poor: {verdict.reason}")
-            code, kept = EXIT_UNTRUSTED if poor else EXIT_DONE, True
+            code = EXIT_UNTRUSTED if poor else EXIT_DONE
         else:
             screen.note(f"--- {step.command}")
-            code, kept = _code(step, context), False
-            force = True  # what rests on it is old
-        made = {"command": step.command, "output": str(step.writes), "good": code != EXIT_UNTRUSTED}
-        outcomes.append({**made, "kept": kept, "partial": code == EXIT_PARTIAL})
+            code, force = _code(step, context), True  # what rests on it is old
+        path, good = str(step.writes), code != EXIT_UNTRUSTED
+        made = {"command": step.command, "output": path, "good": good, "kept": kept}
+        outcomes.append({**made, "partial": code == EXIT_PARTIAL})
+        state, how = "good" if good else "poor", "kept" if kept else "made"
+        rows.append((step.command, state, path, how))
         if code == EXIT_UNTRUSTED and not keep_going and step is not steps[-1]:
             screen.note(f"stopped at {step.command}: its verdict is poor (--keep-going goes on)")
             break
-    rows = []
-    for x in outcomes:
-        state, how = "good" if x["good"] else "poor", "kept" if x["kept"] else "made"
-        rows.append((x["command"], state, x["output"], how))
     screen.table(("step", "verdict", "file", ""), rows)
     screen.document({"steps": outcomes})
     if not all(outcome["good"] for outcome in outcomes):
@@ -103,7 +101,7 @@ def run(
     return EXIT_PARTIAL if any(outcome["partial"] for outcome in outcomes) else EXIT_DONE
 
 
-def _steps(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None) -> Iterator[Step]:
+def _steps(folder: Path, path: Path, robot: "Robot", out: Path, jobs: int | None) -> Iterator[Step]:
     """Plan the commands for the logs that a folder has; slow friction trials serve gravity too."""
     there = {name: folder / name for name in FOLDERS if (folder / name).is_dir()}
     if "friction" not in there:
@@ -155,7 +153,6 @@ def poor_of(path: Path) -> list[Verdict]:
     if path.suffix != ".json":
         return []
     from seqid_cli.params.io import read_any
-    from seqid_cli.params.schema import ParameterFile
 
     (source,) = read_any([path])
     document: Any = source.content

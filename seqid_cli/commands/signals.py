@@ -1,7 +1,5 @@
 """Signals that end a run; imported before everything else, so that they end the imports as well."""
 
-from __future__ import annotations
-
 import signal
 import sys
 
@@ -32,12 +30,12 @@ def answer_signals() -> None:
     sys.unraisablehook = _swallowed
 
 
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+def _interrupt(number: int, frame: "FrameType | None") -> "NoReturn":
     del number, frame
     raise Interrupted
 
 
-def _swallowed(found: sys.UnraisableHookArgs) -> None:
+def _swallowed(found: "sys.UnraisableHookArgs") -> None:
     """Raise an interrupt again that came during a finalizer, out of which no exception gets."""
     if isinstance(found.exc_value, Interrupted) and hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, _interrupt)

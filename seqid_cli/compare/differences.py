@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from seqid_cli.errors import UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.params import schema
-from seqid_cli.params.document import check_same_robot, now, poor_because, present, tool
+from seqid_cli.params.document import check_same_robot, head, poor_because, present
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results import comparison
 from seqid_cli.params.results.comparison import ComparisonFile, Difference, RuleEntry
@@ -69,9 +69,7 @@ def compared(a: Source[Document], b: Source[Document], rule: RuleEntry) -> Compa
         found = [*_diagnoses(left, right, rule)]
     changed = sum(item.different for item in found)
     return ComparisonFile(
-        schema=comparison.COMPARISON_SCHEMA,
-        created=now(),
-        tool=tool(),
+        **head(comparison.COMPARISON_SCHEMA),
         kind=kind,
         a=a.path,
         b=b.path,

@@ -27,7 +27,7 @@ from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
-from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import diagnosis
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
@@ -68,9 +68,7 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     rest += [_excess(found, robot, j, x) for j, x in excess.items() if j not in found.touched]
     visible = sorted(found.found.visible.items(), key=lambda x: x[1])
     return diagnosis.DiagnosisFile(
-        schema=diagnosis.DIAGNOSIS_SCHEMA,
-        created=now(),
-        tool=tool(),
+        **head(diagnosis.DIAGNOSIS_SCHEMA),
         robot=robot_id(robot),
         inputs=[],
         parameters=[],

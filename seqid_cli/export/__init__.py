@@ -9,7 +9,7 @@ from seqid_cli.export.formats import export as written
 from seqid_cli.export.formats import format_of
 from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
 from seqid_cli.logs.given import PathLike, listed
-from seqid_cli.params.document import join, now, present, robot_id, tool
+from seqid_cli.params.document import head, join, present, robot_id
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.results.export import EXPORT_SCHEMA, ExportedLink, ExportFile
 from seqid_cli.params.schema import ParameterFile
@@ -49,9 +49,7 @@ def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
     write_text_atomic(target, done.text)
     model = done.model
     return ExportFile(
-        schema=EXPORT_SCHEMA,
-        created=now(),
-        tool=tool(),
+        **head(EXPORT_SCHEMA),
         robot=robot_id(arm),
         format=kind,
         path=str(target),

@@ -21,7 +21,7 @@ from seqid_cli.logs.read import TorqueLackingError
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.table import missing_columns
-from seqid_cli.params.document import now, tool
+from seqid_cli.params.document import head
 from seqid_cli.params.results.inspection import (
     INSPECTION_SCHEMA,
     InspectedLog,
@@ -59,9 +59,7 @@ def inspect_logs(
             findings += located([found("duplicate_log", text)], log.path)
     findings += own
     return InspectionFile(
-        schema=INSPECTION_SCHEMA,
-        created=now(),
-        tool=tool(),
+        **head(INSPECTION_SCHEMA),
         robot=robot.name if robot else "",
         verdict=verdict_of(findings),
         logs=logs,

@@ -15,9 +15,7 @@ _Problem = tuple[str, str]  # key, fault
 # Fields that name joints, themselves or by their keys; a verdict may be about an IMU.
 _OF_JOINTS = {"joint", "joints", "of", "before", "after", "torque_constant_moves", "noise_floor"}
 _OF_JOINTS |= {"noise_floor_interval", "gain_interval"}
-_RANGES = ("position_range", "speed_range")
 _INTERVALS = ("interval", "training_interval", "gain_interval", "noise_floor_interval")  # or empty
-_NEVER_NEGATIVE = ("std_error", "rmse")
 
 
 def check_consistency(document: schema.OfRobot, where: str) -> None:
@@ -61,10 +59,10 @@ def _structs(key: str, value: object) -> Iterator[tuple[str, msgspec.Struct]]:
 
 
 def _numbers(key: str, name: str, value: Any) -> Iterator[_Problem]:
-    pair = name in _RANGES or (name in _INTERVALS and value)
+    pair = name in ("position_range", "speed_range") or (name in _INTERVALS and value)
     if pair and not (len(value) == 2 and value[0] <= value[1]):
         yield key, "must be two numbers, the smaller one first"
-    if name in _NEVER_NEGATIVE and isinstance(value, float) and value < 0.0:
+    if name in ("std_error", "rmse") and isinstance(value, float) and value < 0.0:
         yield key, f"must not be negative, is {value}"
 
 

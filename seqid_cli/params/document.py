@@ -2,15 +2,17 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 from seqid_cli import __version__
 from seqid_cli.errors import ConfigError
 from seqid_cli.params import schema
+from seqid_cli.params.schema import ClosedLoop, InputLog, ParameterFile, RobotId, Stages
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
+Logs = Sequence[InputLog]
 COMMAND_OF = {  # each stage, in their order
     "friction": "friction",
     "gravity": "gravity",
@@ -32,18 +34,26 @@ def now() -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
 
 
-def tool() -> schema.Tool:
-    """Return the identity of this program in the form of documents."""
-    return schema.Tool(version=__version__)
+class Head(TypedDict):
+    """What every document begins with."""
+
+    schema: str
+    created: str
+    tool: schema.Tool
 
 
-def robot_id(robot: "Robot") -> schema.RobotId:
+def head(name: str) -> Head:
+    """Return the head of a document of this schema, written now by this program."""
+    return {"schema": name, "created": now(), "tool": schema.Tool(version=__version__)}
+
+
+def robot_id(robot: "Robot") -> RobotId:
     """Return the identity of a robot in the form of documents."""
     names, slides = list(robot.joint_names), [j.name for j in robot.joints if j.prismatic]
-    return schema.RobotId(name=robot.name, joints=names, sha256=robot.sha256, prismatic=slides)
+    return RobotId(name=robot.name, joints=names, sha256=robot.sha256, prismatic=slides)
 
 
-def present(stages: schema.Stages) -> dict[str, object]:
+def present(stages: Stages) -> dict[str, object]:
     """Return the stages that are there, by name, in their order."""
     found = {name: getattr(stages, name) for name in COMMAND_OF}
     return {name: stage for name, stage in found.items() if stage is not None}
@@ -54,7 +64,7 @@ def poor_because(verdicts: Iterable[schema.Verdict], joint: str) -> str:
     return "; ".join(v.reason for v in verdicts if v.joint == joint and not v.good)
 
 
-def stale_stages(previous: schema.ParameterFile | None, names: Sequence[str]) -> tuple[str, ...]:
+def stale_stages(previous: ParameterFile | None, names: Sequence[str]) -> tuple[str, ...]:
     """Return the earlier results that are void when the stages `names` are identified again."""
     if previous is None:
         return ()
@@ -64,11 +74,8 @@ def stale_stages(previous: schema.ParameterFile | None, names: Sequence[str]) ->
 
 
 def with_stage(
-    previous: schema.ParameterFile | None,
-    robot: schema.RobotId,
-    inputs: Sequence[schema.InputLog],
-    **stages: object,
-) -> schema.ParameterFile:
+    previous: ParameterFile | None, robot: RobotId, inputs: Logs, **stages: object
+) -> ParameterFile:
     """Return a new document: `previous` and the given stages, by their names in `Stages`.
 
     Earlier stages and their inputs stay; a stage that is given again replaces the old one, and
@@ -82,12 +89,8 @@ def with_stage(
 
 
 def refined(
-    previous: schema.ParameterFile,
-    robot: schema.RobotId,
-    inputs: Sequence[schema.InputLog],
-    stages: schema.Stages,
-    closed_loop: schema.ClosedLoop,
-) -> schema.ParameterFile:
+    previous: ParameterFile, robot: RobotId, inputs: Logs, stages: Stages, loop: ClosedLoop
+) -> ParameterFile:
     """Return a new document: `previous` after refinement.
 
     `stages` replace those of `previous`. All its inputs stay, because what was identified from
@@ -95,29 +98,22 @@ def refined(
     """
     # Effects are there even where nothing was added.
     content = {"effects": [], **present(previous.stages), **present(stages)}
-    return _file(robot, [*previous.inputs, *inputs], content, closed_loop)
+    return _file(robot, [*previous.inputs, *inputs], content, loop)
 
 
 def _file(
-    robot: schema.RobotId,
-    inputs: Sequence[schema.InputLog],
-    stages: Mapping[str, object],
-    closed_loop: schema.ClosedLoop | None = None,
-) -> schema.ParameterFile:
-    return schema.ParameterFile(
-        schema=schema.SCHEMA,
-        created=now(),
-        tool=tool(),
+    robot: RobotId, inputs: Logs, stages: Mapping[str, object], loop: ClosedLoop | None = None
+) -> ParameterFile:
+    return ParameterFile(
+        **head(schema.SCHEMA),
         robot=robot,
         inputs=list({(log.stage, log.sha256, log.path): log for log in inputs}.values()),
-        stages=schema.Stages(**stages),  # type: ignore[arg-type]
-        closed_loop=closed_loop,
+        stages=Stages(**stages),  # type: ignore[arg-type]
+        closed_loop=loop,
     )
 
 
-def check_same_robot(
-    first: tuple[str, schema.RobotId], other: tuple[str, schema.RobotId], hint: str
-) -> None:
+def check_same_robot(first: tuple[str, RobotId], other: tuple[str, RobotId], hint: str) -> None:
     """Refuse a document about another robot than the first; each is given with its path."""
     (path, mine), (where, theirs) = first, other
     if (theirs.name, theirs.joints) != (mine.name, mine.joints):
@@ -128,29 +124,26 @@ def check_same_robot(
         raise ConfigError(message, where=where, hint=hint)
 
 
-def join(files: Sequence[tuple[str, schema.ParameterFile]]) -> schema.ParameterFile:
+def join(files: Sequence[tuple[str, ParameterFile]]) -> ParameterFile:
     """Join parameter files of one robot, given with the names to use in messages.
 
     Raises ConfigError: there are none, of different robots, or that disagree on a stage.
     """
     if not files:
         raise ConfigError("no parameter file given", hint="Name one with -p.")
-    first_name, first = files[0]
+    path, first = files[0]
     found: dict[str, tuple[object, str]] = {}
     for name, file in files:
-        hint = "Join files of one robot only."
-        check_same_robot((first_name, first.robot), (name, file.robot), hint)
+        check_same_robot((path, first.robot), (name, file.robot), "Join files of one robot only.")
         for stage, content in present(file.stages).items():
             known, source = found.setdefault(stage, (content, name))
             if known != content:
                 message = f"its {stage} stage differs from that of {source}"
                 hint = "Give files of one branch, or redo one from the other's result."
                 raise ConfigError(message, where=name, hint=hint)
-    joined = _file(
-        first.robot,
-        [log for _, file in files for log in file.inputs],
-        {stage: content for stage, (content, _) in found.items()},
-        next((file.closed_loop for _, file in files if file.closed_loop), None),
-    )
+    inputs = [log for _, file in files for log in file.inputs]
+    stages = {stage: content for stage, (content, _) in found.items()}
+    loop = next((file.closed_loop for _, file in files if file.closed_loop), None)
+    joined = _file(first.robot, inputs, stages, loop)
     joined.created, joined.tool = max(file.created for _, file in files), first.tool
     return joined

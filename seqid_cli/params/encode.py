@@ -30,8 +30,7 @@ def plain(value: object, path: str = "$") -> Json:
         return value
     if isinstance(value, float):
         if not math.isfinite(value):
-            message = f"{path} is {value}: every number of a result must be finite"
-            raise ValueError(message)
+            raise ValueError(f"{path} is {value}: every number of a result must be finite")
         return float(f"{min(max(value, -LARGEST), LARGEST):.{_DIGITS}g}")
     if isinstance(value, msgspec.Struct):
         sparse = value.__struct_config__.omit_defaults
@@ -42,8 +41,7 @@ def plain(value: object, path: str = "$") -> Json:
         return {str(key): plain(item, f"{path}.{key}") for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, bytes):
         return [plain(item, f"{path}[{index}]") for index, item in enumerate(value)]
-    message = f"{path} is a {type(value).__name__}, which has no JSON form"
-    raise TypeError(message)
+    raise TypeError(f"{path} is a {type(value).__name__}, which has no JSON form")
 
 
 def _render(value: Json, margin: str) -> str:

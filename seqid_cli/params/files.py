@@ -55,8 +55,7 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         message = f"cannot be written: {error.strerror or error}"
-        hint = "Check space and rights there."
-        raise UsageError(message, where=str(path), hint=hint) from error
+        raise UsageError(message, where=str(path), hint="Check space and rights there.") from error
 
 
 @contextlib.contextmanager
@@ -103,7 +102,7 @@ def _without_leftovers(target: Path) -> None:
     """Remove temporary files that killed runs left beside a file."""
     for path in target.parent.glob(f".{glob.escape(_short(target.name))}.*.tmp"):
         process = path.suffixes[-2][1:]
-        if process.isdecimal() and int(process) != os.getpid() and not process_runs(int(process)):
+        if process.isdecimal() and not process_runs(int(process)):
             with contextlib.suppress(OSError):
                 path.unlink(missing_ok=True)
 
@@ -112,10 +111,8 @@ def process_runs(process: int) -> bool:
     """Tell whether there is a process of this number."""
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):  # somebody else's
-        return True
+    except (OSError, OverflowError) as error:  # any other one: the process is somebody else's
+        return not isinstance(error, ProcessLookupError)
     return True
 
 

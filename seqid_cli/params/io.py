@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 import msgspec
 
@@ -65,8 +65,7 @@ def read_parameters(path: Path) -> ParameterFile:
     Raises ConfigError: the file is missing, is no JSON, is another kind of document, is newer than
     this version knows, or does not follow the schema. The message names the line or the key.
     """
-    content = _content(*_opened(path, _PARAMETER_HINT), ["params"], str(path), _PARAMETER_HINT)
-    return cast(ParameterFile, content)
+    return cast(ParameterFile, _read(path, ["params"], _PARAMETER_HINT)[1])
 
 
 def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
@@ -74,26 +73,21 @@ def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
 
     Raises ConfigError as `read_parameters` does; the message names the file and the key.
     """
-    found: list[Source[Document]] = []
-    for path in paths:
-        data, document = _opened(path, _RESULT_HINT)
-        content = _content(data, document, _OF_ROBOT, str(path), _RESULT_HINT)
-        found.append(Source(str(path), hashlib.sha256(data).hexdigest(), cast(Document, content)))
-    return found
+    return [Source(str(path), *_read(path, _OF_ROBOT, _RESULT_HINT)) for path in paths]
 
 
 def read_trend(path: Path) -> TrendFile | None:
     """Read a trend; None where it is another document. Raises as `read_parameters` does."""
-    data, document = _opened(path, _RESULT_HINT)
+    _, document = _opened(path, _RESULT_HINT)
     if not str(document.get("schema")).startswith("seqid/trend@"):
         return None
-    return cast(TrendFile, _content(data, document, ["trend"], str(path), _RESULT_HINT))
+    return cast(TrendFile, _read(path, ["trend"], _RESULT_HINT)[1])
 
 
-def _content(
-    data: bytes, document: Json, kinds: Collection[str], where: str, hint: str
-) -> Document | TrendFile:
-    """Decode a document of one of these kinds; an older parameter file is brought up to date."""
+def _read(path: Path, kinds: Collection[str], hint: str) -> tuple[str, Any]:
+    """Return SHA-256 and content of a document of these kinds; an old one is brought up to date."""
+    where, (data, document) = str(path), _opened(path, hint)
+    sha256 = hashlib.sha256(data).hexdigest()
     schema, kind, version = _schema_of(document, kinds, where, hint)
     newest = PARAMS_VERSION if kind == "params" else 1
     if version > newest:
@@ -116,7 +110,7 @@ def _content(
         raise ConfigError(message, where=where, hint=remedy) from error
     if isinstance(content, OfRobot):
         check_consistency(content, where)
-    return content
+    return sha256, content
 
 
 def _schema_of(
@@ -167,14 +161,12 @@ def _bytes(path: Path, hint: str = "Check the path given with -p.") -> bytes:
         if not path.is_file():
             what = "is not a file" if path.exists() else "does not exist"
             raise ConfigError(what, where=where, hint=hint)
-        size = path.stat().st_size
-        if size > _MAX_BYTES:
+        if (size := path.stat().st_size) > _MAX_BYTES:
             message = f"has {size} bytes, the limit is {_MAX_BYTES}"
             raise ConfigError(message, where=where, hint=hint)
         return path.read_bytes()
     except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        message = f"cannot be read: {reason}"
+        message = f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
         raise ConfigError(message, where=where, hint="Check the path and the rights.") from error
 
 
@@ -188,8 +180,7 @@ def _opened(path: Path, hint: str) -> tuple[bytes, Json]:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         message = f"is not valid JSON: {_syntax(error, data)}"
         raise ConfigError(message, where=where, hint=hint) from error
-    huge = _HUGE.search(data)
-    if huge:
+    if huge := _HUGE.search(data):
         line = data.count(b"\n", 0, huge.start()) + 1
         message = f"holds the number {huge[0][:20].decode()} at line {line}, beyond 1e30"
         raise ConfigError(message, where=where, hint="Run the command again that wrote it.")

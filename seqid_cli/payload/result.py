@@ -27,7 +27,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.bodies.consistent import nearest_body
 from seqid_cli.model.bodies.nearest import whitening
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
-from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import payload
 from seqid_cli.params.schema import Matrix, Parameter, Verdict
 from seqid_cli.payload.fit import PayloadFit, fit_payload
@@ -46,9 +46,7 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> payload.PayloadFile
     entry, settings = _entry(fit, names[-1])
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return payload.PayloadFile(
-        schema=payload.PAYLOAD_SCHEMA,
-        created=now(),
-        tool=tool(),
+        **head(payload.PAYLOAD_SCHEMA),
         robot=robot_id(inputs.robot),
         inputs=given.inputs(),
         models=inputs.ids(),

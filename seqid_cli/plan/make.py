@@ -8,7 +8,7 @@ from msgspec import structs
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.planned import sampled
-from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results.plan import (
     PLAN_SCHEMA,
     JointLimits,
@@ -62,9 +62,7 @@ def make_plan(
     noise = np.sqrt(2.0 / belief.density)
     durations = [move.duration_s for move in moves]
     return PlanFile(
-        schema=PLAN_SCHEMA,
-        created=now(),
-        tool=tool(),
+        **head(PLAN_SCHEMA),
         robot=robot_id(robot),
         what=what,
         seed=options.seed,

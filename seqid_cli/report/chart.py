@@ -16,12 +16,13 @@ from markupsafe import Markup, escape
 
 from seqid_cli.report.views import Figure, Legend, Table
 from seqid_cli.report.words import MINUS, number
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array
 
 WIDE, SMALL = 580.0, 372.0  # widths of drawings
 _LEFT, _RIGHT, _TOP, _FOOT = 62.0, 12.0, 26.0, 44.0  # around a panel
 _ROW, _NAMES, _LONGEST = 28.0, 150.0, 20  # height, width and letters of a row's name
 Numbers = Sequence[float] | Array
+Dots = Mapping[str, Sequence[tuple[str, float]]]  # style and value, by the name of the row
 
 
 def element(name: str, /, *children: str, **attributes: str | float) -> Markup:
@@ -112,18 +113,8 @@ class Box(NamedTuple):
 
     left: float
     top: float
-    width: float
-    height: float
-
-    @property
-    def right(self) -> float:
-        """Its right edge."""
-        return self.left + self.width
-
-    @property
-    def bottom(self) -> float:
-        """Its lower edge."""
-        return self.top + self.height
+    right: float
+    bottom: float
 
 
 @dataclass
@@ -163,11 +154,10 @@ class Panel:
 
     def span(self, low: float, high: float, style: str, tooltip: str = "") -> None:
         """Shade an interval of x over the whole height; `tooltip` shows when it is pointed at."""
-        _, top, _, height = self.box
-        x, width = self.x(low), max(self.x(high) - self.x(low), 1.0)
+        x, y, height = self.x(low), self.box.top, self.box.bottom - self.box.top
         inside = [element("title", tooltip)] if tooltip else []
-        own = {"class_": f"span {style}"}
-        self.marks.append(element("rect", *inside, **own, x=x, y=top, width=width, height=height))
+        own = {"x": x, "y": y, "width": max(self.x(high) - x, 1.0), "height": height}
+        self.marks.append(element("rect", *inside, class_=f"span {style}", **own))
 
     def upright(self, value: float, style: str) -> None:
         """Draw a vertical line at a value."""
@@ -180,9 +170,10 @@ class Panel:
         if self.hover:
             data = {"data_x": f"{self.hover}|{self.x.ends}", "data_y": self.y.ends}
             # A drawing of its own over the panel: another view box zooms into it.
-            view = " ".join(f"{side:.1f}" for side in self.box)
+            x, y, right, bottom = self.box
+            sides = {"x": x, "y": y, "width": right - x, "height": bottom - y}
+            view = " ".join(f"{side:.1f}" for side in sides.values())
             inside = {"class_": "marks", "viewBox": view, "preserveAspectRatio": "none"}
-            sides = dict(zip(("x", "y", "width", "height"), self.box, strict=True))
             marks = element("svg", marks, **inside, **sides)
         return element("g", *self._axes(), marks, *self.words, class_="panel", **data)
 
@@ -220,14 +211,14 @@ def small_panel(
     **more: Any,
 ) -> Panel:
     """Return the axes of a small drawing; `x` is name and unit."""
-    box = Box(_LEFT, _TOP, SMALL - _LEFT - _RIGHT, height)
+    box = Box(_LEFT, _TOP, SMALL - _RIGHT, _TOP + height)
     own = {"x_ticks": 4, "hover": "|".join(x), **more}
     return Panel(box, x_range, y_range, ", ".join(filter(None, x)), y_title, **own)
 
 
 def wide_box(top: float, height: float) -> Box:
     """Return the place of a panel in a wide drawing."""
-    return Box(_LEFT, top, WIDE - _LEFT - _RIGHT, height)
+    return Box(_LEFT, top, WIDE - _RIGHT, top + height)
 
 
 def figure(
@@ -251,24 +242,19 @@ def figure(
         class_="plot readable" if readable else "plot",
         viewBox=f"0 0 {box.right + _RIGHT:.0f} {box.bottom + _FOOT:.0f}",
         role="img",
-        tabindex="0" if readable else "",
+        tabindex="0" if readable else "",  # the keyboard reaches what can be read
     )
     return Figure(name or title, svg, legend, table, note, wide)
 
 
 def dots(
-    title: str,
-    rows: Mapping[str, Sequence[tuple[str, float]]],
-    x_title: str,
-    legend: Legend,
-    *,
-    mark: float = 0.0,
+    title: str, rows: Dots, x_title: str, legend: Legend, *, mark: float = 0.0
 ) -> Figure | None:
-    """Draw a row of dots (style, value) per name; a `mark` crosses them. None without rows."""
+    """Draw a row of joined dots per name; a `mark` crosses all rows. None where there are none."""
     if not rows:
         return None
     far = max([mark, *(value for points in rows.values() for _, value in points)])
-    box = Box(_NAMES, 8.0, WIDE - _NAMES - _RIGHT, _ROW * len(rows))
+    box = Box(_NAMES, 8.0, WIDE - _RIGHT, 8.0 + _ROW * len(rows))
     panel = Panel(box, (0.0, padded([0.0, far or 1.0])[1]), (0.0, 1.0), x_title, y_ticks=0)
     if mark:
         panel.upright(mark, "floor")

@@ -3,11 +3,11 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.document import check_same_robot, join, present
-from seqid_cli.params.io import Document, Result, Source
+from seqid_cli.params.io import D, Document, Result, Source
 from seqid_cli.params.results.diagnosis import DiagnosisFile, ResidualEntry
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile
@@ -27,7 +27,6 @@ _MOST_JOINTS = 200
 Sources = Sequence[Source[Document]]
 Parameters = Source[ParameterFile]
 Prediction = Source[PredictionFile]
-D = TypeVar("D", bound=Document)
 
 
 class Place(NamedTuple):
@@ -117,17 +116,6 @@ class Collection:
         if sorted(kinds) != ["identified", "refined"] or model is None:
             return name
         return f"{'after' if model.kind == 'refined' else 'before'}: {name}"
-
-    def trained_on(self, prediction: Prediction) -> set[str]:
-        """Return the hashes of the logs that the model of a prediction was identified from."""
-        used = {item.sha256 for item in prediction.content.parameters}
-        own = [s.content for s in of_kind(self.sources, ParameterFile) if s.sha256 in used]
-        found: set[str] = set()
-        # Where its parameter files were not given, those of all models count.
-        for file in own or [model.file for model in self.models]:
-            held_out = file.closed_loop.held_out if file.closed_loop is not None else []
-            found |= {log.sha256 for log in file.inputs} - {log.sha256 for log in held_out}
-        return found
 
 
 def of_kind(documents: Iterable[Source[Document]], kind: type[D]) -> tuple[Source[D], ...]:

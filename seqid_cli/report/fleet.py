@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import groupby
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from markupsafe import Markup
 
@@ -11,39 +11,36 @@ from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.results.tables import of_joints
 from seqid_cli.report.chart import dots
 from seqid_cli.report.collection import Collection, collect
-from seqid_cli.report.judgement import Judgement, Level, judge
+from seqid_cli.report.judgement import Judgement, judge
 from seqid_cli.report.views import Group, Page, Section, Table, table
 from seqid_cli.report.words import listed, plural
 
-_WORST: tuple[Level, ...] = ("poor", "not_judged", "reservations", "good")
-_BADGES = {"good": "good", "reservations": "open", "poor": "poor", "not_judged": ""}
+_BADGES = {"poor": "poor", "not_judged": "", "reservations": "open", "good": "good"}  # worst first
 
 
 class _Robot(NamedTuple):
-    """A robot, its documents and their verdict; of each joint RMS error and share of the torque."""
+    """A robot, its documents and their verdict."""
 
     name: str
     found: Collection
     judgement: Judgement
-    errors: dict[str, tuple[float, float]]
 
-    @classmethod
-    def of(cls, name: str, documents: Sequence[Source[Document]]) -> Self:
-        """Judge a robot by its documents."""
-        found = collect(documents)
-        errors = {
+    @property
+    def errors(self) -> dict[str, tuple[float, float]]:
+        """Of each joint RMS error and share of the torque."""
+        return {
             joint: (error.rmse, error.relative_rmse)
-            for prediction in found.predictions[:1]
+            for prediction in self.found.predictions[:1]
             for joint, error in prediction.content.joints.items()
             if error.rmse is not None and error.relative_rmse is not None
         }
-        return cls(name, found, judge(found), errors)
 
 
 def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str = "") -> Page:
     """Return the page on `robots`, documents by name, with the verdict on the worst of them."""
-    judged = [_Robot.of(name, documents) for name, documents in robots.items()]
-    judged.sort(key=lambda robot: _WORST.index(robot.judgement.level))
+    found = {name: collect(documents) for name, documents in robots.items()}
+    judged = [_Robot(name, own, judge(own)) for name, own in found.items()]
+    judged.sort(key=lambda robot: list(_BADGES).index(robot.judgement.level))
     by_level = groupby(judged, key=lambda robot: robot.judgement.level)
     said = [f"{TITLES[k].lower()}: {listed([own.name for own in of])}" for k, of in by_level]
     points = [p for robot in judged for p in robot.judgement.points if p.weight == "poor"]
@@ -63,7 +60,8 @@ def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str =
 
 def _overview(robots: Sequence[_Robot], whole: Judgement) -> Section:
     rows, shares = [], {}
-    for place, (name, _, judgement, errors) in enumerate(robots, start=1):
+    for place, robot in enumerate(robots, start=1):
+        name, judgement, errors = robot.name, robot.judgement, robot.errors
         worst = max(errors, key=lambda joint: errors[joint][1], default=None)
         share = errors[worst][1] if worst else None
         link = Markup('<a href="#robot-{}">{}</a>').format(place, name)
@@ -79,8 +77,7 @@ def _overview(robots: Sequence[_Robot], whole: Judgement) -> Section:
         tables=[table("Models and their errors", titles, "text text share text count", rows)],
         unfolded=True,
     )
-    title = f"The fleet: {TITLES[whole.level].lower()}"
-    return Section("verdict", title, whole.sentence, [group])
+    return Section("verdict", f"The fleet: {whole.title.lower()}", whole.sentence, [group])
 
 
 def _group(place: int, robot: _Robot) -> Group:

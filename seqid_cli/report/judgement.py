@@ -6,8 +6,8 @@ from typing import Literal
 
 from seqid_cli.params.results.diagnosis import UnexplainedPart, nothing_found, times_noise
 from seqid_cli.params.results.report import TITLES
-from seqid_cli.params.schema import ClosedLoop, Stages, Verdict
-from seqid_cli.report.collection import Collection, Prediction
+from seqid_cli.params.schema import ClosedLoop, ParameterFile, Stages, Verdict
+from seqid_cli.report.collection import Collection, Prediction, of_kind
 from seqid_cli.report.words import effect_at, file_name, listed, number, percent, plural, short_path
 
 Level = Literal["good", "reservations", "poor", "not_judged"]
@@ -52,7 +52,7 @@ def judge(collection: Collection) -> Judgement:
     """Judge the model by all documents.
 
     Poor is what a prediction on independent logs, or without one a stage, calls poor. Good needs a
-    prediction on logs that the model is not from; whatever else is open makes it reservations.
+    prediction on logs that the model is not from; what is open besides is a reservation.
     """
     tested = [(p, new) for p in collection.judged if (new := _new_logs(collection, p))]
     points = [
@@ -75,7 +75,12 @@ def judge(collection: Collection) -> Judgement:
 
 def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
     """Return the logs that judge the model: not those it was identified from."""
-    trained = collection.trained_on(prediction)
+    used, trained = {item.sha256 for item in prediction.content.parameters}, set()
+    made_with = [x.content for x in of_kind(collection.sources, ParameterFile) if x.sha256 in used]
+    # Where its parameter files were not given, those of all models count.
+    for file in made_with or [model.file for model in collection.models]:
+        held_out = file.closed_loop.held_out if file.closed_loop is not None else []
+        trained |= {log.sha256 for log in file.inputs} - {log.sha256 for log in held_out}
     counted = [log for log in prediction.content.logs if log.sha256 not in trained]
     errors = [error for log in counted for error in log.joints.values()]
     judged = any(error.relative_rmse is not None for error in errors)
@@ -217,17 +222,13 @@ def _diagnosis_points(collection: Collection) -> Iterator[Point]:
 def unexplained(part: UnexplainedPart) -> str:
     """Return how much of the residual is not explained, and what it depends on."""
     on = listed([name.replace("_", " ") for name in part.depends_on]) or "nothing that was logged"
-    share = percent(part.share, 0)
-    return f"{part.joint}: {share} of the residual above the noise depends on {on}"
+    return f"{part.joint}: {percent(part.share, 0)} of the residual above the noise depends on {on}"
 
 
 def known_effects(collection: Collection) -> frozenset[tuple[str, str | None]]:
     """Return the effects that a refined model holds, with their joints."""
-    return frozenset(
-        (effect.effect, effect.joint)
-        for model in collection.models
-        for effect in model.stages.effects or []
-    )
+    added = [effect for model in collection.models for effect in model.stages.effects or []]
+    return frozenset((effect.effect, effect.joint) for effect in added)
 
 
 def _support(collection: Collection, tested: Tested) -> Iterator[str]:

@@ -1,9 +1,11 @@
 """One page about one robot, from the documents that the commands wrote."""
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
-from seqid_cli.errors import UsageError
+from seqid_cli.errors import InputError, UsageError
 from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.judgement import judge
@@ -14,7 +16,7 @@ from seqid_cli.report.sections.parameters import parameters
 from seqid_cli.report.sections.pipeline import overview, pipeline
 from seqid_cli.report.sections.results import payload, plan
 from seqid_cli.report.sections.torque import torque
-from seqid_cli.report.torques import TorqueTable, find_torques
+from seqid_cli.report.torques import TorqueTable
 from seqid_cli.report.views import Page
 from seqid_cli.report.words import plural
 
@@ -32,24 +34,16 @@ def make_report(
     collection = collect(documents)
     tables, notes = open_torques(torques, collection)
     judgement = judge(collection)
-    sections = [
-        overview(collection, judgement),
-        pipeline(collection),
-        torque(collection, tables, notes),
-        friction(collection),
-        parameters(collection),
-        imu(collection),
-        diagnosis(collection),
-        closed_loop(collection),
-        payload(collection),
-        plan(collection),
-    ]
+    sections = [overview(collection, judgement), pipeline(collection)]
+    sections.append(torque(collection, tables, notes))
+    sections += [make(collection) for make in (friction, parameters, imu, diagnosis, closed_loop)]
+    results = (payload(collection), plan(collection))  # None where no file of one is given
     robot = collection.robot
     return Page(
         title or robot.name,
         [plural(len(robot.joints), "joint"), f"robot file {robot.sha256[:12]}"],
         judgement,
-        [section for section in sections if section is not None],
+        [*sections, *filter(None, results)],
         robot.name,
         [item.path for item in collection.sources],
         torques=[table.path for table in tables],
@@ -68,8 +62,10 @@ def open_torques(
         raise UsageError(message, hint="Name the one that belongs to it.")
     notes = []
     for prediction in collection.predictions:
-        if prediction not in whose and (found := find_torques(prediction, collection)):
-            tables.append(found)
-            notes.append(f"The torques are those of {found.path}, beside the prediction.")
+        if prediction not in whose:
+            path, alone = Path(prediction.path).with_name("torques.parquet"), (prediction,)
+            with suppress(InputError):  # it is not there, or of another prediction
+                tables.append(TorqueTable.open(path, replace(collection, predictions=alone)))
+                notes.append(f"The torques are those of {path}, beside the prediction.")
     order = [*collection.predictions, None]
     return sorted(tables, key=lambda table: order.index(table.prediction)), notes

@@ -1,14 +1,10 @@
-"""The torques that `seqid predict --torques` wrote, a joint at a time.
-
-Imports numpy and pyarrow: only for use inside a command's body.
-"""
-
-from __future__ import annotations
+"""The torques that `seqid predict --torques` wrote, a joint at a time."""
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pyarrow as pa
@@ -61,7 +57,7 @@ class TorqueTable:
     columns: frozenset[str]
 
     @classmethod
-    def open(cls, path: Path, collection: Collection) -> TorqueTable:
+    def open(cls, path: Path, collection: Collection) -> Self:
         """Open a torque file and check it against the documents.
 
         Raises InputError: it is unreadable, no torque file, or of another robot, log or model.
@@ -72,11 +68,8 @@ class TorqueTable:
         with _readable(where, "is no torque file"):
             file = opened_table(path)
             rows = _log_rows(path)
-        columns = {
-            column.name
-            for column in file.schema_arrow
-            if pa.types.is_floating(column.type) or pa.types.is_boolean(column.type)
-        }
+        numeric = (pa.types.is_floating, pa.types.is_boolean)
+        columns = {x.name for x in file.schema_arrow if any(is_one(x.type) for is_one in numeric)}
         there = {name.removesuffix(".predicted") for name in columns if name.endswith(".predicted")}
         joints = tuple(x for x in robot.joints if columns >= {f"{x}.{kind}" for kind in _KINDS})
         if "t" not in columns:
@@ -125,14 +118,6 @@ class TorqueTable:
         left = np.where(np.isnan(low) | np.isnan(torque), left, torque - nearest)
         motion = own.get("position"), own.get("velocity")
         return Series(log, t, torque, own["predicted"], left, used, sliding, low, high, *motion)
-
-
-def find_torques(prediction: Prediction, collection: Collection) -> TorqueTable | None:
-    """Open the `torques.parquet` beside a prediction, if there is one and it is of this one."""
-    path = Path(prediction.path).with_name("torques.parquet")
-    with contextlib.suppress(InputError):
-        return TorqueTable.open(path, replace(collection, predictions=(prediction,)))
-    return None
 
 
 @contextlib.contextmanager

@@ -70,5 +70,4 @@ def _figure(series: SeriesEntry) -> Figure:
     text = f"{what} from {number(values[0])} to {number(values[-1])} {series.unit}"
     rows = zip((date[:10] for date in series.dates), series.values, series.std_errors, strict=True)
     titles, kinds = "date | value [{unit}] | std error", "text number5 number2"
-    shown = table(what, titles, kinds, rows, unit=series.unit)
-    return figure([panel], what, text, {}, shown)
+    return figure([panel], what, text, {}, table(what, titles, kinds, rows, unit=series.unit))

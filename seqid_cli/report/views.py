@@ -1,8 +1,7 @@
 """Figures, tables and sections for the templates: plain data, no HTML but finished drawings.
 
-The page is one HTML text of templates, style sheet and script, all from the package. Everything
-that comes from a file is escaped by the templates. The page may not load anything: its policy names
-the style sheet and the script by their hashes and forbids everything else.
+Everything that comes from a file is escaped by the templates. The page may not load anything: its
+policy names the style sheet and the script by their hashes and forbids everything else.
 """
 
 import base64
@@ -48,17 +47,10 @@ class Table:
 
 
 def table(
-    caption: str,
-    titles: str,
-    kinds: str,
-    rows: Iterable[Sequence[Any]],
-    note: str = "",
-    *,
-    style: str = "",
-    **names: str,
+    caption: str, titles: str, kinds: str, rows: Iterable[Sequence[Any]], **names: str
 ) -> Table:
     """Return rows of values under `heads` as a table of the page."""
-    return Table(caption, values(titles, kinds, rows, **names), note, style=style)
+    return Table(caption, values(titles, kinds, rows, **names))
 
 
 def value_row(name: str, value: float | None, error: float | None, unit: str) -> tuple[str, ...]:
@@ -165,15 +157,11 @@ class Page:
     def html(self) -> str:
         """The page as one text."""
         parts = {"style": resource("style.css"), "script": resource("script.js")}
-        own = {
-            name: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-            for name, text in parts.items()
-        }
-        policy = (
-            f"default-src 'none'; style-src 'sha256-{own['style']}'; "
-            f"script-src 'sha256-{own['script']}'; "
-            "img-src data:; base-uri 'none'; form-action 'none'"
-        )
+        policy = "default-src 'none'; "
+        for name, text in parts.items():
+            digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+            policy += f"{name}-src 'sha256-{digest}'; "
+        policy += "img-src data:; base-uri 'none'; form-action 'none'"
         content = {"page": self, "version": __version__, "policy": policy, "created": now()} | parts
         filters = {"unit": words.unit_text, "short": words.short_path}
         return filled("seqid_cli.report", "report.html.j2", content, filters=filters, markup=True)

@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy import stats
 
-from seqid_cli.params.document import now, tool
+from seqid_cli.params.document import head
 from seqid_cli.params.files import replacing, writing
 from seqid_cli.params.results import trend
 from seqid_cli.params.results.prediction import FileId
@@ -58,9 +58,7 @@ def trend_file(
     changes += [entry for name, files in robots.items() for entry in _effects(name, files)]
     changes.sort(key=lambda entry: -(entry.sigmas or np.inf))
     return trend.TrendFile(
-        schema=trend.TREND_SCHEMA,
-        created=now(),
-        tool=tool(),
+        **head(trend.TREND_SCHEMA),
         files=ids,
         robots=list(robots),
         alarm=bool(changes),

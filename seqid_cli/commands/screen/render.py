@@ -80,13 +80,8 @@ def screen_of(context: typer.Context) -> Screen:
     """Return the screen that the command line and the environment ask for."""
     given = context.params
     plain = given["no_color"] or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
-    return Screen(
-        command=context.info_name or "",
-        quiet=given["quiet"],
-        verbose=given["verbose"],
-        json=given["json"],
-        color=not plain and sys.stdout.isatty(),
-    )
+    flags = {name: given[name] for name in ("quiet", "verbose", "json")}
+    return Screen(context.info_name or "", **flags, color=not plain and sys.stdout.isatty())
 
 
 def number(value: float | None, digits: int = 3) -> str:

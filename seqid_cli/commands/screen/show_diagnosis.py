@@ -1,7 +1,4 @@
-"""A diagnosis and a refinement on the screen: the verdict first, then evidence, then what is open.
-
-Of one joint it says as well what was tried there, and why it was not taken.
-"""
+"""A diagnosis and a refinement on the screen: the verdict first, then evidence and what is open."""
 
 from collections.abc import Collection, Sequence
 
@@ -109,17 +106,13 @@ def parameters_text(item: diagnosis.FindingEntry | EffectOfJoint) -> str:
         return "not determined by these logs"
     if item.effect == UNEXPLAINED:
         return smooth_in_words(item.parameters, item.settings)
-    texts = [
-        f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}"
-        for x in item.parameters
-        if x.std_error < UNTOLD
-    ]
+    told = [x for x in item.parameters if x.std_error < UNTOLD]
+    texts = [f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}" for x in told]
     named, units = {x.name for x in item.parameters}, setting_units(item.effect)
-    texts += [
-        f"{name} {value if isinstance(value, str) else number(value)}{_unit(units.get(name, ''))}"
-        for name, value in item.settings.items()
-        if name not in named
-    ]
+    for name, value in item.settings.items():
+        if name not in named:
+            text = value if isinstance(value, str) else number(value)
+            texts.append(f"{name} {text}{_unit(units.get(name, ''))}")
     untold = [x.name for x in item.parameters if x.std_error >= UNTOLD]
     texts += [f"not determined: {', '.join(untold)}"] if untold else []
     return ", ".join(texts)
@@ -164,10 +157,8 @@ def _quantities(names: Sequence[str]) -> str:
 
 def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> None:
     """Print the rounds, the errors before and after, and the effects of the refined model."""
-    if loop.rounds:
-        screen.result(f"Added: {_named(loop.rounds)}.")
-    else:
-        screen.result(f"{diagnosis.nothing_added(loop)}.")
+    added = f"Added: {_named(loop.rounds)}" if loop.rounds else diagnosis.nothing_added(loop)
+    screen.result(f"{added}.")
     if loop.unconfirmed:
         screen.warn(f"verdict poor: the held-out logs do not confirm {_named(loop.unconfirmed)}")
     elif loop.rounds and not loop.verdicts:

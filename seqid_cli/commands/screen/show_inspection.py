@@ -36,11 +36,8 @@ def show_inspection(screen: Screen, file: InspectionFile) -> None:
         _details(screen, log)
     if readable and not detailed:
         screen.note("joints and moves of each log: add -v")
-    rows = [
-        (part.move, part.stage, part.status, part.reason or None, part.log or None)
-        for part in file.planned
-        if part.status != "recorded"
-    ]
+    lacking = [x for x in file.planned if x.status != "recorded"]
+    rows = [(x.move, x.stage, x.status, x.reason or None, x.log or None) for x in lacking]
     titles = "still to record | stage | status | why | log"
     screen.values(values(titles, "text text text text text", rows))
     if file.planned:
@@ -134,8 +131,7 @@ def _details(screen: Screen, log: InspectedLog) -> None:
         effort = (x.effort or None, x.effort_rms)
         joints.append((x.name, "yes" if x.moves else "no", *motion, *effort, warmth))
     titles = "joint | moves | from | to | top speed | encoder step | effort | RMS | degC"
-    kinds = "text text number number number number text number text"
-    screen.values(values(titles, kinds, joints))
+    screen.values(values(titles, "text text number number number number text number text", joints))
     moves = [(x.joint, x.forward, x.backward, x.slowest, x.fastest, x.postures) for x in log.moves]
     titles = "constant velocity | forward | backward | slowest | fastest | postures"
     screen.values(values(titles, "text count count number number count", moves))

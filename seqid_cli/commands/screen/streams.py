@@ -18,7 +18,7 @@ class Messages(io.TextIOWrapper):
         try:
             return super().write(text)
         except OSError:
-            _to_nowhere(self)
+            to_nowhere(self)
             return len(text)
 
     def flush(self) -> None:
@@ -26,7 +26,7 @@ class Messages(io.TextIOWrapper):
         try:
             super().flush()
         except OSError:
-            _to_nowhere(self)
+            to_nowhere(self)
 
 
 def prepare_streams() -> None:
@@ -42,8 +42,7 @@ def prepare_streams() -> None:
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     if isinstance(sys.stderr, io.TextIOWrapper):
-        encoding = sys.stderr.encoding
-        buffer = sys.stderr.detach()
+        encoding, buffer = sys.stderr.encoding, sys.stderr.detach()
         sys.stderr = Messages(buffer, encoding, "backslashreplace", line_buffering=True)
 
 
@@ -52,12 +51,8 @@ def cannot_be_written(error: OSError) -> bool:
     return isinstance(error, BrokenPipeError) or (error.filename is None and error.errno in FULL)
 
 
-def give_up_output() -> None:
-    """Send to nowhere what is still to be written, so that the interpreter ends in peace."""
-    _to_nowhere(sys.stdout)
-
-
-def _to_nowhere(stream: TextIO) -> None:
+def to_nowhere(stream: TextIO) -> None:
+    """Lose what is still to be written, so that the interpreter ends in peace."""
     try:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     except (OSError, ValueError):  # a stream that is no file needs no care

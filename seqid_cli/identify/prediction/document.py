@@ -14,7 +14,7 @@ from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writer
 from seqid_cli.model.effects.fitted import effect_notes
 from seqid_cli.model.torque import friction_surfaces
-from seqid_cli.params.document import now, present, robot_id, tool
+from seqid_cli.params.document import head, present, robot_id
 from seqid_cli.params.results.prediction import (
     PREDICTION_SCHEMA,
     JointError,
@@ -68,9 +68,7 @@ def prediction_file(
     still = ", ".join(name for name, error in joints.items() if not error.samples)
     notes = [f"never slides in these logs and is not judged: {still}"] if still else []
     return PredictionFile(
-        schema=PREDICTION_SCHEMA,
-        created=now(),
-        tool=tool(),
+        **head(PREDICTION_SCHEMA),
         robot=robot_id(robot),
         inputs=logs.inputs(),
         parameters=inputs.ids(),

@@ -7,7 +7,6 @@ from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import ClosedLoop, InputLog, MotionUse, OfRobot, Verdict
 
-DiagnosisVerdict = Literal["effect_found", "nothing_missing", "unexplained"]
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
 _NOT_WHITE = "not white"
 _MEASURES = {"driving_load": "load times direction"}
@@ -132,7 +131,7 @@ class DiagnosisFile(OfRobot, kw_only=True):
     inputs: list[InputLog]
     parameters: list[FileId]
     stages: list[str]  # names of the stages that took part
-    verdict: DiagnosisVerdict
+    verdict: Literal["effect_found", "nothing_missing", "unexplained"]
     findings: list[FindingEntry]
     unexplained: list[UnexplainedPart]
     joints: dict[str, ResidualEntry]

@@ -110,13 +110,13 @@ def loop_errors(loop: ClosedLoop, robot: RobotId) -> Values:
         errors = (name, old.rmse, after, loop.noise_floor.get(name), floor)
         gain = loop.gain_interval.get(name, ())
         rows.append((*errors, less, gain, old.share_outside, old.rmse_outside, there))
-    return of_joints(
+    titles = (
         "joint | before [{unit}] | after [{unit}] | noise floor [{unit}] | its 95 % interval | "
-        "variance less by | 95 % interval | outside | before there [{unit}] | after there [{unit}]",
-        "text number number number limits share shares share number number",
-        rows,
-        robot,
     )
+    titles += "variance less by | 95 % interval | outside"
+    titles += " | before there [{unit}] | after there [{unit}]"
+    kinds = "text number number number limits share shares share number number"
+    return of_joints(titles, kinds, rows, robot)
 
 
 def rounds(loop: ClosedLoop) -> Values:
@@ -147,13 +147,9 @@ def joint_residuals(joints: Mapping[str, ResidualEntry], robot: RobotId) -> Valu
         times = x.rmse / x.noise_floor if x.rmse is not None and x.noise_floor else None
         floor = (x.noise_floor, x.noise_floor_interval)
         rows.append((name, x.rmse, *floor, times, x.rmse_explained, "yes" if x.white else "no"))
-    return of_joints(
-        "joint | RMSE [{unit}] | noise floor [{unit}] | 95 % interval | ratio | "
-        "with findings [{unit}] | white",
-        "text number number limits number number text",
-        rows,
-        robot,
-    )
+    titles = "joint | RMSE [{unit}] | noise floor [{unit}] | 95 % interval | ratio"
+    titles += " | with findings [{unit}] | white"
+    return of_joints(titles, "text number number limits number number text", rows, robot)
 
 
 def events(pushed: Sequence[EventEntry]) -> Values:

@@ -1,11 +1,11 @@
 """Effects that the model lacks, with their evidence, and the error before and after refinement."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.io import Source
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import (
@@ -50,7 +50,7 @@ def diagnosis(collection: Collection) -> Section:
 
 
 def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Group:
-    file, known, robot = item.content, known_effects(collection), collection.robot
+    file, known = item.content, known_effects(collection)
     badge, text = _VERDICTS[file.verdict]
     if file.verdict == "nothing_missing" and file.leaves_more:
         badge, text = "open", "no effect was found, but more than noise is left"
@@ -58,32 +58,26 @@ def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Gro
         badge, text = "good", "found, and in the refined model"
     left_out = len(file.events) - _MOST_EVENTS
     tried = {f"what is unexplained at {part.joint}": part.rivals for part in file.unexplained}
-    tried |= {f"{name}": joint.tried for name, joint in file.joints.items()}
+    tried |= {name: joint.tried for name, joint in file.joints.items()}
     floors = {name: joint.noise_floor or 0.0 for name, joint in file.joints.items()}
     errors = {"before": {name: joint.rmse for name, joint in file.joints.items()}}
     if file.findings:
         errors["after"] = {name: joint.rmse_explained for name, joint in file.joints.items()}
     more = f"and {left_out} more" if left_out > 0 else ""
+    shown = [
+        evidence_figure(x.evidence, collection, "Unexplained torque") for x in file.unexplained
+    ]
+    logs = words.listed([words.short_path(log.path) for log in file.inputs])
     return Group(
         key,
         words.short_path(item.path),
-        lead=f"{words.plural(len(file.inputs), 'log')}: "
-        + words.listed([words.short_path(log.path) for log in file.inputs]),
+        lead=f"{words.plural(len(file.inputs), 'log')}: {logs}",
         badge=badge,
         badge_text=text,
-        figures=[
-            *(
-                evidence_figure(x.evidence, collection, "Unexplained torque")
-                for x in file.unexplained
-            ),
-            _over_floor("Residual without and with the findings", errors, floors),
-        ],
+        figures=[*shown, _over_floor("Residual without and with the findings", errors, floors)],
         tables=[
-            Table("Residual per joint", tables.joint_residuals(file.joints, robot)),
-            *(
-                Table(f"Tried for {what}", tables.rivals(terms), folded=True)
-                for what, terms in tried.items()
-            ),
+            Table("Residual per joint", tables.joint_residuals(file.joints, collection.robot)),
+            *(_tried(f"for {what}", terms) for what, terms in tried.items()),
             Table("Events", tables.events(file.events[:_MOST_EVENTS]), more),
             Table("Effects that these motions cannot show", tables.hidden(file.hidden)),
         ],
@@ -109,14 +103,11 @@ def _finding(key: str, item: FindingEntry, collection: Collection) -> Group:
         joint=item.joint or "",
         badge="good" if known else "open",
         badge_text="in the refined model" if known else "not in the model",
-        facts=[
-            ("confidence", words.percent(item.confidence, 0)),
-            ("explains", words.percent(item.explains, 0)),
-        ],
+        facts=[(x, words.percent(getattr(item, x), 0)) for x in ("confidence", "explains")],
         figures=[evidence_figure(item.evidence, collection)],
         tables=[
             Table(f"Parameters of {title}", Values(VALUE_HEADS, rows)),
-            Table("Tried in its place", tables.rivals(item.rivals), folded=True),
+            _tried("in its place", item.rivals),
         ],
         notes=[*notes, *filter(None, [item.note])],
         unfolded=True,
@@ -140,10 +131,8 @@ def closed_loop(collection: Collection) -> Section:
     added = [(words.effect_at(item.effect, item.joint), item) for item in loop.rounds]
     shown = [evidence_figure(x.evidence, collection, f"{name}: residual") for name, x in added]
     faults = [": ".join(filter(None, (v.joint, v.reason))) for v in loop.verdicts if not v.good]
-    errors = {
-        style: {name: own.rmse for name, own in joints.items()}
-        for style, joints in (("before", loop.before), ("after", loop.after))
-    }
+    loops = {"before": loop.before, "after": loop.after}
+    errors = {style: {x: own.rmse for x, own in joints.items()} for style, joints in loops.items()}
     measured = words.listed([words.short_path(path) for path in loop.evaluated_on])
     group = Group(
         "loop-errors",
@@ -154,15 +143,16 @@ def closed_loop(collection: Collection) -> Section:
         tables=[
             Table("RMS error on the held-out logs", tables.loop_errors(loop, collection.robot)),
             Table("What was tried", tables.rounds(loop)),
-            *(
-                Table(f"Tried in place of {name}", tables.rivals(x.rivals), folded=True)
-                for name, x in added
-            ),
+            *(_tried(f"in place of {name}", x.rivals) for name, x in added),
         ],
         notes=[*([f"Measured on {measured}."] if measured else []), *loop.notes],
         unfolded=True,
     )
     return Section("loop", title, lead, [group])
+
+
+def _tried(what: str, terms: Sequence[RivalEntry]) -> Table:
+    return Table(f"Tried {what}", tables.rivals(terms), folded=True)
 
 
 def _over_floor(
@@ -204,13 +194,8 @@ def evidence_figure(
     legend = {style: f"{name} it is taken off" for name, (style, *_) in curves.items()}
     none = [None] * len(shown.x)
     after = (shown.after or none, shown.after_spread or none)
-    bins = table(
-        title,
-        "{quantity} [{x}] | samples | before [{y}] | spread [{y}] | after [{y}] | spread [{y}]",
-        "number count number number number number",
-        zip(shown.x, shown.count, shown.before, shown.before_spread, *after, strict=True),
-        quantity=quantity,
-        x=shown.unit,
-        y=unit,
-    )
+    rows = zip(shown.x, shown.count, shown.before, shown.before_spread, *after, strict=True)
+    heads = "{quantity} [{x}] | samples | before [{y}] | spread [{y}] | after [{y}] | spread [{y}]"
+    kinds, names = "number count number number number number", {"x": shown.unit, "y": unit}
+    bins = table(title, heads, kinds, rows, quantity=quantity, **names)
     return figure([panel], title, text, legend, bins, note=text)

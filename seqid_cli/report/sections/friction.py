@@ -39,7 +39,8 @@ def friction(collection: Collection) -> views.Section:
 def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Group:
     joint, place = stage.joints[name], collection.place(name)
     own = [verdict for verdict in stage.verdicts if verdict.joint == name]
-    figures, fault = friction_figures(joint, place), "Its surface is not finite"
+    figures = friction_figures(joint, place)
+    fault = views.Absent("Its surface is not finite: identify it anew.", _CALL)
     facts = [
         ("orders", f"{joint.position_order}, {joint.velocity_order}"),
         ("RMS error of the fit", f"{number(joint.rmse)} {place.unit}"),
@@ -49,6 +50,9 @@ def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Gro
     if joint.asymmetry is not None:
         facts.append(("depends on direction", percent(joint.asymmetry)))
     terms = [views.value_row(x.name, x.value, x.std_error, x.unit) for x in joint.parameters]
+    titles = "speed [{length}/s] | moves forward | backward | RMS error [{unit}]"
+    kinds, units = "number count count number", {"unit": place.unit, "length": place.length}
+    speeds = [(x.speed, x.forward, x.backward, x.rmse) for x in joint.speeds]
     return views.Group(
         f"friction-{collection.robot.joints.index(name) + 1}",
         name,
@@ -57,16 +61,9 @@ def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Gro
         badge=views.badge(own),
         facts=facts,
         figures=figures,
-        absent=[] if figures else [views.Absent(f"{fault}: identify it anew.", _CALL)],
+        absent=[] if figures else [fault],
         tables=[
-            views.table(
-                f"Recorded speeds of {name}",
-                "speed [{length}/s] | moves forward | backward | RMS error [{unit}]",
-                "number count count number",
-                [(x.speed, x.forward, x.backward, x.rmse) for x in joint.speeds],
-                unit=place.unit,
-                length=place.length,
-            ),
+            views.table(f"Recorded speeds of {name}", titles, kinds, speeds, **units),
             views.Table(f"Friction parameters of {name}", Values(views.VALUE_HEADS, terms)),
         ],
     )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from seqid_cli.params.schema import ImuCalibration, MotionUse, RobotId, Verdict
+from seqid_cli.params.schema import ImuStage, MotionUse, RobotId
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.views import Group, Section, Table, badge, lacking, reasons, table
 from seqid_cli.report.words import MINUS, number, short_path, with_error
@@ -22,10 +22,7 @@ def imu(collection: Collection) -> Section:
         "IMU (Eq. 38). The gain compares the joint's acceleration with the one that the IMU sees "
         "about the joint's axis: 1 if both agree (Eq. 31)."
     )
-    groups = [
-        _group(place, name, item, [v for v in stages.imu.verdicts if v.joint == name])
-        for place, (name, item) in enumerate(stages.imu.imus.items(), start=1)
-    ]
+    groups = [_group(k, name, stages.imu) for k, name in enumerate(stages.imu.imus, start=1)]
     uses = stages.inertia.motion_use if stages.inertia else []
     skipped: dict[str, list[str]] = {}  # remarks on IMUs that took no part, with their logs
     for use in uses:
@@ -36,7 +33,8 @@ def imu(collection: Collection) -> Section:
     return Section("imu", title, lead, groups, tables=motion, notes=notes)
 
 
-def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdict]) -> Group:
+def _group(place: int, name: str, stage: ImuStage) -> Group:
+    item, verdicts = stage.imus[name], [v for v in stage.verdicts if v.joint == name]
     facts = [("std error", f"{number(item.std_error_deg, 2)}\u00b0")]
     facts.append(("configurations", str(item.configurations)))
     if item.axis_rmse_deg is not None:
@@ -50,10 +48,8 @@ def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdi
         for joint, x in item.references.items()
     ]
     errors = item.std_errors_deg if len(item.std_errors_deg) == 3 else [item.std_error_deg] * 3
-    rows = [
-        (axis, *_fixed(row), error)
-        for axis, row, error in zip("xyz", item.rotation, errors, strict=True)
-    ]
+    axes = zip("xyz", item.rotation, errors, strict=True)
+    rows = [(axis, *_fixed(row), error) for axis, row, error in axes]
     titles = "link axis | IMU x | IMU y | IMU z | std error [\u00b0]"
     gains, counts = "joint | gain | std error | axis x | y | z", "text count count count count"
     return Group(
@@ -75,12 +71,11 @@ def _fixed(values: Sequence[float]) -> list[str]:
 
 
 def _motion(uses: Sequence[MotionUse], robot: RobotId) -> Table:
-    rows = [
-        (short_path(use.log), use.source, ", ".join(use.imus), joint, error, alone)
-        for use in uses
-        for joint, error in use.acceleration_error.items()
-        for alone in [use.encoder_error.get(joint)]
-    ]
+    rows = []
+    for use in uses:
+        log, imus = short_path(use.log), ", ".join(use.imus)
+        for joint, error in use.acceleration_error.items():
+            rows.append((log, use.source, imus, joint, error, use.encoder_error.get(joint)))
     titles = "log | motion from | IMUs | joint | std error of acceleration [{unit}]"
     titles += " | by encoders alone [{unit}]"
     unit = robot.unit("rad/s^2", *(row[3] for row in rows))

@@ -67,6 +67,7 @@ def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
     rows = [(n, x, reasons.get(n, "")) for n, x in stage.rmse.items()]
     titles = "joint | RMS error [{unit}] | verdict"
     errors = of_joints(titles, "text number text", rows, collection.robot)
+    fits = Table(f"{title}: error of the fit per joint", errors)
     return Group(
         f"{name}-parameters",
         title,
@@ -74,10 +75,7 @@ def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
         badge=state,
         badge_text=state if stage.parameters else "nothing to identify",
         facts=facts,
-        tables=[
-            _table(name, stage, collection.models[1:]),
-            Table(f"{title}: error of the fit per joint", errors),
-        ],
+        tables=[_table(name, stage, collection.models[1:]), fits],
         notes=notes,
         unfolded=True,
     )

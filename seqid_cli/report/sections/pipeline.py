@@ -7,6 +7,7 @@ from markupsafe import Markup
 from seqid_cli.params.document import COMMAND_OF, present
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.plan import PlanFile
+from seqid_cli.params.results.tables import values
 from seqid_cli.params.schema import InputLog, ParameterFile
 from seqid_cli.report.chart import element
 from seqid_cli.report.collection import WRITTEN_BY, Collection, kind_of, models_of
@@ -44,7 +45,7 @@ def overview(collection: Collection, judgement: Judgement) -> Section:
     caption = f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
     titles = "joint | RMS error | of RMS torque | drawn | noise floor | verdict"
     kinds = "text number share text number text"
-    glance = table(caption, titles, kinds, rows, style="glance")
+    glance = Table(caption, values(titles, kinds, rows), style="glance")
     return Section("verdict", "Verdict", judgement=judgement, glance=glance)
 
 
@@ -92,7 +93,7 @@ def _logs(collection: Collection) -> Table:
     rows = [(by, x.path, _thousands(x.samples), x.sha256) for (by, *_), x in found.items()]
     note = f"and {len(rows) - _MOST_LOGS} more" if len(rows) > _MOST_LOGS else ""
     titles, kinds = "read by | log | samples | SHA-256", "text text count text"
-    return table("The logs behind them", titles, kinds, rows[:_MOST_LOGS], note)
+    return Table("The logs behind them", values(titles, kinds, rows[:_MOST_LOGS]), note)
 
 
 def _thousands(count: int) -> str:

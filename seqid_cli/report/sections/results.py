@@ -64,20 +64,15 @@ def _planned(key: str, name: str, file: PlanFile, stage: PlannedStage) -> views.
         facts.append(("condition", number(stage.condition)))
     told, moves = stage.separation, [move for move in file.moves if move.stage == name]
     if told is not None:
-        facts += [
-            ("to tell apart", " and ".join(told.between)),
-            ("power", percent(told.power)),
-            ("imitated at most", percent(told.imitated)),
-        ]
+        facts.append(("to tell apart", " and ".join(told.between)))
+        facts += [("power", percent(told.power)), ("imitated at most", percent(told.imitated))]
+    errors = views.Table("Standard errors that it will give", tables.planned_errors(stage))
     return views.Group(
         key,
         name,
         facts=facts,
         figures=[drawn for move in moves for drawn in move_figures(move, file)],
-        tables=[
-            views.Table("Moves", tables.moves(moves)),
-            views.Table("Standard errors that it will give", tables.planned_errors(stage)),
-        ],
+        tables=[views.Table("Moves", tables.moves(moves)), errors],
         notes=stage.notes,
     )
 

@@ -14,16 +14,17 @@ from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge,
 from seqid_cli.report.words import number, percent, plural, short_path
 from seqid_cli.typing import Array, Index, Mask
 
-Event = tuple[float, float]
-
 _ROWS = 20  # of the tables of time series and spectra
 _BINS = 40
 _MOST_SPANS = 200
+_MOST_LOGS = 3  # with a figure each; the tables hold all
+_COLUMNS = 250  # of a figure
+_IN_BIN, _IN_RUN = 4, 64  # samples: fewer are not drawn
 _ROOM = 0.06  # above and below what is drawn, of its range
 
 
 def over_time(
-    models: Mapping[str, Series], place: Place, events: Sequence[Event], columns: int
+    models: Mapping[str, Series], place: Place, events: Sequence[tuple[float, float]], columns: int
 ) -> Figure:
     """Draw measured and predicted torque of one log above the residual, events shaded.
 
@@ -45,12 +46,9 @@ def over_time(
         kept = np.union1d(*(extremes(t[piece], bound, columns) for bound in (low, high)))
         torque.band(t[piece][kept], low[kept], high[kept], "faint")
     legend = _draw(models, torque, residual, unit, columns)
-    more = {
-        "faint": ("held at rest", np.any(rests)),
-        "event": ("pushed", events),
-        "unused": ("not counted", not np.all(series.used)),
-    }
-    legend |= {style: text for style, (text, there) in more.items() if there}
+    legend |= {"faint": "held at rest"} if np.any(rests) else {}
+    legend |= {"event": "pushed"} if events else {}
+    legend |= {} if np.all(series.used) else {"unused": "not counted"}
     name, text = short_path(series.log), "No sample is known."
     if np.any(shown):
         rms = float(np.sqrt(np.mean(np.square(series.residual[shown]))))
@@ -118,9 +116,7 @@ def _time_table(series: Series, good: Mask, unit: str, title: str) -> Table:
     return table(title, heads, "count number number number number number number", rows, u=unit)
 
 
-def over_quantity(
-    logs: Sequence[Series], place: Place, quantity: str, unit: str, *, min_samples: int = 4
-) -> Figure | None:
+def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str) -> Figure | None:
     """Draw the spread of the residual over position or velocity; None where it is not known."""
     kept = [np.zeros((2, 0))]
     for one in logs:
@@ -137,7 +133,7 @@ def over_quantity(
     bins = [
         (float(centre), *np.quantile(part, [0.0, 0.05, 0.5, 0.95, 1.0]).tolist())
         for centre, part in zip((edges[1:] + edges[:-1]) / 2, parts, strict=True)
-        if len(part) >= min_samples
+        if len(part) >= _IN_BIN
     ]
     if not bins:
         return None
@@ -161,19 +157,14 @@ def over_quantity(
 
 
 def spectrum(
-    logs: Sequence[Series],
-    place: Place,
-    cutoff_hz: float | None,
-    columns: int,
-    *,
-    min_samples: int = 64,
+    logs: Sequence[Series], place: Place, cutoff_hz: float | None, columns: int
 ) -> Figure | None:
     """Draw the amplitude spectral density of the residual in the longest run without a gap."""
     runs = [
         (one, run)
         for one in logs
         for run in pieces(one.t, one.used & np.isfinite(one.residual))
-        if run.stop - run.start >= min_samples and one.t[run.stop - 1] > one.t[run.start]
+        if run.stop - run.start >= _IN_RUN and one.t[run.stop - 1] > one.t[run.start]
     ]
     if not runs:
         return None
@@ -209,7 +200,8 @@ def spectrum(
 def extremes(x: Array, y: Array, columns: int) -> Index:
     """Return the indices of the smallest and largest y in each of `columns` equal parts of x.
 
-    x (N,) does not fall, y (N,) is finite. At most 2 columns + 2 rise, first and last among them.
+    x (N,) does not fall, y (N,) is finite. The indices, 2 columns + 2 at most, rise; the first and
+    the last sample are always among them.
     """
     if len(x) <= 2 * columns + 2:
         return np.arange(len(x))
@@ -235,10 +227,6 @@ def pieces(t: Array, good: Mask, *, max_gap: float = 5.0) -> list[slice]:
     return [slice(start, stop) for start, stop in ends if good[start]]
 
 
-_MOST_LOGS = 3  # with a figure each; the tables hold all
-_COLUMNS = 250  # of a figure
-
-
 def torque(
     collection: Collection, tables: Sequence[TorqueTable], found: Sequence[str] = ()
 ) -> Section:
@@ -258,6 +246,8 @@ def torque(
         "interval; there the residual that is drawn is the distance to it."
     )
     logs = [log.path for file in files[:1] for log in file.logs]
+    notes = [f"{short_path(x.path)}: {note}" for f in files for x in f.logs for note in x.notes]
+    notes += [note for file in files for note in file.notes]
     call = collection.call("predict", *(logs if len(logs) <= 4 else ()), output="prediction.json")
     return Section(
         "torque",
@@ -265,11 +255,7 @@ def torque(
         lead,
         groups,
         absent=[Absent(text, f"{call} --torques torques.parquet") for text in lacking],
-        notes=[
-            *(f"{short_path(x.path)}: {note}" for f in files for x in f.logs for note in x.notes),
-            *(note for file in files for note in file.notes),
-            *found,
-        ],
+        notes=[*notes, *found],
     )
 
 
@@ -279,14 +265,10 @@ def _side_by_side(collection: Collection) -> Group:
     common = frozenset.intersection(*logs)
     columns = heads("joint | unit", "text text")
     columns += [Head(collection.label(p), "number") for p in collection.predictions]
-    rows = [
-        (
-            name,
-            collection.place(name).unit,
-            *(_error_on(p, name, common) for p in collection.predictions),
-        )
-        for name in collection.robot.joints
-    ]
+    rows = []
+    for name in collection.robot.joints:
+        errors = (_error_on(item, name, common) for item in collection.predictions)
+        rows.append((name, collection.place(name).unit, *errors))
     note = f"RMS error, and its share of the RMS torque, on the {plural(len(common), 'log')} that "
     shown = Table("Error of each model", Values(columns, rows), f"{note}all of them predict.")
     return Group("torque-models", "Models side by side", tables=[shown], unfolded=True)
@@ -308,9 +290,7 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str) -> 
     cutoffs = [log.cutoff_hz for item in collection.predictions for log in item.content.logs]
     verdicts = [v for p in collection.judged for v in p.content.verdicts if v.joint == name]
     state, bad = badge(verdicts), [verdict.reason for verdict in verdicts if not verdict.good]
-    notes = []
-    if len(drawn) < len(series):
-        notes.append(f"Shown: the {len(drawn)} of {len(series)} logs with the largest errors.")
+    few = f"Shown: the {len(drawn)} of {len(series)} logs with the largest errors."
     return Group(
         f"torque-{collection.robot.joints.index(name) + 1}",
         name,
@@ -324,7 +304,7 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str) -> 
             spectrum(series, place, max(cutoffs, default=None), _COLUMNS),
         ],
         tables=[_errors(collection, place)],
-        notes=notes,
+        notes=[few] if len(drawn) < len(series) else [],
     )
 
 
@@ -335,13 +315,10 @@ def over_logs(
 
     A figure has at most two points to a line in each of its `columns`.
     """
-    models = {
-        collection.label(table.prediction) if table.prediction else short_path(table.path): {
-            series.log: series for series in table.series(name)
-        }
-        for table in tables
-        if name in table.joints
-    }
+    models = {}
+    for own in [own for own in tables if name in own.joints]:
+        label = collection.label(own.prediction) if own.prediction else short_path(own.path)
+        models[label] = {series.log: series for series in own.series(name)}
     series = list(next(iter(models.values()), {}).values())
     errors = {
         log.path: error.relative_rmse or 0.0
@@ -352,29 +329,21 @@ def over_logs(
     worst = sorted(series, key=lambda item: -errors.get(item.log, 0.0))[:_MOST_LOGS]
     figures = []
     for log in [item.log for item in series if any(item is one for one in worst)]:
-        own = {label: logs[log] for label, logs in models.items() if log in logs}
-        events = [
-            (event.start, event.end)
-            for item in collection.diagnoses
-            for event in item.content.events
-            if event.log == log and name in event.joints
-        ]
-        figures.append(over_time(own, collection.place(name), events, columns))
+        shown = {label: logs[log] for label, logs in models.items() if log in logs}
+        told = [event for item in collection.diagnoses for event in item.content.events]
+        events = [(x.start, x.end) for x in told if x.log == log and name in x.joints]
+        figures.append(over_time(shown, collection.place(name), events, columns))
     return series, figures
 
 
 def _errors(collection: Collection, place: Place) -> Table:
-    rows = [
-        (
-            short_path(log.path),
-            collection.label(item),
-            *(x.rmse, x.relative_rmse, x.max_abs, x.samples, x.share_sliding, x.rmse_all),
-            log.cutoff_hz,
-        )
-        for item in collection.predictions
-        for log in item.content.logs
-        if (x := log.joints.get(place.joint)) is not None
-    ]
+    rows = []
+    for item in collection.predictions:
+        for log in item.content.logs:
+            if (x := log.joints.get(place.joint)) is not None:
+                errors = (x.rmse, x.relative_rmse, x.max_abs, x.samples, x.share_sliding)
+                names = (short_path(log.path), collection.label(item))
+                rows.append((*names, *errors, x.rmse_all, log.cutoff_hz))
     titles = "log | model | RMS error [{unit}] | of RMS torque | largest [{unit}] | samples"
     titles += " | slides in | with rests [{unit}] | cut-off [Hz]"
     kinds = "text text number share number count share number number"

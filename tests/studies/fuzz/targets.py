@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pyarrow.parquet as pq
 
-from seqid_cli.params.document import now, tool
+from seqid_cli.params.document import head, now
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.prediction import FileId
@@ -231,7 +231,7 @@ def _trend(used: FileId) -> TrendFile:
     quantity["unit"] = "N m"
     return msgspec.convert(
         {
-            "schema": TREND_SCHEMA, "created": now(), "tool": msgspec.to_builtins(tool()),
+            **msgspec.to_builtins(head(TREND_SCHEMA)),
             "files": [msgspec.to_builtins(used)], "robots": ["arm"], "alarm": False, "limit": 4.0,
             "inflation": {"friction": 1.0}, "changes": [quantity | {"kind": "step", "since": day}],
             "series": [quantity | series],

@@ -10,7 +10,7 @@ import numpy as np
 
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torque_files import parquet_writer
-from seqid_cli.params.document import now, tool
+from seqid_cli.params.document import head
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.diagnosis import DiagnosisFile
@@ -54,7 +54,7 @@ def source(path: str, content: Document) -> Source[Document]:
 
 
 def made(kind: Any, schema: str, **content: Any) -> Any:
-    return kind(schema=schema, created=now(), tool=tool(), robot=robot(), **content)
+    return kind(**head(schema), robot=robot(), **content)
 
 
 def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile:

@@ -246,7 +246,7 @@ def _added(
     for name in present(found):
         stage = getattr(found, name)
         noted[name] = replace(stage, notes=[*stage.notes, *logs.notes(stage.notes)])
-    found = judged(replace(found, **noted), inputs.previous, inputs.robot, logs.verdicts())
+    found = judged(replace(found, **noted), inputs.stages, inputs.robot, logs.verdicts())
     new = present(found)
     for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seqid_cli.identify.friction_surface.gravity_separation import Clustered, configurations
+from seqid_cli.identify.friction_surface.gravity_separation import Clustered
 from seqid_cli.identify.friction_surface.trials import Trial
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.model.friction import FrictionSurface
@@ -38,19 +38,18 @@ from seqid_cli.typing import Array
 
 
 class SteadyGroup(NamedTuple):
-    """Trials in one configuration without acceleration's torque, by d_kk `inertia`, kg m^2 (kg)."""
+    """Trials in one configuration with the torque of acceleration taken off."""
 
     trials: list[Trial]
-    inertia: float
+    inertia: float  # d_kk as it was used, kg m^2 (kg where prismatic)
     std_error: float
 
 
 def without_acceleration(
-    robot: Robot, trials: Sequence[Trial], surface: FrictionSurface
+    robot: Robot, groups: Sequence[list[Trial]], surface: FrictionSurface
 ) -> list[SteadyGroup]:
-    """Take the torque of what acceleration is left (Eq. 25) off one joint's trials, by groups."""
+    """Take the torque of what acceleration is left (Eq. 25) off a joint's `configurations`."""
     # So is what friction, by a first estimate, differs by as the speed is not quite constant.
-    groups = configurations(list(trials))
     found = [_inertia_of(robot, group, surface) for group in groups]
     known = np.array([one for one in found if one is not None]).reshape(-1, 4)
     value, white, robust, count = known.T
@@ -156,10 +155,10 @@ class HeldJoints:
         H = gravity_base_regressor(self.robot, self.basis, np.concatenate(places))[:, joint]
         return np.split(H, np.cumsum([len(q) for q in places])[:-1])
 
-    def standing(self, group: Sequence[Trial], configuration: Array) -> list[Trial]:
-        """The trials of one joint as if the others had stood at a configuration (n,)."""
-        joint = group[0].joint
-        stood = [np.tile(configuration, (len(trial.q), 1)) for trial in group]
+    def standing(self, group: Sequence[Trial]) -> list[Trial]:
+        """The trials of one joint as if the others had stood where they did in the first."""
+        joint, first = group[0].joint, group[0].configuration
+        stood = [np.tile(first, (len(trial.q), 1)) for trial in group]
         for places, trial in zip(stood, group, strict=True):
             places[:, joint] = trial.q
         was = self.columns_of(joint, [trial.places for trial in group])

@@ -49,8 +49,7 @@ class SurfaceFit:
     @cached_property
     def whole(self) -> tuple[Array, Array]:
         """Entries (k,) of the whole surface and their covariance (k, k)."""
-        mean, covariance, _ = self.normal.posterior(self.prior.ravel())
-        return mean, covariance
+        return self.normal.posterior(self.prior.ravel())[:2]
 
     def entries(self, orders: Orders) -> Array:
         """Entries (size, l + 1) N m of a surface of fewer orders."""
@@ -124,8 +123,8 @@ class SurfaceFit:
 
 def highest_orders(sets: Sequence[Reduced], asked: Asked) -> Orders:
     """The orders that the data, or the user, allow at most."""
-    position, velocity = asked
     most = min(MAX_VELOCITY_ORDER, max(min(len(own.levels) for own in sets) - 1, 0))
+    position, velocity = asked
     allowed = MAX_POSITION_ORDER if position is None else position
     return Orders(allowed, most if velocity is None else velocity)
 
@@ -148,12 +147,11 @@ def choose_orders(
     highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
     good = accept or (lambda orders: all(fit.deviation(orders) <= DEVIATION for fit in fits))
     position, velocity = asked
-    l = min(1, highest.velocity) if velocity is None else velocity
-    lowest = Orders(0 if position is None else position, l)
+    lowest = min(1, highest.velocity) if velocity is None else velocity
     steps = [
         Orders(m, l)
-        for m in range(lowest.position, highest.position + 1)
-        for l in range(lowest.velocity, highest.velocity + 1)
+        for m in range(position or 0, highest.position + 1)
+        for l in range(lowest, highest.velocity + 1)
     ]
     steps.sort(key=lambda orders: size(orders.position) * (orders.velocity + 1))
     return next((orders for orders in steps[:-1] if good(orders)), steps[-1])

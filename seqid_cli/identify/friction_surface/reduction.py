@@ -78,23 +78,19 @@ def around_medians(data: Sequence[SpeedData], *, bins: int = 24) -> list[Array]:
 
 
 def weighted(
-    data: Sequence[SpeedData],
-    distances: Sequence[Array],
-    *,
-    min_scatter: float = 1e-9,
-    max_ratio: float = 4.685,
+    data: list[SpeedData], off: list[Array], *, min_scatter: float = 1e-9, max_ratio: float = 4.685
 ) -> list[SpeedData]:
-    """Weight slices by `distances` (K,) N m: by noise, and little where they do not belong."""
+    """Weight slices that are `off` (K,) N m: by noise, and little where they do not belong."""
     # No scatter below `min_scatter` of the usual friction is believed. Tukey's weight is zero
     # beyond `max_ratio` scales: 95 % efficient for normal errors.
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
-    found = [median_abs_deviation(own, scale="normal") for own in distances]
+    found = [median_abs_deviation(own, scale="normal") for own in off]
     scales = np.maximum(found, max(min_scatter * level, 1e-300))
     variances = scales**2 * np.array([float(np.median(item.weight)) for item in data])
     shares = np.minimum(float(np.median(variances)) / variances, 1.0)
     tukey = [
         np.clip(1.0 - (own / (max_ratio * scale)) ** 2, 0.0, None) ** 2
-        for own, scale in zip(distances, scales, strict=True)
+        for own, scale in zip(off, scales, strict=True)
     ]
     return [
         replace(item, weight=item.weight * share * own)

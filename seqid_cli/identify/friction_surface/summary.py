@@ -201,30 +201,20 @@ def _verdict(
 def _notes(name: str, joint: FrictionJoint, beyond: Chebyshev | None, unpaired: int) -> list[str]:
     """What is to be said of a joint; `beyond` is torque over the position that is no gravity."""
     size = float(np.std(beyond(np.linspace(*beyond.domain)))) if beyond is not None else 0.0
-    notes = [
-        (
-            unpaired > 0,
-            f"{unpaired} trial(s) have no twin in the other direction in the same "
-            "configuration and were left out; Eq. 15 needs both",
+    notes = {
+        f"{unpaired} trial(s) have no twin in the other direction in the same configuration and "
+        "were left out; Eq. 15 needs both": unpaired > 0,
+        f"friction depends on direction by {percent(joint.asymmetry or 0.0)}, against the "
+        "assumption of Eq. 15; each direction has its own surface": joint.directional,
+        f"Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the largest error is "
+        f"{percent(joint.max_error)} ({joint.max_abs_error:.3g} {joint.unit})": (
+            not joint.criterion_met
         ),
-        (
-            joint.directional,
-            f"friction depends on direction by {percent(joint.asymmetry or 0.0)}, against "
-            "the assumption of Eq. 15; each direction has its own surface",
-        ),
-        (
-            not joint.criterion_met,
-            f"Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the largest error "
-            f"is {percent(joint.max_error)} ({joint.max_abs_error:.3g} {joint.unit})",
-        ),
-        (
-            beyond is not None,
-            f"torque that depends on the position and is no gravity, {size:.3g} {joint.unit} "
-            "RMS and the same both ways, as of a spring or a cable, is taken off the trials; seqid "
-            "diagnose tells what it is",
-        ),
-    ]
-    return [f"{name}: {text}" for holds, text in notes if holds]
+        f"torque that depends on the position and is no gravity, {size:.3g} {joint.unit} RMS and "
+        "the same both ways, as of a spring or a cable, is taken off the trials; seqid diagnose "
+        "tells what it is": beyond is not None,
+    }
+    return [f"{name}: {text}" for text, holds in notes.items() if holds]
 
 
 def _rms(values: Array) -> float:

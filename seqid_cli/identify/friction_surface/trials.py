@@ -1,6 +1,5 @@
 """Constant-velocity trials: averages over equal slices of time, which replace a low-pass."""
 
-import operator
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -9,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from seqid_cli.identify.log_set import reduced
+from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.regression.equations import open_if_long, survey_of
 from seqid_cli.logs.long import Block, LongLog
 from seqid_cli.logs.recording import Recording, torque_of
@@ -24,17 +23,16 @@ NONE: Array = np.zeros(0)
 
 
 class Ramps(NamedTuple):
-    """How the joint of a trial got up to speed and back: means over windows of time.
+    """How the joint of a trial got up to speed and back: means (R,) over windows of time.
 
-    `tau = I ddq + ...` holds for means under the same window as it does at an instant; `weight`
-    samples each.
+    `tau = I ddq + ...` holds for means under the same window as it does at an instant.
     """
 
-    q: Array = NONE
+    q: Array = NONE  # rad
     dq: Array = NONE
     ddq: Array = NONE
-    tau: Array = NONE
-    weight: float = 0.0
+    tau: Array = NONE  # N m
+    weight: float = 0.0  # samples of a window
 
 
 @dataclass(frozen=True)
@@ -74,8 +72,8 @@ class Trial:
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
     """Constant-velocity trials of all logs, slowest first; InputError where one has no torque."""
-    found = reduced(recordings, partial(trials_of, robot), operator.add, open_if_long) or []
-    return sorted(found, key=lambda trial: trial.speed)
+    logs = mapped(recordings, partial(trials_of, robot), open_if_long)
+    return sorted((trial for found in logs for trial in found), key=lambda trial: trial.speed)
 
 
 def trials_of(
@@ -176,13 +174,12 @@ def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
     # position leave their trace in the speed that a soft controller holds.
     most = max(2, min(most_order, len(q) // 3))
     orders = range(min(3, most), most + 1)
-    fits = [Chebyshev.fit(time, q, order, domain=[-1, 1]) for order in orders]
 
     def score(fit: Chebyshev) -> float:
         square = max(float(np.mean((q - fit(time)) ** 2)), 1e-24)
         return float(len(q) * np.log(square) + len(fit.coef) * np.log(len(q)))
 
-    return min(fits, key=score)
+    return min((Chebyshev.fit(time, q, order, domain=[-1, 1]) for order in orders), key=score)
 
 
 def _ramps(

@@ -8,7 +8,6 @@ distance apart, or a single one that is not vertical, settle the angle about the
 leave open is named and never written as a number.
 """
 
-import operator
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
@@ -26,7 +25,7 @@ from seqid_cli.identify.imu_calibration.segments import (
     thinned,
 )
 from seqid_cli.identify.imu_calibration.solve import Fit, fit_constants
-from seqid_cli.identify.log_set import reduced
+from seqid_cli.identify.log_set import mapped
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.imu.link_acceleration import axes_in_link
@@ -50,7 +49,7 @@ def calibrate_imus(
     if not robot.imus:
         where, hint = str(robot.source), "describe the IMU in it"
         raise UsageError("the robot file has no [[imu]]", hint=hint, where=where)
-    logs = reduced(recordings, partial(_held, robot, options), operator.add) or []
+    logs = list(mapped(recordings, partial(_held, robot, options)))
     imus, verdicts, notes = {}, [], []
     for imu in robot.imus:
         own = [held[imu.name] for held, _ in logs if imu.name in held]
@@ -69,7 +68,7 @@ def calibrate_imus(
     return schema.ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
 
 
-def _held(robot: Robot, options: MotionOptions, recording: Recording, number: int) -> list[Held]:
+def _held(robot: Robot, options: MotionOptions, recording: Recording, number: int) -> Held:
     motion, found = estimate_motion(recording, robot, options), {}
     cutoff_hz = calibration_cutoff(motion, options.cutoff_hz)
     for imu in robot.imus:
@@ -79,7 +78,7 @@ def _held(robot: Robot, options: MotionOptions, recording: Recording, number: in
             turns = layout(seen).acceleration or seen.gyro
             given = recording, robot, seen, motion
             found[imu.name] = own, *(initial_guess.axis_pairs(*given) if turns else ([], 0.0))
-    return [(found, cutoff_hz)]
+    return found, cutoff_hz
 
 
 def _calibrated(

@@ -159,8 +159,7 @@ class Segment:
     @cached_property
     def at_samples(self) -> csr_array:
         """q, dq, ddq of the moving joints at the samples (N * 3 * m) of positions at the nodes."""
-        size, width = self.samples, 2 * REACH + 1
-        spacing = self.spacing
+        size, width, spacing = self.samples, 2 * REACH + 1, self.spacing
         weights = np.stack([np.eye(width)[REACH], FIRST / spacing, SECOND / spacing**2])
         rows = np.repeat(np.arange(3 * size), width)
         columns = np.arange(size)[:, None, None] + np.tile(np.arange(width), (3, 1))

@@ -87,9 +87,8 @@ class LogPrediction:
 
 def slides_from(model: TorqueModel, options: InertiaOptions) -> Array:
     """Speeds (n,) rad/s (m/s where prismatic) from which joints certainly slide."""
-    if options.slides_from is not None:
-        return np.array(options.slides_from)
-    return slowest_speeds(model.surfaces)
+    own = options.slides_from
+    return slowest_speeds(model.surfaces) if own is None else np.array(own)
 
 
 def predict(
@@ -248,7 +247,7 @@ class LongPrediction:
 def encoder_notes(
     model: TorqueModel,
     motion: Motion,
-    log: LogPrediction,
+    of: LogPrediction,
     *,
     min_share: float = 0.5,
     places: int = 50,
@@ -264,9 +263,9 @@ def encoder_notes(
         shaken = still.copy()
         shaken[:, j] = error
         square += (model.rigid(q, still, shaken) - rest) ** 2
-    noise, slides = PASSED * np.sqrt(square.mean(axis=0)), log.sliding
+    noise, slides = PASSED * np.sqrt(square.mean(axis=0)), of.sliding
     counts = np.maximum(slides.sum(axis=0), 1)
-    left = np.sqrt(np.sum(np.where(slides, log.residual, 0.0) ** 2, axis=0) / counts)
+    left = np.sqrt(np.sum(np.where(slides, of.residual, 0.0) ** 2, axis=0) / counts)
     loud = [
         f"{joint.name} ({whole:.2g} {joint.unit('N m')})"
         for joint, made, whole in zip(model.robot.joints, noise, left, strict=True)

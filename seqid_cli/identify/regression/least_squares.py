@@ -189,7 +189,8 @@ def solve(
         sigma = np.maximum([joint.residual_rms(theta) for joint in joints], 1e-12)
     rank = basis.shape[1]
     bread = basis @ basis.T
-    moves, designs = _jackknife(joints, used, scale, theta, factor, bread)
+    blocks = {k: joints[k].blocks for k in used}
+    moves, designs = _jackknife(blocks, scale, theta, factor, bread)
     # A direction in which the blocks happen to agree is not known better than white noise allows.
     covariance = spread_of(moves) + white_floor * bread
     if prior is not None:  # of unit variance: no residual to learn it from
@@ -227,12 +228,7 @@ def _solve_scaled(
 
 
 def _jackknife(
-    joints: Sequence[Accumulator],
-    used: list[int],
-    sigma: Array,
-    theta: Array,
-    factor: Array,
-    bread: Array,
+    blocks: dict[int, list[Array]], sigma: Array, theta: Array, factor: Array, bread: Array
 ) -> tuple[Array, Array]:
     """Moves (G, p) of the estimate when one block of time is left out, and designs (n,)."""
     # With G blocks of normal matrix A_b and score s_b the estimate without block b moves by
@@ -240,11 +236,11 @@ def _jackknife(
     # does not shrink when a block has leverage. The scores of one joint alone, over what white
     # noise would make of them, are its design effect.
     normal = factor[:-1, :-1].T @ factor[:-1, :-1]
-    count = max((len(joints[k].blocks) for k in used), default=0)
-    A, s = np.zeros((count, *bread.shape)), np.zeros((len(joints), count, len(theta)))
-    designs = np.ones(len(joints))
-    for k in used:
-        R = np.stack(joints[k].blocks) / sigma[k]
+    count = max(map(len, blocks.values()), default=0)
+    A, s = np.zeros((count, *bread.shape)), np.zeros((len(sigma), count, len(theta)))
+    designs = np.ones(len(sigma))
+    for k, factors in blocks.items():
+        R = np.stack(factors) / sigma[k]
         inner, own = R[:, :, :-1].transpose(0, 2, 1), slice(len(R))
         normals = inner @ R[:, :, :-1]
         A[own] += normals

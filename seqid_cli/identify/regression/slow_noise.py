@@ -88,8 +88,7 @@ def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> tuple[Array, Arra
     # The lowest frequency of 1/f noise is one over so many `lengths` of the log.
     t, trial = rows.t[at], rows.trial[at]
     common = (trial[:, None] == trial[None, :]).astype(np.float64)
-    longest = max(float(np.ptp(t)), float(rows.seconds[at].max()))
-    low = 1.0 / (lengths * longest)
+    low = 1.0 / (lengths * max(float(np.ptp(t)), float(rows.seconds[at].max())))
     high = np.maximum(1.0 / (2.0 * rows.seconds[at]), 2.0 * low)
     # Each row passes what is below its own frequency.
     lag = 2.0 * np.pi * np.abs(t[:, None] - t[None, :])

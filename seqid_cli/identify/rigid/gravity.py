@@ -16,6 +16,7 @@ from seqid_cli.identify.friction_surface.corrections import (
     SteadyGroup,
     without_acceleration,
 )
+from seqid_cli.identify.friction_surface.gravity_separation import configurations
 from seqid_cli.identify.friction_surface.trials import Trial, collect_trials
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
@@ -68,7 +69,7 @@ class GravityRows:
         if surface is None:
             self.skipped += [self.robot.joint_names[trial.joint] for trial in trials]
             return
-        groups = without_acceleration(self.robot, trials, surface)
+        groups = without_acceleration(self.robot, configurations(trials), surface)
         table = self._table(groups, surface)
         if not len(table):
             return
@@ -120,8 +121,7 @@ class GravityRows:
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
         """How the parameters move with the coefficients of each joint's friction."""
-        scaled = {j: crossed / solution.sigma[j] ** 2 for j, crossed in self.cross.items()}
-        return {j: -solution.bread @ crossed for j, crossed in scaled.items()}
+        return {j: -solution.bread @ (S / solution.sigma[j] ** 2) for j, S in self.cross.items()}
 
 
 def _settled(
@@ -129,11 +129,10 @@ def _settled(
 ) -> Mask:
     """Slices (K,) of a trial where friction is known and the joint keeps its speed."""
     # Left out are `settling_s` from either end, but no more than `most_share` of the trial.
-    v = np.full(len(trial.q), trial.velocity)
     middle = (trial.t[0] + trial.t[-1]) / 2.0
     half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0
     settled = np.abs(trial.t - middle) < half - min(settling_s, 2.0 * most_share * half)
-    return np.asarray(settled & ~surface.outside(trial.q, v))
+    return np.asarray(settled & ~surface.outside(trial.q, np.full(len(trial.q), trial.velocity)))
 
 
 def _stage(

@@ -8,14 +8,14 @@ asked whether the gyroscopic coupling to the link that carries the rotor is ther
 import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import cast
 
 import msgspec
 import numpy as np
 
 from seqid_cli.errors import InputError, QualityError, UsageError
-from seqid_cli.identify.log_set import reduced
+from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import cutoff_note, open_if_long, source_text, streams
 from seqid_cli.identify.regression.least_squares import Solution
@@ -58,8 +58,9 @@ def identify_inertia(
         others = InertiaEquations(robot, stages, replace(options, source="encoder", motion=motion))
     logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
     opens = open_if_long if others is None and streams(stages, options) else None
-    parts = reduced(logs, partial(_rows_of, equations, others), _all, opens)
-    own, *near, encoder = parts or (None, None)
+    none: AllRows = (None,) * (2 + len(options.neighbours))
+    parts = mapped(logs, partial(_rows_of, equations, others), opens)
+    own, *near, encoder = reduce(_all, parts, none)
     if own is None or not any(joint.samples for joint in own.joints):
         raise QualityError("no joint with known friction moves in these logs")
     known = zip(options.neighbours, near, strict=True)
@@ -98,22 +99,21 @@ def _stage(
 ) -> RigidStage:
     """Solve, decide on the rotor coupling, and describe; `near` by multiples of the cut-off."""
     robot, basis, stages = equations.robot, equations.basis, equations.stages
-    coupling = decide(equations, [rows, *near.values()])
-    share = float(coupling.used)
-    solution, posterior = equations.solved(rows, share)
-    posterior = posterior.with_error(coupling.errors)
-    there = {factor: equations.solved(other, share) for factor, other in near.items()}
-    check = cutoff_check((solution, posterior), there, equations.surfaces)
+    coupled, by_coupling, notes = decide(equations, [rows, *near.values()])
+    solution, posterior = equations.solved(rows, float(coupled))
+    posterior = posterior.with_error(by_coupling)
+    there = {factor: equations.solved(other, float(coupled)) for factor, other in near.items()}
+    by_cutoff, differences = cutoff_check((solution, posterior), there, equations.surfaces)
     imus = stages.imu.imus if stages.imu else {}
     used = {name for use in rows.uses for name in use.imus}
     errors = {name: imus[name].acceleration_std_error or 0.0 for name in used if imus}
     inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, solution.theta)
     moves = imu_moves(robot, basis, inertia, gear_ratios(robot) ** 2 * equations.rotors, errors)
-    posterior = posterior.with_error(check.errors).with_error(moves)
+    posterior = posterior.with_error(by_cutoff).with_error(moves)
     stage = _described(equations, rows, solution, posterior)
-    kind, notes = "gyroscopic" if coupling.used else "diagonal", [*stage.notes, *coupling.notes]
+    kind, notes = "gyroscopic" if coupled else "diagonal", [*stage.notes, *notes]
     stage = msgspec.structs.replace(stage, rotor_coupling=kind, notes=notes)
-    return with_cutoff_check(stage, check, basis)
+    return with_cutoff_check(stage, differences, basis)
 
 
 def _described(

@@ -158,8 +158,7 @@ class InertiaEquations:
             F = every * surface.columns(motion.q[some, j], motion.dq[some, j])
             if self._scaled[j]:
                 F = np.column_stack([F, every * self._reflected[j] * motion.ddq[some, j]])
-            crossed = rows.cross.get(j, np.zeros((H.shape[2], F.shape[1])))
-            rows.cross[j] = crossed + H[some, j].T @ F
+            rows.cross[j] = rows.cross.get(j, 0.0) + H[some, j].T @ F
 
     def solved(
         self, rows: InertiaRows, coupling: float | None, *, rounds: int = 6

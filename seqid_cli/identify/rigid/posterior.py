@@ -49,20 +49,17 @@ def friction_covariance(sensitivity: Sensitivity, surfaces: Surfaces, size: int)
     return total
 
 
-def constant_moves(
-    solution: Solution, errors: Array, known: Moves, through: Moves | None = None
-) -> Moves:
+def constant_moves(solution: Solution, errors: Array, known: Moves, through: Moves) -> Moves:
     """What one standard error of each joint's torque constant moves a solution by.
 
     `errors` (n,): relative standard errors of the torque constants. `known`: the move by torque on
     the right side that was computed, not measured, such as that of known rotors. It does not scale.
     `through`: the move by way of an earlier stage.
     """
-    inherited = through or {}
     return {
-        j: e * (solution.shares[j] - known.get(j, 0.0)) + inherited.get(j, 0.0)
+        j: e * (solution.shares[j] - known.get(j, 0.0)) + through.get(j, 0.0)
         for j, e in enumerate(errors)
-        if e > 0.0 or j in inherited
+        if e > 0.0 or j in through
     }
 
 

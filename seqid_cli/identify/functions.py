@@ -101,8 +101,7 @@ def imu_calib(
     """
     inputs = prepare(logs, robot, parameters, options, **keywords)
     if not inputs.robot.imus:
-        hint = "Add an [[imu]] table with its accelerometers."
-        where = str(inputs.robot.source)
+        where, hint = str(inputs.robot.source), "Add an [[imu]] table with its accelerometers."
         raise ConfigError("the robot file names no IMU", where=where, hint=hint)
     from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
     from seqid_cli.motion.imu.array import layout_statements

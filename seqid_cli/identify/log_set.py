@@ -212,7 +212,6 @@ class _Task(Generic[P]):
     folder: Path
 
     def __call__(self, item: tuple[int, Path | Recording]) -> tuple[LogNote, P]:
-        """Work on one log and its number."""
         number, given = item
         if isinstance(given, Recording):
             return _note_of(given), self.part(given, number)

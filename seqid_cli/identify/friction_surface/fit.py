@@ -57,8 +57,7 @@ class SurfaceFit:
 
     def covariance(self, orders: Orders) -> Array:
         """Covariance of those entries, row-major."""
-        # It is scaled so that the mean variance over both ranges is that of the whole surface: what
-        # is left out has an error too.
+        # With the mean variance of the whole surface over both ranges: what is left out errs too.
         kept = np.flatnonzero(self._kept(orders))
         found = self.whole[1][np.ix_(kept, kept)]
         columns, error = self._grid
@@ -133,8 +132,7 @@ def fit_surfaces(
     sets: Sequence[Reduced], asked: Asked = (None, None), near: Sizes | None = None
 ) -> tuple[list[SurfaceFit], float]:
     """Fit one surface to each set of trials, with sizes of terms and errors in common."""
-    # Sizes are searched from those `near`. Twice the logarithm of the marginal likelihood of all
-    # slices comes second.
+    # Sizes are searched from those `near`. Twice the log marginal likelihood comes second.
     highest = highest_orders(sets, asked)
     sizes, evidence = Evidence(sets, highest).strongest(near)
     return [SurfaceFit(own, sizes, highest) for own in sets], evidence

@@ -143,8 +143,7 @@ def fit_gravity(
     table = _Pairs([pair for _, pairs in paired for pair in pairs], degree, clear)
     a = [columns_of(group, np.vstack(pairs)[:, 0]) for group, pairs in paired]
     columns, kept = block_diag(*a), [group for group, _ in paired]
-    # A share of friction may depend on the direction, or an offset; the gravity force of a
-    # prismatic joint is itself an offset.
+    # A share of friction may depend on the direction, or an offset, as a slide's gravity is one.
     slope = table.speed / table.speed.max()
     extras = [np.stack([x, slope], 1) for x in (table.dry(), np.ones_like(table.q))]
     if robot.chain.prismatic[kept[0][0].joint] and columns.shape[1]:

@@ -19,11 +19,8 @@ their degrees,
 
 The eight sizes and both powers maximise the marginal likelihood of all slices (C. E. Rasmussen and
 C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, Sec. 5.4), which, as restricted
-likelihood does, allows for what the surface takes. What the data do not tell stays near its usual
-value.
+likelihood does, allows for what the surface takes. What data do not tell stays near what is usual.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -47,8 +44,7 @@ class Sizes:
 
     Then of a `trial`'s own offset, of its `slow` changes, of its `unsteady` speed if it is the
     fastest, of its `edge`s; of the white `noise` of one sample. `over_position` and `over_speed`
-    are the powers with which variances fall. `broad`, of Coulomb and viscous friction, is not
-    searched.
+    are the powers with which variances fall. `broad`, of Coulomb and viscous friction, is fixed.
     """
 
     position: float
@@ -109,7 +105,9 @@ class Normal:
     power: float
 
     @classmethod
-    def of(cls, reduced: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14) -> Normal:
+    def of(
+        cls, reduced: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14
+    ) -> "Normal":
         """Add up the trials; `order` is that over speed."""
         R, z, phi = reduced.R, reduced.z, reduced.over_speed(order)
         own = sizes.own(reduced.scaling, reduced.size, reduced.speeds)

@@ -31,8 +31,6 @@ def identify_friction(
     recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
 ) -> FrictionStage:
     """Identify the friction surface of every joint that the logs move at constant velocity."""
-    # Raises QualityError if no joint moves by itself at constant velocity, or the orders ask for
-    # more speeds than there are.
     trials = collect_trials(recordings, robot)
     if not trials:
         logs = [str(getattr(log, "path", log)) for log in getattr(recordings, "logs", recordings)]
@@ -146,16 +144,13 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reducti
     for group in gravity.groups:
         doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
         for trial, doubt in zip(group.trials, doubts, strict=True):
-            way = 1 if trial.velocity > 0 else -1
-            friction, weight = (
-                trial.tau - group.torque(trial.q),
-                np.full(len(trial.q), trial.weight),
-            )
-            edges, push = (
+            way, q = 1 if trial.velocity > 0 else -1, trial.q
+            friction, push = trial.tau - group.torque(q), trial.inertia_error * trial.ddq
+            weight, edges = (
+                np.full(len(q), trial.weight),
                 reduction.edges_of(trial.t, trial.seconds),
-                trial.inertia_error * trial.ddq,
             )
-            measured = trial.q, way * friction, weight, edges, way * push, doubt
+            measured = q, way * friction, weight, edges, way * push, doubt
             data.append(reduction.SpeedData(trial.speed, way, *measured))
     return [
         replace(item, speed=float(np.mean([other.speed for other in level])))

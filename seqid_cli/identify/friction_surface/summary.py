@@ -42,11 +42,6 @@ class Errors:
         return np.maximum(np.abs(self.error) - NOISES * self.noise, 0.0)
 
     @property
-    def rms(self) -> float:
-        """RMS error, N m."""
-        return _rms(self.error)
-
-    @property
     def relative(self) -> float:
         """Largest error beyond noise over friction; over 0.2 of its RMS where it is near zero."""
         friction = np.maximum(np.abs(self.friction), NEAR_ZERO * _rms(self.friction))
@@ -63,8 +58,7 @@ Part = tuple[list[SpeedData], SurfaceFit]  # of both directions, or of one
 
 def errors_of(parts: list[Part], orders: Orders, *, unseen: bool, group_size: int = 16) -> Errors:
     """Errors of surfaces of some orders that have seen everything, over groups of slices."""
-    # If `unseen`, those at inner speeds are of surfaces that have not seen them. With three speeds
-    # or fewer nothing is left out.
+    # If `unseen`, those at inner speeds, of four speeds or more, are of surfaces without them.
     rows = []
     for data, fit in parts:
         whole, leave = fit.entries(orders), unseen and len(fit.reduced.levels) >= FEWEST_SPEEDS
@@ -111,8 +105,8 @@ def summarise(
         velocity_order=fit.orders.velocity,
         max_error=unseen.relative,
         max_abs_error=float(np.abs(unseen.error).max()),
-        rmse=fitted.rms,
-        held_out_rmse=unseen.rms if len(levels) >= FEWEST_SPEEDS else None,
+        rmse=_rms(fitted.error),
+        held_out_rmse=_rms(unseen.error) if len(levels) >= FEWEST_SPEEDS else None,
         beta=beta,
         criterion_met=unseen.relative <= beta,
         position_range=list(surface.scaling.position),
@@ -161,8 +155,8 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
             backward=sum(item.direction < 0 for item in own),
             friction=_rms(fitted.at(u).friction),
             std_error=_rms(fit.surface.std_error(q, v)),
-            rmse=fitted.at(u).rms,
-            left_out=unseen.at(u).rms if inner else None,
+            rmse=_rms(fitted.at(u).error),
+            left_out=_rms(unseen.at(u).error) if inner else None,
         )
         result.append(level)
     return result

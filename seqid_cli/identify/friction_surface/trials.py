@@ -16,7 +16,7 @@ from seqid_cli.motion.blocks import SurveyedLog, joined
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_reach, moving_mask
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 SLICES = 64
 NONE: Array = np.zeros(0)
@@ -69,6 +69,11 @@ class Trial:
         """Magnitude of the velocity, rad/s."""
         return abs(self.velocity)
 
+    def part(self, kept: Mask) -> "Trial":
+        """The trial with some of its slices (K,) alone."""
+        names = ("q", "dq", "ddq", "tau", "places", "t")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
     """Constant-velocity trials of all logs, slowest first; InputError where one has no torque."""
@@ -99,8 +104,7 @@ def pieces(
     between such runs into pieces, each with so many samples more on either side as the search for
     motion reaches; what is found is what the whole log gives. A log that is held is one piece.
 
-    `step` (n,): encoder noise [rad], see `noise_step`. Yields: samples, and the stretches in them,
-    counted from the first of these samples.
+    `step` (n,): encoder noise [rad], see `noise_step`. Yields samples, and stretches within them.
     """
     rate, margin = log.rate_hz, motion_reach(log.rate_hz)
     blocks: Iterable[Block] = ()
@@ -150,22 +154,14 @@ def _trial(
     places[:, j] = path(middles)
     celsius = np.zeros(0) if temperature is None else temperature[stretch.start : stretch.stop, j]
     celsius = celsius[np.isfinite(celsius)]
-    return Trial(
-        joint=j,
-        velocity=stretch.velocity,
-        q=places[:, j].copy(),
-        dq=path.deriv()(middles) / half,
-        ddq=path.deriv(2)(middles) / half**2,
-        tau=block.tau[own, j].reshape(slices, length).mean(axis=1),
-        ramps=_ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch),
-        weight=float(length),
-        configuration=np.array(stretch.configuration),
-        places=places,
-        t=(block.start + stretch.start) / rate_hz + (middles + 1) * half,
-        seconds=length / rate_hz,
-        log=number,
-        celsius=float(celsius.mean()) if len(celsius) else np.nan,
-    )
+    warmth = float(celsius.mean()) if len(celsius) else np.nan
+    dq, ddq = path.deriv()(middles) / half, path.deriv(2)(middles) / half**2
+    tau = block.tau[own, j].reshape(slices, length).mean(axis=1)
+    ramps = _ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch)
+    t = (block.start + stretch.start) / rate_hz + (middles + 1) * half
+    motion = j, stretch.velocity, places[:, j].copy(), dq, ddq, tau, ramps, float(length)
+    where = np.array(stretch.configuration), places
+    return Trial(*motion, *where, t, length / rate_hz, number, warmth)
 
 
 def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:

@@ -44,8 +44,7 @@ def calibrate_imus(
     recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
 ) -> schema.ImuStage:
     """Calibrate every IMU of the robot file; name what these logs do not determine."""
-    # Best joints before the IMUs move one at a time and fast, the others locked in several
-    # configurations.
+    # Best joints before the IMUs move one at a time and fast, others locked in several postures.
     if not robot.imus:
         where, hint = str(robot.source), "describe the IMU in it"
         raise UsageError("the robot file has no [[imu]]", hint=hint, where=where)
@@ -88,8 +87,9 @@ def _calibrated(
     every = [segment for segments, *_ in own for segment in segments]
     pairs = [pair for _, found, _ in own for pair in found]
     densities = [density for _, found, density in own if found]
-    most = max(segment.channels for segment in every)
-    segments = thinned([segment for segment in every if segment.channels == most])
+    channels = [len(segment.readings.noise) for segment in every]
+    most = max(channels)
+    segments = thinned([s for s, count in zip(every, channels, strict=True) if count == most])
     seen = replace(imu, gyro=most > len(imu.axes))
     guess = initial_guess.fit_rotation(pairs) if pairs else np.eye(3)
     start = initial_guess.starting_constants(segments, robot, seen, guess)
@@ -202,8 +202,7 @@ def _references(
     pairs: list[initial_guess.Pair], names: tuple[str, ...]
 ) -> dict[str, schema.AxisReference]:
     """The most certain reference of Eq. 30 and 31 for each joint."""
-    known = [(p.joint, p.reference) for p in pairs if p.reference]
-    found = {name: [reference for joint, reference in known if joint == name] for name in names}
+    found = {name: [pair.reference for pair in pairs if pair.joint == name] for name in names}
     return {name: min(own, key=lambda r: r.gain_std_error) for name, own in found.items() if own}
 
 

@@ -44,8 +44,8 @@ class Pair:
     imu: Array
     link: Array
     sigma: float
-    joint: str = ""
-    reference: AxisReference | None = None
+    joint: str
+    reference: AxisReference
 
 
 def axis_pairs(
@@ -83,9 +83,8 @@ def _axis_pair(
     clear_sigma: float = 5.0,
 ) -> Pair | None:
     """Eq. 29/32 and 33 for one joint of one log."""
-    # None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or where the IMU
-    # does not see it: the gain is less than `clear_sigma` standard errors, and the direction
-    # noise's.
+    # None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or the IMU does
+    # not see it: the gain is below `clear_sigma` standard errors, and the direction noise's.
     a, encoder = dw[own], motion.ddq[own, j]
     direction = a.T @ encoder
     if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < min_acceleration:

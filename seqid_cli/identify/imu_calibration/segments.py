@@ -4,8 +4,7 @@ Readings are cleaned of spikes and saturation. They and the encoders pass the sa
 low-pass and are kept on nodes a few to a period of its cut-off. A moving joint's position at the
 nodes is an unknown of the fit, which the encoder measures: a fine one by its low-passed codes, a
 coarse one by the edges that it crosses, and a code that lasts counts once however many samples
-repeat it. A locked joint keeps the mean of its codes up to an unknown constant within the encoder's
-step.
+repeat it. A locked joint keeps the mean of its codes up to an unknown constant within its step.
 """
 
 from dataclasses import dataclass
@@ -50,8 +49,7 @@ class Readings:
     @property
     def jolts(self) -> float:
         """Variance, of all channels together, of what is rough beyond white noise."""
-        # Jolts faster than the log's rate alias: samples no longer add up to the motion between
-        # them.
+        # Jolts faster than the log's rate alias: samples do not add up to the motion between them.
         known = self.rough[np.isfinite(self.rough).all(axis=1)]
         if not len(known):
             return 0.0
@@ -150,11 +148,6 @@ class Segment:
     def samples(self) -> int:
         """Number of nodes with readings."""
         return len(self.t)
-
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return int(self.readings.values.shape[1])
 
     @cached_property
     def at_samples(self) -> csr_array:

@@ -216,11 +216,11 @@ class LongPrediction:
         return {**self.__dict__, "log": replace(self.log, spool=None)}
 
     def __iter__(self) -> Iterator[LogPrediction]:
-        """Yield the log's parts in order."""
         return self.predictor.described(self._parts())
 
     def _parts(self) -> Iterator[tuple[LogPrediction, Motion]]:
         lowpass, log = self.plan.lowpass, self.log
+        # Beside a part, so that the filters forget what lies beyond: parts give what the log does.
         margin = 2 * (lowpass.memory + lowpass.settling)
         with contextlib.ExitStack() as stack:
             if log.spool is None:  # a stored one's copy has gone with its first pass

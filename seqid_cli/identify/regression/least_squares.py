@@ -11,8 +11,7 @@ columns of links that it does not carry, being zero, cost nothing. What comes ou
 rows of a log and on how they are cut into blocks, not on where the log was reduced: signs are fixed
 and blocks merge in their order. The factors of blocks (about a second of motion each) are kept as
 well, merged pairwise when they become many: the moves of the estimate without one block give
-standard errors that hold for autocorrelated residuals, where the white-noise formula is far too
-small.
+standard errors that hold for autocorrelated residuals; the white-noise formula's are too small.
 """
 
 from collections.abc import Sequence
@@ -53,8 +52,7 @@ class Accumulator:
 
     def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
         """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true."""
-        # An empty one keeps the joints' blocks in step. It is cheapest with the samples of a column
-        # next to each other.
+        # An empty one keeps the joints' blocks in step. Cheapest with a column's samples in a row.
         self._total = None
         rows = np.vstack([H.T, y]) if where is None else np.vstack([H.T[:, where], y[where]])
         factor, count = triangular(rows.T), rows.shape[1]
@@ -172,8 +170,7 @@ def solve(
     size = joints[0].size
     totals = [joint.total for joint in joints]
     used = [k for k, joint in enumerate(joints) if joint.samples > size // 4]
-    # First each joint by itself. Not from R's last entry: where columns depend on each other,
-    # rounding decides what is left.
+    # Each joint by itself first, not by R's last entry: rounding decides it where columns depend.
     alone = [_solve_scaled(total)[:2] for total in totals]
     left = [j.residual_rms(x, B.shape[1]) for j, (x, B) in zip(joints, alone, strict=True)]
     sigma = np.maximum(left, 1e-12)

@@ -82,8 +82,7 @@ class GravityRows:
         for number in np.unique(trial):  # each is a block
             self.used += 1
             for k, joint in enumerate(joints):
-                kept = (trial == number) & (k == j)
-                joint.add(H[kept], y[kept, 0])
+                joint.add(H, y[:, 0], (trial == number) & (k == j))
         self.cross[j] = H.T @ F
         for k, each in enumerate(groups):
             self.unseen.append((j, H.T @ (each.std_error * accelerated[:, 0] * (group == k))))
@@ -98,23 +97,20 @@ class GravityRows:
 
         H, F, where others stand, acceleration, torque, time, samples, seconds; trial, log, group.
         """
-        every = [(trial, k) for k, group in enumerate(groups) for trial in group.trials]
-        insides = [_settled(trial, surface) for trial, _ in every]
-        used = [n for n, inside in enumerate(insides) if inside.sum() >= group_size]
+        every = [(k, trial) for k, group in enumerate(groups) for trial in group.trials]
+        settled = [(k, trial.part(_settled(trial, surface))) for k, trial in every]
+        used = [(k, trial) for k, trial in settled if len(trial.q) >= group_size]
         if not used:
             return np.zeros((0, 1))
-        own = [every[n][0] for n in used]
-        places = [trial.places[insides[n]] for n, trial in zip(used, own, strict=True)]
-        by_gravity = zip(self.held.means(own, places), self.held.unseen(own, places), strict=True)
+        own = [trial for _, trial in used]
+        by_gravity = zip(used, self.held.means(own), self.held.unseen(own), strict=True)
         parts = []
-        for n, trial, (H, stood) in zip(used, own, by_gravity, strict=True):
-            q, tau, ddq, t = (x[insides[n]] for x in (trial.q, trial.tau, trial.ddq, trial.t))
-            v = np.full(len(q), trial.velocity)
-            F, y = surface.columns(q, v), tau - surface.torque(q, v)
-            count = len(q) // group_size
-            wide = np.array_split(np.column_stack([H, F, stood, ddq, y, t]), count)
-            slices = len(q) / count
-            about = slices * trial.weight, slices * trial.seconds, n, trial.log, every[n][1]
+        for n, ((k, trial), H, stood) in enumerate(by_gravity):
+            v, count = np.full(len(trial.q), trial.velocity), len(trial.q) // group_size
+            F, y = surface.columns(trial.q, v), trial.tau - surface.torque(trial.q, v)
+            wide = np.array_split(np.column_stack([H, F, stood, trial.ddq, y, trial.t]), count)
+            slices = len(trial.q) / count
+            about = slices * trial.weight, slices * trial.seconds, n, trial.log, k
             means = np.stack([part.mean(axis=0) for part in wide])
             parts.append(np.hstack([means, np.tile(about, (count, 1))]))
         return np.vstack(parts)

@@ -1,8 +1,7 @@
 """Inertia stage (Sec. 2.2.4, Eq. 22-26): what gravity left open, from moves of few joints.
 
 Rotor inertias are parameters of their own, acting on their own joint alone (Eq. 43); the data are
-asked whether the gyroscopic coupling to the link that carries the rotor is there too (see
-`rotor_coupling`).
+asked whether the gyroscopic coupling to the link that carries one is there too (`rotor_coupling`).
 """
 
 import contextlib
@@ -19,21 +18,15 @@ from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import cutoff_note, open_if_long, source_text, streams
 from seqid_cli.identify.regression.least_squares import Solution
+from seqid_cli.identify.rigid import parameters
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
-from seqid_cli.identify.rigid.parameters import (
-    imu_moves,
-    joint_verdicts,
-    missing_pairs,
-    rigid_stage,
-)
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 
 AllRows = tuple[InertiaRows | None, ...]  # as used, at neighbouring cut-offs, by the encoders
@@ -108,7 +101,7 @@ def _stage(
     used = {name for use in rows.uses for name in use.imus}
     errors = {name: imus[name].acceleration_std_error or 0.0 for name in used if imus}
     inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, solution.theta)
-    moves = imu_moves(robot, basis, inertia, gear_ratios(robot) ** 2 * equations.rotors, errors)
+    moves = parameters.imu_moves(robot, basis, inertia, equations.reflected, errors)
     posterior = posterior.with_error(by_cutoff).with_error(moves)
     stage = _described(equations, rows, solution, posterior)
     kind, notes = "gyroscopic" if coupled else "diagonal", [*stage.notes, *notes]
@@ -129,8 +122,8 @@ def _described(
     robot, basis, gravity = equations.robot, equations.basis, equations.stages.gravity
     known = {p.name for p in gravity.parameters} if gravity else set()
     own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
-    stage = rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
-    pairs = missing_pairs(robot, basis, solution.left_open) if stage.not_excited else []
+    stage = parameters.rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
+    pairs = parameters.missing_pairs(robot, basis, solution.left_open) if stage.not_excited else []
     cutoff = float(np.median([use.cutoff_hz for use in rows.uses]))
     notes = [cutoff_note(rows.uses, equations.options.motion), *stage.notes]
     if pairs:
@@ -138,7 +131,7 @@ def _described(
         notes.append(f"moving these joints together as well would give full rank: {text}")
     idle = "does not move in these logs, or its friction is not known"
     fitted = robot, solution, rows.joints, rows.torque_squares
-    verdicts = joint_verdicts(*fitted, poor_share=poor_share, idle=idle)
+    verdicts = parameters.joint_verdicts(*fitted, poor_share=poor_share, idle=idle)
     good = solution.rank == basis.size and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {basis.size}, condition {solution.condition:.3g}"
     # N m/sqrt(Hz) of each joint as the parameters feel it, slow noise included.

@@ -33,8 +33,7 @@ def decide(
     Returns whether the coupling is used, directions (p, d) along which the other hypothesis would
     move the parameters, in standard deviations, and notes.
     """
-    # The free share agrees with 0 or 1 within `max_sigma` standard errors. A logarithm of the odds
-    # of 5 is 150 to 1.
+    # The free share agrees with 0 or 1 within `max_sigma` standard errors. Log odds of 5: 150 to 1.
     kappa = equations.basis.size
     nothing = np.zeros((kappa, 0))
     known = []  # value, standard error and log odds of the free share

@@ -92,10 +92,7 @@ class LogSet:
         return [*(f"left out: {text}" for text in self.left_out), *new]
 
     def verdicts(self) -> list[Verdict]:
-        """Return a poor verdict per code, channel and joint (or IMU) that errors of logs are about.
-
-        The joint is empty where the whole log is meant.
-        """
+        """Return a poor verdict per code, channel and joint (IMU; empty: the log) of an error."""
         return [
             Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
             for alike in grouped(f for f in self.findings if f.severity == "error")

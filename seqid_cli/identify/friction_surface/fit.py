@@ -12,14 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
+from seqid_cli.identify.friction_surface import reduction
 from seqid_cli.identify.friction_surface.prior import Evidence, Normal, Sizes
-from seqid_cli.identify.friction_surface.reduction import (
-    MAX_POSITION_ORDER,
-    MAX_VELOCITY_ORDER,
-    Orders,
-    Reduced,
-    SpeedData,
-)
+from seqid_cli.identify.friction_surface.reduction import Orders, Reduced, SpeedData
 from seqid_cli.model.friction_basis import tensor
 from seqid_cli.typing import Array, Mask
 
@@ -122,9 +117,10 @@ class SurfaceFit:
 
 def highest_orders(sets: Sequence[Reduced], asked: Asked) -> Orders:
     """The orders that the data, or the user, allow at most."""
-    most = min(MAX_VELOCITY_ORDER, max(min(len(own.levels) for own in sets) - 1, 0))
+    levels = min(len(own.levels) for own in sets)
+    most = min(reduction.MAX_VELOCITY_ORDER, max(levels - 1, 0))
     position, velocity = asked
-    allowed = MAX_POSITION_ORDER if position is None else position
+    allowed = reduction.MAX_POSITION_ORDER if position is None else position
     return Orders(allowed, most if velocity is None else velocity)
 
 

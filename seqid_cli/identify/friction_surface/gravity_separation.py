@@ -13,7 +13,6 @@ and depends on the position alone, as the torque of a spring or a cable does, is
 left in, it would be friction's noise.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -51,15 +50,12 @@ class GravityGroup:
 
 @dataclass(frozen=True)
 class GravityFit:
-    """p_xi of every configuration that has pairs, and how many trials of the others there are.
-
-    `asymmetry` is the share of friction that depends on the direction.
-    """
+    """p_xi of every configuration that has pairs."""
 
     groups: list[GravityGroup]
-    unpaired: int
+    unpaired: int  # trials of the other configurations
     directional: bool = False
-    asymmetry: float = 0.0
+    asymmetry: float = 0.0  # share of friction that depends on the direction
 
 
 @dataclass(frozen=True)
@@ -124,7 +120,7 @@ def _half_sums(group: list[Trial]) -> list[Array]:
 
 
 def fit_gravity(
-    robot: Robot, groups: Sequence[list[Trial]], *, degree: int = 8, clear: float = 0.7
+    robot: Robot, groups: list[list[Trial]], *, degree: int = 8, clear: float = 0.7
 ) -> GravityFit:
     """Fit p_xi to the half-sums of a joint's `configurations`, friction alike both ways or not."""
 
@@ -162,7 +158,7 @@ def fit_gravity(
 class _Pairs:
     """Half-sums of a joint, row by row (N,), and the pair that each is of, numbered from 0."""
 
-    def __init__(self, pairs: Sequence[Array], degree: int, clear: float) -> None:
+    def __init__(self, pairs: list[Array], degree: int, clear: float) -> None:
         self.q, self.tau, self.friction, self.speed, weight = np.vstack(pairs).T
         self.root = np.sqrt(weight)
         self.lengths = [len(pair) for pair in pairs]
@@ -178,7 +174,7 @@ class _Pairs:
         return np.asarray(columns[:, :-1] @ found[:-1])
 
     def both_ways(
-        self, columns: Array, extras: Sequence[Array], *, enough_pairs: int = 8
+        self, columns: Array, extras: list[Array], *, enough_pairs: int = 8
     ) -> tuple[Clustered, Clustered, Array, Chebyshev | None]:
         """Fit what both ways have: gravity's columns (N, p), these with the best of `extras`."""
         # Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up.

@@ -105,12 +105,10 @@ class Normal:
     power: float
 
     @classmethod
-    def of(
-        cls, reduced: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14
-    ) -> "Normal":
+    def of(cls, trials: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14) -> "Normal":
         """Add up the trials; `order` is that over speed."""
-        R, z, phi = reduced.R, reduced.z, reduced.over_speed(order)
-        own = sizes.own(reduced.scaling, reduced.size, reduced.speeds)
+        R, z, phi = trials.R, trials.z, trials.over_speed(order)
+        own = sizes.own(trials.scaling, trials.size, trials.speeds)
         scaled = R * np.sqrt(own.sum(axis=0))[:, None, :]
         V = scaled @ scaled.transpose(0, 2, 1)
         diagonal = np.arange(V.shape[1])

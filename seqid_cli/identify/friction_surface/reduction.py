@@ -15,7 +15,6 @@ distance in their trial. Before there is a surface, medians stand in: of each tr
 positions, of each position over the trials. What all trials have at one position is friction.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,7 +63,7 @@ class SpeedData:
         return np.asarray(self.weight > COUNTS * self.weight.max(initial=0.0))
 
 
-def around_medians(data: Sequence[SpeedData], *, bins: int = 24) -> list[Array]:
+def around_medians(data: list[SpeedData], *, bins: int = 24) -> list[Array]:
     """Distances (K,) N m of slices from medians over positions and over trials."""
     middles = [item.friction - np.median(item.friction) for item in data]
     q, values = np.concatenate([item.q for item in data]), np.concatenate(middles)
@@ -136,7 +135,7 @@ class Reduced:
 
 
 def reduce_trials(
-    data: Sequence[SpeedData], scaling: Scaling, *, empty_share: float = 1e-12
+    data: list[SpeedData], scaling: Scaling, *, empty_share: float = 1e-12
 ) -> Reduced:
     """Reduce every trial to its R factor (Eq. 8); rows below `empty_share` of it are rounding."""
     parts = []

@@ -7,14 +7,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from seqid_cli.errors import QualityError
-from seqid_cli.identify.friction_surface import reduction, summary
+from seqid_cli.identify.friction_surface import gravity_separation, reduction, summary
 from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
 from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_surfaces
-from seqid_cli.identify.friction_surface.gravity_separation import (
-    GravityFit,
-    configurations,
-    fit_gravity,
-)
+from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.trials import collect_trials, speed_levels
 from seqid_cli.identify.options import FrictionOptions
@@ -43,8 +39,8 @@ def identify_friction(
     reasons = dict.fromkeys(range(robot.n), "no constant-velocity trial moves this joint")
     for j in sorted({trial.joint for trial in trials}):
         reasons[j] = UNPAIRED
-        groups = configurations([trial for trial in trials if trial.joint == j])
-        gravity = fit_gravity(robot, groups)
+        own = [trial for trial in trials if trial.joint == j]
+        gravity = gravity_separation.fit_gravity(robot, gravity_separation.configurations(own))
         if gravity.groups:
             firsts[j] = _fit(robot, j, gravity, options)
     surfaces = [firsts[j].surface if j in firsts else None for j in range(robot.n)]
@@ -71,7 +67,7 @@ def _steady_gravity(robot: Robot, first: summary.Fit, held: HeldJoints) -> Gravi
     """Gravity once more: first surfaces show what acceleration is left, and how others gave way."""
     stood = [held.standing(group.trials) for group in first.gravity.groups]
     steady = without_acceleration(robot, stood, first.surface)
-    return fit_gravity(robot, [group.trials for group in steady])
+    return gravity_separation.fit_gravity(robot, [group.trials for group in steady])
 
 
 def _fit(
@@ -144,12 +140,9 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reducti
     for group in gravity.groups:
         doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
         for trial, doubt in zip(group.trials, doubts, strict=True):
-            way, q = 1 if trial.velocity > 0 else -1, trial.q
+            way, q, t = 1 if trial.velocity > 0 else -1, trial.q, trial.t
             friction, push = trial.tau - group.torque(q), trial.inertia_error * trial.ddq
-            weight, edges = (
-                np.full(len(q), trial.weight),
-                reduction.edges_of(trial.t, trial.seconds),
-            )
+            weight, edges = np.full(len(q), trial.weight), reduction.edges_of(t, trial.seconds)
             measured = q, way * friction, weight, edges, way * push, doubt
             data.append(reduction.SpeedData(trial.speed, way, *measured))
     return [

@@ -23,10 +23,7 @@ NONE: Array = np.zeros(0)
 
 
 class Ramps(NamedTuple):
-    """How the joint of a trial got up to speed and back: means (R,) over windows of time.
-
-    `tau = I ddq + ...` holds for means under the same window as it does at an instant.
-    """
+    """How a joint got up to speed and back: means (R,) under windows, `tau = I ddq + ...` holds."""
 
     q: Array = NONE  # rad
     dq: Array = NONE

@@ -17,16 +17,10 @@ from scipy.ndimage import binary_dilation, median_filter
 from scipy.sparse import bsr_array, coo_array, csr_array, diags_array, eye_array, kron
 
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.filters import differentiation
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.filters.differentiation import (
-    FIRST,
-    SECOND,
-    SIDE,
-    differentiate,
-    runs,
-    shrink,
-)
+from seqid_cli.motion.filters.differentiation import FIRST, SECOND, SIDE, differentiate
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.smoother.chunk import JERK, EncoderView, bridged, encoder_view
 from seqid_cli.motion.smoother.imus import clipped
@@ -205,9 +199,9 @@ def segments_of(
     views = [encoder_view(recording.q[:, j], float(steps[j])) for j in range(imu.after_joint + 1)]
     source = _Log(log, recording, motion, lowpass, views, readings_of(recording, imu, lowpass))
     # Ends that feel the filter's own ends are not used.
-    usable = shrink(recording.valid, lowpass.settling // 2)
+    usable = differentiation.shrink(recording.valid, lowpass.settling // 2)
     found = []
-    for start, stop in runs(usable, len(usable)):
+    for start, stop in differentiation.runs(usable, len(usable)):
         count = max(1, int(np.ceil((stop - start) / (longest_s * recording.rate_hz))))
         for a, b in pairwise(np.linspace(start, stop, count + 1).astype(int).tolist()):
             piece = source.segment(slice(a, b)) if b - a > shortest_s * recording.rate_hz else None

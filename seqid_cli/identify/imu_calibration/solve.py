@@ -14,16 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.errors import QualityError
-from seqid_cli.identify.imu_calibration import sensor_model
+from seqid_cli.identify.imu_calibration import normal_equations, sensor_model
 from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT, deflections, renewed
-from seqid_cli.identify.imu_calibration.normal_equations import (
-    Local,
-    Reduced,
-    Sizes,
-    linearise,
-    reduced,
-    residual,
-)
+from seqid_cli.identify.imu_calibration.normal_equations import Local, Reduced, Sizes
 from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.sensor_model import Constants, Widths
 from seqid_cli.params.schema import JointDeflection
@@ -73,7 +66,8 @@ class _State:
         """Robust standard deviation (C,) of the low-passed residuals."""
         parts = []
         for segment, own in zip(self.segments, self.locals_, strict=True):
-            r, good, *_ = residual(segment, self.robot, self.imu, self.constants, own)
+            at = segment, self.robot, self.imu, self.constants, own
+            r, good, *_ = normal_equations.residual(*at)
             parts.append(np.where(good, r, np.nan))
         scale = PER_MEDIAN * np.nanmedian(np.abs(np.concatenate(parts)), axis=0)
         return np.asarray(np.maximum(np.nan_to_num(scale, nan=1.0), 1e-6))
@@ -85,8 +79,9 @@ class _State:
         found = []
         for k, (segment, local) in enumerate(zip(self.segments, self.locals_, strict=True)):
             at = segment, self.robot, self.imu, self.constants, local
-            linear = linearise(*at, sigma, sizes, weights[k] if weights else None)
-            found.append(reduced(linear, local, self.widths.drift))
+            own = weights[k] if weights else None
+            linear = normal_equations.linearise(*at, sigma, sizes, own)
+            found.append(normal_equations.reduced(linear, local, self.widths.drift))
         return found
 
     def solved(self, reductions: list[Reduced]) -> tuple[Array, Array]:

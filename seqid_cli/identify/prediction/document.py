@@ -15,12 +15,8 @@ from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writ
 from seqid_cli.model.effects.fitted import effect_notes
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.document import now, present, robot_id, tool
-from seqid_cli.params.results.prediction import (
-    PREDICTION_SCHEMA,
-    JointError,
-    LogPredictionError,
-    PredictionFile,
-)
+from seqid_cli.params.results import prediction
+from seqid_cli.params.results.prediction import JointError, PredictionFile
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
@@ -52,7 +48,7 @@ def prediction_file(
             own = _both(own, _sums(log))
             write(log)
             if log.last:
-                error = LogPredictionError(
+                error = prediction.LogPredictionError(
                     path=str(log.path),
                     sha256=log.sha256,
                     samples=log.samples,
@@ -68,7 +64,7 @@ def prediction_file(
     notes = [f"never slides in these logs and is not judged: {still}"] if still else []
     own_verdicts = [*_verdicts(joints, stages, robot), *physics_verdicts(stages, robot)]
     return PredictionFile(
-        schema=PREDICTION_SCHEMA,
+        schema=prediction.PREDICTION_SCHEMA,
         created=now(),
         tool=tool(),
         robot=robot_id(robot),

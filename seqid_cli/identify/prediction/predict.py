@@ -12,13 +12,8 @@ from scipy.special import beta
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import (
-    motion_use,
-    open_if_long,
-    plan_of,
-    streams,
-    torque_motion,
-)
+from seqid_cli.identify.regression import equations
+from seqid_cli.identify.regression.equations import open_if_long
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
@@ -111,7 +106,7 @@ def predict(
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
-    long = streams(stages, options) and local_effects(model, effects)
+    long = equations.streams(stages, options) and local_effects(model, effects)
     one = Predictor(model, stages, options, effects, sliding_only)
     for found in mapped(recordings, one, open_if_long if long else None):
         yield from found
@@ -139,9 +134,10 @@ class Predictor:
         robot = self.model.robot
         every = replace(self.options.motion, samples_per_cutoff=float("inf"))
         if isinstance(log, SurveyedLog):
-            return LongPrediction(replace(log, survey=None), plan_of(log, robot, every), self)
+            plan = equations.plan_of(log, robot, every)
+            return LongPrediction(replace(log, survey=None), plan, self)
         imu, source = self.stages.imu, self.options.source
-        motion = torque_motion(log, robot, every, imu=imu, source=source)
+        motion = equations.torque_motion(log, robot, every, imu=imu, source=source)
         part = self.part(motion, log, slice(None))
         noise = () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
         return [replace(x, notes=(*x.notes, *noise)) for x in self.described([(part, motion)])]
@@ -197,7 +193,7 @@ class Predictor:
             if not used:
                 raise too_short(part.path, part.cutoff_hz)
             shares = counts[1:] / np.maximum(counts[0], 1.0)
-            use = motion_use(part.path, robot, replace(motion, moving=moving[None]))
+            use = equations.motion_use(part.path, robot, replace(motion, moving=moving[None]))
             yield replace(part, notes=tuple(notes_on(self.model, self.stages, *shares)), motion=use)
 
 

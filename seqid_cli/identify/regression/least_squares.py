@@ -38,16 +38,13 @@ RANK_TOLERANCE = 1e-3  # singular value of scaled columns, over the largest, tha
 
 @dataclass
 class Accumulator:
-    """Factors of one joint's equations with p parameters: `blocks` (p + 1, p + 1) of [H y].
-
-    Each block takes `span` additions; the last one has `filled` of them.
-    """
+    """Factors of one joint's equations with p parameters: `blocks` (p + 1, p + 1) of [H y]."""
 
     size: int
     blocks: list[Array] = field(default_factory=list)
     rows: list[int] = field(default_factory=list)
-    span: int = 1
-    filled: int = 1
+    span: int = 1  # additions that a block takes
+    filled: int = 1  # of them in the last one
     _total: Array | None = field(default=None, repr=False, compare=False)
 
     def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
@@ -174,13 +171,12 @@ def solve(
     alone = [_solve_scaled(total)[:2] for total in totals]
     left = [j.residual_rms(x, B.shape[1]) for j, (x, B) in zip(joints, alone, strict=True)]
     sigma = np.maximum(left, 1e-12)
-    known = [totals[k][:, :-1] for k in used] + ([] if prior is None else [prior.A])
-    seen = np.any([_seen(rows) for rows in known], axis=0) if known else np.zeros(size, dtype=bool)
+    told = [] if prior is None else [np.column_stack([prior.A, prior.b])]
+    known = [_seen(rows[:, :-1]) for rows in [*(totals[k] for k in used), *told]]
+    seen = np.any(known, axis=0) if known else np.zeros(size, dtype=bool)
     for _ in range(iterations):
         scale = sigma / np.sqrt(independent)  # of the factor: what follows must use the same
-        stack = [totals[k] / scale[k] for k in used]
-        if prior is not None:
-            stack.append(np.column_stack([prior.A, prior.b]))
+        stack = [totals[k] / scale[k] for k in used] + told
         factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
         theta, basis, left_open, condition, determined = _solve_scaled(factor, seen)
         sigma = np.maximum([joint.residual_rms(theta) for joint in joints], 1e-12)

@@ -32,11 +32,8 @@ Differences = list[tuple[int, float, float]]
 def cutoff_check(
     own: Result, near: Mapping[float, Result], surfaces: Surfaces, *, clear_sigma: float = 4.0
 ) -> tuple[Array, Differences]:
-    """Compare an estimate with others, `near` by multiple of the cut-off.
-
-    Returns directions (p, d) of error, one standard deviation each, and the differences from
-    `clear_sigma` of their own standard errors on.
-    """
+    """Compare an estimate with others, `near` by multiple of the cut-off: errors, differences."""
+    # Directions (p, d) of one standard deviation each; differences by `clear_sigma` of their own.
     size = len(own[0].theta)
     stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
     excess, differences = [], Differences()

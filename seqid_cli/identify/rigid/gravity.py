@@ -11,11 +11,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.friction_surface.corrections import (
-    HeldJoints,
-    SteadyGroup,
-    without_acceleration,
-)
+from seqid_cli.identify.friction_surface import corrections
+from seqid_cli.identify.friction_surface.corrections import HeldJoints, SteadyGroup
 from seqid_cli.identify.friction_surface.gravity_separation import configurations
 from seqid_cli.identify.friction_surface.trials import Trial, collect_trials
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
@@ -69,7 +66,8 @@ class GravityRows:
         if surface is None:
             self.skipped += [self.robot.joint_names[trial.joint] for trial in trials]
             return
-        groups = without_acceleration(self.robot, configurations(trials), surface)
+        every = configurations(trials)
+        groups = corrections.without_acceleration(self.robot, every, surface)
         table = self._table(groups, surface)
         if not len(table):
             return
@@ -93,10 +91,8 @@ class GravityRows:
     def _table(
         self, groups: list[SteadyGroup], surface: FrictionSurface, *, group_size: int = 8
     ) -> Array:
-        """Rows of all trials, means over so many slices (`group_size`).
-
-        H, F, where others stand, acceleration, torque, time, samples, seconds; trial, log, group.
-        """
+        """Rows of all trials, means over so many slices (`group_size`)."""
+        # H, F, where others stand, acceleration, torque, time, samples, seconds; trial, log, group.
         every = [(k, trial) for k, group in enumerate(groups) for trial in group.trials]
         settled = [(k, trial.part(_settled(trial, surface))) for k, trial in every]
         used = [(k, trial) for k, trial in settled if len(trial.q) >= group_size]

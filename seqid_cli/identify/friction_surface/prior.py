@@ -88,21 +88,16 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations of a surface's entries, row-major: N (k, k) d = b (k,).
-
-    `phi` (T, r) are the trials' functions of speed, `own` (4, T, p) the variances of their own
-    terms (`Sizes.own`), `inverse` (T, p, p) the inverses of their covariances V_k, `S` (T, p, p)
-    = R' V^-1 R, `log_size` and `power` sum log det V_k and z' V^-1 z.
-    """
+    """Normal equations of a surface's entries, row-major: N (k, k) d = b (k,)."""
 
     N: Array
     b: Array
-    phi: Array
-    own: Array
-    inverse: Array
-    S: Array
-    log_size: float
-    power: float
+    phi: Array  # (T, r) the trials' functions of speed
+    own: Array  # (4, T, p) variances of their own terms (`Sizes.own`)
+    inverse: Array  # (T, p, p) of their covariances V_k
+    S: Array  # (T, p, p) = R' V^-1 R
+    log_size: float  # sum of log det V_k
+    power: float  # sum of z' V^-1 z
 
     @classmethod
     def of(cls, trials: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14) -> "Normal":

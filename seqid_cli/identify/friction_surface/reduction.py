@@ -41,21 +41,16 @@ class Orders:
 
 @dataclass(frozen=True)
 class SpeedData:
-    """One trial: slice positions (K,) rad, friction (K,) N m, weights (K,) in samples.
-
-    `edges` (K, 2) are how near, in time, each slice is to the begin and to the end; `push` (K,) N m
-    and `doubt` (K,) N m are what friction is wrong by if the joint's inertia, and how far others
-    gave way, are wrong by one standard error.
-    """
+    """One trial, by K slices."""
 
     speed: float
     direction: int
-    q: Array
-    friction: Array
-    weight: Array
-    edges: Array
-    push: Array
-    doubt: Array
+    q: Array  # (K,) rad
+    friction: Array  # (K,) N m
+    weight: Array  # (K,) samples
+    edges: Array  # (K, 2) how near, in time, they are to the begin and to the end
+    push: Array  # (K,) N m that friction is wrong by if the inertia is by one standard error
+    doubt: Array  # (K,) N m likewise if it is how far other joints gave way
 
     @property
     def belongs(self) -> Mask:
@@ -99,20 +94,16 @@ def weighted(
 
 @dataclass(frozen=True)
 class Reduced:
-    """Trials after step 1: T of them, p functions of position and four columns more each.
-
-    `speeds` (T,) rad/s, `u` (T,) scaled, `R` (T, p + 4, p + 4), `z` (T, p + 4), `rest` (T,) squares
-    that no such function takes, `total` (T,) sums of weights, `slices` (T,) how many.
-    """
+    """Trials after step 1: T of them, p functions of position and four columns more each."""
 
     scaling: Scaling
-    speeds: Array
-    u: Array
-    R: Array
-    z: Array
-    rest: Array
-    total: Array
-    slices: Array
+    speeds: Array  # (T,) rad/s
+    u: Array  # (T,) scaled
+    R: Array  # (T, p + 4, p + 4)
+    z: Array  # (T, p + 4)
+    rest: Array  # (T,) squares that no such function takes
+    total: Array  # (T,) sums of weights
+    slices: Array  # (T,) how many
 
     @property
     def size(self) -> int:

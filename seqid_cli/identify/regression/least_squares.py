@@ -117,14 +117,11 @@ class Accumulator:
 
 @dataclass(frozen=True)
 class Prior:
-    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,).
-
-    `friction` (k, K_j) and `constants` (k,) are what b moves by, joint by joint, with the
-    coefficients of friction and with the error of a torque constant.
-    """
+    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,)."""
 
     A: Array
     b: Array
+    # By joint what b moves by with coefficients of friction (k, K_j), torque constants' errors (k,)
     friction: dict[int, Array] = field(default_factory=dict)
     constants: dict[int, Array] = field(default_factory=dict)
 

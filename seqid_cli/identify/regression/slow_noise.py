@@ -33,18 +33,14 @@ STARTS = ((0.0, 0.0, 0.0), (-4.0, 2.0, -4.0))
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows H theta + error = y of one joint, in any order.
-
-    `H` (N, p), `y` (N,) N m, `t` (N,) s within the log, `weight` (N,) samples, `seconds` (N,) the
-    length of a row, `trial` and `log` (N,) which it is of.
-    """
+    """Rows H (N, p) theta + error = y of one joint, in any order; all others (N,)."""
 
     H: Array
-    y: Array
-    t: Array
-    weight: Array
-    seconds: Array
-    trial: Index
+    y: Array  # N m
+    t: Array  # s within the log
+    weight: Array  # samples
+    seconds: Array  # length of a row
+    trial: Index  # which it is of
     log: Index
 
 

@@ -70,14 +70,10 @@ def moves_covariance(moves: Mapping[int, Array], size: int) -> Array:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Covariance (p, p) of a stage's parameters, and what it inherits.
+    """Covariance (p, p) of a stage's parameters, and what it inherits."""
 
-    `friction` is their total sensitivity to friction, `constants` their moves per error of the
-    torque constants, which `covariance` is without.
-    """
-
-    covariance: Array
-    friction: Sensitivity
+    covariance: Array  # without the errors of torque constants
+    friction: Sensitivity  # the total one
     constants: Moves = field(default_factory=dict)
 
     @property

@@ -9,7 +9,6 @@ cut-off and later stages take it (`inherited`), unless the user gives another.
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -33,13 +32,8 @@ from seqid_cli.typing import Array
 GRID: Array = np.geomspace(bandwidth.LOWEST_HZ, bandwidth.HIGHEST_HZ, 200)
 
 
-@dataclass(frozen=True)
-class LogScore:
-    """A log's score of `GRID`, and that by its smoothed motion; the highest Hz that it allows."""
-
-    score: bandwidth.Score
-    highest_hz: float
-    smoothed: bandwidth.Score | None = None
+# A log's score of `GRID`, and that by its smoothed motion; the highest Hz that it allows.
+LogScore = tuple[bandwidth.Score, bandwidth.Score | None, float]
 
 
 def _score_of(
@@ -65,16 +59,16 @@ def _score_of(
             encoder = estimate_motion(log, robot, MotionOptions()) if fuses else None
             if encoder and best_motion(log, robot, imu, encoder, source=source).source == "fused":
                 smoothed = score_of_smoothed(log, robot, imu, encoder, GRID)
-        return LogScore(found, min(bandwidth.HIGHEST_HZ, highest), smoothed)
+        return found, smoothed, min(bandwidth.HIGHEST_HZ, highest)
 
 
-def _summed(logs: Sequence[LogScore], scores: Sequence[bandwidth.Score]) -> tuple[Array, int]:
+def _summed(scores: Sequence[bandwidth.Score], allowed_hz: float) -> tuple[Array, int]:
     """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
     ordered = sorted(tuple(one.values) for one in scores)  # sums to the last bit
     widest, joints = (max(getattr(x, name) for x in scores) for name in ("bandwidth_hz", "joints"))
     highest = bandwidth.highest_of(widest, joints, sum(one.seconds for one in scores))
-    highest = min(highest, *(one.highest_hz for one in logs))
-    return np.sum(ordered, axis=0), max(1, int(np.searchsorted(GRID, highest, side="right")))
+    count = int(np.searchsorted(GRID, min(highest, allowed_hz), side="right"))
+    return np.sum(ordered, axis=0), max(1, count)
 
 
 def identification_options(
@@ -92,11 +86,13 @@ def identification_options(
             found += [own] if own is not None else []
     if not found:
         return MotionOptions()
-    total, allowed = _summed(found, [one.score for one in found])
+    highest = min(hz for *_, hz in found)
+    total, allowed = _summed([score for score, *_ in found], highest)
     best = alone = bandwidth.first_maximum(total[:allowed])
-    if any(one.smoothed for one in found):
-        total, allowed = _summed(found, [one.smoothed or one.score for one in found])
-        joints = sum(one.score.joints for one in found)
+    if any(smoothed for _, smoothed, _ in found):
+        # The lowest that scores nearly as well by the smoothed motion, from the encoders' best on.
+        total, allowed = _summed([smoothed or score for score, smoothed, _ in found], highest)
+        joints = sum(score.joints for score, *_ in found)
         best += bandwidth.lowest_as_good(total[best : max(allowed, best + 1)], joints)
     origin = f"chosen from all {len(logs)} logs together"
     return MotionOptions(float(GRID[best]), origin=origin, encoder_hz=float(GRID[alone]))

@@ -101,8 +101,7 @@ def imu_calib(
     """
     inputs = prepare(logs, robot, parameters, options, **keywords)
     if not inputs.robot.imus:
-        hint = "Add an [[imu]] table with its accelerometers."
-        where = str(inputs.robot.source)
+        where, hint = str(inputs.robot.source), "Add an [[imu]] table with its accelerometers."
         raise ConfigError("the robot file names no IMU", where=where, hint=hint)
     from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
     from seqid_cli.motion.imu.array import layout_statements
@@ -246,7 +245,7 @@ def _added(
     for name in present(found):
         stage = getattr(found, name)
         noted[name] = replace(stage, notes=[*stage.notes, *logs.notes(stage.notes)])
-    found = judged(replace(found, **noted), inputs.previous, inputs.robot, logs.verdicts())
+    found = judged(replace(found, **noted), inputs.stages, inputs.robot, logs.verdicts())
     new = present(found)
     for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")

@@ -37,8 +37,7 @@ class Inputs:
     """What a function works on, checked; nothing heavy has been imported yet.
 
     `logs` are files or recordings, `missing` says which arguments stand for no log, where that is
-    no reason to stop; `models` are the parameter files, `previous` what they hold together (None
-    where none was given).
+    no reason to stop; `models` are the parameter files, `previous` what they hold, if given.
     """
 
     logs: tuple[Path | Recording, ...]
@@ -80,7 +79,10 @@ def prepare(
     executor: Executor | None = None,
     on_progress: OnProgress | None = None,
 ) -> Inputs:
-    """Check all before numpy is imported; `needs` are stages that `parameters` must hold."""
+    """Check all before numpy is imported.
+
+    `needs`: stages that `parameters` must hold. `stored`: whether logs may be on object storage.
+    """
     options = options or LogOptions()
     found, missing = _logs(listed(logs), go_on=options.skip_failed, stored=stored)
     target = optional(output)

@@ -50,24 +50,21 @@ class Limits:
 
 
 LIMITS = Limits()
+Stage = schema.FrictionStage | schema.RigidStage | schema.ImuStage
 
 
 def judged(
-    found: schema.Stages,
-    previous: schema.ParameterFile | None,
-    robot: Robot,
-    of_logs: Sequence[schema.Verdict] = (),
+    new: schema.Stages, before: schema.Stages, robot: Robot, of_logs: Sequence[schema.Verdict] = ()
 ) -> schema.Stages:
     """Add to the verdicts of new stages those by physics, those `of_logs`, that of the whole."""
-    before = previous.stages if previous else schema.Stages()
-    friction, gravity = found.friction or before.friction, found.gravity or before.gravity
+    friction, gravity = new.friction or before.friction, new.gravity or before.gravity
     known, stages = schema.Stages(friction=friction, gravity=gravity), {}
     for name in ("friction", "gravity", "imu", "inertia"):
-        stage = getattr(found, name)
+        stage = getattr(new, name)
         if stage is not None:
             own = [*stage.verdicts, *_physics(stage, known, robot), *of_logs]
             stages[name] = replace(stage, verdicts=as_a_whole(own))
-    return replace(found, **stages)
+    return replace(new, **stages)
 
 
 def physics_verdicts(stages: schema.Stages, robot: Robot) -> list[schema.Verdict]:
@@ -89,11 +86,7 @@ def as_a_whole(verdicts: Sequence[schema.Verdict]) -> list[schema.Verdict]:
     return [*(v for v in verdicts if v.joint), schema.Verdict(good=False, reason=reason)]
 
 
-def _physics(
-    stage: schema.FrictionStage | schema.RigidStage | schema.ImuStage,
-    known: schema.Stages,
-    robot: Robot,
-) -> Iterator[schema.Verdict]:
+def _physics(stage: Stage, known: schema.Stages, robot: Robot) -> Iterator[schema.Verdict]:
     if isinstance(stage, schema.FrictionStage):
         yield from friction_verdicts(stage, robot)
     elif isinstance(stage, schema.RigidStage) and stage.parameters:

@@ -1,10 +1,9 @@
 """The logs of one call: read, checked, worked on one by one by whoever is asked to, accounted for.
 
-Parts of different logs are independent of each other, so an executor may make them. They are merged
+Parts of different logs are independent of each other, so an executor may make them. They are taken
 here in the order of the logs; the result is the same to the last bit, whoever made the parts.
 """
 
-import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -29,7 +28,6 @@ from seqid_cli.scale import Reply, answer, ordered
 L = TypeVar("L")  # a Recording, or a log that is passed over
 P = TypeVar("P")
 PartOf = Callable[[L, int], P]
-Merge = Callable[[P, P], P]
 Opens = Callable[..., SurveyedLog | None]  # a log better passed over than read; None of others
 
 
@@ -37,9 +35,9 @@ Opens = Callable[..., SurveyedLog | None]  # a log better passed over than read;
 class LogSet:
     """Logs to be read and worked on.
 
-    Iterate over it once, or have it `reduced` or `mapped` once; what was `read`, the `findings`,
-    what is `partial` or `left_out` is complete afterwards. Warnings come as the logs are read.
-    Of logs with the same content the first counts.
+    Iterate over it once, or have it `mapped` once; what was `read`, the `findings` and what is
+    `left_out` are complete afterwards. Warnings come as the logs are read. Of logs with the same
+    content the first counts.
     `logs`: a recording is taken as it is, without checks. `time_source` {"header", "log"}: which
     stamps of an MCAP log count. `imus`: whether the readings of IMUs are used, and hence checked.
     `skip_failed`: whether logs that cannot be used are left out. `executor`: who reads and reduces
@@ -55,7 +53,6 @@ class LogSet:
     on_progress: Callable[[Progress], None] | None = None
     left_out: list[str] = field(default_factory=list)
     findings: list[InspectionFinding] = field(default_factory=list)
-    partial: list[str] = field(default_factory=list)
     read: list[LogNote] = field(default_factory=list)
     _first: dict[str, Path] = field(default_factory=dict)  # log of each content, by SHA-256
 
@@ -95,10 +92,7 @@ class LogSet:
         return [*(f"left out: {text}" for text in self.left_out), *new]
 
     def verdicts(self) -> list[Verdict]:
-        """Return a poor verdict per code, channel and joint (or IMU) that errors of logs are about.
-
-        The joint is empty where the whole log is meant.
-        """
+        """Return a poor verdict per code, channel and joint (IMU; empty: the log) of an error."""
         return [
             Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
             for alike in grouped(f for f in self.findings if f.severity == "error")
@@ -163,29 +157,16 @@ class LogSet:
                 warn(_in_words([finding]))
         known = {finding.message for finding in note.findings}
         texts = [text for text in note.warnings if text not in known]
-        if note.partial:
-            self.partial.append(f"{note.path}: {note.partial}")
-            texts.append(f"only partly read: {note.partial}")
-        for text in texts:
+        for text in [*texts, *[f"only partly read: {note.partial}"] * bool(note.partial)]:
             warn(f"{note.path}: {text}")
 
 
-def reduced(
-    logs: Iterable[L], part: PartOf[L, P], merge: Merge[P], opens: Opens | None = None
-) -> P | None:
-    """Merge the parts of all logs.
+def mapped(logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None) -> Iterator[P]:
+    """Yield the parts of all logs, in their order.
 
     `part`: from a log and its number to a part. To be sent elsewhere it must be an object of a
-    class, or a function, of a module. `merge`: from two neighbouring parts to one. `opens`: opens
-    logs that are passed over, as `open_if_long` does. Returns: none without logs.
+    class, or a function, of a module. `opens`: opens logs that are passed over, as `open_if_long`.
     """
-    parts = mapped(logs, part, opens)
-    first = next(parts, None)
-    return None if first is None else functools.reduce(merge, parts, first)
-
-
-def mapped(logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None) -> Iterator[P]:
-    """Yield the parts of all logs, in their order; see `reduced`."""
     if isinstance(logs, LogSet):
         return logs.mapped(part, opens)
     return (part(log, number) for number, log in enumerate(logs))
@@ -228,7 +209,6 @@ class _Task(Generic[P]):
     folder: Path
 
     def __call__(self, item: tuple[int, Path | Recording]) -> tuple[LogNote, P]:
-        """Work on one log and its number."""
         number, given = item
         if isinstance(given, Recording):
             return _note_of(given), self.part(given, number)

@@ -129,15 +129,9 @@ SeqidError
 
 
 def documented(keywords: type[Keywords]) -> Callable[[F], F]:
-    """Show shared arguments in the signature of a function and at the end of its docstring.
+    """Show shared arguments, and those of `keywords`, in a function's signature and docstring."""
 
-    Parameters
-    ----------
-    keywords : type
-        What the function takes as `**keywords`. Its docstring ends with the parameters that are
-        its own.
-    """
-
+    # That docstring ends with the parameters that are its own.
     def decorate(function: F) -> F:
         own = inspect.signature(function)
         shown = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD]

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seqid_cli.identify.friction_surface.gravity_separation import Clustered, configurations
+from seqid_cli.identify.friction_surface.gravity_separation import Clustered
 from seqid_cli.identify.friction_surface.trials import Trial
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.model.friction import FrictionSurface
@@ -38,19 +38,18 @@ from seqid_cli.typing import Array
 
 
 class SteadyGroup(NamedTuple):
-    """Trials in one configuration without acceleration's torque, by d_kk `inertia`, kg m^2 (kg)."""
+    """Trials in one configuration with the torque of acceleration taken off."""
 
     trials: list[Trial]
-    inertia: float
+    inertia: float  # d_kk as it was used, kg m^2 (kg where prismatic)
     std_error: float
 
 
 def without_acceleration(
-    robot: Robot, trials: Sequence[Trial], surface: FrictionSurface
+    robot: Robot, groups: Sequence[list[Trial]], surface: FrictionSurface
 ) -> list[SteadyGroup]:
-    """Take the torque of what acceleration is left (Eq. 25) off one joint's trials, by groups."""
+    """Take the torque of what acceleration is left (Eq. 25) off a joint's `configurations`."""
     # So is what friction, by a first estimate, differs by as the speed is not quite constant.
-    groups = configurations(list(trials))
     found = [_inertia_of(robot, group, surface) for group in groups]
     known = np.array([one for one in found if one is not None]).reshape(-1, 4)
     value, white, robust, count = known.T
@@ -77,14 +76,12 @@ def _steady(
     trial: Trial, inertia: float, surface: FrictionSurface, *, max_ratio: float = 2.0
 ) -> Trial:
     """The trial at its mean velocity, without the slices of more than noise and usual push."""
-    # At the ends a controller settles faster than the path follows: what is taken off is as wrong
-    # there as it is large.
+    # At its ends a trial settles faster than its path: what is taken off is as wrong as large.
     mean, pushed = np.full(len(trial.q), trial.velocity), inertia * trial.ddq
     tau = trial.tau - (pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean))
     noise = PER_MEDIAN * float(np.median(np.abs(np.diff(tau, 2)))) / np.sqrt(6.0)
     kept = np.abs(pushed) <= max_ratio * np.hypot(noise, float(np.median(np.abs(pushed))))
-    steady = {name: getattr(trial, name)[kept] for name in ("q", "dq", "ddq", "t", "places")}
-    return replace(trial, tau=tau[kept], **steady)
+    return replace(trial, tau=tau).part(kept)
 
 
 def _inertia_of(
@@ -140,13 +137,13 @@ class HeldJoints:
                 joints[j].add(H, trial.tau - surface.torque(trial.q, trial.dq))
         return replace(none, theta=solve(joints).theta) if len(none.theta) else none
 
-    def means(self, group: Sequence[Trial], places: Sequence[Array]) -> list[Array]:
-        """H_g (K, p) of one joint's trials, means over slices about positions (K, n) of each."""
+    def means(self, group: Sequence[Trial]) -> list[Array]:
+        """H_g (K, p) of one joint's trials, means over their slices."""
         # Gauss's two points: a slice is wide enough to take 1e-4 off gravity at its middle.
         joint, ends = group[0].joint, []
-        for trial, q in zip(group, places, strict=True):
+        for trial in group:
             ahead = np.eye(1, self.robot.n, joint) * trial.velocity * trial.seconds / np.sqrt(12.0)
-            ends += [q - ahead, q + ahead]
+            ends += [trial.places - ahead, trial.places + ahead]
         every = self.columns_of(joint, ends)
         return [(a + b) / 2.0 for a, b in zip(every[::2], every[1::2], strict=True)]
 
@@ -156,12 +153,11 @@ class HeldJoints:
         H = gravity_base_regressor(self.robot, self.basis, np.concatenate(places))[:, joint]
         return np.split(H, np.cumsum([len(q) for q in places])[:-1])
 
-    def standing(self, group: Sequence[Trial], configuration: Array) -> list[Trial]:
-        """The trials of one joint as if the others had stood at a configuration (n,)."""
-        joint = group[0].joint
-        stood = [np.tile(configuration, (len(trial.q), 1)) for trial in group]
-        for places, trial in zip(stood, group, strict=True):
-            places[:, joint] = trial.q
+    def standing(self, group: Sequence[Trial]) -> list[Trial]:
+        """The trials of one joint as if the others had stood where they did in the first."""
+        joint, first = group[0].joint, group[0].configuration
+        moves = np.arange(self.robot.n) == joint
+        stood = [np.where(moves, trial.q[:, None], first) for trial in group]
         was = self.columns_of(joint, [trial.places for trial in group])
         pairs = zip(group, was, self.columns_of(joint, stood), strict=True)
         return [replace(trial, tau=trial.tau - (H - G) @ self.theta) for trial, H, G in pairs]
@@ -171,18 +167,17 @@ class HeldJoints:
         # Readings of both directions have errors of their own, of which friction feels half the
         # difference. Those of joints whose readings never change are no part of it.
         moved = np.ptp(np.concatenate([trial.places for trial in group]), axis=0) > 0.0
-        every = self.unseen(group, [trial.places for trial in group])
-        each = [own * moved / np.sqrt(2.0) for own in every]
+        each = [own * moved / np.sqrt(2.0) for own in self.unseen(group)]
         signed = zip(each, [int(np.argmax(np.sum(own**2, axis=0))) for own in each], strict=True)
         return [np.copysign(np.linalg.norm(own, axis=1), own[:, k]) for own, k in signed]
 
-    def unseen(self, group: Sequence[Trial], places: Sequence[Array]) -> list[Array]:
-        """Torque (K, n) N m of one standard deviation of where others stand, at `places` (K, n)."""
+    def unseen(self, group: Sequence[Trial]) -> list[Array]:
+        """Torque (K, n) N m of one standard deviation of where others stand, trial by trial."""
         joint, n = group[0].joint, self.robot.n
         about = []
-        for trial, q in zip(group, places, strict=True):
+        for trial in group:
             others = (np.arange(n) != joint) & (trial.count > 0.0)
             aside = np.diag(np.where(others, trial.count / np.sqrt(12.0), 0.0))[:, None, :]
-            about.append(np.concatenate([q[None], q + aside]).reshape(-1, n))
+            about.append(np.concatenate([trial.places[None], trial.places + aside]).reshape(-1, n))
         torques = [(H @ self.theta).reshape(n + 1, -1) for H in self.columns_of(joint, about)]
         return [(torque[1:] - torque[0]).T for torque in torques]

@@ -12,14 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
+from seqid_cli.identify.friction_surface import reduction
 from seqid_cli.identify.friction_surface.prior import Evidence, Normal, Sizes
-from seqid_cli.identify.friction_surface.reduction import (
-    MAX_POSITION_ORDER,
-    MAX_VELOCITY_ORDER,
-    Orders,
-    Reduced,
-    SpeedData,
-)
+from seqid_cli.identify.friction_surface.reduction import Orders, Reduced, SpeedData
 from seqid_cli.model.friction_basis import tensor
 from seqid_cli.typing import Array, Mask
 
@@ -49,8 +44,7 @@ class SurfaceFit:
     @cached_property
     def whole(self) -> tuple[Array, Array]:
         """Entries (k,) of the whole surface and their covariance (k, k)."""
-        mean, covariance, _ = self.normal.posterior(self.prior.ravel())
-        return mean, covariance
+        return self.normal.posterior(self.prior.ravel())[:2]
 
     def entries(self, orders: Orders) -> Array:
         """Entries (size, l + 1) N m of a surface of fewer orders."""
@@ -58,8 +52,7 @@ class SurfaceFit:
 
     def covariance(self, orders: Orders) -> Array:
         """Covariance of those entries, row-major."""
-        # It is scaled so that the mean variance over both ranges is that of the whole surface: what
-        # is left out has an error too.
+        # With the mean variance of the whole surface over both ranges: what is left out errs too.
         kept = np.flatnonzero(self._kept(orders))
         found = self.whole[1][np.ix_(kept, kept)]
         columns, error = self._grid
@@ -124,9 +117,10 @@ class SurfaceFit:
 
 def highest_orders(sets: Sequence[Reduced], asked: Asked) -> Orders:
     """The orders that the data, or the user, allow at most."""
+    levels = min(len(own.levels) for own in sets)
+    most = min(reduction.MAX_VELOCITY_ORDER, max(levels - 1, 0))
     position, velocity = asked
-    most = min(MAX_VELOCITY_ORDER, max(min(len(own.levels) for own in sets) - 1, 0))
-    allowed = MAX_POSITION_ORDER if position is None else position
+    allowed = reduction.MAX_POSITION_ORDER if position is None else position
     return Orders(allowed, most if velocity is None else velocity)
 
 
@@ -134,8 +128,7 @@ def fit_surfaces(
     sets: Sequence[Reduced], asked: Asked = (None, None), near: Sizes | None = None
 ) -> tuple[list[SurfaceFit], float]:
     """Fit one surface to each set of trials, with sizes of terms and errors in common."""
-    # Sizes are searched from those `near`. Twice the logarithm of the marginal likelihood of all
-    # slices comes second.
+    # Sizes are searched from those `near`. Twice the log marginal likelihood comes second.
     highest = highest_orders(sets, asked)
     sizes, evidence = Evidence(sets, highest).strongest(near)
     return [SurfaceFit(own, sizes, highest) for own in sets], evidence
@@ -148,12 +141,11 @@ def choose_orders(
     highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
     good = accept or (lambda orders: all(fit.deviation(orders) <= DEVIATION for fit in fits))
     position, velocity = asked
-    l = min(1, highest.velocity) if velocity is None else velocity
-    lowest = Orders(0 if position is None else position, l)
+    lowest = min(1, highest.velocity) if velocity is None else velocity
     steps = [
         Orders(m, l)
-        for m in range(lowest.position, highest.position + 1)
-        for l in range(lowest.velocity, highest.velocity + 1)
+        for m in range(position or 0, highest.position + 1)
+        for l in range(lowest, highest.velocity + 1)
     ]
     steps.sort(key=lambda orders: size(orders.position) * (orders.velocity + 1))
     return next((orders for orders in steps[:-1] if good(orders)), steps[-1])

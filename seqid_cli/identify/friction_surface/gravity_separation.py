@@ -13,7 +13,6 @@ and depends on the position alone, as the torque of a spring or a cable does, is
 left in, it would be friction's noise.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -29,7 +28,7 @@ from seqid_cli.typing import Array, Index, Mask
 
 @dataclass(frozen=True)
 class GravityGroup:
-    """Trials in one configuration with p_xi (2,) kg m; `beyond` is torque that is not gravity's."""
+    """Trials in one configuration, p_xi (2,) kg m, torque `beyond` gravity over the position."""
 
     robot: Robot
     trials: list[Trial]
@@ -51,21 +50,21 @@ class GravityGroup:
 
 @dataclass(frozen=True)
 class GravityFit:
-    """p_xi of every configuration; `asymmetry` is the direction-dependent share of friction."""
+    """p_xi of every configuration that has pairs."""
 
     groups: list[GravityGroup]
-    unpaired: int
+    unpaired: int  # trials of the other configurations
     directional: bool = False
-    asymmetry: float = 0.0
+    asymmetry: float = 0.0  # share of friction that depends on the direction
 
 
 @dataclass(frozen=True)
 class Clustered:
-    """Least squares: residual `left`, inverse normal matrix `bread`, clusters' pulls `moves`."""
+    """Least squares of rows that share errors in clusters, which pull theta by `moves` (G, p)."""
 
     theta: Array
-    left: Array
-    bread: Array
+    left: Array  # residual
+    bread: Array  # inverse of the normal matrix
     moves: Array
 
     @classmethod
@@ -121,40 +120,37 @@ def _half_sums(group: list[Trial]) -> list[Array]:
 
 
 def fit_gravity(
-    robot: Robot, joint: int, trials: list[Trial], *, degree: int = 8, clear: float = 0.7
+    robot: Robot, groups: list[list[Trial]], *, degree: int = 8, clear: float = 0.7
 ) -> GravityFit:
-    """Fit p_xi per configuration to the half-sums, with or without direction dependence."""
+    """Fit p_xi to the half-sums of a joint's `configurations`, friction alike both ways or not."""
+
     # What depends on the position is a polynomial of some `degree`; another law is clearly better
     # where it leaves less than `clear` of the squares.
-    groups = configurations(trials)
-    pairs = [_half_sums(group) for group in groups]
-    places = [np.concatenate([np.zeros(0), *(pair[:, 0] for pair in own)]) for own in pairs]
-    a = [
-        gravity_columns(robot, joint, group[0].configuration, q)
-        for group, q in zip(groups, places, strict=True)
-    ]
-    kept = [k for k, own in enumerate(pairs) if own]
-    if len(kept) < len(groups) and not any(own.shape[1] for own in a):
-        none = np.zeros(0)  # nothing to remove, no twin needed
+    def columns_of(group: list[Trial], q: Array) -> Array:
+        return gravity_columns(robot, group[0].joint, group[0].configuration, q)
+
+    none, paired = np.zeros(0), [(g, pairs) for g in groups if (pairs := _half_sums(g))]
+    if len(paired) < len(groups) and not any(columns_of(g, none).shape[1] for g in groups):
+        # Nothing to remove, no twin needed.
         return GravityFit([GravityGroup(robot, group, none, none) for group in groups], 0)
-    unpaired = len(trials) - sum(len(groups[k]) for k in kept)
-    if not kept:
+    unpaired = sum(map(len, groups)) - sum(len(group) for group, _ in paired)
+    if not paired:
         return GravityFit([], unpaired)
-    table = _Pairs([pair for k in kept for pair in pairs[k]], degree, clear)
-    columns = block_diag(*(a[k] for k in kept))
-    # A share of friction may depend on the direction, or an offset; the gravity force of a
-    # prismatic joint is itself an offset.
+    table = _Pairs([pair for _, pairs in paired for pair in pairs], degree, clear)
+    a = [columns_of(group, np.vstack(pairs)[:, 0]) for group, pairs in paired]
+    columns, kept = block_diag(*a), [group for group, _ in paired]
+    # A share of friction may depend on the direction, or an offset, as a slide's gravity is one.
     slope = table.speed / table.speed.max()
     extras = [np.stack([x, slope], 1) for x in (table.dry(), np.ones_like(table.q))]
-    if robot.chain.prismatic[joint] and columns.shape[1]:
+    if robot.chain.prismatic[kept[0][0].joint] and columns.shape[1]:
         extras = [slope[:, None]]
     plain, other, extra, beyond = table.both_ways(columns, extras)
-    share, directional = _asymmetry(plain, other, extra, [groups[k] for k in kept])
+    share, directional = _asymmetry(plain, other, extra, kept)
     found = other if directional else plain
-    ends = np.cumsum([0, *(a[k].shape[1] for k in kept)])
+    ends = pairwise(np.cumsum([0, *(own.shape[1] for own in a)]))
     fitted = [
-        GravityGroup(robot, groups[k], found.theta[i:j], found.std_error[i:j], beyond)
-        for k, (i, j) in zip(kept, pairwise(ends), strict=True)
+        GravityGroup(robot, group, found.theta[i:j], found.std_error[i:j], beyond)
+        for group, (i, j) in zip(kept, ends, strict=True)
     ]
     return GravityFit(fitted, unpaired, directional, share)
 
@@ -162,7 +158,7 @@ def fit_gravity(
 class _Pairs:
     """Half-sums of a joint, row by row (N,), and the pair that each is of, numbered from 0."""
 
-    def __init__(self, pairs: Sequence[Array], degree: int, clear: float) -> None:
+    def __init__(self, pairs: list[Array], degree: int, clear: float) -> None:
         self.q, self.tau, self.friction, self.speed, weight = np.vstack(pairs).T
         self.root = np.sqrt(weight)
         self.lengths = [len(pair) for pair in pairs]
@@ -178,15 +174,13 @@ class _Pairs:
         return np.asarray(columns[:, :-1] @ found[:-1])
 
     def both_ways(
-        self, columns: Array, extras: Sequence[Array], *, enough_pairs: int = 8
+        self, columns: Array, extras: list[Array], *, enough_pairs: int = 8
     ) -> tuple[Clustered, Clustered, Array, Chebyshev | None]:
         """Fit what both ways have: gravity's columns (N, p), these with the best of `extras`."""
         # Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up.
         # Returns both fits, the extra one, and what is left over the position.
         cut = 1 if len(self.lengths) >= enough_pairs else 4
-        block = np.concatenate(
-            [k * cut + np.arange(n) * cut // n for k, n in enumerate(self.lengths)]
-        )
+        block = np.hstack([k * cut + np.arange(n) * cut // n for k, n in enumerate(self.lengths)])
 
         def fits(y: Array) -> tuple[Clustered, Clustered, Array]:
             """The first of several, or one that leaves clearly less than those before it."""

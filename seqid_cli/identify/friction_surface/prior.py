@@ -19,14 +19,11 @@ their degrees,
 
 The eight sizes and both powers maximise the marginal likelihood of all slices (C. E. Rasmussen and
 C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, Sec. 5.4), which, as restricted
-likelihood does, allows for what the surface takes. What the data do not tell stays near its usual
-value.
+likelihood does, allows for what the surface takes. What data do not tell stays near what is usual.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor
@@ -43,12 +40,11 @@ SPREAD = float(np.log(10.0))  # standard deviation of a size's logarithm about t
 
 @dataclass(frozen=True)
 class Sizes:
-    """Standard deviations, N m.
+    """Standard deviations, N m, of the surface's terms over `position`, `speed` and `both`.
 
-    Of the surface's terms over `position`, over `speed` and over `both`; of a `trial`'s own offset,
-    of its `slow` changes, of its `unsteady` speed if it is the fastest, of its `edge`s; of the
-    white `noise` of one sample. `broad` holds for Coulomb and viscous friction. `over_position` and
-    `over_speed` are the powers with which variances fall.
+    Then of a `trial`'s own offset, of its `slow` changes, of its `unsteady` speed if it is the
+    fastest, of its `edge`s; of the white `noise` of one sample. `over_position` and `over_speed`
+    are the powers with which variances fall. `broad`, of Coulomb and viscous friction, is fixed.
     """
 
     position: float
@@ -90,32 +86,24 @@ class Sizes:
         return found
 
 
-NAMES = tuple(field.name for field in fields(Sizes))[:-1]  # of those that are searched
-
-
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations of a surface's entries, row-major: N (k, k) d = b (k,).
-
-    `phi` (T, r) are the trials' functions of speed, `own` (4, T, p) the variances of their own
-    terms (`Sizes.own`), `inverse` (T, p, p) the inverses of their covariances V_k, `S` (T, p, p)
-    = R' V^-1 R, `log_size` and `power` sum log det V_k and z' V^-1 z.
-    """
+    """Normal equations of a surface's entries, row-major: N (k, k) d = b (k,)."""
 
     N: Array
     b: Array
-    phi: Array
-    own: Array
-    inverse: Array
-    S: Array
-    log_size: float
-    power: float
+    phi: Array  # (T, r) the trials' functions of speed
+    own: Array  # (4, T, p) variances of their own terms (`Sizes.own`)
+    inverse: Array  # (T, p, p) of their covariances V_k
+    S: Array  # (T, p, p) = R' V^-1 R
+    log_size: float  # sum of log det V_k
+    power: float  # sum of z' V^-1 z
 
     @classmethod
-    def of(cls, reduced: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14) -> Normal:
+    def of(cls, trials: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14) -> "Normal":
         """Add up the trials; `order` is that over speed."""
-        R, z, phi = reduced.R, reduced.z, reduced.over_speed(order)
-        own = sizes.own(reduced.scaling, reduced.size, reduced.speeds)
+        R, z, phi = trials.R, trials.z, trials.over_speed(order)
+        own = sizes.own(trials.scaling, trials.size, trials.speeds)
         scaled = R * np.sqrt(own.sum(axis=0))[:, None, :]
         V = scaled @ scaled.transpose(0, 2, 1)
         diagonal = np.arange(V.shape[1])
@@ -128,10 +116,9 @@ class Normal:
         p, r = V.shape[1], phi.shape[1]
         both = S.reshape(-1, p * p).T @ _products(phi)
         N = both.reshape(p, p, r, r).transpose(0, 2, 1, 3).reshape(p * r, p * r)
-        b = (t.T @ phi).ravel()
         log_size = float(np.linalg.slogdet(V)[1].sum())
         power = float(np.sum(z * (inverse @ z[:, :, None])[:, :, 0]))
-        return cls(N, b, phi, own, inverse, S, log_size, power)
+        return cls(N, (t.T @ phi).ravel(), phi, own, inverse, S, log_size, power)
 
     def posterior(self, prior: Array) -> tuple[Array, Array, float]:
         """Mean (k,), covariance (k, k) and log det(1 + P^1/2 N P^1/2), P = diag(prior^2) (k,)."""
@@ -178,8 +165,7 @@ class Evidence:
 
     def sizes(self, logs: Array) -> Sizes:
         """Sizes from the logarithms (10,) of what they are times the usual ones."""
-        values = (self.usual * np.exp(logs)).tolist()
-        return Sizes(**dict(zip(NAMES, values, strict=True)), broad=self.broad)
+        return Sizes(*np.append(self.usual * np.exp(logs), self.broad).tolist())
 
     def __call__(self, logs: Array) -> tuple[float, Array]:
         """Twice the negative logarithm, but for a constant, and its gradient (10,)."""
@@ -211,16 +197,13 @@ class Evidence:
 
     def strongest(self, near: Sizes | None = None, *, limit: float = 5.0) -> tuple[Sizes, float]:
         """The sizes of the largest marginal likelihood, from those `near`; twice its logarithm."""
-        start, furthest = np.zeros(len(self.usual)), limit * self.spread
-        logs = None
+        start, furthest, logs = np.zeros(len(self.usual)), limit * self.spread, None
         if near is not None:
-            values = np.array([getattr(near, name) for name in NAMES])
-            start = np.clip(np.log(values / self.usual), -furthest, furthest)
+            start = np.log(np.array(astuple(near)[:-1]) / self.usual).clip(-furthest, furthest)
             logs = self._polished(start)
         if logs is None:
             bounds = [(-far, far) for far in furthest.tolist()]
-            found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
-            about = np.asarray(found.x, dtype=np.float64)
+            about: Array = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds).x
             logs = self._polished(about)
             logs = about if logs is None else logs
         return self.sizes(logs), -self(logs)[0]
@@ -260,11 +243,10 @@ class Evidence:
         pulled = (own.R.transpose(0, 2, 1) @ white[:, :, None])[:, :, 0] ** 2
         pulled += np.sum((normal.S @ variance) * normal.S, axis=2)
         by_term = np.diagonal(normal.S, axis1=1, axis2=2) - pulled
-        by_kind = np.sum(by_term * normal.own, axis=(1, 2))
         weighed = normal.inverse @ own.R
         by_noise = np.trace(normal.inverse, axis1=1, axis2=2).sum() - np.sum(white**2)
         by_noise -= np.sum((weighed @ variance) * weighed)
-        return np.append(by_kind, sizes.noise**2 * by_noise)
+        return np.append(np.sum(by_term * normal.own, axis=(1, 2)), sizes.noise**2 * by_noise)
 
 
 def _products(phi: Array) -> Array:

@@ -15,7 +15,6 @@ distance in their trial. Before there is a surface, medians stand in: of each tr
 positions, of each position over the trials. What all trials have at one position is friction.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,21 +41,16 @@ class Orders:
 
 @dataclass(frozen=True)
 class SpeedData:
-    """One trial: slice positions (K,) rad, friction (K,) N m, weights (K,) in samples.
-
-    `edges` (K, 2) are how near, in time, each slice is to the begin and to the end; `push` (K,) N m
-    and `doubt` (K,) N m are what friction is wrong by if the joint's inertia, and how far others
-    gave way, are wrong by one standard error.
-    """
+    """One trial, by K slices."""
 
     speed: float
     direction: int
-    q: Array
-    friction: Array
-    weight: Array
-    edges: Array
-    push: Array
-    doubt: Array
+    q: Array  # (K,) rad
+    friction: Array  # (K,) N m
+    weight: Array  # (K,) samples
+    edges: Array  # (K, 2) how near, in time, they are to the begin and to the end
+    push: Array  # (K,) N m that friction is wrong by if the inertia is by one standard error
+    doubt: Array  # (K,) N m likewise if it is how far other joints gave way
 
     @property
     def belongs(self) -> Mask:
@@ -64,7 +58,7 @@ class SpeedData:
         return np.asarray(self.weight > COUNTS * self.weight.max(initial=0.0))
 
 
-def around_medians(data: Sequence[SpeedData], *, bins: int = 24) -> list[Array]:
+def around_medians(data: list[SpeedData], *, bins: int = 24) -> list[Array]:
     """Distances (K,) N m of slices from medians over positions and over trials."""
     middles = [item.friction - np.median(item.friction) for item in data]
     q, values = np.concatenate([item.q for item in data]), np.concatenate(middles)
@@ -78,23 +72,19 @@ def around_medians(data: Sequence[SpeedData], *, bins: int = 24) -> list[Array]:
 
 
 def weighted(
-    data: Sequence[SpeedData],
-    distances: Sequence[Array],
-    *,
-    min_scatter: float = 1e-9,
-    max_ratio: float = 4.685,
+    data: list[SpeedData], off: list[Array], *, min_scatter: float = 1e-9, max_ratio: float = 4.685
 ) -> list[SpeedData]:
-    """Weight slices by `distances` (K,) N m: by noise, and little where they do not belong."""
+    """Weight slices that are `off` (K,) N m: by noise, and little where they do not belong."""
     # No scatter below `min_scatter` of the usual friction is believed. Tukey's weight is zero
     # beyond `max_ratio` scales: 95 % efficient for normal errors.
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
-    found = [median_abs_deviation(own, scale="normal") for own in distances]
+    found = [median_abs_deviation(own, scale="normal") for own in off]
     scales = np.maximum(found, max(min_scatter * level, 1e-300))
     variances = scales**2 * np.array([float(np.median(item.weight)) for item in data])
     shares = np.minimum(float(np.median(variances)) / variances, 1.0)
     tukey = [
         np.clip(1.0 - (own / (max_ratio * scale)) ** 2, 0.0, None) ** 2
-        for own, scale in zip(distances, scales, strict=True)
+        for own, scale in zip(off, scales, strict=True)
     ]
     return [
         replace(item, weight=item.weight * share * own)
@@ -104,20 +94,16 @@ def weighted(
 
 @dataclass(frozen=True)
 class Reduced:
-    """Trials after step 1: T of them, p functions of position and four columns more each.
-
-    `speeds` (T,) rad/s, `u` (T,) scaled, `R` (T, p + 4, p + 4), `z` (T, p + 4), `rest` (T,) squares
-    that no such function takes, `total` (T,) sums of weights, `slices` (T,) how many.
-    """
+    """Trials after step 1: T of them, p functions of position and four columns more each."""
 
     scaling: Scaling
-    speeds: Array
-    u: Array
-    R: Array
-    z: Array
-    rest: Array
-    total: Array
-    slices: Array
+    speeds: Array  # (T,) rad/s
+    u: Array  # (T,) scaled
+    R: Array  # (T, p + 4, p + 4)
+    z: Array  # (T, p + 4)
+    rest: Array  # (T,) squares that no such function takes
+    total: Array  # (T,) sums of weights
+    slices: Array  # (T,) how many
 
     @property
     def size(self) -> int:
@@ -140,7 +126,7 @@ class Reduced:
 
 
 def reduce_trials(
-    data: Sequence[SpeedData], scaling: Scaling, *, empty_share: float = 1e-12
+    data: list[SpeedData], scaling: Scaling, *, empty_share: float = 1e-12
 ) -> Reduced:
     """Reduce every trial to its R factor (Eq. 8); rows below `empty_share` of it are rounding."""
     parts = []

@@ -7,10 +7,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from seqid_cli.errors import QualityError
-from seqid_cli.identify.friction_surface import reduction, summary
+from seqid_cli.identify.friction_surface import gravity_separation, reduction, summary
 from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
 from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_surfaces
-from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
+from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.trials import collect_trials, speed_levels
 from seqid_cli.identify.options import FrictionOptions
@@ -27,8 +27,6 @@ def identify_friction(
     recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
 ) -> FrictionStage:
     """Identify the friction surface of every joint that the logs move at constant velocity."""
-    # Raises QualityError if no joint moves by itself at constant velocity, or the orders ask for
-    # more speeds than there are.
     trials = collect_trials(recordings, robot)
     if not trials:
         logs = [str(getattr(log, "path", log)) for log in getattr(recordings, "logs", recordings)]
@@ -41,7 +39,8 @@ def identify_friction(
     reasons = dict.fromkeys(range(robot.n), "no constant-velocity trial moves this joint")
     for j in sorted({trial.joint for trial in trials}):
         reasons[j] = UNPAIRED
-        gravity = fit_gravity(robot, j, [trial for trial in trials if trial.joint == j])
+        own = [trial for trial in trials if trial.joint == j]
+        gravity = gravity_separation.fit_gravity(robot, gravity_separation.configurations(own))
         if gravity.groups:
             firsts[j] = _fit(robot, j, gravity, options)
     surfaces = [firsts[j].surface if j in firsts else None for j in range(robot.n)]
@@ -49,7 +48,7 @@ def identify_friction(
     joints, verdicts, notes = {}, [], []
     for j, joint in enumerate(robot.joints):
         first, verdict = firsts.get(j), Verdict(joint=joint.name, good=False, reason=reasons[j])
-        steady = _steady_gravity(robot, j, first, held) if first else None
+        steady = _steady_gravity(robot, first, held) if first else None
         if first and steady and steady.groups:
             fit = _fit(robot, j, steady, options, near=first.parts[0][1].sizes, held=held)
             unpaired = first.gravity.unpaired
@@ -64,12 +63,11 @@ def identify_friction(
     return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
 
 
-def _steady_gravity(robot: Robot, j: int, first: summary.Fit, held: HeldJoints) -> GravityFit:
+def _steady_gravity(robot: Robot, first: summary.Fit, held: HeldJoints) -> GravityFit:
     """Gravity once more: first surfaces show what acceleration is left, and how others gave way."""
-    groups = [held.standing(group.trials, group.configuration) for group in first.gravity.groups]
-    stood = [trial for group in groups for trial in group]
+    stood = [held.standing(group.trials) for group in first.gravity.groups]
     steady = without_acceleration(robot, stood, first.surface)
-    return fit_gravity(robot, j, [trial for group in steady for trial in group.trials])
+    return gravity_separation.fit_gravity(robot, [group.trials for group in steady])
 
 
 def _fit(
@@ -142,18 +140,11 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reducti
     for group in gravity.groups:
         doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
         for trial, doubt in zip(group.trials, doubts, strict=True):
-            direction = 1 if trial.velocity > 0 else -1
-            item = reduction.SpeedData(
-                speed=trial.speed,
-                direction=direction,
-                q=trial.q,
-                friction=direction * (trial.tau - group.torque(trial.q)),
-                weight=np.full(len(trial.q), trial.weight),
-                edges=reduction.edges_of(trial.t, trial.seconds),
-                push=direction * trial.inertia_error * trial.ddq,
-                doubt=doubt,
-            )
-            data.append(item)
+            way, q, t = 1 if trial.velocity > 0 else -1, trial.q, trial.t
+            friction, push = trial.tau - group.torque(q), trial.inertia_error * trial.ddq
+            weight, edges = np.full(len(q), trial.weight), reduction.edges_of(t, trial.seconds)
+            measured = q, way * friction, weight, edges, way * push, doubt
+            data.append(reduction.SpeedData(trial.speed, way, *measured))
     return [
         replace(item, speed=float(np.mean([other.speed for other in level])))
         for level in speed_levels(data)

@@ -42,11 +42,6 @@ class Errors:
         return np.maximum(np.abs(self.error) - NOISES * self.noise, 0.0)
 
     @property
-    def rms(self) -> float:
-        """RMS error, N m."""
-        return _rms(self.error)
-
-    @property
     def relative(self) -> float:
         """Largest error beyond noise over friction; over 0.2 of its RMS where it is near zero."""
         friction = np.maximum(np.abs(self.friction), NEAR_ZERO * _rms(self.friction))
@@ -63,8 +58,7 @@ Part = tuple[list[SpeedData], SurfaceFit]  # of both directions, or of one
 
 def errors_of(parts: list[Part], orders: Orders, *, unseen: bool, group_size: int = 16) -> Errors:
     """Errors of surfaces of some orders that have seen everything, over groups of slices."""
-    # If `unseen`, those at inner speeds are of surfaces that have not seen them. With three speeds
-    # or fewer nothing is left out.
+    # If `unseen`, those at inner speeds, of four speeds or more, are of surfaces without them.
     rows = []
     for data, fit in parts:
         whole, leave = fit.entries(orders), unseen and len(fit.reduced.levels) >= FEWEST_SPEEDS
@@ -111,8 +105,8 @@ def summarise(
         velocity_order=fit.orders.velocity,
         max_error=unseen.relative,
         max_abs_error=float(np.abs(unseen.error).max()),
-        rmse=fitted.rms,
-        held_out_rmse=unseen.rms if len(levels) >= FEWEST_SPEEDS else None,
+        rmse=_rms(fitted.error),
+        held_out_rmse=_rms(unseen.error) if len(levels) >= FEWEST_SPEEDS else None,
         beta=beta,
         criterion_met=unseen.relative <= beta,
         position_range=list(surface.scaling.position),
@@ -161,8 +155,8 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
             backward=sum(item.direction < 0 for item in own),
             friction=_rms(fitted.at(u).friction),
             std_error=_rms(fit.surface.std_error(q, v)),
-            rmse=fitted.at(u).rms,
-            left_out=unseen.at(u).rms if inner else None,
+            rmse=_rms(fitted.at(u).error),
+            left_out=_rms(unseen.at(u).error) if inner else None,
         )
         result.append(level)
     return result
@@ -201,30 +195,20 @@ def _verdict(
 def _notes(name: str, joint: FrictionJoint, beyond: Chebyshev | None, unpaired: int) -> list[str]:
     """What is to be said of a joint; `beyond` is torque over the position that is no gravity."""
     size = float(np.std(beyond(np.linspace(*beyond.domain)))) if beyond is not None else 0.0
-    notes = [
-        (
-            unpaired > 0,
-            f"{unpaired} trial(s) have no twin in the other direction in the same "
-            "configuration and were left out; Eq. 15 needs both",
+    notes = {
+        f"{unpaired} trial(s) have no twin in the other direction in the same configuration and "
+        "were left out; Eq. 15 needs both": unpaired > 0,
+        f"friction depends on direction by {percent(joint.asymmetry or 0.0)}, against the "
+        "assumption of Eq. 15; each direction has its own surface": joint.directional,
+        f"Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the largest error is "
+        f"{percent(joint.max_error)} ({joint.max_abs_error:.3g} {joint.unit})": (
+            not joint.criterion_met
         ),
-        (
-            joint.directional,
-            f"friction depends on direction by {percent(joint.asymmetry or 0.0)}, against "
-            "the assumption of Eq. 15; each direction has its own surface",
-        ),
-        (
-            not joint.criterion_met,
-            f"Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the largest error "
-            f"is {percent(joint.max_error)} ({joint.max_abs_error:.3g} {joint.unit})",
-        ),
-        (
-            beyond is not None,
-            f"torque that depends on the position and is no gravity, {size:.3g} {joint.unit} "
-            "RMS and the same both ways, as of a spring or a cable, is taken off the trials; seqid "
-            "diagnose tells what it is",
-        ),
-    ]
-    return [f"{name}: {text}" for holds, text in notes if holds]
+        f"torque that depends on the position and is no gravity, {size:.3g} {joint.unit} RMS and "
+        "the same both ways, as of a spring or a cable, is taken off the trials; seqid diagnose "
+        "tells what it is": beyond is not None,
+    }
+    return [f"{name}: {text}" for text, holds in notes.items() if holds]
 
 
 def _rms(values: Array) -> float:

@@ -1,6 +1,5 @@
 """Constant-velocity trials: averages over equal slices of time, which replace a low-pass."""
 
-import operator
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -9,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from seqid_cli.identify.log_set import reduced
+from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.regression.equations import open_if_long, survey_of
 from seqid_cli.logs.long import Block, LongLog
 from seqid_cli.logs.recording import Recording, torque_of
@@ -17,24 +16,20 @@ from seqid_cli.motion.blocks import SurveyedLog, joined
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_reach, moving_mask
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 SLICES = 64
 NONE: Array = np.zeros(0)
 
 
 class Ramps(NamedTuple):
-    """How the joint of a trial got up to speed and back: means over windows of time.
+    """How a joint got up to speed and back: means (R,) under windows, `tau = I ddq + ...` holds."""
 
-    `tau = I ddq + ...` holds for means under the same window as it does at an instant; `weight`
-    samples each.
-    """
-
-    q: Array = NONE
+    q: Array = NONE  # rad
     dq: Array = NONE
     ddq: Array = NONE
-    tau: Array = NONE
-    weight: float = 0.0
+    tau: Array = NONE  # N m
+    weight: float = 0.0  # samples of a window
 
 
 @dataclass(frozen=True)
@@ -71,11 +66,16 @@ class Trial:
         """Magnitude of the velocity, rad/s."""
         return abs(self.velocity)
 
+    def part(self, kept: Mask) -> "Trial":
+        """The trial with some of its slices (K,) alone."""
+        names = ("q", "dq", "ddq", "tau", "places", "t")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
     """Constant-velocity trials of all logs, slowest first; InputError where one has no torque."""
-    found = reduced(recordings, partial(trials_of, robot), operator.add, open_if_long) or []
-    return sorted(found, key=lambda trial: trial.speed)
+    logs = mapped(recordings, partial(trials_of, robot), open_if_long)
+    return sorted((trial for found in logs for trial in found), key=lambda trial: trial.speed)
 
 
 def trials_of(
@@ -101,8 +101,7 @@ def pieces(
     between such runs into pieces, each with so many samples more on either side as the search for
     motion reaches; what is found is what the whole log gives. A log that is held is one piece.
 
-    `step` (n,): encoder noise [rad], see `noise_step`. Yields: samples, and the stretches in them,
-    counted from the first of these samples.
+    `step` (n,): encoder noise [rad], see `noise_step`. Yields samples, and stretches within them.
     """
     rate, margin = log.rate_hz, motion_reach(log.rate_hz)
     blocks: Iterable[Block] = ()
@@ -152,22 +151,14 @@ def _trial(
     places[:, j] = path(middles)
     celsius = np.zeros(0) if temperature is None else temperature[stretch.start : stretch.stop, j]
     celsius = celsius[np.isfinite(celsius)]
-    return Trial(
-        joint=j,
-        velocity=stretch.velocity,
-        q=places[:, j].copy(),
-        dq=path.deriv()(middles) / half,
-        ddq=path.deriv(2)(middles) / half**2,
-        tau=block.tau[own, j].reshape(slices, length).mean(axis=1),
-        ramps=_ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch),
-        weight=float(length),
-        configuration=np.array(stretch.configuration),
-        places=places,
-        t=(block.start + stretch.start) / rate_hz + (middles + 1) * half,
-        seconds=length / rate_hz,
-        log=number,
-        celsius=float(celsius.mean()) if len(celsius) else np.nan,
-    )
+    warmth = float(celsius.mean()) if len(celsius) else np.nan
+    dq, ddq = path.deriv()(middles) / half, path.deriv(2)(middles) / half**2
+    tau = block.tau[own, j].reshape(slices, length).mean(axis=1)
+    ramps = _ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch)
+    t = (block.start + stretch.start) / rate_hz + (middles + 1) * half
+    motion = j, stretch.velocity, places[:, j].copy(), dq, ddq, tau, ramps, float(length)
+    where = np.array(stretch.configuration), places
+    return Trial(*motion, *where, t, length / rate_hz, number, warmth)
 
 
 def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
@@ -176,13 +167,12 @@ def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
     # position leave their trace in the speed that a soft controller holds.
     most = max(2, min(most_order, len(q) // 3))
     orders = range(min(3, most), most + 1)
-    fits = [Chebyshev.fit(time, q, order, domain=[-1, 1]) for order in orders]
 
     def score(fit: Chebyshev) -> float:
         square = max(float(np.mean((q - fit(time)) ** 2)), 1e-24)
         return float(len(q) * np.log(square) + len(fit.coef) * np.log(len(q)))
 
-    return min(fits, key=score)
+    return min((Chebyshev.fit(time, q, order, domain=[-1, 1]) for order in orders), key=score)
 
 
 def _ramps(

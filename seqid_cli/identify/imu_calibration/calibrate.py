@@ -8,7 +8,6 @@ distance apart, or a single one that is not vertical, settle the angle about the
 leave open is named and never written as a number.
 """
 
-import operator
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
@@ -26,7 +25,7 @@ from seqid_cli.identify.imu_calibration.segments import (
     thinned,
 )
 from seqid_cli.identify.imu_calibration.solve import Fit, fit_constants
-from seqid_cli.identify.log_set import reduced
+from seqid_cli.identify.log_set import mapped
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.imu.link_acceleration import axes_in_link
@@ -45,12 +44,11 @@ def calibrate_imus(
     recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
 ) -> schema.ImuStage:
     """Calibrate every IMU of the robot file; name what these logs do not determine."""
-    # Best joints before the IMUs move one at a time and fast, the others locked in several
-    # configurations.
+    # Best joints before the IMUs move one at a time and fast, others locked in several postures.
     if not robot.imus:
         where, hint = str(robot.source), "describe the IMU in it"
         raise UsageError("the robot file has no [[imu]]", hint=hint, where=where)
-    logs = reduced(recordings, partial(_held, robot, options), operator.add) or []
+    logs = list(mapped(recordings, partial(_held, robot, options)))
     imus, verdicts, notes = {}, [], []
     for imu in robot.imus:
         own = [held[imu.name] for held, _ in logs if imu.name in held]
@@ -69,7 +67,7 @@ def calibrate_imus(
     return schema.ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
 
 
-def _held(robot: Robot, options: MotionOptions, recording: Recording, number: int) -> list[Held]:
+def _held(robot: Robot, options: MotionOptions, recording: Recording, number: int) -> Held:
     motion, found = estimate_motion(recording, robot, options), {}
     cutoff_hz = calibration_cutoff(motion, options.cutoff_hz)
     for imu in robot.imus:
@@ -79,7 +77,7 @@ def _held(robot: Robot, options: MotionOptions, recording: Recording, number: in
             turns = layout(seen).acceleration or seen.gyro
             given = recording, robot, seen, motion
             found[imu.name] = own, *(initial_guess.axis_pairs(*given) if turns else ([], 0.0))
-    return [(found, cutoff_hz)]
+    return found, cutoff_hz
 
 
 def _calibrated(
@@ -89,8 +87,9 @@ def _calibrated(
     every = [segment for segments, *_ in own for segment in segments]
     pairs = [pair for _, found, _ in own for pair in found]
     densities = [density for _, found, density in own if found]
-    most = max(segment.channels for segment in every)
-    segments = thinned([segment for segment in every if segment.channels == most])
+    channels = [len(segment.readings.noise) for segment in every]
+    most = max(channels)
+    segments = thinned([s for s, count in zip(every, channels, strict=True) if count == most])
     seen = replace(imu, gyro=most > len(imu.axes))
     guess = initial_guess.fit_rotation(pairs) if pairs else np.eye(3)
     start = initial_guess.starting_constants(segments, robot, seen, guess)
@@ -203,8 +202,7 @@ def _references(
     pairs: list[initial_guess.Pair], names: tuple[str, ...]
 ) -> dict[str, schema.AxisReference]:
     """The most certain reference of Eq. 30 and 31 for each joint."""
-    known = [(p.joint, p.reference) for p in pairs if p.reference]
-    found = {name: [reference for joint, reference in known if joint == name] for name in names}
+    found = {name: [pair.reference for pair in pairs if pair.joint == name] for name in names}
     return {name: min(own, key=lambda r: r.gain_std_error) for name, own in found.items() if own}
 
 

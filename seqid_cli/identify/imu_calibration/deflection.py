@@ -34,8 +34,7 @@ def _joined(parts: Sequence[Rows]) -> Rows:
 
 def renewed(linear: Sequence[Linearised], sizes: Sizes) -> Sizes:
     """Likeliest sizes, from those that the equations were scaled by."""
-    # A trajectory that a coarse encoder hardly holds takes up jolts: they count in full, whatever
-    # is left of them.
+    # Jolts, which a trajectory takes up that a coarse encoder hardly holds, count in full.
     jolts = likeliest(_joined([x.jolts for x in linear]), sizes).deflection
     return likeliest(_joined([x.deflection for x in linear]), sizes, jolts)
 
@@ -50,8 +49,7 @@ def likeliest(
     done: float = 1e-12,
 ) -> Sizes:
     """Sizes of the largest likelihood among those of at least `least` rad/s^2 of a node."""
-    # Nothing depends on sizes below `min_size`. After `rounds`, or when none changes by the share
-    # `done`, they are taken.
+    # Nothing depends on sizes below `min_size`. It ends when none changes by the share `done`.
     least = np.maximum(least, min_size)
     noise, deflection = start.noise, np.maximum(start.deflection, least)
     for _ in range(rounds):

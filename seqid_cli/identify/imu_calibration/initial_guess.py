@@ -44,8 +44,8 @@ class Pair:
     imu: Array
     link: Array
     sigma: float
-    joint: str = ""
-    reference: AxisReference | None = None
+    joint: str
+    reference: AxisReference
 
 
 def axis_pairs(
@@ -83,9 +83,8 @@ def _axis_pair(
     clear_sigma: float = 5.0,
 ) -> Pair | None:
     """Eq. 29/32 and 33 for one joint of one log."""
-    # None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or where the IMU
-    # does not see it: the gain is less than `clear_sigma` standard errors, and the direction
-    # noise's.
+    # None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or the IMU does
+    # not see it: the gain is below `clear_sigma` standard errors, and the direction noise's.
     a, encoder = dw[own], motion.ddq[own, j]
     direction = a.T @ encoder
     if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < min_acceleration:
@@ -124,20 +123,21 @@ def _axis_pair(
 def fit_rotation(pairs: list[Pair]) -> Array:
     """Proper rotation R (3, 3) least in sum |R b - m|^2 / sigma^2 (Eq. 38, Wahba's problem)."""
     B, M = (np.array([getattr(p, side) for p in pairs]) for side in ("imu", "link"))
-    if np.linalg.matrix_rank(B, tol=1e-2) == 1:
+    if np.linalg.matrix_rank(B, tol=1e-2) == 1:  # one axis alone: by the smallest angle
         return np.asarray(Rotation.align_vectors(M[0], B[0])[0].as_matrix())
     U, _, Vt = np.linalg.svd((M.T * np.array([p.sigma for p in pairs]) ** -2.0) @ B)
     return np.asarray(U @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))]) @ Vt)
 
 
+Tables = list[tuple[Segment, Array]]  # with f, H, w and one of its nodes (N, 16)
 Sums = tuple[Array, Array, Array]  # x'x (16, 16) of f, H, w, one; x'y (16, C); y'y (C,)
 
 
 def starting_constants(segments: list[Segment], robot: Robot, imu: Imu, guess: Array) -> Constants:
     """Mounting, lever, offset and biases to begin with; `guess` (3, 3) is one of the starts."""
-    tables = [_table(segment, robot, imu) for segment in segments]
-    delay = _delay(segments, tables)
-    sums = _sums(segments, tables, delay)
+    tables = [(segment, _table(segment, robot, imu)) for segment in segments]
+    delay = _delay(tables)
+    sums = _sums(tables, delay)
     # The 24 ways in which a box may be screwed on are starts as well.
     sides = [("y", 90 * a) for a in range(4)] + [("z", 90), ("z", -90)]
     first = [Rotation.from_euler(*side, degrees=True) for side in sides]
@@ -148,12 +148,7 @@ def starting_constants(segments: list[Segment], robot: Robot, imu: Imu, guess: A
 
 
 def _delay(
-    segments: list[Segment],
-    tables: list[Array],
-    *,
-    largest_s: float = 0.5,
-    coarse_s: float = 0.016,
-    better: float = 0.7,
+    tables: Tables, *, largest_s: float = 0.5, coarse_s: float = 0.016, better: float = 0.7
 ) -> float:
     """Clock offset [s] with the least misfit: coarsely over all, then finely about the best."""
 
@@ -162,7 +157,7 @@ def _delay(
         """Shares of the readings' power that the best linear function leaves over."""
         found = []
         for delay in delays:
-            xx, xy, yy = _sums(segments, tables, float(delay))
+            xx, xy, yy = _sums(tables, float(delay))
             scale = np.sqrt(np.maximum(np.diag(xx), 1e-12))
             b = xy / scale[:, None]
             solved = np.linalg.lstsq(xx / np.outer(scale, scale), b, rcond=1e-8)[0]
@@ -171,8 +166,8 @@ def _delay(
             found.append(np.mean(np.maximum(left, 0.0) / power))
         return np.array(found)
 
-    fine = max(segment.spacing for segment in segments)
-    longest = min(segment.samples * segment.spacing for segment in segments)
+    fine = max(segment.spacing for segment, _ in tables)
+    longest = min(segment.samples * segment.spacing for segment, _ in tables)
     coarse = fine * max(1, round(coarse_s / fine))
     count = int(min(largest_s, longest / 4) / coarse)
     delays = np.arange(-count, count + 1) * coarse
@@ -193,10 +188,10 @@ def _table(segment: Segment, robot: Robot, imu: Imu, *, lowest_hz: float = 3.0) 
     return np.hstack([x, np.ones((len(x), 1))])
 
 
-def _sums(segments: list[Segment], tables: list[Array], delay: float) -> Sums:
+def _sums(tables: Tables, delay: float) -> Sums:
     """Sums over readings a delay later, to the nearest sample."""
     total = []
-    for segment, x in zip(segments, tables, strict=True):
+    for segment, x in tables:
         readings = segment.readings
         at = np.round((segment.t + delay - readings.t[0]) / (readings.t[1] - readings.t[0]))
         inside = (at >= 0) & (at < len(readings.t))
@@ -222,7 +217,6 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[fl
     size = np.sqrt(np.maximum(yy / samples - y_mean**2, 1e-6))
 
     axes = nominal_axes(imu)
-    none = np.zeros(len(axes))
 
     def placed(step: Array) -> Mounting:
         turned = Rotation.from_rotvec(step[:3]).as_matrix() @ R
@@ -234,5 +228,5 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[fl
 
     result = least_squares(off, np.zeros(6), method="lm")
     found = placed(result.x)
-    rest = y_mean - found.matrix @ x_mean, none, np.zeros((len(axes), 2))
+    rest = y_mean - found.matrix @ x_mean, np.zeros(len(axes)), np.zeros((len(axes), 2))
     return float(result.cost), Constants(found.R, found.lever, 0.0, *rest)

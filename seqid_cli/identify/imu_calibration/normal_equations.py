@@ -35,73 +35,51 @@ class Local:
 
 @dataclass(frozen=True)
 class Sizes:
-    """What a residual is made of.
+    """What a residual is made of."""
 
-    `noise` (G,) are factors on the variance that raw readings show of theirs, one for each kind of
-    sensor (accelerometers, gyro), `deflection` (n,) the standard deviation of the accelerations by
-    which the joints before the IMU deflect, rad/s^2 of a node.
-    """
-
-    noise: Array
-    deflection: Array
+    noise: Array  # (G,) factors on the variance that raw readings show: accelerometers, gyro
+    deflection: Array  # (n,) rad/s^2 of a node, RMS, by which the joints before the IMU deflect
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Sums of rows r (N, C) over accelerations, by kind of sensor (G).
+    """Sums of rows r (N, C) and slopes A (N, C, n) in joints' accelerations, by kind of sensor."""
 
-    `B` (N, G, n, n) = A'A and `u` (N, G, n) = A'r; A (N, C, n) are the slopes in the accelerations
-    of all joints before the IMU, both over the noise that raw readings show; `squares` (N, G) is
-    r'r, `count` (N, G) of readings, `share` (N,) of a node that each counts.
-    """
-
-    B: Array
-    u: Array
-    squares: Array
-    count: Array
-    share: Array
+    B: Array  # (N, G, n, n) = A'A, both over the noise that raw readings show
+    u: Array  # (N, G, n) = A'r
+    squares: Array  # (N, G) = r'r
+    count: Array  # (N, G) of readings
+    share: Array  # (N,) of a node that each counts
 
 
 @dataclass(frozen=True)
 class Linearised:
-    """A segment about one point: residual `r` (N, C), `J` and border `G`, all whitened.
-
-    `J` (N, C, 3 m) is in q, dq, ddq of the moving joints. The border (N, C, b) is in the
-    constants, then in `Local.own`. `off` (M,) is the residual of the segment's rows, `weights`
-    (N, C) are robust, zero where a reading does not count. `deflection` has rows of the residual,
-    `jolts` of the raw readings' roughness over the root of their number at a node.
-    """
+    """A segment about one point: residual `r`, slopes `J` and border `G`, all whitened."""
 
     segment: Segment
-    r: Array
-    J: Array
-    G: Array
-    off: Array
+    r: Array  # (N, C)
+    J: Array  # (N, C, 3 m) in q, dq, ddq of the moving joints
+    G: Array  # (N, C, b) in the constants, then in `Local.own`
+    off: Array  # (M,) residual of the segment's rows
     outliers: Mask
-    weights: Array
-    deflection: Rows
-    jolts: Rows
+    weights: Array  # (N, C) robust, zero where a reading does not count
+    deflection: Rows  # of the residual
+    jolts: Rows  # of the raw readings' roughness over the root of their number at a node
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """What a segment says of the constants (p,), its trajectory and its own border eliminated.
-
-    `g` (b,) is the gradient in the border without priors, `gradient` and `information` those in the
-    constants. The trajectory moves by `back` (cells, b) with the border, by `free` (cells,) with it
-    at rest; own = `own_free` - `follow` @ step, with the `covariance` of that and the `precision`
-    of the priors on it.
-    """
+    """What a segment says of the constants (p,), its trajectory and its own border eliminated."""
 
     linear: Linearised
-    g: Array
-    back: Array
-    free: Array
-    own_free: Array
+    g: Array  # (b,) gradient in the border without priors
+    back: Array  # (cells, b) by which the trajectory moves with the border
+    free: Array  # (cells,) by which it moves with the border at rest
+    own_free: Array  # what is the segment's own moves by own_free - follow @ step
     follow: Array
-    covariance: Array
-    precision: Array
-    gradient: Array
+    covariance: Array  # of that
+    precision: Array  # of the priors on it
+    gradient: Array  # in the constants
     information: Array
 
     def followed(self, moves: Array) -> Array:

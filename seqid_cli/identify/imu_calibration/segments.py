@@ -4,8 +4,7 @@ Readings are cleaned of spikes and saturation. They and the encoders pass the sa
 low-pass and are kept on nodes a few to a period of its cut-off. A moving joint's position at the
 nodes is an unknown of the fit, which the encoder measures: a fine one by its low-passed codes, a
 coarse one by the edges that it crosses, and a code that lasts counts once however many samples
-repeat it. A locked joint keeps the mean of its codes up to an unknown constant within the encoder's
-step.
+repeat it. A locked joint keeps the mean of its codes up to an unknown constant within its step.
 """
 
 from dataclasses import dataclass
@@ -18,16 +17,10 @@ from scipy.ndimage import binary_dilation, median_filter
 from scipy.sparse import bsr_array, coo_array, csr_array, diags_array, eye_array, kron
 
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.filters import differentiation
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.filters.differentiation import (
-    FIRST,
-    SECOND,
-    SIDE,
-    differentiate,
-    runs,
-    shrink,
-)
+from seqid_cli.motion.filters.differentiation import FIRST, SECOND, SIDE, differentiate
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.smoother.chunk import JERK, EncoderView, bridged, encoder_view
 from seqid_cli.motion.smoother.imus import clipped
@@ -50,8 +43,7 @@ class Readings:
     @property
     def jolts(self) -> float:
         """Variance, of all channels together, of what is rough beyond white noise."""
-        # Jolts faster than the log's rate alias: samples no longer add up to the motion between
-        # them.
+        # Jolts faster than the log's rate alias: samples do not add up to the motion between them.
         known = self.rough[np.isfinite(self.rough).all(axis=1)]
         if not len(known):
             return 0.0
@@ -151,16 +143,10 @@ class Segment:
         """Number of nodes with readings."""
         return len(self.t)
 
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return int(self.readings.values.shape[1])
-
     @cached_property
     def at_samples(self) -> csr_array:
         """q, dq, ddq of the moving joints at the samples (N * 3 * m) of positions at the nodes."""
-        size, width = self.samples, 2 * REACH + 1
-        spacing = self.spacing
+        size, width, spacing = self.samples, 2 * REACH + 1, self.spacing
         weights = np.stack([np.eye(width)[REACH], FIRST / spacing, SECOND / spacing**2])
         rows = np.repeat(np.arange(3 * size), width)
         columns = np.arange(size)[:, None, None] + np.tile(np.arange(width), (3, 1))
@@ -213,9 +199,9 @@ def segments_of(
     views = [encoder_view(recording.q[:, j], float(steps[j])) for j in range(imu.after_joint + 1)]
     source = _Log(log, recording, motion, lowpass, views, readings_of(recording, imu, lowpass))
     # Ends that feel the filter's own ends are not used.
-    usable = shrink(recording.valid, lowpass.settling // 2)
+    usable = differentiation.shrink(recording.valid, lowpass.settling // 2)
     found = []
-    for start, stop in runs(usable, len(usable)):
+    for start, stop in differentiation.runs(usable, len(usable)):
         count = max(1, int(np.ceil((stop - start) / (longest_s * recording.rate_hz))))
         for a, b in pairwise(np.linspace(start, stop, count + 1).astype(int).tolist()):
             piece = source.segment(slice(a, b)) if b - a > shortest_s * recording.rate_hz else None

@@ -67,14 +67,10 @@ class Constants:
     def moved(self, step: Array) -> "Constants":
         """Constants after a step (p,)."""
         bias, gain, tilt = np.split(step[7:], np.array([1, 2]) * len(self.bias))
-        return Constants(
-            R=Rotation.from_rotvec(step[:3]).as_matrix() @ self.R,
-            lever=self.lever + step[3:6],
-            delay=self.delay + float(step[6]),
-            bias=self.bias + bias,
-            log_gain=self.log_gain + gain,
-            tilt=self.tilt + tilt.reshape(-1, 2),
-        )
+        R = Rotation.from_rotvec(step[:3]).as_matrix() @ self.R
+        mounting = R, self.lever + step[3:6], self.delay + float(step[6])
+        tilt = self.tilt + tilt.reshape(-1, 2)
+        return Constants(*mounting, self.bias + bias, self.log_gain + gain, tilt)
 
 
 def nominal_axes(imu: Imu) -> Array:

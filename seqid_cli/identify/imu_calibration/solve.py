@@ -5,8 +5,7 @@ normal priors whose widths come from the data (empirical Bayes: the mean square 
 plus what the data leave open), so good sensors lend their strength to the mounting and bad ones do
 not. Where a joint before the IMU deflects, the accelerations by which it does have the size of the
 largest likelihood (`deflection`). Standard errors are the larger of the model's own and those
-of the scores' long-run variance, summed over blocks of time within which residuals may depend on
-each other as they like.
+of the scores' long-run variance, summed over blocks of time that may be dependent within.
 """
 
 from collections.abc import Sequence
@@ -15,25 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.errors import QualityError
+from seqid_cli.identify.imu_calibration import normal_equations, sensor_model
 from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT, deflections, renewed
-from seqid_cli.identify.imu_calibration.normal_equations import (
-    Local,
-    Reduced,
-    Sizes,
-    linearise,
-    reduced,
-    residual,
-)
+from seqid_cli.identify.imu_calibration.normal_equations import Local, Reduced, Sizes
 from seqid_cli.identify.imu_calibration.segments import Segment
-from seqid_cli.identify.imu_calibration.sensor_model import (
-    FEW,
-    Constants,
-    Widths,
-    first_widths,
-    gauge_information,
-    next_width,
-    prior_of,
-)
+from seqid_cli.identify.imu_calibration.sensor_model import Constants, Widths
 from seqid_cli.params.schema import JointDeflection
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import PER_MEDIAN
@@ -69,19 +54,20 @@ class _State:
     def first(cls, segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> "_State":
         count = len(start.bias)
         locals_ = [Local(s.start, np.zeros(count + len(s.locked))) for s in segments]
-        return cls(segments, robot, imu, start, locals_, first_widths(count))
+        return cls(segments, robot, imu, start, locals_, sensor_model.first_widths(count))
 
     @property
     def prior(self) -> Array:
         """Information (p, p) of the priors on the constants."""
-        prior = prior_of(self.widths)
-        return np.diag(prior**-2.0) + gauge_information(self.imu, len(prior))
+        prior = sensor_model.prior_of(self.widths)
+        return np.diag(prior**-2.0) + sensor_model.gauge_information(self.imu, len(prior))
 
     def noise_scale(self) -> Array:
         """Robust standard deviation (C,) of the low-passed residuals."""
         parts = []
         for segment, own in zip(self.segments, self.locals_, strict=True):
-            r, good, *_ = residual(segment, self.robot, self.imu, self.constants, own)
+            at = segment, self.robot, self.imu, self.constants, own
+            r, good, *_ = normal_equations.residual(*at)
             parts.append(np.where(good, r, np.nan))
         scale = PER_MEDIAN * np.nanmedian(np.abs(np.concatenate(parts)), axis=0)
         return np.asarray(np.maximum(np.nan_to_num(scale, nan=1.0), 1e-6))
@@ -93,13 +79,14 @@ class _State:
         found = []
         for k, (segment, local) in enumerate(zip(self.segments, self.locals_, strict=True)):
             at = segment, self.robot, self.imu, self.constants, local
-            linear = linearise(*at, sigma, sizes, weights[k] if weights else None)
-            found.append(reduced(linear, local, self.widths.drift))
+            own = weights[k] if weights else None
+            linear = normal_equations.linearise(*at, sigma, sizes, own)
+            found.append(normal_equations.reduced(linear, local, self.widths.drift))
         return found
 
     def solved(self, reductions: list[Reduced]) -> tuple[Array, Array]:
         """Step (p,) of the constants and their information (p, p)."""
-        first = -self.constants.values / prior_of(self.widths) ** 2
+        first = -self.constants.values / sensor_model.prior_of(self.widths) ** 2
         gradient = sum((r.gradient for r in reductions), first)
         information = sum((r.information for r in reductions), self.prior)
         information = 0.5 * (information + information.T)
@@ -179,13 +166,14 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
     drift_open = np.array([np.diag(r.covariance)[:c] for r in reductions])
     for own in (slice(0, len(state.imu.axes)), slice(len(state.imu.axes), c)):
         size = len(constants.bias[own])
-        if size >= FEW:
+        if size >= sensor_model.FEW:
             gains = constants.log_gain[own], gain_open[own], widths.gain[own]
-            widths.gain[own] = next_width(*gains)
+            widths.gain[own] = sensor_model.next_width(*gains)
             tilts = constants.tilt[own], tilt_open.reshape(c, 2)[own], widths.tilt[own][:, None]
-            widths.tilt[own] = next_width(*tilts)
+            widths.tilt[own] = sensor_model.next_width(*tilts)
         if size and len(drift) > 1:
-            widths.drift[own] = next_width(drift[:, own], drift_open[:, own], widths.drift[own])
+            drifts = drift[:, own], drift_open[:, own], widths.drift[own]
+            widths.drift[own] = sensor_model.next_width(*drifts)
     return widths
 
 
@@ -203,7 +191,7 @@ def _finished(
     return Fit(
         constants=state.constants,
         covariance=model * np.outer(factor, factor),
-        prior=prior_of(state.widths),
+        prior=sensor_model.prior_of(state.widths),
         kept=sum(int((r.linear.weights > 0).sum()) for r in reductions),
         outliers=sum(int(r.linear.outliers.sum()) for r in reductions),
         converged=converged,
@@ -227,8 +215,7 @@ def _scores(of: Reduced, *, block_s: float = 0.25, block_periods: float = 4.0) -
 def _left_out(reductions: list[Reduced], information: Array) -> float | None:
     """RMS of what each log reads beyond the prediction by all the others, over the fit's own."""
     # Both are whitened residuals after each log's own trajectory; one means that the constants
-    # carry over to a log that they have not seen. What only one log shows cannot be predicted by
-    # the others and does not count.
+    # carry over to a log that they have not seen. What only one log shows does not count.
     logs = sorted({r.linear.segment.log for r in reductions})
     if len(logs) < 2:
         return None

@@ -15,12 +15,8 @@ from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writ
 from seqid_cli.model.effects.fitted import effect_notes
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.document import head, present, robot_id
-from seqid_cli.params.results.prediction import (
-    PREDICTION_SCHEMA,
-    JointError,
-    LogPredictionError,
-    PredictionFile,
-)
+from seqid_cli.params.results import prediction
+from seqid_cli.params.results.prediction import JointError, PredictionFile
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
@@ -52,23 +48,23 @@ def prediction_file(
             own = _both(own, _sums(log))
             write(log)
             if log.last:
-                errors.append(
-                    LogPredictionError(
-                        path=str(log.path),
-                        sha256=log.sha256,
-                        samples=log.samples,
-                        cutoff_hz=log.cutoff_hz,
-                        joints=_joints(own, names),
-                        notes=list(log.notes),
-                        motion=log.motion,
-                    )
+                error = prediction.LogPredictionError(
+                    path=str(log.path),
+                    sha256=log.sha256,
+                    samples=log.samples,
+                    cutoff_hz=log.cutoff_hz,
+                    joints=_joints(own, names),
+                    notes=list(log.notes),
+                    motion=log.motion,
                 )
+                errors.append(error)
                 overall, own = _both(overall, own), none
     joints = _joints(overall, names)
     still = ", ".join(name for name, error in joints.items() if not error.samples)
     notes = [f"never slides in these logs and is not judged: {still}"] if still else []
+    own_verdicts = [*_verdicts(joints, stages, robot), *physics_verdicts(stages, robot)]
     return PredictionFile(
-        **head(PREDICTION_SCHEMA),
+        **head(prediction.PREDICTION_SCHEMA),
         robot=robot_id(robot),
         inputs=logs.inputs(),
         parameters=inputs.ids(),
@@ -76,9 +72,7 @@ def prediction_file(
         joints=joints,
         logs=errors,
         cutoff_origin=cutoff_origin or "chosen per log",
-        verdicts=as_a_whole(
-            [*_verdicts(joints, stages, robot), *physics_verdicts(stages, robot), *logs.verdicts()]
-        ),
+        verdicts=as_a_whole([*own_verdicts, *logs.verdicts()]),
         notes=[*effects, *notes, *logs.notes()],
     )
 
@@ -136,9 +130,7 @@ def _joints(sums: Array, names: tuple[str, ...]) -> dict[str, JointError]:
 def _verdicts(
     joints: dict[str, JointError], stages: Stages, robot: Robot, *, max_relative_rmse: float = 0.3
 ) -> Iterator[Verdict]:
-    """A joint is poor where the model lacks something of it, or its error is too large."""
-    # A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
-    # the measured torque.
+    """A joint is poor where the model lacks something of it, or errs too much to rely on it."""
     bare = stages.inertia is None and not free_basis(robot).gravity.all()
     surfaces = friction_surfaces(stages, robot)
     for (name, error), surface in zip(joints.items(), surfaces, strict=True):

@@ -12,13 +12,8 @@ from scipy.special import beta
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import (
-    motion_use,
-    open_if_long,
-    plan_of,
-    streams,
-    torque_motion,
-)
+from seqid_cli.identify.regression import equations
+from seqid_cli.identify.regression.equations import open_if_long
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
@@ -87,9 +82,8 @@ class LogPrediction:
 
 def slides_from(model: TorqueModel, options: InertiaOptions) -> Array:
     """Speeds (n,) rad/s (m/s where prismatic) from which joints certainly slide."""
-    if options.slides_from is not None:
-        return np.array(options.slides_from)
-    return slowest_speeds(model.surfaces)
+    own = options.slides_from
+    return slowest_speeds(model.surfaces) if own is None else np.array(own)
 
 
 def predict(
@@ -112,7 +106,7 @@ def predict(
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
-    long = streams(stages, options) and local_effects(model, effects)
+    long = equations.streams(stages, options) and local_effects(model, effects)
     one = Predictor(model, stages, options, effects, sliding_only)
     for found in mapped(recordings, one, open_if_long if long else None):
         yield from found
@@ -140,9 +134,10 @@ class Predictor:
         robot = self.model.robot
         every = replace(self.options.motion, samples_per_cutoff=float("inf"))
         if isinstance(log, SurveyedLog):
-            return LongPrediction(replace(log, survey=None), plan_of(log, robot, every), self)
+            plan = equations.plan_of(log, robot, every)
+            return LongPrediction(replace(log, survey=None), plan, self)
         imu, source = self.stages.imu, self.options.source
-        motion = torque_motion(log, robot, every, imu=imu, source=source)
+        motion = equations.torque_motion(log, robot, every, imu=imu, source=source)
         part = self.part(motion, log, slice(None))
         noise = () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
         return [replace(x, notes=(*x.notes, *noise)) for x in self.described([(part, motion)])]
@@ -198,7 +193,7 @@ class Predictor:
             if not used:
                 raise too_short(part.path, part.cutoff_hz)
             shares = counts[1:] / np.maximum(counts[0], 1.0)
-            use = motion_use(part.path, robot, replace(motion, moving=moving[None]))
+            use = equations.motion_use(part.path, robot, replace(motion, moving=moving[None]))
             yield replace(part, notes=tuple(notes_on(self.model, self.stages, *shares)), motion=use)
 
 
@@ -217,11 +212,11 @@ class LongPrediction:
         return {**self.__dict__, "log": replace(self.log, spool=None)}
 
     def __iter__(self) -> Iterator[LogPrediction]:
-        """Yield the log's parts in order."""
         return self.predictor.described(self._parts())
 
     def _parts(self) -> Iterator[tuple[LogPrediction, Motion]]:
         lowpass, log = self.plan.lowpass, self.log
+        # Beside a part, so that the filters forget what lies beyond: parts give what the log does.
         margin = 2 * (lowpass.memory + lowpass.settling)
         with contextlib.ExitStack() as stack:
             if log.spool is None:  # a stored one's copy has gone with its first pass
@@ -248,7 +243,7 @@ class LongPrediction:
 def encoder_notes(
     model: TorqueModel,
     motion: Motion,
-    log: LogPrediction,
+    of: LogPrediction,
     *,
     min_share: float = 0.5,
     places: int = 50,
@@ -264,9 +259,9 @@ def encoder_notes(
         shaken = still.copy()
         shaken[:, j] = error
         square += (model.rigid(q, still, shaken) - rest) ** 2
-    noise, slides = PASSED * np.sqrt(square.mean(axis=0)), log.sliding
+    noise, slides = PASSED * np.sqrt(square.mean(axis=0)), of.sliding
     counts = np.maximum(slides.sum(axis=0), 1)
-    left = np.sqrt(np.sum(np.where(slides, log.residual, 0.0) ** 2, axis=0) / counts)
+    left = np.sqrt(np.sum(np.where(slides, of.residual, 0.0) ** 2, axis=0) / counts)
     loud = [
         f"{joint.name} ({whole:.2g} {joint.unit('N m')})"
         for joint, made, whole in zip(model.robot.joints, noise, left, strict=True)

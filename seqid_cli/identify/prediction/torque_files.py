@@ -36,9 +36,8 @@ def parquet_writer(
     path: Path, joints: Sequence[str], parameters: Sequence[str] = ()
 ) -> Iterator[Callable[[LogPrediction], None]]:
     """Write torques to `path` in one step; yields what appends a log, or a part of one."""
-    # The columns are `t`, `log`, torques of each joint, `used` (whether the errors count the
-    # sample), then position and velocity of each joint. The SHA-256 of the model's files are
-    # metadata.
+    # Columns: `t`, `log`, torques of each joint, `used` (whether the errors count the sample), then
+    # position and velocity of each joint. The SHA-256 of the model's files are metadata.
     kinds = {"t": pa.float64(), "log": pa.string()}
     kinds |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _TORQUES}
     kinds |= {f"{name}.sliding": pa.bool_() for name in joints}
@@ -66,10 +65,8 @@ def _columns(log: LogPrediction) -> list[pa.Array]:
         for kind, values in torques.items():
             columns.append(pa.array(values[:, j], mask=slides if kind in ("low", "high") else None))
     columns.append(pa.array(log.used))
-    for j in range(len(log.sliding.T)):
-        for field in _MOTION.values():
-            columns.append(pa.array(getattr(log, field)[:, j], from_pandas=True))  # NaN is null
-    return columns
+    joints, motion = range(len(log.sliding.T)), [getattr(log, field) for field in _MOTION.values()]
+    return columns + [pa.array(x[:, j], from_pandas=True) for j in joints for x in motion]
 
 
 TOPICS = ("/seqid/measured", "/seqid/predicted", "/seqid/residual", "/seqid/low", "/seqid/high")

@@ -106,9 +106,8 @@ def filtered_regressor(
     """Base regressor of a log in chunks, each filtered with enough overlap to have no seams.
 
     `within`: first and last of the samples that are wanted. `reach`: samples on either side that
-    the low-pass remembers. `beside`: one more column (N, n) of a motion, filtered already. Yields:
-    samples of the chunk, in time order, and their H (N, n, b), filtered like `motion.tau` and valid
-    until the next.
+    the low-pass remembers. `beside`: one more column (N, n) of a motion, filtered already. Yields
+    samples of the chunk, in time order, and H (N, n, b), filtered as `motion.tau`, until the next.
     """
     first, last = (0, motion.samples) if within is None else within
     reach = motion.lowpass.memory if reach is None else reach

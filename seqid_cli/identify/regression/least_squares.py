@@ -11,8 +11,7 @@ columns of links that it does not carry, being zero, cost nothing. What comes ou
 rows of a log and on how they are cut into blocks, not on where the log was reduced: signs are fixed
 and blocks merge in their order. The factors of blocks (about a second of motion each) are kept as
 well, merged pairwise when they become many: the moves of the estimate without one block give
-standard errors that hold for autocorrelated residuals, where the white-noise formula is far too
-small.
+standard errors that hold for autocorrelated residuals; the white-noise formula's are too small.
 """
 
 from collections.abc import Sequence
@@ -39,22 +38,18 @@ RANK_TOLERANCE = 1e-3  # singular value of scaled columns, over the largest, tha
 
 @dataclass
 class Accumulator:
-    """Factors of one joint's equations with p parameters: `blocks` (p + 1, p + 1) of [H y].
-
-    Each block takes `span` additions; the last one has `filled` of them.
-    """
+    """Factors of one joint's equations with p parameters: `blocks` (p + 1, p + 1) of [H y]."""
 
     size: int
     blocks: list[Array] = field(default_factory=list)
     rows: list[int] = field(default_factory=list)
-    span: int = 1
-    filled: int = 1
+    span: int = 1  # additions that a block takes
+    filled: int = 1  # of them in the last one
     _total: Array | None = field(default=None, repr=False, compare=False)
 
     def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
         """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true."""
-        # An empty one keeps the joints' blocks in step. It is cheapest with the samples of a column
-        # next to each other.
+        # An empty one keeps the joints' blocks in step. Cheapest with a column's samples in a row.
         self._total = None
         rows = np.vstack([H.T, y]) if where is None else np.vstack([H.T[:, where], y[where]])
         factor, count = triangular(rows.T), rows.shape[1]
@@ -122,14 +117,11 @@ class Accumulator:
 
 @dataclass(frozen=True)
 class Prior:
-    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,).
-
-    `friction` (k, K_j) and `constants` (k,) are what b moves by, joint by joint, with the
-    coefficients of friction and with the error of a torque constant.
-    """
+    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,)."""
 
     A: Array
     b: Array
+    # By joint what b moves by with coefficients of friction (k, K_j), torque constants' errors (k,)
     friction: dict[int, Array] = field(default_factory=dict)
     constants: dict[int, Array] = field(default_factory=dict)
 
@@ -172,24 +164,23 @@ def solve(
     size = joints[0].size
     totals = [joint.total for joint in joints]
     used = [k for k, joint in enumerate(joints) if joint.samples > size // 4]
-    # First each joint by itself. Not from R's last entry: where columns depend on each other,
-    # rounding decides what is left.
+    # Each joint by itself first, not by R's last entry: rounding decides it where columns depend.
     alone = [_solve_scaled(total)[:2] for total in totals]
     left = [j.residual_rms(x, B.shape[1]) for j, (x, B) in zip(joints, alone, strict=True)]
     sigma = np.maximum(left, 1e-12)
-    known = [totals[k][:, :-1] for k in used] + ([] if prior is None else [prior.A])
-    seen = np.any([_seen(rows) for rows in known], axis=0) if known else np.zeros(size, dtype=bool)
+    told = [] if prior is None else [np.column_stack([prior.A, prior.b])]
+    known = [_seen(rows[:, :-1]) for rows in [*(totals[k] for k in used), *told]]
+    seen = np.any(known, axis=0) if known else np.zeros(size, dtype=bool)
     for _ in range(iterations):
         scale = sigma / np.sqrt(independent)  # of the factor: what follows must use the same
-        stack = [totals[k] / scale[k] for k in used]
-        if prior is not None:
-            stack.append(np.column_stack([prior.A, prior.b]))
+        stack = [totals[k] / scale[k] for k in used] + told
         factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
         theta, basis, left_open, condition, determined = _solve_scaled(factor, seen)
         sigma = np.maximum([joint.residual_rms(theta) for joint in joints], 1e-12)
     rank = basis.shape[1]
     bread = basis @ basis.T
-    moves, designs = _jackknife(joints, used, scale, theta, factor, bread)
+    blocks = {k: joints[k].blocks for k in used}
+    moves, designs = _jackknife(blocks, scale, theta, factor, bread)
     # A direction in which the blocks happen to agree is not known better than white noise allows.
     covariance = spread_of(moves) + white_floor * bread
     if prior is not None:  # of unit variance: no residual to learn it from
@@ -227,12 +218,7 @@ def _solve_scaled(
 
 
 def _jackknife(
-    joints: Sequence[Accumulator],
-    used: list[int],
-    sigma: Array,
-    theta: Array,
-    factor: Array,
-    bread: Array,
+    blocks: dict[int, list[Array]], sigma: Array, theta: Array, factor: Array, bread: Array
 ) -> tuple[Array, Array]:
     """Moves (G, p) of the estimate when one block of time is left out, and designs (n,)."""
     # With G blocks of normal matrix A_b and score s_b the estimate without block b moves by
@@ -240,11 +226,11 @@ def _jackknife(
     # does not shrink when a block has leverage. The scores of one joint alone, over what white
     # noise would make of them, are its design effect.
     normal = factor[:-1, :-1].T @ factor[:-1, :-1]
-    count = max((len(joints[k].blocks) for k in used), default=0)
-    A, s = np.zeros((count, *bread.shape)), np.zeros((len(joints), count, len(theta)))
-    designs = np.ones(len(joints))
-    for k in used:
-        R = np.stack(joints[k].blocks) / sigma[k]
+    count = max(map(len, blocks.values()), default=0)
+    A, s = np.zeros((count, *bread.shape)), np.zeros((len(sigma), count, len(theta)))
+    designs = np.ones(len(sigma))
+    for k, factors in blocks.items():
+        R = np.stack(factors) / sigma[k]
         inner, own = R[:, :, :-1].transpose(0, 2, 1), slice(len(R))
         normals = inner @ R[:, :, :-1]
         A[own] += normals

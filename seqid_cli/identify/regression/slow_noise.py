@@ -33,18 +33,14 @@ STARTS = ((0.0, 0.0, 0.0), (-4.0, 2.0, -4.0))
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows H theta + error = y of one joint, in any order.
-
-    `H` (N, p), `y` (N,) N m, `t` (N,) s within the log, `weight` (N,) samples, `seconds` (N,) the
-    length of a row, `trial` and `log` (N,) which it is of.
-    """
+    """Rows H (N, p) theta + error = y of one joint, in any order; all others (N,)."""
 
     H: Array
-    y: Array
-    t: Array
-    weight: Array
-    seconds: Array
-    trial: Index
+    y: Array  # N m
+    t: Array  # s within the log
+    weight: Array  # samples
+    seconds: Array  # length of a row
+    trial: Index  # which it is of
     log: Index
 
 
@@ -88,8 +84,7 @@ def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> tuple[Array, Arra
     # The lowest frequency of 1/f noise is one over so many `lengths` of the log.
     t, trial = rows.t[at], rows.trial[at]
     common = (trial[:, None] == trial[None, :]).astype(np.float64)
-    longest = max(float(np.ptp(t)), float(rows.seconds[at].max()))
-    low = 1.0 / (lengths * longest)
+    low = 1.0 / (lengths * max(float(np.ptp(t)), float(rows.seconds[at].max())))
     high = np.maximum(1.0 / (2.0 * rows.seconds[at]), 2.0 * low)
     # Each row passes what is below its own frequency.
     lag = 2.0 * np.pi * np.abs(t[:, None] - t[None, :])

@@ -14,7 +14,6 @@ What of d is beyond its own noise, a share 1 - p / W of its square, counts as an
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -26,27 +25,18 @@ from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
 
 Result = tuple[Solution, Posterior]
-
-
-class CutoffCheck(NamedTuple):
-    """What neighbouring cut-offs show.
-
-    `errors` (p, d) are directions of error, one standard deviation each; `differences` are
-    parameters by their place with the multiple of the cut-off and the difference in stated standard
-    errors.
-    """
-
-    errors: Array
-    differences: tuple[tuple[int, float, float], ...] = ()
+# Parameters by their place, the multiple of the cut-off, the difference in stated standard errors.
+Differences = list[tuple[int, float, float]]
 
 
 def cutoff_check(
     own: Result, near: Mapping[float, Result], surfaces: Surfaces, *, clear_sigma: float = 4.0
-) -> CutoffCheck:
-    """Compare an estimate with others, `near` by multiple of the cut-off; report `clear_sigma`."""
+) -> tuple[Array, Differences]:
+    """Compare an estimate with others, `near` by multiple of the cut-off: errors, differences."""
+    # Directions (p, d) of one standard deviation each; differences by `clear_sigma` of their own.
     size = len(own[0].theta)
     stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
-    excess, differences = [], []
+    excess, differences = [], Differences()
     for factor, other in near.items():
         if own[0].moves.shape != other[0].moves.shape:  # their blocks are not alike
             continue
@@ -59,7 +49,7 @@ def cutoff_check(
         for k in np.flatnonzero(known & (np.abs(d) > clear_sigma * error)):
             differences.append((int(k), factor, float(d[k] / max(stated[k], 1e-300))))
     errors = np.array(excess).T / np.sqrt(len(excess)) if excess else np.zeros((size, 0))
-    return CutoffCheck(errors, tuple(differences))
+    return errors, differences
 
 
 def _excess(d: Array, V: Array, *, flat: float = 1e-09) -> float:
@@ -67,17 +57,16 @@ def _excess(d: Array, V: Array, *, flat: float = 1e-09) -> float:
     scale = np.sqrt(np.maximum(np.diag(V), 1e-300))
     value, vector = np.linalg.eigh(V / np.outer(scale, scale))
     kept = value > flat * max(float(value.max(initial=0.0)), 1e-300)
-    along = vector[:, kept].T @ (d / scale)
-    W = float(np.sum(along**2 / value[kept]))
+    W = float(np.sum((vector[:, kept].T @ (d / scale)) ** 2 / value[kept]))
     return float(np.sqrt(max(0.0, 1.0 - float(kept.sum()) / W))) if W > 0 else 0.0
 
 
 def with_cutoff_check(
-    stage: RigidStage, check: CutoffCheck, basis: Basis, *, poor_sigma: float = 3.0
+    stage: RigidStage, differences: Differences, basis: Basis, *, poor_sigma: float = 3.0
 ) -> RigidStage:
     """Note the parameters that depend on the cut-off; poor where one does by `poor_sigma`."""
     own = {p.name for p in stage.parameters}
-    named = [(basis.names[k], at, by) for k, at, by in check.differences if basis.names[k] in own]
+    named = [(basis.names[k], at, by) for k, at, by in differences if basis.names[k] in own]
     text = ", ".join(f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in named)
     note = f"parameters that depend on the cut-off, in stated standard errors: {text}"
     reason = (

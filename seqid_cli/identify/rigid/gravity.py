@@ -11,11 +11,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.friction_surface.corrections import (
-    HeldJoints,
-    SteadyGroup,
-    without_acceleration,
-)
+from seqid_cli.identify.friction_surface import corrections
+from seqid_cli.identify.friction_surface.corrections import HeldJoints, SteadyGroup
+from seqid_cli.identify.friction_surface.gravity_separation import configurations
 from seqid_cli.identify.friction_surface.trials import Trial, collect_trials
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
@@ -68,7 +66,8 @@ class GravityRows:
         if surface is None:
             self.skipped += [self.robot.joint_names[trial.joint] for trial in trials]
             return
-        groups = without_acceleration(self.robot, trials, surface)
+        every = configurations(trials)
+        groups = corrections.without_acceleration(self.robot, every, surface)
         table = self._table(groups, surface)
         if not len(table):
             return
@@ -81,8 +80,7 @@ class GravityRows:
         for number in np.unique(trial):  # each is a block
             self.used += 1
             for k, joint in enumerate(joints):
-                kept = (trial == number) & (k == j)
-                joint.add(H[kept], y[kept, 0])
+                joint.add(H, y[:, 0], (trial == number) & (k == j))
         self.cross[j] = H.T @ F
         for k, each in enumerate(groups):
             self.unseen.append((j, H.T @ (each.std_error * accelerated[:, 0] * (group == k))))
@@ -93,35 +91,29 @@ class GravityRows:
     def _table(
         self, groups: list[SteadyGroup], surface: FrictionSurface, *, group_size: int = 8
     ) -> Array:
-        """Rows of all trials, means over so many slices (`group_size`).
-
-        H, F, where others stand, acceleration, torque, time, samples, seconds; trial, log, group.
-        """
-        every = [(trial, k) for k, group in enumerate(groups) for trial in group.trials]
-        insides = [_settled(trial, surface) for trial, _ in every]
-        used = [n for n, inside in enumerate(insides) if inside.sum() >= group_size]
+        """Rows of all trials, means over so many slices (`group_size`)."""
+        # H, F, where others stand, acceleration, torque, time, samples, seconds; trial, log, group.
+        every = [(k, trial) for k, group in enumerate(groups) for trial in group.trials]
+        settled = [(k, trial.part(_settled(trial, surface))) for k, trial in every]
+        used = [(k, trial) for k, trial in settled if len(trial.q) >= group_size]
         if not used:
             return np.zeros((0, 1))
-        own = [every[n][0] for n in used]
-        places = [trial.places[insides[n]] for n, trial in zip(used, own, strict=True)]
-        by_gravity = zip(self.held.means(own, places), self.held.unseen(own, places), strict=True)
+        own = [trial for _, trial in used]
+        by_gravity = zip(used, self.held.means(own), self.held.unseen(own), strict=True)
         parts = []
-        for n, trial, (H, stood) in zip(used, own, by_gravity, strict=True):
-            q, tau, ddq, t = (x[insides[n]] for x in (trial.q, trial.tau, trial.ddq, trial.t))
-            v = np.full(len(q), trial.velocity)
-            F, y = surface.columns(q, v), tau - surface.torque(q, v)
-            count = len(q) // group_size
-            wide = np.array_split(np.column_stack([H, F, stood, ddq, y, t]), count)
-            slices = len(q) / count
-            about = slices * trial.weight, slices * trial.seconds, n, trial.log, every[n][1]
+        for n, ((k, trial), H, stood) in enumerate(by_gravity):
+            v, count = np.full(len(trial.q), trial.velocity), len(trial.q) // group_size
+            F, y = surface.columns(trial.q, v), trial.tau - surface.torque(trial.q, v)
+            wide = np.array_split(np.column_stack([H, F, stood, trial.ddq, y, trial.t]), count)
+            slices = len(trial.q) / count
+            about = slices * trial.weight, slices * trial.seconds, n, trial.log, k
             means = np.stack([part.mean(axis=0) for part in wide])
             parts.append(np.hstack([means, np.tile(about, (count, 1))]))
         return np.vstack(parts)
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
         """How the parameters move with the coefficients of each joint's friction."""
-        scaled = {j: crossed / solution.sigma[j] ** 2 for j, crossed in self.cross.items()}
-        return {j: -solution.bread @ crossed for j, crossed in scaled.items()}
+        return {j: -solution.bread @ (S / solution.sigma[j] ** 2) for j, S in self.cross.items()}
 
 
 def _settled(
@@ -129,11 +121,10 @@ def _settled(
 ) -> Mask:
     """Slices (K,) of a trial where friction is known and the joint keeps its speed."""
     # Left out are `settling_s` from either end, but no more than `most_share` of the trial.
-    v = np.full(len(trial.q), trial.velocity)
     middle = (trial.t[0] + trial.t[-1]) / 2.0
     half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0
     settled = np.abs(trial.t - middle) < half - min(settling_s, 2.0 * most_share * half)
-    return np.asarray(settled & ~surface.outside(trial.q, v))
+    return np.asarray(settled & ~surface.outside(trial.q, np.full(len(trial.q), trial.velocity)))
 
 
 def _stage(

@@ -1,39 +1,32 @@
 """Inertia stage (Sec. 2.2.4, Eq. 22-26): what gravity left open, from moves of few joints.
 
 Rotor inertias are parameters of their own, acting on their own joint alone (Eq. 43); the data are
-asked whether the gyroscopic coupling to the link that carries the rotor is there too (see
-`rotor_coupling`).
+asked whether the gyroscopic coupling to the link that carries one is there too (`rotor_coupling`).
 """
 
 import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import cast
 
 import msgspec
 import numpy as np
 
 from seqid_cli.errors import InputError, QualityError, UsageError
-from seqid_cli.identify.log_set import reduced
+from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import cutoff_note, open_if_long, source_text, streams
 from seqid_cli.identify.regression.least_squares import Solution
+from seqid_cli.identify.rigid import parameters
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
-from seqid_cli.identify.rigid.parameters import (
-    imu_moves,
-    joint_verdicts,
-    missing_pairs,
-    rigid_stage,
-)
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 
 AllRows = tuple[InertiaRows | None, ...]  # as used, at neighbouring cut-offs, by the encoders
@@ -58,8 +51,9 @@ def identify_inertia(
         others = InertiaEquations(robot, stages, replace(options, source="encoder", motion=motion))
     logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
     opens = open_if_long if others is None and streams(stages, options) else None
-    parts = reduced(logs, partial(_rows_of, equations, others), _all, opens)
-    own, *near, encoder = parts or (None, None)
+    none: AllRows = (None,) * (2 + len(options.neighbours))
+    parts = mapped(logs, partial(_rows_of, equations, others), opens)
+    own, *near, encoder = reduce(_all, parts, none)
     if own is None or not any(joint.samples for joint in own.joints):
         raise QualityError("no joint with known friction moves in these logs")
     known = zip(options.neighbours, near, strict=True)
@@ -98,22 +92,21 @@ def _stage(
 ) -> RigidStage:
     """Solve, decide on the rotor coupling, and describe; `near` by multiples of the cut-off."""
     robot, basis, stages = equations.robot, equations.basis, equations.stages
-    coupling = decide(equations, [rows, *near.values()])
-    share = float(coupling.used)
-    solution, posterior = equations.solved(rows, share)
-    posterior = posterior.with_error(coupling.errors)
-    there = {factor: equations.solved(other, share) for factor, other in near.items()}
-    check = cutoff_check((solution, posterior), there, equations.surfaces)
+    coupled, by_coupling, notes = decide(equations, [rows, *near.values()])
+    solution, posterior = equations.solved(rows, float(coupled))
+    posterior = posterior.with_error(by_coupling)
+    there = {factor: equations.solved(other, float(coupled)) for factor, other in near.items()}
+    by_cutoff, differences = cutoff_check((solution, posterior), there, equations.surfaces)
     imus = stages.imu.imus if stages.imu else {}
     used = {name for use in rows.uses for name in use.imus}
     errors = {name: imus[name].acceleration_std_error or 0.0 for name in used if imus}
     inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, solution.theta)
-    moves = imu_moves(robot, basis, inertia, gear_ratios(robot) ** 2 * equations.rotors, errors)
-    posterior = posterior.with_error(check.errors).with_error(moves)
+    moves = parameters.imu_moves(robot, basis, inertia, equations.reflected, errors)
+    posterior = posterior.with_error(by_cutoff).with_error(moves)
     stage = _described(equations, rows, solution, posterior)
-    kind, notes = "gyroscopic" if coupling.used else "diagonal", [*stage.notes, *coupling.notes]
+    kind, notes = "gyroscopic" if coupled else "diagonal", [*stage.notes, *notes]
     stage = msgspec.structs.replace(stage, rotor_coupling=kind, notes=notes)
-    return with_cutoff_check(stage, check, basis)
+    return with_cutoff_check(stage, differences, basis)
 
 
 def _described(
@@ -129,8 +122,8 @@ def _described(
     robot, basis, gravity = equations.robot, equations.basis, equations.stages.gravity
     known = {p.name for p in gravity.parameters} if gravity else set()
     own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
-    stage = rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
-    pairs = missing_pairs(robot, basis, solution.left_open) if stage.not_excited else []
+    stage = parameters.rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
+    pairs = parameters.missing_pairs(robot, basis, solution.left_open) if stage.not_excited else []
     cutoff = float(np.median([use.cutoff_hz for use in rows.uses]))
     notes = [cutoff_note(rows.uses, equations.options.motion), *stage.notes]
     if pairs:
@@ -138,7 +131,7 @@ def _described(
         notes.append(f"moving these joints together as well would give full rank: {text}")
     idle = "does not move in these logs, or its friction is not known"
     fitted = robot, solution, rows.joints, rows.torque_squares
-    verdicts = joint_verdicts(*fitted, poor_share=poor_share, idle=idle)
+    verdicts = parameters.joint_verdicts(*fitted, poor_share=poor_share, idle=idle)
     good = solution.rank == basis.size and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {basis.size}, condition {solution.condition:.3g}"
     # N m/sqrt(Hz) of each joint as the parameters feel it, slow noise included.

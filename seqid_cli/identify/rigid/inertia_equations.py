@@ -13,14 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import (
-    CHUNK,
-    blocks,
-    filtered_regressor,
-    motion_use,
-    plan_of,
-    torque_motion,
-)
+from seqid_cli.identify.regression import equations
+from seqid_cli.identify.regression.equations import CHUNK
 from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Solution, solve
 from seqid_cli.identify.rigid.posterior import Posterior, gravity_prior
 from seqid_cli.logs.recording import Recording
@@ -66,21 +60,20 @@ class InertiaEquations:
         self.surfaces = friction_surfaces(stages, robot)
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
-        self._reflected = gear_ratios(robot) ** 2 * self.rotors
-        self._scaled = (robot.torque_constant_errors > 0.0) & (self._reflected > 0.0)
+        self.reflected = gear_ratios(robot) ** 2 * self.rotors
+        self._scaled = (robot.torque_constant_errors > 0.0) & (self.reflected > 0.0)
 
     def rows_of(self, log: Recording | SurveyedLog, *, forgotten: float = 0.8) -> InertiaRows:
         """Rows of one log; `forgotten`: share of the low-pass's memory computed beside."""
-        # The motion of a log that is held is one block, of one to be passed over it comes in many.
-        # 0.8 of the memory leaves 1e-10.
+        # The motion of a held log is one block, of others many. 0.8 of the memory leaves 1e-10.
         options = self.options.motion
         if isinstance(log, Recording):
             imu, source = self.stages.imu, self.options.source
-            motion = torque_motion(log, self.robot, options, imu=imu, source=source)
+            motion = equations.torque_motion(log, self.robot, options, imu=imu, source=source)
             parts: Iterable[Motion] = [motion]
             lowpass, samples = motion.lowpass, motion.samples
         else:
-            plan = plan_of(log, self.robot, options)
+            plan = equations.plan_of(log, self.robot, options)
             parts = motion_blocks(log.blocks(), plan)
             factor, samples = plan.factor, -(-log.samples // plan.factor)
             lowpass = Lowpass(plan.cutoff.hz, plan.rate_hz / factor, factor)
@@ -97,7 +90,7 @@ class InertiaEquations:
         for motion, start, stop in overlapping(parts, held, 2 * reach):
             y = self.right_side(motion)
             about, beside = (motion, self.robot, self.basis), self.coupling_column
-            for part, H in filtered_regressor(
+            for part, H in equations.filtered_regressor(
                 *about, within=(start, stop), chunk=size, reach=reach, beside=beside
             ):
                 low, high = max(0, part.start - reach), part.stop + reach
@@ -111,7 +104,8 @@ class InertiaEquations:
             usable |= bool(motion.usable.any())
         if not usable:
             raise too_short(log.path, lowpass.cutoff_hz)
-        rows.uses.append(motion_use(log.path, self.robot, replace(motion, moving=moving[None])))
+        whole = replace(motion, moving=moving[None])
+        rows.uses.append(equations.motion_use(log.path, self.robot, whole))
         return rows
 
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
@@ -124,7 +118,7 @@ class InertiaEquations:
         assert motion.tau is not None
         own = motion.tau - motion.filtered(sampled_friction(self.surfaces, motion), times=2)
         if self.rotors.any():
-            own -= motion.filtered(self._reflected * motion.ddq)
+            own -= motion.filtered(self.reflected * motion.ddq)
         return own
 
     def coupling_column(self, motion: Motion) -> Array:
@@ -145,7 +139,7 @@ class InertiaEquations:
             share = min(1.0, 2 * NOISE_BANDWIDTH * lowpass.cutoff_hz / motion.rate_hz)
         rows.counts += motion.samples * np.array([share, 1.0])
         every = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
-        parts = list(blocks(motion.samples, motion.rate_hz, block_s=block_s))
+        parts = list(equations.blocks(motion.samples, motion.rate_hz, block_s=block_s))
         for j, surface in enumerate(self.surfaces):
             own = usable[:, j] & (surface is not None)
             for part in parts:
@@ -157,17 +151,15 @@ class InertiaEquations:
             some = np.flatnonzero(own)[::every]
             F = every * surface.columns(motion.q[some, j], motion.dq[some, j])
             if self._scaled[j]:
-                F = np.column_stack([F, every * self._reflected[j] * motion.ddq[some, j]])
-            crossed = rows.cross.get(j, np.zeros((H.shape[2], F.shape[1])))
-            rows.cross[j] = crossed + H[some, j].T @ F
+                F = np.column_stack([F, every * self.reflected[j] * motion.ddq[some, j]])
+            rows.cross[j] = rows.cross.get(j, 0.0) + H[some, j].T @ F
 
     def solved(
         self, rows: InertiaRows, coupling: float | None, *, rounds: int = 6
     ) -> tuple[Solution, Posterior]:
         """Solve for the base parameters, the share of coupling held, or free where it is None."""
-        # The gravity stage enters as a prior with its covariance, friction's errors as they come,
-        # directly and through gravity. After six rounds of reweighting the weights have settled to
-        # a thousandth of a standard error.
+        # The gravity stage enters as a prior with its covariance, friction's errors directly and
+        # through gravity. After six rounds the weights have settled to 1e-3 standard errors.
         joints = rows.joints
         prior = gravity_prior(self.stages.gravity, self.basis, self.robot.joint_names)
         if coupling is None:  # of which the prior knows nothing

@@ -85,8 +85,7 @@ def made_consistent(
     stage: RigidStage, stages: Stages, robot: Robot, *, min_move: float = 0.5
 ) -> RigidStage:
     """Put the parameters of an inertia stage among those that bodies can have."""
-    # Standard errors are those of the unconstrained estimate. A note names what moved by `min_move`
-    # standard errors or more.
+    # Standard errors stay the unconstrained ones. A note names what moved by `min_move` of them.
     found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
     nearest = nearest_bodies(robot, found)
     moved = {d.name: d for d in found.deviations(nearest.links, nearest.rotor)}

@@ -49,20 +49,17 @@ def friction_covariance(sensitivity: Sensitivity, surfaces: Surfaces, size: int)
     return total
 
 
-def constant_moves(
-    solution: Solution, errors: Array, known: Moves, through: Moves | None = None
-) -> Moves:
+def constant_moves(solution: Solution, errors: Array, known: Moves, through: Moves) -> Moves:
     """What one standard error of each joint's torque constant moves a solution by.
 
     `errors` (n,): relative standard errors of the torque constants. `known`: the move by torque on
     the right side that was computed, not measured, such as that of known rotors. It does not scale.
     `through`: the move by way of an earlier stage.
     """
-    inherited = through or {}
     return {
-        j: e * (solution.shares[j] - known.get(j, 0.0)) + inherited.get(j, 0.0)
+        j: e * (solution.shares[j] - known.get(j, 0.0)) + through.get(j, 0.0)
         for j, e in enumerate(errors)
-        if e > 0.0 or j in inherited
+        if e > 0.0 or j in through
     }
 
 
@@ -73,14 +70,10 @@ def moves_covariance(moves: Mapping[int, Array], size: int) -> Array:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Covariance (p, p) of a stage's parameters, and what it inherits.
+    """Covariance (p, p) of a stage's parameters, and what it inherits."""
 
-    `friction` is their total sensitivity to friction, `constants` their moves per error of the
-    torque constants, which `covariance` is without.
-    """
-
-    covariance: Array
-    friction: Sensitivity
+    covariance: Array  # without the errors of torque constants
+    friction: Sensitivity  # the total one
     constants: Moves = field(default_factory=dict)
 
     @property

@@ -14,24 +14,11 @@ likely as not, or more where the logs favour it.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
 from seqid_cli.typing import Array
-
-
-class Coupling(NamedTuple):
-    """The decision: whether the coupling is `used`, and how it came about.
-
-    `errors` (p, d) are directions along which the other hypothesis would move the parameters, in
-    standard deviations.
-    """
-
-    used: bool
-    errors: Array
-    notes: tuple[str, ...] = ()
 
 
 def decide(
@@ -40,10 +27,11 @@ def decide(
     *,
     max_sigma: float = 3.0,
     min_log_odds: float = 5.0,
-) -> Coupling:
+) -> tuple[bool, Array, list[str]]:
     """Compare the two hypotheses by the logs; `rows` as used first, then at other cut-offs."""
-    # The free share agrees with 0 or 1 within `max_sigma` standard errors. A logarithm of the odds
-    # of 5 is 150 to 1.
+    # Returns whether the coupling is used, directions (p, d) along which the other hypothesis would
+    # move the parameters, in standard deviations, and notes.
+    # The free share agrees with 0 or 1 within `max_sigma` standard errors. Log odds of 5: 150 to 1.
     kappa = equations.basis.size
     nothing = np.zeros((kappa, 0))
     known = []  # value, standard error and log odds of the free share
@@ -55,13 +43,13 @@ def decide(
         elif own is rows[0]:
             break
     if not known:  # both are the same
-        return Coupling(False, nothing)
+        return False, nothing, []
     share, error, odds = known[0]
     near = [min(abs(k), abs(k - 1.0)) < max_sigma * s for k, s, _ in known]
     sure = all(near) and all(abs(each) > min_log_odds for *_, each in known)
     if sure and len(known) == len(rows) and len({each > 0 for *_, each in known}) == 1:
         text = "the data show rotors coupled to the links that carry them; used as such"
-        return Coupling(odds > 0, nothing, (text,) if odds > 0 else ())
+        return odds > 0, nothing, [text] if odds > 0 else []
     # What does not decide does not count against the other hypothesis either.
     likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(odds, -min_log_odds, min_log_odds))))
     without, coupled = (equations.solved(rows[0], each)[0].theta for each in (0.0, 1.0))
@@ -75,4 +63,4 @@ def decide(
             f"these logs do not tell whether rotors are coupled to the links that carry them "
             f"({left}); they act on their own joints alone, and the standard errors allow for it"
         )
-    return Coupling(False, np.sqrt(likely) * (coupled - without)[:, None], (note,))
+    return False, np.sqrt(likely) * (coupled - without)[:, None], [note]

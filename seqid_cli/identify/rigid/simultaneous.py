@@ -5,8 +5,7 @@
 for comparison with the sequential way, and for logs that hold no single-joint trials. F_o is a
 constant torque per joint, as a current sensor's zero or a warm drive leaves it. Without it, base
 parameters stand in for it and are wrong beyond their errors. The result is written as a friction
-stage of orders (0, 1) and an inertia stage with all base parameters, so that every later command
-reads it like any other file.
+stage of orders (0, 1) and an inertia stage with all base parameters, for every later command.
 """
 
 from collections.abc import Iterable, Sequence
@@ -17,14 +16,7 @@ from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface.summary import constants_note
-from seqid_cli.identify.regression.equations import (
-    blocks,
-    cutoff_note,
-    filtered_regressor,
-    motion_use,
-    source_text,
-    torque_motion,
-)
+from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior
@@ -55,13 +47,13 @@ def identify_simultaneous(
     paths, motions = [], []
     for recording in recordings:
         paths.append(recording.path)
-        motion = torque_motion(recording, robot, options, imu=imu, source=source)
+        motion = equations.torque_motion(recording, robot, options, imu=imu, source=source)
         motions.append(deepcopy(motion))  # without the samples that it was thinned from
-    equations = SimultaneousEquations(robot, motions, offset=offset) if motions else None
-    if equations is None or not any(joint.samples for joint in equations.joints):
+    rows = SimultaneousEquations(robot, motions, offset=offset) if motions else None
+    if rows is None or not any(joint.samples for joint in rows.joints):
         raise QualityError("no joint moves in these logs", hint="record moves of every joint")
-    uses = [motion_use(path, robot, own) for path, own in zip(paths, motions, strict=True)]
-    return equations.stages(uses, options)
+    uses = [equations.motion_use(path, robot, x) for path, x in zip(paths, motions, strict=True)]
+    return rows.stages(uses, options)
 
 
 class SimultaneousEquations:
@@ -104,8 +96,8 @@ class SimultaneousEquations:
         sign = np.tanh(motion.dq / np.where(self.width > 0, self.width, 1.0))
         columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
         friction = motion.filtered(columns[:, :, : len(self.terms)], times=2)
-        for part, H in filtered_regressor(motion, self.robot, self.basis):
-            for block in blocks(len(H), motion.rate_hz):
+        for part, H in equations.filtered_regressor(motion, self.robot, self.basis):
+            for block in equations.blocks(len(H), motion.rate_hz):
                 for j, joint in enumerate(self.joints):
                     kept = usable[part][block, j]
                     wide = np.zeros((int(kept.sum()), joint.size))
@@ -131,7 +123,7 @@ class SimultaneousEquations:
             joints={robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved},
             method="simultaneous",
             cutoff_hz=cutoff,
-            notes=[note, cutoff_note(uses, options), *constants_note(robot)],
+            notes=[note, equations.cutoff_note(uses, options), *constants_note(robot)],
         )
         own = np.arange(self.basis.size)
         stage = rigid_stage(robot, self.basis, solution, posterior, own, known_rotors(robot))
@@ -146,7 +138,7 @@ class SimultaneousEquations:
             friction_sensitivity={},
             rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
             method="simultaneous",
-            motion={use.log: source_text(use) for use in uses},
+            motion={use.log: equations.source_text(use) for use in uses},
             motion_use=uses,
             cutoff_hz=cutoff,
             verdicts=self._verdicts(solution, len(stage.not_excited)),
@@ -202,7 +194,6 @@ class SimultaneousEquations:
 
 def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:
     """Entries (2, terms) of a friction surface, ahead and back, per Coulomb, viscous and offset."""
-    # Chebyshev over [0, fastest]: |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion
-    # taken off.
+    # Over [0, fastest] |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion taken off.
     ahead = np.array([[1.0, fastest / 2, 1.0], [0.0, fastest / 2, 0.0]])[:, :terms]
     return ahead, ahead * np.array([1.0, 1.0, -1.0])[:terms]

@@ -33,7 +33,7 @@ def test_gravity_of_another_size_or_sign_is_poor(one_joint: Rig, factor: float) 
     off = {name: factor * value for name, value in one_joint.gravity.representative.items()}
     wrong = replace(one_joint.gravity, representative=off)
     stages = Stages(friction=one_joint.friction, gravity=wrong)
-    known = judged(stages, None, one_joint.robot)
+    known = judged(stages, Stages(), one_joint.robot)
     assert poor(known.gravity.verdicts) == ["joint_1", ""]
     assert "gravity in the friction trials" in known.gravity.verdicts[-2].reason
     assert known.gravity.verdicts[-1].reason.endswith("not good: joint_1")

@@ -6,7 +6,11 @@ from itertools import product
 import numpy as np
 import pytest
 
-from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
+from seqid_cli.identify.friction_surface.gravity_separation import (
+    GravityFit,
+    configurations,
+    fit_gravity,
+)
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.robot.kinematics import forward, gravity_columns
 from seqid_cli.robot.types import Robot
@@ -55,7 +59,7 @@ def assert_p_xi(fit: GravityFit, atol: float) -> None:
 def test_p_xi_is_recovered_and_symmetric_friction_is_no_alarm(robot: Robot) -> None:
     z, alarms = [], 0
     for seed in range(20):
-        fit = fit_gravity(robot, JOINT, trials_of(robot, seed))
+        fit = fit_gravity(robot, configurations(trials_of(robot, seed)))
         assert fit.unpaired == 0
         assert_p_xi(fit, 0.02)
         alarms += fit.directional
@@ -67,7 +71,8 @@ def test_p_xi_is_recovered_and_symmetric_friction_is_no_alarm(robot: Robot) -> N
 @pytest.mark.parametrize("asymmetry", [0.05, -0.05, 0.15])
 def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: float) -> None:
     for seed in range(200, 210):
-        fit = fit_gravity(robot, JOINT, trials_of(robot, seed, asymmetry=asymmetry))
+        trials = trials_of(robot, seed, asymmetry=asymmetry)
+        fit = fit_gravity(robot, configurations(trials))
         assert fit.directional
         assert fit.asymmetry == pytest.approx(abs(asymmetry), rel=0.25)
         assert_p_xi(fit, 0.1)
@@ -78,9 +83,9 @@ def test_a_spring_is_no_friction_that_depends_on_direction(robot: Robot, asymmet
     q = np.linspace(-1.9, 1.9, 50)
     for seed in range(300, 310):
         trials = trials_of(robot, seed, asymmetry=asymmetry)
-        assert fit_gravity(robot, JOINT, trials).groups[0].beyond is None
+        assert fit_gravity(robot, configurations(trials)).groups[0].beyond is None
         sprung = [replace(x, tau=x.tau + 4.0 * (x.q - 0.3) + 0.5 * x.q**3) for x in trials]
-        fit = fit_gravity(robot, JOINT, sprung)
+        fit = fit_gravity(robot, configurations(sprung))
         assert not fit.directional
         for group in fit.groups:
             left = dict.fromkeys(SPEEDS, 0.0)  # by speed: what both directions have
@@ -95,7 +100,7 @@ def test_trials_without_twins_are_counted(robot: Robot) -> None:
     both = [t for t in trials_of(robot, 0) if t.configuration[1] > -1]
     alone = [t for t in trials_of(robot, 1) if t.configuration[1] < -1 and t.velocity > 0]
     for trials, groups in ((both + alone, 1), (alone, 0)):
-        fit = fit_gravity(robot, JOINT, trials)
+        fit = fit_gravity(robot, configurations(trials))
         assert (len(fit.groups), fit.unpaired) == (groups, len(alone))
 
 
@@ -111,7 +116,7 @@ def test_a_wrist_that_stands_along_gravity_in_some_postures_only(robot: Robot) -
         tau += 0.05 * rng.standard_normal(SLICES)
         trials.append(trial(joint, way * speed, q, tau, configuration))
     for given in (trials, trials[::-1]):
-        fit = fit_gravity(mounted, joint, given)
+        fit = fit_gravity(mounted, configurations(given))
         alone, other = sorted(fit.groups, key=lambda group: len(group.p_xi))
         assert np.abs(alone.torque(trials[0].q)).max() < 0.1
         np.testing.assert_allclose(other.p_xi, P_XI[0], atol=0.02)

@@ -112,7 +112,7 @@ def test_ramps_tell_the_inertia_and_its_torque_is_taken_off() -> None:
     off = []
     for seed in range(12):
         given = trials_of(wobble=0.01, seed=seed)
-        (group,) = without_acceleration(planar_2r(), given, SURFACE)
+        (group,) = without_acceleration(planar_2r(), [given], SURFACE)
         off.append((group.inertia - INERTIA) / group.std_error)
         assert group.std_error < 0.02 * INERTIA
         assert np.std(friction_left(group.trials)) < 0.35 * np.std(friction_left(given))
@@ -122,7 +122,7 @@ def test_ramps_tell_the_inertia_and_its_torque_is_taken_off() -> None:
 def test_where_no_ramp_tells_anything_all_torque_may_be_that_of_acceleration() -> None:
     given = trials_of(wobble=0.01)
     blind = [replace(trial, ramps=Ramps()) for trial in given]
-    (told,), (unknown,) = (without_acceleration(planar_2r(), t, SURFACE) for t in (given, blind))
+    (told,), (unknown,) = (without_acceleration(planar_2r(), [t], SURFACE) for t in (given, blind))
     assert all(trial.inertia_error == told.std_error for trial in told.trials)
     assert unknown.inertia == 0.0
     for trial in unknown.trials:
@@ -135,7 +135,7 @@ def test_slices_in_which_a_controller_still_settles_are_left_out() -> None:
     (given, *_) = [t for t in trials_of() if t.velocity > 1.0]
     pushed = np.where(np.arange(len(given.q)) < 3, 4.0, 0.0)  # rad/s^2 by a path that overshoots
     trial = replace(given, ddq=pushed, tau=given.tau + 0.2 * INERTIA * pushed)
-    (group,) = without_acceleration(planar_2r(), [trial, *trials_of()], SURFACE)
+    (group,) = without_acceleration(planar_2r(), [[trial, *trials_of()]], SURFACE)
     kept = group.trials[0]
     assert kept.t == pytest.approx(trial.t[3:])
     assert len(kept.q) == len(kept.dq) == len(kept.ddq) == len(kept.tau) == len(kept.t)

@@ -12,7 +12,7 @@ import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.measurement import touched
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes, session
 
 
 class Drift(Effect):
@@ -20,8 +20,7 @@ class Drift(Effect):
 
     name = "drift"
     family = "measurement"
-    drive = True
-    slow = True
+    drive = slow = True
     passes = 1
     settings = (Setting("duration", "s", low=0.0, continuous=False),)
     over = "session_time"
@@ -35,7 +34,7 @@ class Drift(Effect):
 
     def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """The session's end."""
-        return {"duration": [max(float(scene.time[-1]) for scene in scenes)]}
+        return {"duration": [session(scenes)]}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """One and time."""

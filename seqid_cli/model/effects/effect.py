@@ -101,8 +101,7 @@ class Effect(abc.ABC):
     name: str  # as the contract spells it
     family: Family
     arm: bool = False  # of the whole arm or of its measurement: its joint is then None
-    # Whether it can be one of all joints as well, with the same coefficients: its joint is then
-    # None.
+    # Whether it can be one of all joints alike as well: its joint is then None.
     shared: bool = False
     settings: tuple[Setting, ...] = ()
     linear: tuple[Coefficient, ...] = ()  # where they are the same whatever the settings
@@ -130,9 +129,7 @@ class Effect(abc.ABC):
     # may have taken up.
     steady: bool = False
     even: bool = False
-    # Whether its torque arises between the motor's current and a torque sensor behind the gear,
-    # which does not see it.
-    drive: bool = False
+    drive: bool = False  # arises before a torque sensor behind the gear, which does not see it
     # What its two coefficients are the sine and cosine of: reported as its amplitude and phase.
     wave: str = ""
     later: tuple[str, ...] = ()  # last coefficients that files of earlier versions lack: zero there
@@ -144,8 +141,7 @@ class Effect(abc.ABC):
     alike: tuple[str, ...] = ()  # names that it can be taken for in principle, whatever the motion
     # Effect of whose torque it is a share, the same in both directions, beside what the file has.
     share_of: str = ""
-    # Whether the joints' motion alone makes it show, so that moves can be planned for it; not time,
-    # warmth or somebody's hand.
+    # Whether motion alone makes it show, no time, warmth or hand, so that moves can be planned.
     by_motion: bool = True
     separate_by: str  # what to record to tell it from those, as an instruction
 

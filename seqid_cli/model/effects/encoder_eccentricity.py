@@ -34,9 +34,7 @@ class EncoderEccentricity(MeasurementEffect):
     """Periodic error of the measured angle, through the whole model."""
 
     name = "encoder_eccentricity"
-    family = "measurement"
-    steady = True
-    even = True
+    steady = even = True
     settings = (Setting("order", "cycles per motor turn", low=0.0, continuous=False),)
     linear = (
         Coefficient("error_sin", "rad", -LARGEST_RAD, LARGEST_RAD),

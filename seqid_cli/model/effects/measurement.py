@@ -20,6 +20,8 @@ SMALL_S = 1e-6  # below it the derivative over time is exact enough
 class MeasurementEffect(Effect):
     """An effect that a recording can be freed of by correcting the channel that it distorts."""
 
+    family = "measurement"
+
     @abc.abstractmethod
     def restored(
         self, recording: Recording, robot: Robot, joint: AnyJoint, settings: Settings, c: Array

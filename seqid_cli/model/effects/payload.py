@@ -24,12 +24,10 @@ class Payload(Effect):
 
     name = "payload"
     family = "body"
-    arm = True
+    arm = change = exact = True
     settings = (Setting("from_log", "1", low=0.0, continuous=False),)
     passes = 1
-    change = True
     linear = tuple(Coefficient(f"payload_{kind}", parameter_unit(f"{kind}_1")) for kind in STANDARD)
-    exact = True
     alike = ("base_tilt", "torque_constant", "spring")
     separate_by = (
         "the same motion with and without the payload, and poses that turn the last link against "

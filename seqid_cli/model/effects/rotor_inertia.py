@@ -23,11 +23,10 @@ class RotorInertia(Effect):
 
     name = "rotor_inertia"
     family = "body"
-    drive = True
+    drive = exact = True
     settings = (Setting("coupling", "1", low=0.0, high=1.0, continuous=False),)
     passes = 1
     over = "acceleration"
-    exact = True
     alike = ("payload", "torque_constant")
     separate_by = (
         "fast moves of this joint with the others still, in poses that change the links' inertia "

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from seqid_cli.model.effects.effect import Columns
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.robot.regressor import inverse_dynamics
@@ -79,9 +80,10 @@ def _slope(motion: tuple[Array, Array, Array], which: int, joint: int, torque: T
     return np.asarray(change / (2 * STEPS[which]))
 
 
-def link_deviation(scene: Scene, joint: int, deviation: Array) -> Array:
-    """Torque (N, n) of a small deviation (N,) of a joint's link; rotors do not feel it."""
+def link_deviation(scene: Scene, joint: int, deviation: Array) -> Columns:
+    """Torque (N, 1) of every joint for a deviation (N,) of one's link; rotors do not feel it."""
     speed, acceleration = differentiate(deviation, scene.motion.rate_hz, scene.motion.valid)
     by_place, by_speed, by_acceleration = link_slopes(scene, joint)
-    steady = by_place * deviation[:, None] + by_speed * speed[:, None]
-    return np.asarray(steady + by_acceleration * acceleration[:, None])
+    torque = by_place * deviation[:, None] + by_speed * speed[:, None]
+    torque += by_acceleration * acceleration[:, None]
+    return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}

@@ -32,8 +32,7 @@ class Stribeck(FrictionLaw):
         Setting("exponent", "1", low=0.5, high=2.0, continuous=False),
     )
     over = "speed"
-    sided = True
-    steady = True
+    sided = steady = True
     linear = (Coefficient("stribeck_torque", "N m", low=0.0),)
     alike = ("presliding_hysteresis", "quadratic_drag", "nonlinear_viscous")
     separate_by = (
@@ -52,8 +51,7 @@ class Stribeck(FrictionLaw):
     def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Hump times direction."""
         ratio = np.abs(scene.motion.dq[:, joint]) / settings["stribeck_speed"]
-        hump = np.exp(-(ratio ** settings["exponent"])) * scene.sign[:, joint]
-        return hump[:, None]
+        return (np.exp(-(ratio ** settings["exponent"])) * scene.sign[:, joint])[:, None]
 
     def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask for more friction at low speed, and that the hump ends within the speeds seen.

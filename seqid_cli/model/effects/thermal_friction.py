@@ -58,9 +58,7 @@ class ThermalFriction(FrictionLaw):
 
     def axis(self, joint: int, settings: Settings) -> Axis | None:
         """Return the logged temperature, or time."""
-        if settings["logged"]:
-            return Axis("temperature", joint)
-        return super().axis(joint, settings)
+        return Axis("temperature", joint) if settings["logged"] else super().axis(joint, settings)
 
     def searched(self, settings: Settings) -> int:
         """Return 1 for the time constant, without a logged temperature."""
@@ -102,13 +100,13 @@ def _celsius(scene: Scene, joint: int) -> Array:
 
 
 def _logged(scenes: Scenes, joint: int) -> bool:
-    """Whether every log has the joint's temperature and it changes enough, also from friction's."""
-    if any(scene.temperature is None for scene in scenes):
+    """Whether every log has a joint's temperature, and it changes enough, also from friction's."""
+    found = [s.temperature[:, joint] for s in scenes if s.temperature is not None]
+    if len(found) < len(scenes):
         return False
-    logged = np.concatenate([s.temperature[:, joint] for s in scenes if s.temperature is not None])
-    if not np.all((logged > -60.0) & (logged < 200.0)):
-        return False
-    return float(np.ptp(np.append(logged, _reference(scenes, joint)))) >= LEAST_KELVIN
+    logged = np.concatenate(found)
+    possible = np.all((logged > -60.0) & (logged < 200.0))
+    return bool(possible and np.ptp(np.append(logged, _reference(scenes, joint))) >= LEAST_KELVIN)
 
 
 def _reference(scenes: Scenes, joint: int) -> float:

@@ -29,12 +29,8 @@ class TorqueSaturation(TorqueMeasurement):
     """Torque constant that falls with the square of the current."""
 
     name = "torque_saturation"
-    family = "measurement"
-    drive = True
-    steady = True
-    even = True
+    drive = steady = even = first_order = True
     settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False, agreement=CONSISTENT),)
-    first_order = True
     over = "load"
     linear = (Coefficient("saturation", "1/(N m)^2", low=0.0),)
     alike = ("load_dependent_friction", "gear_efficiency", "torque_constant")

@@ -20,10 +20,9 @@ Their variances make the error grow outside: by the spread of friction over posi
 about the slope, by what friction changes near the slowest speed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
@@ -64,7 +63,7 @@ class FrictionSurface:
     postures: tuple[list[float], ...] = ()
 
     @classmethod
-    def from_stage(cls, joint: FrictionJoint) -> FrictionSurface:
+    def from_stage(cls, joint: FrictionJoint) -> Self:
         """Build from the parameter file."""
         (low, high), (slow, fast) = joint.position_range, joint.speed_range
         log, periodic = joint.speed_scale == "log", joint.position_basis == "fourier"

@@ -8,11 +8,10 @@ period) and stops what would be folded back there. Elsewhere friction is as smoo
 where samples are many per period of the cut-off, what would be folded back is little and far above.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 from scipy.ndimage import binary_dilation, minimum_filter1d
@@ -71,7 +70,7 @@ class TorqueModel:
     coupling: Coupling
 
     @classmethod
-    def from_stages(cls, stages: Stages, robot: Robot) -> TorqueModel:
+    def from_stages(cls, stages: Stages, robot: Robot) -> Self:
         """Use the inertia stage where there is one, else gravity alone, else friction alone."""
         rigid = stages.inertia or stages.gravity
         surfaces = friction_surfaces(stages, robot)

@@ -9,13 +9,7 @@ from msgspec import structs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.planned import sampled
 from seqid_cli.params.document import now, robot_id, tool
-from seqid_cli.params.results.plan import (
-    PLAN_SCHEMA,
-    JointLimits,
-    PlanFile,
-    PlannedMove,
-    PlannedStage,
-)
+from seqid_cli.params.results.plan import PLAN_SCHEMA, JointLimits, PlanFile, PlannedMove
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of, information_of
@@ -86,7 +80,7 @@ def make_plan(
         duration_s=sum(durations),
         total_s=sum(durations) + _ways(moves, limits, names),
         speed_scale=options.speed_scale,
-        verdicts=[v for name, planned in found.items() for v in _verdicts(name, planned.stage)],
+        verdicts=[v for name, planned in found.items() for v in _verdicts(name, planned)],
         notes=_notes(belief),
     )
 
@@ -141,8 +135,8 @@ def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) ->
     return total
 
 
-def _verdicts(what: str, stage: PlannedStage) -> list[Verdict]:
-    told = stage.separation
+def _verdicts(what: str, planned: Planned) -> list[Verdict]:
+    stage, told = planned.stage, planned.stage.separation
     if told is not None:
         pairs = zip(told.between, reversed(told.between), told.powers, told.imitations, strict=True)
         reason = "; ".join(

@@ -21,10 +21,9 @@ lies on the boundary of what can exist, where a link has lost its mass or an axi
 are conic problems: log det by a semidefinite block of twice the size and four exponential cones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import clarabel
 import numpy as np
@@ -140,7 +139,7 @@ class _Problem:
     W: Array
 
     @classmethod
-    def of(cls, J: Array, rotors: Array, demand: Demand) -> _Problem:
+    def of(cls, J: Array, rotors: Array, demand: Demand) -> Self:
         """Scale by what is expected."""
         n = len(J)
         T = np.zeros((10 * n, 10 * n))
@@ -180,9 +179,7 @@ class _Problem:
     def _costs(self, *, rotor_cost: float = 1e-3) -> Array:
         """Cost (v,) of each variable, so that their sum is D."""
         cost = np.zeros(self.variables)
-        diagonal = [c for c, (a, b) in enumerate(_UPPER) if a == b]
-        for i in range(self.n):
-            cost[[_ENTRIES * i + c for c in diagonal]] = 1.0
+        cost[: _ENTRIES * self.n] = np.tile([a == b for a, b in _UPPER], self.n)
         cost[2 * _ENTRIES * self.n : _PER_LINK * self.n] = -1.0
         cost[_PER_LINK * self.n :] = rotor_cost
         return cost

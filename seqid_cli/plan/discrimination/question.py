@@ -4,11 +4,10 @@ Columns of a data set: the rigid base parameters, friction of the joints that ei
 (that of others tells nothing), then those of both effects at every setting.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -55,7 +54,7 @@ class Question:
     @classmethod
     def of(
         cls, belief: Belief, effects: tuple[Effect, Effect], joint: Joint, scenes: Scenes
-    ) -> Question:
+    ) -> Self:
         """Take settings from the grids over some data sets, and what is reached of them."""
         slots: tuple[list[Slot], list[Slot]] = ([], [])
         many, start = [], 0
@@ -100,20 +99,12 @@ def _settings(
     return found
 
 
-@dataclass(frozen=True)
-class Gram:
-    """Sums over a data set: of weighted columns (K, K), with the residual (K,), unweighted ones.
+def gram_of(belief: Belief, question: Question, scene: Scene) -> tuple[Array, Array, Array]:
+    """Sum up squares of columns (K, K) and products with the residual (K,), weighted by the noise.
 
-    `squares` (k, k) is of the effects' columns at the joint in question.
+    Joints count where they slide. Unweighted squares (k, k) of the effects' columns at the joint in
+    question come last.
     """
-
-    gram: Array
-    moment: Array
-    squares: Array
-
-
-def gram_of(belief: Belief, question: Question, scene: Scene) -> Gram:
-    """Sum up the samples at which joints slide, weighted by the noise."""
     K, b = len(question.prior), question.base
     gram, moment, squares = np.zeros((K, K)), np.zeros(K), np.zeros((K, K))
     tau = scene.motion.tau
@@ -125,7 +116,7 @@ def gram_of(belief: Belief, question: Question, scene: Scene) -> Gram:
         X *= weight[:, None]
         gram[np.ix_(index, index)] += X.T @ X
         moment[index] += X.T @ (weight * left[:, j])
-    return Gram(gram, moment, squares[b:, b:])
+    return gram, moment, squares[b:, b:]
 
 
 def _rows(belief: Belief, question: Question, scene: Scene) -> Iterator[tuple[Index, Array]]:

@@ -19,9 +19,6 @@ show, which is what both effects share where the name was left open. The smaller
 of which something else is wrong show coefficients that are not the effect's. Rows at rest do not
 count, as they do not in a diagnosis: what a joint at rest under control carries is anything within
 its friction.
-
-References
-----------
 Atkinson, Fedorov, "The design of experiments for discriminating between two rival models",
 Biometrika 62(1), 1975.
 """
@@ -177,16 +174,14 @@ def separation_of(
 
     True effects have a root mean square torque of `size` N m, or what the logs say of it.
     """
-    planned = [gram_of(belief, question, scene) for scene in scenes]
-    logged = [gram_of(belief, question, scene) for scene in have]
-    squares = np.sum([one.squares for one in (*planned, *logged)], axis=0)
-    squares /= sum(x.samples for x in (*scenes, *have))
-    known = np.sum([question.prior, *(one.gram for one in logged)], axis=0)
-    of = np.stack([one.gram for one in planned])
+    every, count = (*scenes, *have), len(scenes)
+    grams, moments, each = zip(*(gram_of(belief, question, x) for x in every), strict=True)
+    squares = np.sum(each, axis=0) / sum(x.samples for x in every)
+    known = np.sum([question.prior, *grams[count:]], axis=0)
     readings: tuple[list[Reading], list[Reading]] = ([], [])
-    found = Separation(question, known, of, readings, size)
-    if logged:
-        b, moment = question.base, np.sum([one.moment for one in logged], axis=0)
+    found = Separation(question, known, np.stack(grams[:count]), readings, size)
+    if have:
+        b, moment = question.base, np.sum(moments[count:], axis=0)
         moment = moment[b:] - known[b:, :b] @ np.linalg.solve(known[:b, :b], moment[:b])
         E = found.effects(np.zeros_like(known))
         for own, reading in zip(question.slots, readings, strict=True):

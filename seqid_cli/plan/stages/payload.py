@@ -35,9 +35,8 @@ class LoadedBelief(Belief):
         for j, surface in enumerate(self.surfaces):
             if surface is None:
                 continue
-            torque = surface.torque(moves.q[..., j].ravel(), moves.dq[..., j].ravel())
-            torque = torque.reshape(M, N)
-            own = PER_LINK + FRICTION_TERMS * j
+            own, states = PER_LINK + FRICTION_TERMS * j, (moves.q[..., j], moves.dq[..., j])
+            torque = surface.torque(*(x.ravel() for x in states)).reshape(M, N)
             found[:, :, j, own] = torque
             found[:, :, j, own + 1] = torque * np.abs(moves.dq[..., j]) / self.limits.speed[j]
         return found

@@ -12,11 +12,9 @@ Khalil, "Direct calculation of minimum set of inertial parameters of serial robo
 Robotics and Automation 6(3), 1990.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.regressor import gravity_regressor, inverse_dynamics
@@ -56,7 +54,7 @@ class BaseTilt(Effect):
         """Gravity parameters are needed."""
         return scenes[0].model.phi is not None and bool(scenes[0].robot.gravity.any())
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """Whether the first joint turns about gravity; no rotation to begin with."""
         upright = float(first_joint_upright(scenes[0].robot))
         return {"upright": [upright], **{key: [0.0] for key in AROUND}}

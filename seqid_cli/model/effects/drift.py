@@ -6,11 +6,9 @@ A [N m], B [N m/s]; t [s] counts from the first log where the logs share a clock
 start of each. Beyond the recorded session (`duration`) the offset is held.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
 from seqid_cli.model.effects.measurement import touched
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, session
 
@@ -32,7 +30,7 @@ class Drift(Effect):
         "the first log repeated as the last"
     )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """The session's end."""
         return {"duration": [session(scenes)]}
 

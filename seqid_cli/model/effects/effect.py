@@ -26,6 +26,7 @@ from seqid_cli.typing import Array, Mask
 from seqid_cli.units import unit_of
 
 Grid = Iterator[dict[str, float]]
+GridAxes = Mapping[str, Sequence[float]]  # the values of each setting, all combined
 Settings = Mapping[str, float]
 AnyJoint = Any  # a `Joint`: each effect says whether it takes None, for the whole arm or all joints
 Columns = Mapping[int, Array]  # joint index -> (N, k), unfiltered, torque per unit coefficient
@@ -219,7 +220,7 @@ class Effect(abc.ABC):
         """Yield first values of settings that are not asked for."""
         return iter(())
 
-    def axes(self, scenes: Scenes, joint: AnyJoint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: AnyJoint) -> GridAxes:
         """Return the grid's values of each setting; the default `grid` is their product."""
         return {setting.name: setting.grid for setting in self.settings if setting.grid}
 

@@ -9,11 +9,9 @@ link once the latter is free. Compare Khalil, Gautier, Lemoine, "Identification 
 inertial parameters of industrial manipulators", ICRA 2007.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.robot.regressor import PER_LINK, torque_regressor
@@ -34,7 +32,7 @@ class Payload(Effect):
         "gravity"
     )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """From any log on."""
         return {"from_log": sorted({float(scene.log) for scene in scenes})}
 

@@ -50,8 +50,13 @@ def slopes(
     """
     key = (name, joint)
     if key not in scene.memo:
-        motion = (scene.motion.q, scene.motion.dq, scene.motion.ddq)
-        scene.memo[key] = tuple(_slope(motion, k, joint, torque) for k in which)
+        motion, found = (scene.motion.q, scene.motion.dq, scene.motion.ddq), []
+        for k in which:
+            step = np.zeros((3, 1, scene.robot.n))
+            step[k, :, joint] = STEPS[k]
+            change = torque(*(motion + step)) - torque(*(motion - step))
+            found.append(change / (2 * STEPS[k]))
+        scene.memo[key] = tuple(found)
     return scene.memo[key]
 
 
@@ -71,13 +76,6 @@ def modelled_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:
 
     both = link_slopes(scene, joint), slopes(scene, joint, "beside links", beside_links)
     return tuple(one + other for one, other in zip(*both, strict=True))
-
-
-def _slope(motion: tuple[Array, Array, Array], which: int, joint: int, torque: Torque) -> Array:
-    step = np.zeros((3, 1, motion[0].shape[1]))
-    step[which, :, joint] = STEPS[which]
-    change = torque(*(motion + step)) - torque(*(motion - step))
-    return np.asarray(change / (2 * STEPS[which]))
 
 
 def link_deviation(scene: Scene, joint: int, deviation: Array) -> Columns:

@@ -13,11 +13,9 @@ modeling and identification of load and temperature effects", J. Dyn. Sys. Meas.
 2012.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, session
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.typing import Array
@@ -72,7 +70,7 @@ class ThermalFriction(FrictionLaw):
         coulomb = Coefficient("coulomb_when_cold", "N m")
         return coulomb, Coefficient("viscous_when_cold", "N m s/rad")
 
-    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> GridAxes:
         """Time constants around the session's length; with a temperature they do nothing."""
         span, logged = session(scenes), _logged(scenes, joint)
         times = [span] if logged else np.geomspace(0.04 * span, 2.0 * span, TIME_CONSTANTS)

@@ -12,11 +12,9 @@ The cubic law is the first term of any saturation that is odd in the current. Pi
 Appl. 25(2), 1989, has the linear law that it departs from.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, GridAxes, Setting, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.typing import Array
@@ -39,9 +37,11 @@ class TorqueSaturation(TorqueMeasurement):
         "and lower it again; saturation is the same both ways, gear losses change sign"
     )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """Up to a fifth of the modelled peak torque lost."""
-        peak = max(_peak(scene, joint) for scene in scenes)
+        which = slice(None) if joint is None else joint
+        seen = (np.abs(scene.modelled[scene.motion.usable, which]) for scene in scenes)
+        peak = max(float(np.max(torque, initial=0.0)) for torque in seen)
         return {"around": [loss / peak**2 for loss in LOSSES_AT_PEAK] if peak > 0.0 else [0.0]}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
@@ -55,12 +55,6 @@ class TorqueSaturation(TorqueMeasurement):
         top = 1.0 / np.sqrt(3.0 * b) if b > 0.0 else np.inf
         held = np.clip(tau, -top, top)
         return np.asarray(held * (1.0 - b * held**2))
-
-
-def _peak(scene: Scene, joint: Joint) -> float:
-    usable = scene.motion.usable
-    torque = np.abs(scene.modelled[usable] if joint is None else scene.modelled[usable, joint])
-    return float(np.max(torque, initial=0.0))
 
 
 def _excess(tau: Array, b: float) -> Array:

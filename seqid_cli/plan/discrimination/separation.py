@@ -203,26 +203,23 @@ def _seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) ->
     the residual. Likelihoods are tempered as those of names are, as the law is not exactly right.
     """
     rng = np.random.default_rng(0)
-    fits = [_fit(E[one.at, one.at], moment[one.at]) for one in slots]
-    pairs = zip(slots, fits, strict=True)
-    gains = np.array([gain if one.fits(c) else 0.0 for one, (c, _, gain) in pairs])
+    fits, gains = [], np.zeros(len(slots))
+    for k, one in enumerate(slots):
+        S = E[one.at, one.at]
+        values, vectors = np.linalg.eigh(S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12)
+        root = vectors / np.sqrt(np.maximum(values, 1e-300))  # of the coefficients' covariance
+        white = root.T @ moment[one.at]
+        fits.append((root @ white, root))
+        gains[k] = white @ white / 2.0 if one.fits(root @ white) else 0.0
     scale = float(tempered(gains.max()))
     chance = np.exp((gains - gains.max()) / scale)
     counts = rng.multinomial(draws, chance / chance.sum())
     found = []
-    for one, (c, root, _), count in zip(slots, fits, counts, strict=True):
+    for one, (c, root), count in zip(slots, fits, counts, strict=True):
         if count:
             drawn = c + np.sqrt(scale) * rng.normal(size=(count, len(c))) @ root.T
             found.append((one, np.clip(drawn, one.low, one.high)))
     return found
-
-
-def _fit(S: Array, moment: Array) -> tuple[Array, Array, float]:
-    """Coefficients (k,), a root (k, k) of their covariance, and the gain."""
-    values, vectors = np.linalg.eigh(S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12)
-    root = vectors / np.sqrt(np.maximum(values, 1e-300))
-    white = root.T @ moment
-    return root @ white, root, float(white @ white / 2.0)
 
 
 def _drawn(slot: Slot, square: Array, size: float, *, draws: int = 24) -> Array:

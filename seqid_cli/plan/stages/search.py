@@ -190,14 +190,9 @@ def _improved(
         return float(found[0]), (found[1:] - found[0]) / steps
 
     x = np.append(start[moving, :COEFFICIENTS].ravel(), start[:, PLACE])
-    low = np.append(np.full(len(x) - n, -1.0), np.zeros(n))
+    box = Bounds(np.append(np.full(len(x) - n, -1.0), np.zeros(n)), np.ones(len(x)))
     found = minimize(
-        with_gradient,
-        x,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=Bounds(low, np.ones(len(x))),
-        options={"maxiter": iterations},
+        with_gradient, x, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": iterations}
     )
     better, moves = moves_of(np.asarray(found.x)[None])
     worse = found.fun >= values(x[None])[0]

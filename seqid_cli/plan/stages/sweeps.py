@@ -149,15 +149,12 @@ def _pool(
         message = "no sweep of any joint that gravity loads keeps the torque limits"
         hint = "Correct effort in the URDF."
         raise ConfigError(message, where=str(belief.robot.source), hint=hint)
-    joint, posture, ends, *states, found = map(np.concatenate, zip(*parts, strict=True))
-    return joint, posture, ends, Moves(t, *states), found
+    joint, posture, ends, *states, information = map(np.concatenate, zip(*parts, strict=True))
+    return joint, posture, ends, Moves(t, *states), information
 
 
-def _exchanged(joints: Index, parts: Array, chosen: list[int], *, rounds: int = 3) -> list[int]:
-    """Exchange sweeps for others of the same joint while the condition falls and the rank stays.
-
-    `parts` (M, b, b) is their information on what is wanted.
-    """
+def _exchanged(joints: Index, wanted: Array, chosen: list[int], *, rounds: int = 3) -> list[int]:
+    """Exchange sweeps for others of the same joint while the condition falls and the rank stays."""
     chosen = list(chosen)
 
     def badness(information: Array) -> tuple[int, float]:
@@ -165,13 +162,13 @@ def _exchanged(joints: Index, parts: Array, chosen: list[int], *, rounds: int = 
         rank, condition = rank_and_condition(information)
         return -rank, condition
 
-    best = badness(parts[chosen].sum(axis=0))
+    best = badness(wanted[chosen].sum(axis=0))
     for _ in range(rounds):
         before = best
         for place, k in enumerate(chosen):
-            rest = parts[chosen].sum(axis=0) - parts[k]
+            rest = wanted[chosen].sum(axis=0) - wanted[k]
             others = np.setdiff1d(np.flatnonzero(joints == joints[k]), chosen)
-            found = [(badness(rest + parts[int(other)]), int(other)) for other in others]
+            found = [(badness(rest + wanted[int(other)]), int(other)) for other in others]
             if found and min(found) < (best, 0):
                 best, chosen[place] = min(found)
         if best >= before:

@@ -211,8 +211,7 @@ def _near_reversals(motion: Motion, j: int, width: float, *, wide: float = 3.0) 
 def _band_limited(surface: FrictionSurface, q: Array, dq: Array, near: Index) -> Array:
     """Low-passed friction at samples `near` (M,) of a motion (N,)."""
     used = np.unique(near[:, None] + np.arange(-HALF, HALF + 1))
-    around = used[:, None] + KNOTS
-    q, dq = (x[around] @ WEIGHTS for x in (q, dq))
+    q, dq = (x[used[:, None] + KNOTS] @ WEIGHTS for x in (q, dq))
     parts = surface.torque(q.ravel(), dq.ravel()).reshape(len(used), PARTS)
     first = np.searchsorted(used, near)[:, None] + np.arange(-HALF, HALF + 1)
     return np.asarray(np.tensordot(parts[first], _taps(), axes=2))

@@ -42,13 +42,10 @@ def make_plan(
         found = {what: plan_discriminate(belief, stages, options, list(have))}
     else:
         found = _session(what, belief, stages, options, have)
-    moves = [
-        structs.replace(move, stage=name)
-        for name, planned in found.items()
-        for move in planned.moves
-    ]
-    for planned in found.values():
+    moves: list[PlannedMove] = []
+    for name, planned in found.items():
         planned.stage.duration_s = sum(move.duration_s for move in planned.moves)
+        moves += [structs.replace(move, stage=name) for move in planned.moves]
     if belief.theta is not None:
         heavy = loaded(belief, options.load_kg)
         moves = [_with_torque(heavy if m.stage == "payload" else belief, m) for m in moves]

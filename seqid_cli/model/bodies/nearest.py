@@ -80,8 +80,7 @@ def identified(
     rigid = stages.inertia or stages.gravity
     phi = np.zeros(basis.expression.shape[1])
     if rigid is not None:
-        links, rotor = standard_parameters(rigid, robot.n)
-        phi = np.concatenate([links.ravel(), rotor])
+        phi = np.concatenate([x.ravel() for x in standard_parameters(rigid, robot.n)])
     if more is not None:
         phi = phi + more
     found, covariance, moves = _determined(stages, basis, robot)

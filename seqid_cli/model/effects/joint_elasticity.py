@@ -106,8 +106,7 @@ class JointElasticity(Effect):
         inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
         band = inertia * (2 * np.pi * scenes[0].motion.lowpass.cutoff_hz) ** 2  # N m/rad
         if settings["trial_stiffness"] < band:
-            ratio = float(c[0]) * settings["trial_stiffness"]
-            return bool(1.0 / AGREEMENT < ratio < AGREEMENT)
+            return bool(1.0 / AGREEMENT < c[0] * settings["trial_stiffness"] < AGREEMENT)
         return bool(1.0 / c[0] > LOWEST_RESONANCE**2 * band)
 
 

@@ -74,6 +74,6 @@ def of_modelled(scene: Scene, joint: Joint, function: Callable[[Array], Array]) 
     which = touched(scene, joint)
     carried = scene.carried[:, which]
     smooth = function(carried)
-    stepped = scene.motion.filtered(function(carried + scene.friction[:, which]) - smooth)
-    total = smooth + stepped
+    stepped = function(carried + scene.friction[:, which]) - smooth
+    total = smooth + scene.motion.filtered(stepped)
     return {j: total[:, [k]] for k, j in enumerate(which)}

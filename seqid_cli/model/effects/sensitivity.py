@@ -9,6 +9,7 @@ from seqid_cli.model.effects.effect import Columns
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array
 
 Torque = Callable[[Array, Array, Array], Array]  # (q, dq, ddq), each (N, n) -> (N, n)
@@ -24,7 +25,7 @@ def link_torque(scene: Scene, q: Array, dq: Array, ddq: Array) -> Array:
         return np.zeros_like(q)
     parts = [
         inverse_dynamics(scene.robot.chain, scene.robot.gravity, phi, q[at], dq[at], ddq[at])
-        for at in (slice(k, k + BLOCK) for k in range(0, len(q), BLOCK))
+        for at in tiles(len(q), size=BLOCK)
     ]
     return np.concatenate(parts)
 

@@ -145,8 +145,7 @@ class SmoothTerm:
 
     def torques(self, scene: Scene) -> dict[int, Array]:
         """Torque (N,) N m of its joint, unfiltered; the low-pass is to be applied twice."""
-        columns = shape(scene, self.joint, self.axes, self.factor)
-        return {self.joint: columns @ self.coefficients}
+        return {self.joint: shape(scene, self.joint, self.axes, self.factor) @ self.coefficients}
 
     def to_stage(self, robot: Robot) -> EffectOfJoint:
         """Write the term down; its coefficients have no errors."""

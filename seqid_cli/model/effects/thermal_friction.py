@@ -86,8 +86,7 @@ class ThermalFriction(FrictionLaw):
             heat = _celsius(scene, joint) - settings["reference_temperature"]
         else:
             heat = np.exp(-scene.time / settings["warm_up_time"])
-        both = np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
-        return heat[:, None] * both
+        return heat[:, None] * np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
 
 
 def _celsius(scene: Scene, joint: int) -> Array:

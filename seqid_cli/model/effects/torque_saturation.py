@@ -46,8 +46,7 @@ class TorqueSaturation(TorqueMeasurement):
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Measured minus true torque per unit of b."""
-        around = settings["around"]
-        return of_modelled(scene, joint, lambda tau: _excess(tau, around))
+        return of_modelled(scene, joint, lambda tau: _excess(tau, settings["around"]))
 
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Apply the law, held where it would fall again."""

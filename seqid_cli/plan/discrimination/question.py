@@ -4,7 +4,6 @@ Columns of a data set: the rigid base parameters, friction of the joints that ei
 (that of others tells nothing), then those of both effects at every setting.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Self
@@ -17,7 +16,7 @@ from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.stages.goal import Goal
 from seqid_cli.robot.base_parameters import base_regressor
-from seqid_cli.typing import Array, Index
+from seqid_cli.typing import Array
 
 
 @dataclass(frozen=True)
@@ -105,36 +104,30 @@ def gram_of(belief: Belief, question: Question, scene: Scene) -> tuple[Array, Ar
     Joints count where they slide. Unweighted squares (k, k) of the effects' columns at the joint in
     question come last.
     """
-    K, b = len(question.prior), question.base
+    K, b, motion, tau = len(question.prior), question.base, scene.motion, scene.motion.tau
     gram, moment, squares = np.zeros((K, K)), np.zeros(K), np.zeros((K, K))
-    tau = scene.motion.tau
     left = np.zeros(scene.sign.shape) if tau is None else tau - scene.modelled_filtered
-    for j, (index, X) in enumerate(_rows(belief, question, scene)):
-        if question.joint in (None, j):
-            squares[np.ix_(index, index)] += X.T @ X
-        weight = np.sqrt(belief.density[j] * scene.slides[:, j] / scene.motion.rate_hz)
-        X *= weight[:, None]
-        gram[np.ix_(index, index)] += X.T @ X
-        moment[index] += X.T @ (weight * left[:, j])
-    return gram, moment, squares[b:, b:]
-
-
-def _rows(belief: Belief, question: Question, scene: Scene) -> Iterator[tuple[Index, Array]]:
-    """Columns (N, k) of each joint, and where they stand (k,)."""
-    motion, rigid = scene.motion, belief.basis.size
     H = base_regressor(belief.robot, belief.basis, motion.q, motion.dq, motion.ddq)
     slots = [*question.slots[0], *question.slots[1]]
     made = [x.effect.columns(scene, question.joint, x.setting) for x in slots]
     for j, part in enumerate(question.friction):
-        places, columns = [np.arange(rigid)], [H[:, j]]
+        # The joint's columns (N, k), and where they stand.
+        places, columns = [np.arange(belief.basis.size)], [H[:, j]]
         if part.stop > part.start:
             places.append(np.arange(part.start, part.stop))
             columns.append(_friction(belief, scene, j)[0])
         for slot, own in zip(slots, made, strict=True):
             if j in own:
-                places.append(question.base + np.arange(slot.at.start, slot.at.stop))
+                places.append(b + np.arange(slot.at.start, slot.at.stop))
                 columns.append(motion.filtered(own[j]))
-        yield np.concatenate(places), np.hstack(columns)
+        index, X = np.concatenate(places), np.hstack(columns)
+        if question.joint in (None, j):
+            squares[np.ix_(index, index)] += X.T @ X
+        weight = np.sqrt(belief.density[j] * scene.slides[:, j] / motion.rate_hz)
+        X *= weight[:, None]
+        gram[np.ix_(index, index)] += X.T @ X
+        moment[index] += X.T @ (weight * left[:, j])
+    return gram, moment, squares[b:, b:]
 
 
 def _friction(belief: Belief, scene: Scene, j: int) -> tuple[Array, Array]:

@@ -51,9 +51,7 @@ def optimised(
 def groups_of(limits: Limits, *, together: bool) -> list[tuple[int, ...]]:
     """Joints that move at a time: every pair (Sec. 2.2.4), or all of them."""
     free = tuple(limits.moving)
-    if together or len(free) < 3:
-        return [free]
-    return list(combinations(free, 2))
+    return [free] if together or len(free) < 3 else list(combinations(free, 2))
 
 
 def assess(belief: Belief, goal: Goal, moves: Moves) -> tuple[Array, Array]:

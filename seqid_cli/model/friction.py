@@ -20,13 +20,13 @@ Their variances make the error grow outside: by the spread of friction over posi
 about the slope, by what friction changes near the slowest speed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
+from scipy.linalg import block_diag
 
 from seqid_cli.model.friction_basis import FADE, Scaling
 from seqid_cli.params.schema import FrictionJoint
@@ -64,7 +64,7 @@ class FrictionSurface:
     postures: tuple[list[float], ...] = ()
 
     @classmethod
-    def from_stage(cls, joint: FrictionJoint) -> FrictionSurface:
+    def from_stage(cls, joint: FrictionJoint) -> Self:
         """Build from the parameter file."""
         (low, high), (slow, fast) = joint.position_range, joint.speed_range
         log, periodic = joint.speed_scale == "log", joint.position_basis == "fourier"
@@ -110,12 +110,8 @@ class FrictionSurface:
         size = self.entries
         if self.entry_covariance.shape != (size, size):
             return self.entry_covariance
-        whole = size + self.extension.size
-        joined = np.zeros((whole, whole))
-        joined[:size, :size] = self.entry_covariance
         errors = np.concatenate(list(map(self._errors_of, self._sides, self.slopes)))
-        joined[size:, size:] = np.diag(errors**2)
-        return joined
+        return np.asarray(block_diag(self.entry_covariance, np.diag(errors**2)))
 
     def columns(self, q: Array, v: Array) -> Array:
         """Derivatives (N, k) of the torque by `coefficients`, in which it is linear."""

@@ -8,11 +8,10 @@ period) and stops what would be folded back there. Elsewhere friction is as smoo
 where samples are many per period of the cut-off, what would be folded back is little and far above.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 from scipy.ndimage import binary_dilation, minimum_filter1d
@@ -30,16 +29,17 @@ from seqid_cli.typing import Array, Index, Mask
 PARTS = 8  # points per sample at which friction is computed where a joint reverses
 HALF = 4  # samples on either side that their low-pass reaches
 KNOTS = np.arange(-2, 4)  # samples about a point that it is interpolated from
+# Lagrange's weights (6, PARTS) of the knots for the points from a sample to the next.
+POINTS = np.vander(np.arange(PARTS) / PARTS, len(KNOTS), increasing=True)
+WEIGHTS = np.linalg.solve(np.vander(KNOTS, increasing=True).T, POINTS.T)
 REACH = 0.25  # periods of the cut-off, over which the low-pass mixes samples
 
 
 def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | None]:
     """Friction of each joint in the robot's order; None where it has not been identified."""
     found = stages.friction.joints if stages.friction else {}
-    return [
-        FrictionSurface.from_stage(found[name]) if name in found else None
-        for name in robot.joint_names
-    ]
+    told = (found.get(name) for name in robot.joint_names)
+    return [None if joint is None else FrictionSurface.from_stage(joint) for joint in told]
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class TorqueModel:
     coupling: Coupling
 
     @classmethod
-    def from_stages(cls, stages: Stages, robot: Robot) -> TorqueModel:
+    def from_stages(cls, stages: Stages, robot: Robot) -> Self:
         """Use the inertia stage where there is one, else gravity alone, else friction alone."""
         rigid = stages.inertia or stages.gravity
         surfaces = friction_surfaces(stages, robot)
@@ -211,19 +211,10 @@ def _near_reversals(motion: Motion, j: int, width: float, *, wide: float = 3.0) 
 def _band_limited(surface: FrictionSurface, q: Array, dq: Array, near: Index) -> Array:
     """Low-passed friction at samples `near` (M,) of a motion (N,)."""
     used = np.unique(near[:, None] + np.arange(-HALF, HALF + 1))
-    around = used[:, None] + KNOTS
-    q, dq = (x[around] @ _interpolation() for x in (q, dq))
+    q, dq = (x[used[:, None] + KNOTS] @ WEIGHTS for x in (q, dq))
     parts = surface.torque(q.ravel(), dq.ravel()).reshape(len(used), PARTS)
     first = np.searchsorted(used, near)[:, None] + np.arange(-HALF, HALF + 1)
     return np.asarray(np.tensordot(parts[first], _taps(), axes=2))
-
-
-@lru_cache(maxsize=1)
-def _interpolation() -> Array:
-    """Lagrange's weights (6, PARTS) of the knots for the points from a sample to the next."""
-    powers = np.arange(len(KNOTS))[:, None]
-    at = (np.arange(PARTS) / PARTS) ** powers
-    return np.asarray(np.linalg.solve(KNOTS.astype(float) ** powers, at), dtype=np.float64)
 
 
 @lru_cache(maxsize=1)

@@ -169,8 +169,7 @@ def _density(
     """Information per second and (N m)^2 of each joint, and where it comes from."""
     sizes = np.zeros(belief.robot.n)
     if belief.theta is not None:
-        moves = typical(belief, seed=0)[:20]
-        torque = belief.regressor(moves) @ belief.theta
+        torque = belief.regressor(typical(belief, seed=0)[:20]) @ belief.theta
         sizes = noise_share * np.sqrt(np.mean(torque**2, axis=(0, 1)))
     origin = "assumed: a thirtieth of the usual torque; errors are relative to that"
     if not sizes.any():

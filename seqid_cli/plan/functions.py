@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sized
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,7 +60,14 @@ def plan(
     target, folder = optional(output), optional(trajectories)
     files = [Path(model) for model in given if not isinstance(model, ParameterFile)]
     inputs = [*([Path(robot)] if is_place(robot) else []), *files]  # type: ignore[arg-type]
-    _check(what, options, given, logs, target, folder, inputs)
+    if target is not None:
+        check_output(target, inputs)
+    if folder is not None:
+        if folder.exists() and not folder.is_dir():
+            hint = "Name a folder for the files of the moves."
+            raise UsageError("is a file, not a folder", where=str(folder), hint=hint)
+        check_output(folder.parent / f"{folder.name}.csv")
+    _check(what, options, given, logs)
     found = expanded(logs)
     # The robot file comes first: its faults are reported before a parameter file's faults.
     arm = robot_of(robot, ())
@@ -88,23 +95,8 @@ def plan(
     return made
 
 
-def _check(
-    what: str,
-    options: PlanOptions,
-    parameters: Sequence[object],
-    have: Sequence[object],
-    output: Path | None,
-    trajectories: Path | None,
-    inputs: Sequence[Path],
-) -> None:
-    """Refuse outputs that cannot be written and options that contradict each other."""
-    if output is not None:
-        check_output(output, inputs)
-    if trajectories is not None:
-        if trajectories.exists() and not trajectories.is_dir():
-            hint = "Name a folder for the files of the moves."
-            raise UsageError("is a file, not a folder", where=str(trajectories), hint=hint)
-        check_output(trajectories.parent / f"{trajectories.name}.csv")
+def _check(what: str, options: PlanOptions, parameters: Sized, have: Sized) -> None:
+    """Refuse options that contradict each other."""
     if options.duration_s < options.length_s:
         total, length = options.duration_s, options.length_s
         message = f"--duration {total:g} s is shorter than one move of {length:g} s"

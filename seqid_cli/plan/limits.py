@@ -61,11 +61,7 @@ def limits_of(
 def _of_joint(
     robot: Robot, j: int, *, needed: bool, slowest_s: float = 600.0
 ) -> tuple[float, float, float, float]:
-    """Ends of the range, speed and torque by both sources; a joint that stays may lack its limits.
-
-    `slowest_s`: time for the whole range at the speed limit: plans of slower joints would take
-    days, and gigabytes.
-    """
+    """Ends of the range, speed and torque by both sources; a joint that stays may lack some."""
     joint, where = robot.joints[j], str(robot.source)
     urdf, of_urdf = joint.urdf, None
     if urdf is not None and urdf.kind == "continuous":  # one turn of many
@@ -88,7 +84,7 @@ def _of_joint(
         both = f"{joint.position_limits} and the URDF's {of_urdf}"
         message = f"joint {joint.name!r}: position limits {both} exclude each other"
         raise ConfigError(message, where=where, hint="Correct position_limits in the robot file.")
-    if needed and upper - lower > slowest_s * speed:
+    if needed and upper - lower > slowest_s * speed:  # its plan would take days, and gigabytes
         message = f"joint {joint.name!r} crosses its range in {(upper - lower) / speed:.3g} s"
         limit = f"limit of {speed:g} {joint.unit('rad/s')}"
         hint = f"Correct its {limit}; up to {slowest_s:g} s are planned."

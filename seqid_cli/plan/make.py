@@ -9,13 +9,7 @@ from msgspec import structs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.planned import sampled
 from seqid_cli.params.document import head, robot_id
-from seqid_cli.params.results.plan import (
-    PLAN_SCHEMA,
-    JointLimits,
-    PlanFile,
-    PlannedMove,
-    PlannedStage,
-)
+from seqid_cli.params.results.plan import PLAN_SCHEMA, JointLimits, PlanFile, PlannedMove
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of, information_of
@@ -48,13 +42,10 @@ def make_plan(
         found = {what: plan_discriminate(belief, stages, options, list(have))}
     else:
         found = _session(what, belief, stages, options, have)
-    moves = [
-        structs.replace(move, stage=name)
-        for name, planned in found.items()
-        for move in planned.moves
-    ]
-    for planned in found.values():
+    moves: list[PlannedMove] = []
+    for name, planned in found.items():
         planned.stage.duration_s = sum(move.duration_s for move in planned.moves)
+        moves += [structs.replace(move, stage=name) for move in planned.moves]
     if belief.theta is not None:
         heavy = loaded(belief, options.load_kg)
         moves = [_with_torque(heavy if m.stage == "payload" else belief, m) for m in moves]
@@ -84,7 +75,7 @@ def make_plan(
         duration_s=sum(durations),
         total_s=sum(durations) + _ways(moves, limits, names),
         speed_scale=options.speed_scale,
-        verdicts=[v for name, planned in found.items() for v in _verdicts(name, planned.stage)],
+        verdicts=[v for name, planned in found.items() for v in _verdicts(name, planned)],
         notes=_notes(belief),
     )
 
@@ -139,8 +130,8 @@ def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) ->
     return total
 
 
-def _verdicts(what: str, stage: PlannedStage) -> list[Verdict]:
-    told = stage.separation
+def _verdicts(what: str, planned: Planned) -> list[Verdict]:
+    stage, told = planned.stage, planned.stage.separation
     if told is not None:
         pairs = zip(told.between, reversed(told.between), told.powers, told.imitations, strict=True)
         reason = "; ".join(

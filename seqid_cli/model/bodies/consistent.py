@@ -21,8 +21,6 @@ lies on the boundary of what can exist, where a link has lost its mass or an axi
 are conic problems: log det by a semidefinite block of twice the size and four exponential cones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -42,38 +40,34 @@ _ENTRIES, _FACTORS, _LOGS = 10, 10, 4
 _PER_LINK = _ENTRIES + _FACTORS + _LOGS
 
 
-@dataclass(frozen=True)
-class Demand:
-    """What the torque asks of the links.
-
-    `E` (b, 10 n) and `G` (b, k) give the base parameters from the links' standard parameters and
-    from k rotor inertias, `values` (b,) is what was identified, `whitening` (b, b) turns a residual
-    into independent standard errors.
-    """
-
-    E: Array
-    G: Array
-    values: Array
-    whitening: Array
+# Links (n, 10) and rotors (k,) kg m^2 that can exist; whether their torque is what was identified.
+Consistent = tuple[Array, Array, bool]
 
 
-@dataclass(frozen=True)
-class Consistent:
-    """Links that can exist: `phi` (n, 10), `rotors` (k,) kg m^2; whether they meet the demand."""
-
-    phi: Array
-    rotors: Array
-    exact: bool
-
-
-def consistent_links(J: Array, rotors: Array, demand: Demand) -> Consistent:
-    """Find physically consistent parameters that meet a demand, or come nearest to it.
+def consistent_links(
+    J: Array, rotors: Array, E: Array, G: Array, values: Array, whitening: Array
+) -> Consistent:
+    """Find physically consistent parameters with the identified torque, or the nearest to it.
 
     `J` (n, 4, 4): expected pseudo-inertias, positive definite. `rotors` (k,): typical sizes of the
-    rotor inertias [kg m^2], positive; they scale the problem. Raises QualityError if the solver
-    finds nothing, which numbers of wildly different sizes can bring about.
+    rotor inertias [kg m^2], positive; they scale the problem. `E` (b, 10 n) and `G` (b, k) give the
+    base parameters from the links' standard parameters and the rotors, `values` (b,) is what was
+    identified, `whitening` (b, b) turns a residual into independent standard errors. Raises
+    QualityError if the solver finds nothing, as numbers of wildly different sizes can bring about.
     """
-    problem = _Problem.of(J, rotors, demand)
+    n = len(J)
+    T = np.zeros((10 * n, 10 * n))
+    for i, L in enumerate(np.linalg.cholesky(J)):
+        for c, (a, b) in enumerate(_UPPER):
+            unit = np.zeros((4, 4))
+            unit[a, b] = unit[b, a] = 1.0
+            T[10 * i : 10 * i + 10, 10 * i + c] = standard_of(L @ unit @ L.T)
+    B = np.zeros((len(values), _PER_LINK * n + len(rotors)))
+    B[:, : _ENTRIES * n] = E @ T
+    B[:, _PER_LINK * n :] = G * rotors
+    size = np.linalg.norm(B, axis=1)
+    size = np.where(size > 0.0, size, 1.0)
+    problem = _Problem(n, T, rotors, B / size[:, None], values / size, whitening * size)
     found = problem.exact() or problem.nearest()
     if found is None:
         hint = "Check the robot file against the arm; compare the file with seqid predict."
@@ -139,23 +133,6 @@ class _Problem:
     values: Array
     W: Array
 
-    @classmethod
-    def of(cls, J: Array, rotors: Array, demand: Demand) -> _Problem:
-        """Scale by what is expected."""
-        n = len(J)
-        T = np.zeros((10 * n, 10 * n))
-        for i, L in enumerate(np.linalg.cholesky(J)):
-            for c, (a, b) in enumerate(_UPPER):
-                unit = np.zeros((4, 4))
-                unit[a, b] = unit[b, a] = 1.0
-                T[10 * i : 10 * i + 10, 10 * i + c] = standard_of(L @ unit @ L.T)
-        B = np.zeros((len(demand.values), _PER_LINK * n + len(rotors)))
-        B[:, : _ENTRIES * n] = demand.E @ T
-        B[:, _PER_LINK * n :] = demand.G * rotors
-        size = np.linalg.norm(B, axis=1)
-        size = np.where(size > 0.0, size, 1.0)
-        return cls(n, T, rotors, B / size[:, None], demand.values / size, demand.whitening * size)
-
     @property
     def variables(self) -> int:
         """Length of v."""
@@ -180,9 +157,7 @@ class _Problem:
     def _costs(self, *, rotor_cost: float = 1e-3) -> Array:
         """Cost (v,) of each variable, so that their sum is D."""
         cost = np.zeros(self.variables)
-        diagonal = [c for c, (a, b) in enumerate(_UPPER) if a == b]
-        for i in range(self.n):
-            cost[[_ENTRIES * i + c for c in diagonal]] = 1.0
+        cost[: _ENTRIES * self.n] = np.tile([a == b for a, b in _UPPER], self.n)
         cost[2 * _ENTRIES * self.n : _PER_LINK * self.n] = -1.0
         cost[_PER_LINK * self.n :] = rotor_cost
         return cost
@@ -251,7 +226,7 @@ class _Problem:
     def _found(self, v: Array, *, exact: bool = False) -> Consistent:
         phi = (self.T @ v[: _ENTRIES * self.n]).reshape(self.n, 10)
         rotors = np.maximum(v[_PER_LINK * self.n : self.variables], 0.0) * self.rotors
-        return Consistent(phi, rotors, exact)
+        return phi, rotors, exact
 
 
 def _solved(cost: Array, cones: Sequence[_Cone]) -> Array | None:

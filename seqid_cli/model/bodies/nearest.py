@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.model.bodies.consistent import Demand, consistent_links
+from seqid_cli.model.bodies.consistent import consistent_links
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
 from seqid_cli.model.torque import known_rotors, standard_parameters
 from seqid_cli.params.results.export import ExportedParameter
@@ -80,8 +80,7 @@ def identified(
     rigid = stages.inertia or stages.gravity
     phi = np.zeros(basis.expression.shape[1])
     if rigid is not None:
-        links, rotor = standard_parameters(rigid, robot.n)
-        phi = np.concatenate([links.ravel(), rotor])
+        phi = np.concatenate([x.ravel() for x in standard_parameters(rigid, robot.n)])
     if more is not None:
         phi = phi + more
     found, covariance, moves = _determined(stages, basis, robot)
@@ -246,11 +245,10 @@ def nearest_bodies(robot: Robot, found: Identified, kept: Array | None = None) -
     E, G = every[:, :first], every[:, first:][:, free]
     scale = np.abs(found.values).max(initial=0.0) + np.abs(found.errors).max(initial=0.0)
     W = whitening(found.covariance, _LEAST_ERROR * max(scale, 1e-12))
-    own = Demand(E, G, found.values - E @ kept.ravel(), W)
-    J, from_cad = expected_links(robot, kept, E, own.values, G)
+    values = found.values - E @ kept.ravel()
+    J, from_cad = expected_links(robot, kept, E, values, G)
     turning = J[:, :3, :3].trace(axis1=1, axis2=2)  # sizes of the links' inertias, kg m^2
     sizes = (turning / gear_ratios(robot) ** 2)[free]
-    bodies = consistent_links(J, sizes, own)
     rotor = found.known.copy()
-    rotor[free] = bodies.rotors
-    return NearestBodies(bodies.phi, rotor, bodies.exact, from_cad)
+    links, rotor[free], exact = consistent_links(J, sizes, E, G, values, W)
+    return NearestBodies(links, rotor, exact, from_cad)

@@ -11,9 +11,8 @@ inequalities for physically consistent inertial parameter identification", RA-L 
 a frame as J_A = T_AB J_B T_AB'.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -54,7 +53,7 @@ class Body:
     inertia: Array
 
     @classmethod
-    def of(cls, phi: Array) -> Body:
+    def of(cls, phi: Array) -> Self:
         """Take standard parameters (10,) of a positive mass apart."""
         J = pseudo_inertia(phi)
         mass = float(J[3, 3])

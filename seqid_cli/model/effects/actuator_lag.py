@@ -20,11 +20,7 @@ class ActuatorLag(TorqueMeasurement):
     """Command minus torque of a first-order drive; of one joint, or one lag of all (joint None)."""
 
     name = "actuator_lag"
-    family = "measurement"
-    timing = True
-    steady = True
-    even = True
-    shared = True
+    timing = steady = even = shared = True
     linear = (Coefficient("time_constant", "s", low=0.0, high=0.2),)
     alike = ("time_skew", "joint_elasticity")
     separate_by = (
@@ -49,6 +45,5 @@ class ActuatorLag(TorqueMeasurement):
         # Exact for torque that is linear between the samples.
         past = float(np.exp(-1.0 / (rate_hz * lag)))
         ramp = rate_hz * lag * (1.0 - past)
-        settled = ramp * tau[:1]
-        true: Array = lfilter([1.0 - ramp, ramp - past], [1.0, -past], tau, axis=0, zi=settled)[0]
-        return true
+        b, a, settled = [1.0 - ramp, ramp - past], [1.0, -past], ramp * tau[:1]
+        return np.asarray(lfilter(b, a, tau, axis=0, zi=settled)[0])

@@ -33,9 +33,7 @@ class Backlash(Effect):
 
     name = "backlash"
     family = "transmission"
-    settings = (
-        Setting("trial_gap", "rad", SMALLEST, LARGEST, continuous=False, agreement=AGREEMENT),
-    )
+    settings = (Setting("trial_gap", "rad", SMALLEST, LARGEST, False, agreement=AGREEMENT),)
     needs = ("load",)
     apart = True
     linear = (Coefficient("gap", "rad", low=0.0, high=0.1),)
@@ -87,8 +85,7 @@ class Backlash(Effect):
         gap = settings["trial_gap"]
         inertia = link_inertia(scene, joint)[:, joint]
         deviation = play(scene.load[:, joint], inertia, scene.motion, gap) / -gap
-        torque = link_deviation(scene, joint, deviation)
-        return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
+        return link_deviation(scene, joint, deviation)
 
 
 def play(load: Array, inertia: Array, motion: Motion, gap: float) -> Array:

@@ -12,11 +12,9 @@ Khalil, "Direct calculation of minimum set of inertial parameters of serial robo
 Robotics and Automation 6(3), 1990.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.regressor import gravity_regressor, inverse_dynamics
@@ -33,14 +31,12 @@ class BaseTilt(Effect):
 
     name = "base_tilt"
     family = "body"
-    arm = True
+    arm = change = exact = True
     passes = 1
-    change = True
     settings = (
         Setting("upright", "1", low=0.0, high=1.0, continuous=False),
         *(Setting(name, "rad", -LARGEST_RAD, LARGEST_RAD, False, asked=False) for name in AROUND),
     )
-    exact = True
     alike = ("payload", "spring", "torque_bias")
     separate_by = (
         "an accelerometer on the base, or fast moves of the proximal joints: inertial torque does "
@@ -58,7 +54,7 @@ class BaseTilt(Effect):
         """Gravity parameters are needed."""
         return scenes[0].model.phi is not None and bool(scenes[0].robot.gravity.any())
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """Whether the first joint turns about gravity; no rotation to begin with."""
         upright = float(first_joint_upright(scenes[0].robot))
         return {"upright": [upright], **{key: [0.0] for key in AROUND}}
@@ -69,23 +65,17 @@ class BaseTilt(Effect):
         return {**settings, **dict(zip(AROUND, found, strict=True))}
 
     def plausible(
-        self,
-        scenes: Scenes,
-        joint: Joint,
-        settings: Settings,
-        c: Array,
-        *,
-        most_moment: float = 10.0,
+        self, scenes: Scenes, joint: Joint, settings: Settings, c: Array, *, most: float = 10.0
     ) -> bool:
         """Ask that a tilt comes with the first link's moments, where other joints would show it.
 
-        Moments alone are any function of the first joint's angle: `most_moment` of the largest
-        torque that a gear passes on, per rad.
+        Moments alone are any function of the first joint's angle: `most` of the largest torque that
+        a gear passes on, per rad.
         """
         alone = not settings["upright"] or scenes[0].robot.n == 1
         tilt, moments = np.linalg.norm(c[:2]), np.linalg.norm(c[2:])
         largest = max(float(np.max(np.abs(scene.load))) for scene in scenes)
-        tilted = alone or moments <= most_moment * largest * tilt
+        tilted = alone or moments <= most * largest * tilt
         return bool(tilted) and super().plausible(scenes, joint, settings, c)
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:

@@ -6,13 +6,11 @@ A [N m], B [N m/s]; t [s] counts from the first log where the logs share a clock
 start of each. Beyond the recorded session (`duration`) the offset is held.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
 from seqid_cli.model.effects.measurement import touched
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes, session
 
 
 class Drift(Effect):
@@ -20,8 +18,7 @@ class Drift(Effect):
 
     name = "drift"
     family = "measurement"
-    drive = True
-    slow = True
+    drive = slow = True
     passes = 1
     settings = (Setting("duration", "s", low=0.0, continuous=False),)
     over = "session_time"
@@ -33,9 +30,9 @@ class Drift(Effect):
         "the first log repeated as the last"
     )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """The session's end."""
-        return {"duration": [max(float(scene.time[-1]) for scene in scenes)]}
+        return {"duration": [session(scenes)]}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """One and time."""

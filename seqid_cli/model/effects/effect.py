@@ -26,6 +26,7 @@ from seqid_cli.typing import Array, Mask
 from seqid_cli.units import unit_of
 
 Grid = Iterator[dict[str, float]]
+GridAxes = Mapping[str, Sequence[float]]  # the values of each setting, all combined
 Settings = Mapping[str, float]
 AnyJoint = Any  # a `Joint`: each effect says whether it takes None, for the whole arm or all joints
 Columns = Mapping[int, Array]  # joint index -> (N, k), unfiltered, torque per unit coefficient
@@ -101,8 +102,7 @@ class Effect(abc.ABC):
     name: str  # as the contract spells it
     family: Family
     arm: bool = False  # of the whole arm or of its measurement: its joint is then None
-    # Whether it can be one of all joints as well, with the same coefficients: its joint is then
-    # None.
+    # Whether it can be one of all joints alike as well: its joint is then None.
     shared: bool = False
     settings: tuple[Setting, ...] = ()
     linear: tuple[Coefficient, ...] = ()  # where they are the same whatever the settings
@@ -130,9 +130,7 @@ class Effect(abc.ABC):
     # may have taken up.
     steady: bool = False
     even: bool = False
-    # Whether its torque arises between the motor's current and a torque sensor behind the gear,
-    # which does not see it.
-    drive: bool = False
+    drive: bool = False  # arises before a torque sensor behind the gear, which does not see it
     # What its two coefficients are the sine and cosine of: reported as its amplitude and phase.
     wave: str = ""
     later: tuple[str, ...] = ()  # last coefficients that files of earlier versions lack: zero there
@@ -144,8 +142,7 @@ class Effect(abc.ABC):
     alike: tuple[str, ...] = ()  # names that it can be taken for in principle, whatever the motion
     # Effect of whose torque it is a share, the same in both directions, beside what the file has.
     share_of: str = ""
-    # Whether the joints' motion alone makes it show, so that moves can be planned for it; not time,
-    # warmth or somebody's hand.
+    # Whether motion alone makes it show, no time, warmth or hand, so that moves can be planned.
     by_motion: bool = True
     separate_by: str  # what to record to tell it from those, as an instruction
 
@@ -223,7 +220,7 @@ class Effect(abc.ABC):
         """Yield first values of settings that are not asked for."""
         return iter(())
 
-    def axes(self, scenes: Scenes, joint: AnyJoint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: AnyJoint) -> GridAxes:
         """Return the grid's values of each setting; the default `grid` is their product."""
         return {setting.name: setting.grid for setting in self.settings if setting.grid}
 

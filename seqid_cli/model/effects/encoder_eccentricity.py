@@ -11,13 +11,12 @@ encoder's shaft: Matsuzoe et al., "High-performance absolute rotary encoder usin
 M-code", Optical Engineering 42(1), 2003.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, GridAxes, Setting, Settings
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import modelled_slopes
@@ -34,9 +33,7 @@ class EncoderEccentricity(MeasurementEffect):
     """Periodic error of the measured angle, through the whole model."""
 
     name = "encoder_eccentricity"
-    family = "measurement"
-    steady = True
-    even = True
+    steady = even = True
     settings = (Setting("order", "cycles per motor turn", low=0.0, continuous=False),)
     linear = (
         Coefficient("error_sin", "rad", -LARGEST_RAD, LARGEST_RAD),
@@ -49,7 +46,7 @@ class EncoderEccentricity(MeasurementEffect):
         "square of the speed, ripple does not"
     )
 
-    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> GridAxes:
         """Orders 1 and 2 of the motor, and of the joint where that is something else."""
         gear = abs(float(scenes[0].gear[joint]))
         slow = [order / gear for order in ORDERS] if gear > FINE_GEAR else []

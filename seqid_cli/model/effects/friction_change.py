@@ -20,9 +20,8 @@ class FrictionChange(FrictionLaw):
     """A constant change of Coulomb and viscous friction."""
 
     name = "friction_change"
-    change = True
+    change = sided = True
     over = "speed"
-    sided = True
     linear = (Coefficient("coulomb_change", "N m"), Coefficient("viscous_change", "N m s/rad"))
     alike = ("thermal_friction", "load_dependent_friction", "nonlinear_viscous", "torque_constant")
     by_motion = False

@@ -25,8 +25,7 @@ SHARES = (0.02, 0.06, 0.2, 0.6)  # of the smallest inertia about the joint
 class LoadLoss(FrictionLaw):
     """An effect of the torque that a gear passes on."""
 
-    sided = True
-    steady = True
+    sided = steady = True
     settings = (Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),)
     needs = ("motion", "load")
 

@@ -55,8 +55,7 @@ class JointElasticity(Effect):
     )
     needs = ("load",)
     passes = 1
-    timing = True
-    apart = True
+    timing = apart = True
     linear = (Coefficient("compliance", "rad/(N m)", low=0.0),)
     alike = ("time_skew", "actuator_lag", "encoder_eccentricity")
     separate_by = (
@@ -73,14 +72,13 @@ class JointElasticity(Effect):
         inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
         cutoff = scenes[0].motion.lowpass.cutoff_hz
         unit = inertia * (2 * np.pi * cutoff) ** 2  # N m/rad, of a resonance at the cut-off
-        stiffness = unit * np.geomspace(SOFTEST, STIFFEST, POINTS) ** 2
         link = scenes[0].robot.joints[joint].encoder_side == "link"
-        for k in stiffness[:: 1 + link]:
-            settings = {"trial_stiffness": float(k), "encoder_side": float(link)}
-            yield {**settings, "damping_ratio": BLUNT}
-        for share in () if link else np.geomspace(LOWEST_RESONANCE, 1.0, FINE):
-            settings = {"trial_stiffness": float(unit * share**2), "encoder_side": 0.0}
-            yield {**settings, "damping_ratio": RINGING}
+        tried = [(share, BLUNT) for share in np.geomspace(SOFTEST, STIFFEST, POINTS)[:: 1 + link]]
+        if not link:
+            tried += [(share, RINGING) for share in np.geomspace(LOWEST_RESONANCE, 1.0, FINE)]
+        for share, ratio in tried:
+            settings = {"trial_stiffness": float(unit * share**2), "encoder_side": float(link)}
+            yield {**settings, "damping_ratio": ratio}
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Torque per unit compliance, on all joints (link's side: on its own)."""
@@ -91,8 +89,7 @@ class JointElasticity(Effect):
             return {joint: (scene.rotor[joint] * acceleration + slope * speed)[:, None]}
         damping = settings.get("damping_ratio", BLUNT)
         bent = twist(scene, joint, settings["trial_stiffness"], damping)
-        torque = link_deviation(scene, joint, bent)
-        return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
+        return link_deviation(scene, joint, bent)
 
     def values(
         self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
@@ -109,8 +106,7 @@ class JointElasticity(Effect):
         inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
         band = inertia * (2 * np.pi * scenes[0].motion.lowpass.cutoff_hz) ** 2  # N m/rad
         if settings["trial_stiffness"] < band:
-            ratio = float(c[0]) * settings["trial_stiffness"]
-            return bool(1.0 / AGREEMENT < ratio < AGREEMENT)
+            return bool(1.0 / AGREEMENT < c[0] * settings["trial_stiffness"] < AGREEMENT)
         return bool(1.0 / c[0] > LOWEST_RESONANCE**2 * band)
 
 

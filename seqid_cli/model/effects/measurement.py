@@ -20,6 +20,8 @@ SMALL_S = 1e-6  # below it the derivative over time is exact enough
 class MeasurementEffect(Effect):
     """An effect that a recording can be freed of by correcting the channel that it distorts."""
 
+    family = "measurement"
+
     @abc.abstractmethod
     def restored(
         self, recording: Recording, robot: Robot, joint: AnyJoint, settings: Settings, c: Array
@@ -72,6 +74,6 @@ def of_modelled(scene: Scene, joint: Joint, function: Callable[[Array], Array]) 
     which = touched(scene, joint)
     carried = scene.carried[:, which]
     smooth = function(carried)
-    stepped = scene.motion.filtered(function(carried + scene.friction[:, which]) - smooth)
-    total = smooth + stepped
+    stepped = function(carried + scene.friction[:, which]) - smooth
+    total = smooth + scene.motion.filtered(stepped)
     return {j: total[:, [k]] for k, j in enumerate(which)}

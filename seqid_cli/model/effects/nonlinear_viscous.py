@@ -25,8 +25,7 @@ class NonlinearViscous(FrictionLaw):
     name = "nonlinear_viscous"
     settings = (Setting("exponent", "1", low=0.3, high=4.0, grid=(0.5, 3.0)),)
     over = "speed"
-    sided = True
-    steady = True
+    sided = steady = True
     alike = ("quadratic_drag", "stribeck", "thermal_friction")
     separate_by = (
         "a ladder of eight constant speeds up and down again, both ways, from a fiftieth of the "

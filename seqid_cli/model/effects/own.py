@@ -124,14 +124,13 @@ class FormulaEffect(Effect):
             for k, own in enumerate(np.eye(len(names))):  # linear in its coefficients
                 numbers = {**settings, **dict(zip(names, own, strict=True))}
                 X[:, k] = _evaluated(self.formula.tree, scene, joint, numbers)
-        bad = ~np.isfinite(X).all(axis=1)
-        if bad.any():
-            many = f"{scene.robot.joint_names[joint]} for {int(bad.sum())} of {len(X)} samples"
-            message = f"effect {self.name!r}: {self.formula.text!r} is no finite number at {many}"
-            aim = "Keep divisors and arguments of log and sqrt away from zero"
-            hint = f"{aim}, as in abs(dq) + 0.01."
-            raise ConfigError(message, where=str(scene.robot.source), hint=hint)
-        return {joint: X}
+        bad = len(X) - int(np.isfinite(X).all(axis=1).sum())
+        if not bad:
+            return {joint: X}
+        many = f"{scene.robot.joint_names[joint]} for {bad} of {len(X)} samples"
+        message = f"effect {self.name!r}: {self.formula.text!r} is no finite number at {many}"
+        hint = "Keep divisors and arguments of log and sqrt away from zero, as in abs(dq) + 0.01."
+        raise ConfigError(message, where=str(scene.robot.source), hint=hint)
 
 
 def _evaluated(node: ast.expr, scene: Scene, joint: int, numbers: Settings) -> Array:

@@ -9,11 +9,9 @@ link once the latter is free. Compare Khalil, Gautier, Lemoine, "Identification 
 inertial parameters of industrial manipulators", ICRA 2007.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.robot.regressor import PER_LINK, torque_regressor
@@ -24,19 +22,17 @@ class Payload(Effect):
 
     name = "payload"
     family = "body"
-    arm = True
+    arm = change = exact = True
     settings = (Setting("from_log", "1", low=0.0, continuous=False),)
     passes = 1
-    change = True
     linear = tuple(Coefficient(f"payload_{kind}", parameter_unit(f"{kind}_1")) for kind in STANDARD)
-    exact = True
     alike = ("base_tilt", "torque_constant", "spring")
     separate_by = (
         "the same motion with and without the payload, and poses that turn the last link against "
         "gravity"
     )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """From any log on."""
         return {"from_log": sorted({float(scene.log) for scene in scenes})}
 

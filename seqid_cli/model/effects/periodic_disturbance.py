@@ -41,18 +41,13 @@ class Signal:
     start: float = 0.0
 
     @property
-    def time(self) -> Array:
-        """Time (N,) s."""
-        return self.start + np.arange(len(self.values)) / self.rate_hz
-
-    @property
     def length_s(self) -> float:
         """Duration."""
         return len(self.values) / self.rate_hz
 
 
 def strongest_lines(signals: Sequence[Signal], low_hz: float, count: int) -> list[float]:
-    """Frequencies from `low_hz` on at which the logs' summed power stands out, highest first."""
+    """At most `count` frequencies [Hz] from `low_hz` on where the logs' summed power stands out."""
     longest = max((signal.length_s for signal in signals), default=0.0)
     top = 0.45 * min((signal.rate_hz for signal in signals), default=0.0)
     low = max(low_hz, 8.0 / longest) if longest > 0.0 else np.inf
@@ -85,6 +80,8 @@ def amplitude(signal: Signal, frequency: float) -> float:
 def refined(signals: Sequence[Signal], near: float) -> tuple[float, float]:
     """Sharpen a line's frequency by its phases; the logs share the clock of their starts.
 
+    Power tells it to within one over the longest log, phases to a fraction of one over the time
+    that the logs span; demodulated to a few values per log, their search costs next to nothing.
     Returns the frequency (Hz) and the coherence: 1 if amplitude and phase are always the same.
     """
     parts = zip(*(_demodulated(signal, near) for signal in signals), strict=True)
@@ -112,7 +109,7 @@ def _coherence(z: Complex, t: Array, weight: Array, offsets: Array) -> Array:
 def _demodulated(signal: Signal, frequency: float) -> tuple[Complex, Array, Array]:
     """Means of a signal, turned back by a frequency, in equal pieces; their times and numbers."""
     counts = np.flatnonzero(signal.values)
-    time = signal.time[counts]
+    time = signal.start + counts / signal.rate_hz
     turned = signal.values[counts] * np.exp(-2j * np.pi * frequency * time)
     piece = counts * PIECES // max(len(signal.values), 1)
     weight = np.bincount(piece, minlength=PIECES).astype(np.float64)

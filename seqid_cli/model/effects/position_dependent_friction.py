@@ -8,12 +8,11 @@ holds it already. Popovic, Goldenberg, "Modeling of friction using spectral anal
 Robotics and Automation 14(1), 1998.
 """
 
-from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Scene, Scenes, travel
 from seqid_cli.typing import Array
 
@@ -45,7 +44,7 @@ class PositionDependentFriction(FrictionLaw):
         pairs = product(range(1, round(settings["waves"]) + 1), ("cosine", "sine"))
         return tuple(Coefficient(f"{part}_{k}", "N m") for k, part in pairs)
 
-    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> GridAxes:
         """A turn of the joint with one wave or more; twice the travel of a sliding joint."""
         slides = scenes[0].robot.joints[joint].prismatic
         period = 2.0 * travel(scenes, joint) if slides else 2.0 * np.pi

@@ -14,11 +14,9 @@ model", Aerospace Corp. TOR-0158, 1968; Canudas de Wit, Olsson, Astrom, Lischins
 control of systems with friction", IEEE Trans. Autom. Control 40(3), 1995.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Scene, Scenes, travel
 from seqid_cli.typing import Array
 
@@ -44,7 +42,7 @@ class PreslidingHysteresis(FrictionLaw):
         """No: the deflection remembers the last reversals, however long ago."""
         return False
 
-    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> GridAxes:
         """Distances from a ten-thousandth to a fifth of the way, by ratios of about two."""
         scale = min(travel(scenes, joint), 1.0)
         distances = np.maximum(np.geomspace(SHORTEST, LONGEST, DISTANCES) * scale, 1e-7)

@@ -18,8 +18,7 @@ class QuadraticDrag(FrictionLaw):
 
     name = "quadratic_drag"
     over = "speed"
-    sided = True
-    steady = True
+    sided = steady = True
     linear = (Coefficient("drag_coefficient", "N m s^2/rad^2", low=0.0),)
     alike = ("nonlinear_viscous", "stribeck", "thermal_friction")
     separate_by = (

@@ -10,9 +10,7 @@ Murphy, Wen, Saridis, "Simulation and analysis of flexibly jointed manipulators"
 Rotor1D.
 """
 
-from collections.abc import Mapping, Sequence
-
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.typing import Array
@@ -23,11 +21,10 @@ class RotorInertia(Effect):
 
     name = "rotor_inertia"
     family = "body"
-    drive = True
+    drive = exact = True
     settings = (Setting("coupling", "1", low=0.0, high=1.0, continuous=False),)
     passes = 1
     over = "acceleration"
-    exact = True
     alike = ("payload", "torque_constant")
     separate_by = (
         "fast moves of this joint with the others still, in poses that change the links' inertia "
@@ -40,7 +37,7 @@ class RotorInertia(Effect):
             return (Coefficient("rotor_inertia", "kg m^2", low=0.0),)
         return (Coefficient("rotor_inertia_error", "kg m^2"),)
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """The diagonal term, and the coupling where the model lacks it."""
         carried = bool(joint) and not scenes[0].robot.chain.prismatic[joint]
         lacks = carried and scenes[0].model.coupling == "diagonal"

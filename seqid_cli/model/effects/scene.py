@@ -171,11 +171,8 @@ Scenes = Sequence[Scene]
 
 def sign_widths(model: TorqueModel, top_speed: Array) -> Array:
     """Speeds (n,) over which friction changes its sign: the file's, or a share of the top speed."""
-    widths: Array = np.maximum(DEFAULT_SIGN_SHARE * top_speed, 1e-6)
-    for j, surface in enumerate(model.surfaces):
-        if surface is not None:
-            widths[j] = surface.sign_width
-    return widths
+    usual = zip(model.surfaces, np.maximum(DEFAULT_SIGN_SHARE * top_speed, 1e-6), strict=True)
+    return np.array([width if own is None else own.sign_width for own, width in usual])
 
 
 def moves(scenes: Scenes, joint: int) -> bool:

@@ -5,9 +5,11 @@ from functools import partial
 
 import numpy as np
 
+from seqid_cli.model.effects.effect import Columns
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array
 
 Torque = Callable[[Array, Array, Array], Array]  # (q, dq, ddq), each (N, n) -> (N, n)
@@ -23,7 +25,7 @@ def link_torque(scene: Scene, q: Array, dq: Array, ddq: Array) -> Array:
         return np.zeros_like(q)
     parts = [
         inverse_dynamics(scene.robot.chain, scene.robot.gravity, phi, q[at], dq[at], ddq[at])
-        for at in (slice(k, k + BLOCK) for k in range(0, len(q), BLOCK))
+        for at in tiles(len(q), size=BLOCK)
     ]
     return np.concatenate(parts)
 
@@ -49,8 +51,13 @@ def slopes(
     """
     key = (name, joint)
     if key not in scene.memo:
-        motion = (scene.motion.q, scene.motion.dq, scene.motion.ddq)
-        scene.memo[key] = tuple(_slope(motion, k, joint, torque) for k in which)
+        motion, found = (scene.motion.q, scene.motion.dq, scene.motion.ddq), []
+        for k in which:
+            step = np.zeros((3, 1, scene.robot.n))
+            step[k, :, joint] = STEPS[k]
+            change = torque(*(motion + step)) - torque(*(motion - step))
+            found.append(change / (2 * STEPS[k]))
+        scene.memo[key] = tuple(found)
     return scene.memo[key]
 
 
@@ -72,16 +79,10 @@ def modelled_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:
     return tuple(one + other for one, other in zip(*both, strict=True))
 
 
-def _slope(motion: tuple[Array, Array, Array], which: int, joint: int, torque: Torque) -> Array:
-    step = np.zeros((3, 1, motion[0].shape[1]))
-    step[which, :, joint] = STEPS[which]
-    change = torque(*(motion + step)) - torque(*(motion - step))
-    return np.asarray(change / (2 * STEPS[which]))
-
-
-def link_deviation(scene: Scene, joint: int, deviation: Array) -> Array:
-    """Torque (N, n) of a small deviation (N,) of a joint's link; rotors do not feel it."""
+def link_deviation(scene: Scene, joint: int, deviation: Array) -> Columns:
+    """Torque (N, 1) of every joint for a deviation (N,) of one's link; rotors do not feel it."""
     speed, acceleration = differentiate(deviation, scene.motion.rate_hz, scene.motion.valid)
     by_place, by_speed, by_acceleration = link_slopes(scene, joint)
-    steady = by_place * deviation[:, None] + by_speed * speed[:, None]
-    return np.asarray(steady + by_acceleration * acceleration[:, None])
+    torque = by_place * deviation[:, None] + by_speed * speed[:, None]
+    torque += by_acceleration * acceleration[:, None]
+    return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}

@@ -91,9 +91,7 @@ class Axis:
     def basis(self, scene: Scene) -> Array:
         """Compute the functions (N, size) of a scene; zero where it lacks the quantity."""
         x = self.values(scene)
-        if x is None:
-            return np.zeros((scene.samples, self.size))
-        return splines(x, self.knots)
+        return np.zeros((scene.samples, self.size)) if x is None else splines(x, self.knots)
 
 
 def splines(x: Array, knots: Sequence[float]) -> Array:
@@ -118,9 +116,7 @@ def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Arr
     Unfiltered; K is the product of the axes' sizes, of which the last one runs fastest.
     """
     basis = reduce(tensor, [axis.basis(scene) for axis in axes])
-    if factor == "direction":
-        return basis * scene.sign[:, joint, None]
-    return basis
+    return basis * scene.sign[:, joint, None] if factor == "direction" else basis
 
 
 @dataclass(frozen=True)
@@ -148,12 +144,8 @@ class SmoothTerm:
         return not {axis.measure for axis in self.axes} & {"temperature", "time"}
 
     def torques(self, scene: Scene) -> dict[int, Array]:
-        """Torque (N,) N m of its joint, unfiltered."""
-        return {self.joint: self.torque(scene)}
-
-    def torque(self, scene: Scene) -> Array:
-        """Torque (N,) N m at the joint, unfiltered; the low-pass is to be applied twice."""
-        return shape(scene, self.joint, self.axes, self.factor) @ self.coefficients
+        """Torque (N,) N m of its joint, unfiltered; the low-pass is to be applied twice."""
+        return {self.joint: shape(scene, self.joint, self.axes, self.factor) @ self.coefficients}
 
     def to_stage(self, robot: Robot) -> EffectOfJoint:
         """Write the term down; its coefficients have no errors."""
@@ -204,8 +196,7 @@ class SmoothTerm:
         size = prod(axis.size for axis in axes)
         values = np.array([parameter.value for parameter in entry.parameters])
         if not axes or size != len(values):
-            what = f"has {len(values)} coefficients, expected {size}"
-            raise damaged(f"{key}.parameters", what)
+            raise damaged(f"{key}.parameters", f"has {len(values)} coefficients, expected {size}")
         if not np.all(np.isfinite(values)):
             raise damaged(f"{key}.parameters", "has a coefficient that is not finite")
         quantities = tuple(str(settings.get("depends_on", "")).split())

@@ -8,11 +8,9 @@ Canudas de Wit, "A survey of models, analysis tools and compensation methods for
 machines with friction", Automatica 30(7), 1994.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Scene, Scenes, top_speed
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.typing import Array
@@ -32,8 +30,7 @@ class Stribeck(FrictionLaw):
         Setting("exponent", "1", low=0.5, high=2.0, continuous=False),
     )
     over = "speed"
-    sided = True
-    steady = True
+    sided = steady = True
     linear = (Coefficient("stribeck_torque", "N m", low=0.0),)
     alike = ("presliding_hysteresis", "quadratic_drag", "nonlinear_viscous")
     separate_by = (
@@ -42,7 +39,7 @@ class Stribeck(FrictionLaw):
         "speeding up and slowing down must give the same torque at the same speed"
     )
 
-    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> GridAxes:
         """Speeds from the sign's width to half the top speed, by ratios of about two."""
         top = top_speed(scenes, joint)
         slow = min(SLIDES * float(scenes[0].sign_width[joint]), SLOWEST_SHARE * top)
@@ -52,8 +49,7 @@ class Stribeck(FrictionLaw):
     def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Hump times direction."""
         ratio = np.abs(scene.motion.dq[:, joint]) / settings["stribeck_speed"]
-        hump = np.exp(-(ratio ** settings["exponent"])) * scene.sign[:, joint]
-        return hump[:, None]
+        return (np.exp(-(ratio ** settings["exponent"])) * scene.sign[:, joint])[:, None]
 
     def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask for more friction at low speed, and that the hump ends within the speeds seen.

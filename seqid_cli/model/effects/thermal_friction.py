@@ -13,11 +13,9 @@ modeling and identification of load and temperature effects", J. Dyn. Sys. Meas.
 2012.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, session
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.typing import Array
@@ -58,9 +56,7 @@ class ThermalFriction(FrictionLaw):
 
     def axis(self, joint: int, settings: Settings) -> Axis | None:
         """Return the logged temperature, or time."""
-        if settings["logged"]:
-            return Axis("temperature", joint)
-        return super().axis(joint, settings)
+        return Axis("temperature", joint) if settings["logged"] else super().axis(joint, settings)
 
     def searched(self, settings: Settings) -> int:
         """Return 1 for the time constant, without a logged temperature."""
@@ -74,7 +70,7 @@ class ThermalFriction(FrictionLaw):
         coulomb = Coefficient("coulomb_when_cold", "N m")
         return coulomb, Coefficient("viscous_when_cold", "N m s/rad")
 
-    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> GridAxes:
         """Time constants around the session's length; with a temperature they do nothing."""
         span, logged = session(scenes), _logged(scenes, joint)
         times = [span] if logged else np.geomspace(0.04 * span, 2.0 * span, TIME_CONSTANTS)
@@ -90,8 +86,7 @@ class ThermalFriction(FrictionLaw):
             heat = _celsius(scene, joint) - settings["reference_temperature"]
         else:
             heat = np.exp(-scene.time / settings["warm_up_time"])
-        both = np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
-        return heat[:, None] * both
+        return heat[:, None] * np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
 
 
 def _celsius(scene: Scene, joint: int) -> Array:
@@ -102,13 +97,13 @@ def _celsius(scene: Scene, joint: int) -> Array:
 
 
 def _logged(scenes: Scenes, joint: int) -> bool:
-    """Whether every log has the joint's temperature and it changes enough, also from friction's."""
-    if any(scene.temperature is None for scene in scenes):
+    """Whether every log has a joint's temperature, and it changes enough, also from friction's."""
+    found = [s.temperature[:, joint] for s in scenes if s.temperature is not None]
+    if len(found) < len(scenes):
         return False
-    logged = np.concatenate([s.temperature[:, joint] for s in scenes if s.temperature is not None])
-    if not np.all((logged > -60.0) & (logged < 200.0)):
-        return False
-    return float(np.ptp(np.append(logged, _reference(scenes, joint)))) >= LEAST_KELVIN
+    logged = np.concatenate(found)
+    possible = np.all((logged > -60.0) & (logged < 200.0))
+    return bool(possible and np.ptp(np.append(logged, _reference(scenes, joint))) >= LEAST_KELVIN)
 
 
 def _reference(scenes: Scenes, joint: int) -> float:

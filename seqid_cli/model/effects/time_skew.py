@@ -12,6 +12,7 @@ A delay and a lag agree to first order and part in the second, d^2/2 against T^2
 derivative.
 """
 
+import numpy as np
 from scipy.ndimage import shift
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
@@ -34,15 +35,10 @@ class TimeSkew(TorqueMeasurement):
     """Modelled torque, shifted, minus itself; of one joint, or one delay of all (joint None)."""
 
     name = "time_skew"
-    family = "measurement"
     settings = (
         Setting("around", "s", -LARGEST_S, LARGEST_S, False, grid=(0.0,), agreement=CONSISTENT),
     )
-    timing = True
-    steady = True
-    even = True
-    first_order = True
-    shared = True
+    timing = steady = even = first_order = shared = True
     linear = (Coefficient("delay", "s", low=-LARGEST_S, high=LARGEST_S),)
     alike = ("actuator_lag", "joint_elasticity")
     separate_by = (
@@ -70,5 +66,4 @@ def delayed(values: Array, delay_s: float, rate_hz: float) -> Array:
     """Values (N, k) as they were `delay_s` before, held at the ends, by cubic splines."""
     if not len(values):
         return values.copy()
-    late: Array = shift(values, (delay_s * rate_hz, 0.0), order=3, mode="nearest")
-    return late
+    return np.asarray(shift(values, (delay_s * rate_hz, 0.0), order=3, mode="nearest"))

@@ -18,13 +18,9 @@ class TorqueBias(TorqueMeasurement):
     """A constant."""
 
     name = "torque_bias"
-    family = "measurement"
-    drive = True
-    slow = True
-    change = True
+    drive = slow = change = exact = True
     over = "session_time"
     linear = (Coefficient("offset", "N m"),)
-    exact = True
     alike = ("asymmetric_friction", "spring", "drift", "base_tilt")
     separate_by = (
         "ten seconds with the brakes on or the motors without current, before and after, and a "

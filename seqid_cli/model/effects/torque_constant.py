@@ -17,11 +17,8 @@ class TorqueConstant(TorqueMeasurement):
     """Torque in proportion to the modelled one."""
 
     name = "torque_constant"
-    family = "measurement"
-    drive = True
-    change = True
+    drive = change = exact = True
     linear = (Coefficient("relative_error", "1", low=-0.9, high=9.0),)
-    exact = True
     alike = ("payload", "torque_saturation", "load_dependent_friction")
     separate_by = (
         "the same motion with and without a payload of known mass, as far out as the arm reaches: "

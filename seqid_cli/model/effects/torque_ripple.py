@@ -92,12 +92,6 @@ class Profile:
             return 0.0
         return float(b @ np.linalg.solve(A, b))
 
-    def spectrum(self) -> tuple[Array, Array]:
-        """Orders and the gain that a well spread range of positions would give there."""
-        lines = np.abs(np.fft.rfft(self.rm, PADDING * len(self.rm))) ** 2
-        orders = np.arange(len(lines)) / (PADDING * self.span)
-        return orders, 2.0 * lines / max(float(self.mm.sum()), 1e-300)
-
 
 def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
     """At most `count` orders from `lowest` on: half the strongest lines, half the clearest ones."""
@@ -130,7 +124,10 @@ def clearness(profile: Profile, lowest: float, order: float) -> float:
 
 def _lines(profile: Profile, lowest: float) -> tuple[Array, Array, Array]:
     """Orders from `lowest` on, their power, and how clear they stand above their surroundings."""
-    orders, power = profile.spectrum()
+    lines = np.abs(np.fft.rfft(profile.rm, PADDING * len(profile.rm))) ** 2
+    orders = np.arange(len(lines)) / (PADDING * profile.span)
+    # The gain that a well spread range of positions would give.
+    power = 2.0 * lines / max(float(profile.mm.sum()), 1e-300)
     inside = (orders >= lowest) & (orders <= profile.highest)
     orders, power = orders[inside], power[inside]
     if len(power) == 0:
@@ -172,13 +169,12 @@ class TorqueRipple(Effect):
 
     name = "torque_ripple"
     family = "transmission"
-    drive = True
+    drive = wide = True
     settings = (
         Setting("order", "cycles per motor turn", low=0.0, continuous=False),
         Setting("law", "1", low=0.0, high=len(LAWS) - 1.0, continuous=False),
         Setting("lag", "s", low=0.0, high=max(LAGS_S), continuous=False),
     )
-    wide = True
     wave = "ripple"
     over = "wave"
     alike = ("encoder_eccentricity", "periodic_disturbance", "torque_constant")

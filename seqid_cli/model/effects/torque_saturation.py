@@ -12,11 +12,9 @@ The cubic law is the first term of any saturation that is odd in the current. Pi
 Appl. 25(2), 1989, has the linear law that it departs from.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, GridAxes, Setting, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.typing import Array
@@ -29,12 +27,8 @@ class TorqueSaturation(TorqueMeasurement):
     """Torque constant that falls with the square of the current."""
 
     name = "torque_saturation"
-    family = "measurement"
-    drive = True
-    steady = True
-    even = True
+    drive = steady = even = first_order = True
     settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False, agreement=CONSISTENT),)
-    first_order = True
     over = "load"
     linear = (Coefficient("saturation", "1/(N m)^2", low=0.0),)
     alike = ("load_dependent_friction", "gear_efficiency", "torque_constant")
@@ -43,15 +37,16 @@ class TorqueSaturation(TorqueMeasurement):
         "and lower it again; saturation is the same both ways, gear losses change sign"
     )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """Up to a fifth of the modelled peak torque lost."""
-        peak = max(_peak(scene, joint) for scene in scenes)
+        which = slice(None) if joint is None else joint
+        seen = (np.abs(scene.modelled[scene.motion.usable, which]) for scene in scenes)
+        peak = max(float(np.max(torque, initial=0.0)) for torque in seen)
         return {"around": [loss / peak**2 for loss in LOSSES_AT_PEAK] if peak > 0.0 else [0.0]}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Measured minus true torque per unit of b."""
-        around = settings["around"]
-        return of_modelled(scene, joint, lambda tau: _excess(tau, around))
+        return of_modelled(scene, joint, lambda tau: _excess(tau, settings["around"]))
 
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Apply the law, held where it would fall again."""
@@ -59,12 +54,6 @@ class TorqueSaturation(TorqueMeasurement):
         top = 1.0 / np.sqrt(3.0 * b) if b > 0.0 else np.inf
         held = np.clip(tau, -top, top)
         return np.asarray(held * (1.0 - b * held**2))
-
-
-def _peak(scene: Scene, joint: Joint) -> float:
-    usable = scene.motion.usable
-    torque = np.abs(scene.modelled[usable] if joint is None else scene.modelled[usable, joint])
-    return float(np.max(torque, initial=0.0))
 
 
 def _excess(tau: Array, b: float) -> Array:

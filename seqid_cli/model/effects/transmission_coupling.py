@@ -33,15 +33,11 @@ LARGEST_RATIO = 1e5  # of a thread of 0.06 mm a turn
 
 
 class TransmissionCoupling(Effect):
-    """Friction and inertia on the combined rate of two neighbouring joints.
-
-    It is offered at the joint whose drive it is, with the neighbour before and after.
-    """
+    """Friction and inertia on the combined rate of two neighbouring joints."""
 
     name = "transmission_coupling"
     family = "transmission"
-    drive = True
-    steady = True
+    drive = steady = True
     settings = (
         Setting("neighbour", "1", low=-1.0, high=1.0, continuous=False),
         Setting("ratio", "1", low=-LARGEST_RATIO, high=LARGEST_RATIO, usual=(-1.0, 1.0)),
@@ -61,18 +57,16 @@ class TransmissionCoupling(Effect):
         """A neighbour is needed."""
         return scenes[0].robot.n > 1
 
-    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
-        """Neighbours of the joint's own kind, and ratios."""
-        near = [d for d in _neighbours(scenes[0], joint) if not _mixed(scenes[0], joint, d)]
-        return {"neighbour": near, "ratio": RATIOS}
-
     def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
-        """Neighbours and ratios; between sliding and turning in units of their top speeds."""
-        yield from super().grid(scenes, joint, residual)
-        for d in _neighbours(scenes[0], joint):
-            if _mixed(scenes[0], joint, d):
-                unit = top_speed(scenes, joint) / top_speed(scenes, joint + d)
-                yield from ({"neighbour": float(d), "ratio": unit * ratio} for ratio in RATIOS)
+        """The joint before and the one after, first the one of the own kind, and ratios.
+
+        Between sliding and turning ratios are in units of the top speeds.
+        """
+        mixed = scenes[0].robot.chain.prismatic != scenes[0].robot.chain.prismatic[joint]
+        near = [k for k in (joint - 1, joint + 1) if 0 <= k < len(mixed)]
+        for k in sorted(near, key=lambda k: bool(mixed[k])):
+            unit = top_speed(scenes, joint) / top_speed(scenes, k) if mixed[k] else 1.0
+            yield from ({"neighbour": float(k - joint), "ratio": unit * x} for x in RATIOS)
 
     def axis(self, joint: int, settings: Settings) -> Axis:
         """Return the neighbour's velocity."""
@@ -81,10 +75,8 @@ class TransmissionCoupling(Effect):
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """What direction, rate and acceleration of the combination add, on both joints."""
         partner, ratio, width = _drive(scene, joint, settings)
-        own, other = (
-            np.stack([scene.motion.dq[:, j], scene.motion.ddq[:, j]], axis=1)
-            for j in (joint, partner)
-        )
+        pair = [joint, partner]
+        own, other = np.stack([scene.motion.dq[:, pair], scene.motion.ddq[:, pair]]).T
         both = own + ratio * other
         drive = np.column_stack([np.tanh(both[:, 0] / width), both])
         already = np.column_stack([scene.sign[:, joint], own])
@@ -102,13 +94,3 @@ def _drive(scene: Scene, joint: int, settings: Settings) -> tuple[int, float, fl
     """Partner, ratio, and the speed over which the drive's direction changes."""
     partner, ratio = joint + int(settings["neighbour"]), float(settings["ratio"])
     return partner, ratio, float(np.hypot(*(scene.sign_width[[joint, partner]] * (1.0, ratio))))
-
-
-def _neighbours(scene: Scene, joint: int) -> list[int]:
-    return [k - joint for k in (joint - 1, joint + 1) if 0 <= k < scene.robot.n]
-
-
-def _mixed(scene: Scene, joint: int, neighbour: int) -> bool:
-    """Whether one of the two slides and the other turns."""
-    prismatic = scene.robot.chain.prismatic
-    return bool(prismatic[joint] != prismatic[joint + neighbour])

@@ -55,8 +55,8 @@ def plan_discriminate(
         note = f"no motion tells {one.name} from {other.name}: record {one.separate_by}"
         return Planned([], PlannedStage(notes=[note]))
     chosen, seconds = _chosen(found, pool, options.duration_s)
-    where = None if joint is None else belief.robot.joint_names[joint]
-    separation = _described(found, chosen, seconds, [x.name for x in effects], where, nested)
+    names, where = [x.name for x in effects], belief.robot.name_of(joint)
+    separation = _described(found, chosen, seconds, names, where, nested)
     moves = [
         msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
         for i, k in enumerate(chosen, start=1)

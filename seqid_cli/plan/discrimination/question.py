@@ -4,11 +4,9 @@ Columns of a data set: the rigid base parameters, friction of the joints that ei
 (that of others tells nothing), then those of both effects at every setting.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -18,7 +16,7 @@ from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.stages.goal import Goal
 from seqid_cli.robot.base_parameters import base_regressor
-from seqid_cli.typing import Array, Index
+from seqid_cli.typing import Array
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ class Question:
     @classmethod
     def of(
         cls, belief: Belief, effects: tuple[Effect, Effect], joint: Joint, scenes: Scenes
-    ) -> Question:
+    ) -> Self:
         """Take settings from the grids over some data sets, and what is reached of them."""
         slots: tuple[list[Slot], list[Slot]] = ([], [])
         many, start = [], 0
@@ -100,50 +98,36 @@ def _settings(
     return found
 
 
-@dataclass(frozen=True)
-class Gram:
-    """Sums over a data set: of weighted columns (K, K), with the residual (K,), unweighted ones.
+def gram_of(belief: Belief, question: Question, scene: Scene) -> tuple[Array, Array, Array]:
+    """Sum up squares of columns (K, K) and products with the residual (K,), weighted by the noise.
 
-    `squares` (k, k) is of the effects' columns at the joint in question.
+    Joints count where they slide. Unweighted squares (k, k) of the effects' columns at the joint in
+    question come last.
     """
-
-    gram: Array
-    moment: Array
-    squares: Array
-
-
-def gram_of(belief: Belief, question: Question, scene: Scene) -> Gram:
-    """Sum up the samples at which joints slide, weighted by the noise."""
-    K, b = len(question.prior), question.base
+    K, b, motion, tau = len(question.prior), question.base, scene.motion, scene.motion.tau
     gram, moment, squares = np.zeros((K, K)), np.zeros(K), np.zeros((K, K))
-    tau = scene.motion.tau
     left = np.zeros(scene.sign.shape) if tau is None else tau - scene.modelled_filtered
-    for j, (index, X) in enumerate(_rows(belief, question, scene)):
-        if question.joint in (None, j):
-            squares[np.ix_(index, index)] += X.T @ X
-        weight = np.sqrt(belief.density[j] * scene.slides[:, j] / scene.motion.rate_hz)
-        X *= weight[:, None]
-        gram[np.ix_(index, index)] += X.T @ X
-        moment[index] += X.T @ (weight * left[:, j])
-    return Gram(gram, moment, squares[b:, b:])
-
-
-def _rows(belief: Belief, question: Question, scene: Scene) -> Iterator[tuple[Index, Array]]:
-    """Columns (N, k) of each joint, and where they stand (k,)."""
-    motion, rigid = scene.motion, belief.basis.size
     H = base_regressor(belief.robot, belief.basis, motion.q, motion.dq, motion.ddq)
     slots = [*question.slots[0], *question.slots[1]]
     made = [x.effect.columns(scene, question.joint, x.setting) for x in slots]
     for j, part in enumerate(question.friction):
-        places, columns = [np.arange(rigid)], [H[:, j]]
+        # The joint's columns (N, k), and where they stand.
+        places, columns = [np.arange(belief.basis.size)], [H[:, j]]
         if part.stop > part.start:
             places.append(np.arange(part.start, part.stop))
             columns.append(_friction(belief, scene, j)[0])
         for slot, own in zip(slots, made, strict=True):
             if j in own:
-                places.append(question.base + np.arange(slot.at.start, slot.at.stop))
+                places.append(b + np.arange(slot.at.start, slot.at.stop))
                 columns.append(motion.filtered(own[j]))
-        yield np.concatenate(places), np.hstack(columns)
+        index, X = np.concatenate(places), np.hstack(columns)
+        if question.joint in (None, j):
+            squares[np.ix_(index, index)] += X.T @ X
+        weight = np.sqrt(belief.density[j] * scene.slides[:, j] / motion.rate_hz)
+        X *= weight[:, None]
+        gram[np.ix_(index, index)] += X.T @ X
+        moment[index] += X.T @ (weight * left[:, j])
+    return gram, moment, squares[b:, b:]
 
 
 def _friction(belief: Belief, scene: Scene, j: int) -> tuple[Array, Array]:

@@ -19,9 +19,6 @@ show, which is what both effects share where the name was left open. The smaller
 of which something else is wrong show coefficients that are not the effect's. Rows at rest do not
 count, as they do not in a diagnosis: what a joint at rest under control carries is anything within
 its friction.
-
-References
-----------
 Atkinson, Fedorov, "The design of experiments for discriminating between two rival models",
 Biometrika 62(1), 1975.
 """
@@ -177,16 +174,14 @@ def separation_of(
 
     True effects have a root mean square torque of `size` N m, or what the logs say of it.
     """
-    planned = [gram_of(belief, question, scene) for scene in scenes]
-    logged = [gram_of(belief, question, scene) for scene in have]
-    squares = np.sum([one.squares for one in (*planned, *logged)], axis=0)
-    squares /= sum(x.samples for x in (*scenes, *have))
-    known = np.sum([question.prior, *(one.gram for one in logged)], axis=0)
-    of = np.stack([one.gram for one in planned])
+    every, count = (*scenes, *have), len(scenes)
+    grams, moments, each = zip(*(gram_of(belief, question, x) for x in every), strict=True)
+    squares = np.sum(each, axis=0) / sum(x.samples for x in every)
+    known = np.sum([question.prior, *grams[count:]], axis=0)
     readings: tuple[list[Reading], list[Reading]] = ([], [])
-    found = Separation(question, known, of, readings, size)
-    if logged:
-        b, moment = question.base, np.sum([one.moment for one in logged], axis=0)
+    found = Separation(question, known, np.stack(grams[:count]), readings, size)
+    if have:
+        b, moment = question.base, np.sum(moments[count:], axis=0)
         moment = moment[b:] - known[b:, :b] @ np.linalg.solve(known[:b, :b], moment[:b])
         E = found.effects(np.zeros_like(known))
         for own, reading in zip(question.slots, readings, strict=True):
@@ -208,26 +203,23 @@ def _seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) ->
     the residual. Likelihoods are tempered as those of names are, as the law is not exactly right.
     """
     rng = np.random.default_rng(0)
-    fits = [_fit(E[one.at, one.at], moment[one.at]) for one in slots]
-    pairs = zip(slots, fits, strict=True)
-    gains = np.array([gain if one.fits(c) else 0.0 for one, (c, _, gain) in pairs])
+    fits, gains = [], np.zeros(len(slots))
+    for k, one in enumerate(slots):
+        S = E[one.at, one.at]
+        values, vectors = np.linalg.eigh(S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12)
+        root = vectors / np.sqrt(np.maximum(values, 1e-300))  # of the coefficients' covariance
+        white = root.T @ moment[one.at]
+        fits.append((root @ white, root))
+        gains[k] = white @ white / 2.0 if one.fits(root @ white) else 0.0
     scale = float(tempered(gains.max()))
     chance = np.exp((gains - gains.max()) / scale)
     counts = rng.multinomial(draws, chance / chance.sum())
     found = []
-    for one, (c, root, _), count in zip(slots, fits, counts, strict=True):
+    for one, (c, root), count in zip(slots, fits, counts, strict=True):
         if count:
             drawn = c + np.sqrt(scale) * rng.normal(size=(count, len(c))) @ root.T
             found.append((one, np.clip(drawn, one.low, one.high)))
     return found
-
-
-def _fit(S: Array, moment: Array) -> tuple[Array, Array, float]:
-    """Coefficients (k,), a root (k, k) of their covariance, and the gain."""
-    values, vectors = np.linalg.eigh(S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12)
-    root = vectors / np.sqrt(np.maximum(values, 1e-300))
-    white = root.T @ moment
-    return root @ white, root, float(white @ white / 2.0)
 
 
 def _drawn(slot: Slot, square: Array, size: float, *, draws: int = 24) -> Array:

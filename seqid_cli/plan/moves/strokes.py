@@ -25,10 +25,9 @@ def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> fl
 
 def gentler(belief: Belief, *, max_halvings: int = 4) -> list[Belief]:
     """The same with accelerations halved, again and again, for loads that leave no more."""
-    return [
-        replace(belief, limits=replace(belief.limits, acceleration=own))
-        for own in (belief.limits.acceleration / 2.0**k for k in range(max_halvings + 1))
-    ]
+    fastest = belief.limits.acceleration
+    eased = (replace(belief.limits, acceleration=fastest / 2.0**k) for k in range(max_halvings + 1))
+    return [replace(belief, limits=own) for own in eased]
 
 
 def lifted(

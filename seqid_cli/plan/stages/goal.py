@@ -3,17 +3,13 @@
 The goal is tr(W C): C the covariance of the base parameters, W the mean of H' D H over typical
 all-joint moves with D the noise information, so that it is the mean square of the predicted
 torque's error in units of the noise (A-optimality in the sense of the torque). Parameters are
-scaled by the diagonal of W; a vague prior of `VAGUE` times the noise keeps C finite.
-
-References
-----------
-Pukelsheim, Optimal Design of Experiments, SIAM 2006, ch. 6 and 9 (A-optimality, linear criteria).
+scaled by the diagonal of W; a vague prior of `VAGUE` times the noise keeps C finite. Pukelsheim,
+Optimal Design of Experiments, SIAM 2006, ch. 6 and 9 (A-optimality, linear criteria).
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -51,7 +47,7 @@ class Goal:
     shared: list[int]
 
     @classmethod
-    def of(cls, belief: Belief, seed: int) -> Goal:
+    def of(cls, belief: Belief, seed: int) -> Self:
         """Average over typical moves."""
         moves = typical(belief, seed)
         H = belief.regressor(moves)

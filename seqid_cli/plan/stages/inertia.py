@@ -26,7 +26,8 @@ def plan_inertia(
     goal = Goal.of(belief, options.seed)
     known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
     moves, dense, each = optimised(belief, goal, options, known, "inertia")
-    return Planned(moves, rigid_stage(belief, goal, stages, dense, each, known))
+    every = np.ones(belief.basis.size, dtype=bool)
+    return Planned(moves, rigid_stage(belief, goal, stages, dense, each, known, every))
 
 
 def plan_validation(
@@ -43,22 +44,14 @@ def plan_validation(
 
 
 def rigid_stage(
-    belief: Belief,
-    goal: Goal,
-    stages: Stages,
-    moves: Moves,
-    each: Array,
-    have: Array,
-    *,
-    wanted: Mask | None = None,
+    belief: Belief, goal: Goal, stages: Stages, moves: Moves, each: Array, have: Array, wanted: Mask
 ) -> PlannedStage:
     """Describe what moves tell of the base parameters beyond `have`.
 
     `moves` are the samples that the scaled information `each` (M, b, b) was taken from, `wanted`
-    (b,) the parameters that the stage is about; all by default.
+    (b,) the parameters that the stage is about.
     """
     basis, names = belief.basis, belief.robot.joint_names
-    about = np.ones(basis.size, dtype=bool) if wanted is None else wanted
     spread = spread_of(belief, goal, stages, moves, have + each.sum(axis=0))
     errors = np.sqrt(np.diag(spread))
     parameters = [
@@ -72,10 +65,10 @@ def rigid_stage(
         )
         for k in range(basis.size)
     ]
-    found = predicted_stage(goal, have, each, parameters, about, float(moves.t[-1]))
+    found = predicted_stage(goal, have, each, parameters, wanted, float(moves.t[-1]))
     known = {p.name for p in stages.gravity.parameters} if stages.gravity else set()
     found.parameters = [p for p in found.parameters if p.name not in known]
-    values, vectors = np.linalg.eigh(spread * np.outer(about, about))
+    values, vectors = np.linalg.eigh(spread * np.outer(wanted, wanted))
     H = belief.regressor(typical(belief, seed=0))
     torque = H @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     sizes = np.sqrt(np.mean(np.sum(torque**2, axis=3), axis=(0, 1)))

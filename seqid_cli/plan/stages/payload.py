@@ -35,9 +35,8 @@ class LoadedBelief(Belief):
         for j, surface in enumerate(self.surfaces):
             if surface is None:
                 continue
-            torque = surface.torque(moves.q[..., j].ravel(), moves.dq[..., j].ravel())
-            torque = torque.reshape(M, N)
-            own = PER_LINK + FRICTION_TERMS * j
+            own, states = PER_LINK + FRICTION_TERMS * j, (moves.q[..., j], moves.dq[..., j])
+            torque = surface.torque(*(x.ravel() for x in states)).reshape(M, N)
             found[:, :, j, own] = torque
             found[:, :, j, own + 1] = torque * np.abs(moves.dq[..., j]) / self.limits.speed[j]
         return found
@@ -49,11 +48,9 @@ class LoadedBelief(Belief):
 
 def loaded(belief: Belief, mass: float, *, lever: float = 0.1) -> LoadedBelief:
     """Put a body of `mass` kg at the flange, its centre within some `lever` m of the last joint."""
-    size = PER_LINK + FRICTION_TERMS * belief.robot.n
-    prior = np.zeros((size, size))
-    changes = np.arange(PER_LINK, size)
-    prior[changes, changes] = 1.0 / PayloadOptions.friction_change**2
-    found = LoadedBelief(**{**vars(belief), "prior": prior})
+    known = 0.0, 1.0 / PayloadOptions.friction_change**2  # of the body, of changes of friction
+    prior = np.repeat(known, [PER_LINK, FRICTION_TERMS * belief.robot.n])
+    found = LoadedBelief(**{**vars(belief), "prior": np.diag(prior)})
     if belief.theta is None or mass == 0.0:
         return found
     E = belief.basis.last_link

@@ -51,9 +51,7 @@ def optimised(
 def groups_of(limits: Limits, *, together: bool) -> list[tuple[int, ...]]:
     """Joints that move at a time: every pair (Sec. 2.2.4), or all of them."""
     free = tuple(limits.moving)
-    if together or len(free) < 3:
-        return [free]
-    return list(combinations(free, 2))
+    return [free] if together or len(free) < 3 else list(combinations(free, 2))
 
 
 def assess(belief: Belief, goal: Goal, moves: Moves) -> tuple[Array, Array]:
@@ -190,14 +188,9 @@ def _improved(
         return float(found[0]), (found[1:] - found[0]) / steps
 
     x = np.append(start[moving, :COEFFICIENTS].ravel(), start[:, PLACE])
-    low = np.append(np.full(len(x) - n, -1.0), np.zeros(n))
+    box = Bounds(np.append(np.full(len(x) - n, -1.0), np.zeros(n)), np.ones(len(x)))
     found = minimize(
-        with_gradient,
-        x,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=Bounds(low, np.ones(len(x))),
-        options={"maxiter": iterations},
+        with_gradient, x, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": iterations}
     )
     better, moves = moves_of(np.asarray(found.x)[None])
     worse = found.fun >= values(x[None])[0]

@@ -13,7 +13,7 @@ about an axis u have the information sum_i |u x d_i|^2. Postures are chosen to r
 information of all rotations and IMUs; levers and scales come with the other joints.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -29,7 +29,7 @@ from seqid_cli.plan.stages.goal import Goal, Planned, rank_and_condition
 from seqid_cli.plan.stages.inertia import rigid_stage
 from seqid_cli.plan.stages.search import choose
 from seqid_cli.robot.kinematics import forward
-from seqid_cli.typing import Array, Index, Mask
+from seqid_cli.typing import Array, Index
 
 SLOW = 0.3  # of the largest speed, for gravity
 POSTURES = 6  # in which the first joint turns for the IMUs
@@ -86,17 +86,6 @@ def lightest_posture(
     raise ConfigError(message, where=str(belief.robot.source), hint=hint)
 
 
-@dataclass(frozen=True)
-class _Sweeps:
-    """All sweeps of the pool, M of them, `ends` rad, with their scaled information."""
-
-    joint: Index
-    posture: Array
-    ends: Array
-    moves: Moves
-    information: Array
-
-
 def plan_gravity(
     belief: Belief, stages: Stages, options: PlanOptions, *, per_joint: int = 3
 ) -> Planned:
@@ -108,31 +97,35 @@ def plan_gravity(
     fresh = replace(belief, prior=np.zeros_like(belief.prior))
     goal = Goal.of(fresh, options.seed)
     slow = strokes.gentler(fresh)[-1]  # slow sweeps need no more
-    pool = _pool(slow, goal, np.random.default_rng(options.seed))
-    nothing = np.zeros_like(goal.W)
-    count = per_joint * len(np.unique(pool.joint))
-    chosen = _exchanged(pool, choose(goal, pool.information, count, nothing), wanted)
-    chosen.sort(key=lambda k: -int(pool.joint[k]))
+    rng = np.random.default_rng(options.seed)
+    joints, postures, ends, pool, information = _pool(slow, goal, rng)
+    nothing, count = np.zeros_like(goal.W), per_joint * len(np.unique(joints))
+    chosen = choose(goal, information, count, nothing)
+    chosen = _exchanged(joints, information[:, wanted][:, :, wanted], chosen)
+    chosen.sort(key=lambda k: -int(joints[k]))
     moves: list[PlannedMove] = []
     for k in chosen:
-        j = int(pool.joint[k])
+        j = int(joints[k])
         name = belief.robot.joint_names[j]
         label = f"gravity_{name}_{1 + sum(move.joints == [name] for move in moves)}"
-        low, high = (float(x) for x in pool.ends[k])
+        low, high = (float(x) for x in ends[k])
         top = strokes.top_speed(slow.limits, j, high - low)
         speed = min(SLOW * float(slow.limits.speed[j]), top)
-        moves.append(strokes.stroke_move(slow, label, j, pool.posture[k], (low, high), [speed]))
+        moves.append(strokes.stroke_move(slow, label, j, postures[k], (low, high), [speed]))
     without = msgspec.structs.replace(stages, gravity=None)
-    states, each = pool.moves[np.array(chosen)], pool.information[chosen]
-    stage = rigid_stage(fresh, goal, without, states, each, nothing, wanted=wanted)
+    states, each = pool[np.array(chosen)], information[chosen]
+    stage = rigid_stage(fresh, goal, without, states, each, nothing, wanted)
     stage.growth = []
     return Planned(moves, stage, each.sum(axis=0) * np.outer(goal.scale, goal.scale))
 
 
 def _pool(
     belief: Belief, goal: Goal, rng: np.random.Generator, *, most_postures: int = 60
-) -> _Sweeps:
-    """Sweeps of every joint that moves and that gravity loads, within the torque limits."""
+) -> tuple[Index, Array, Array, Moves, Array]:
+    """Sweeps of every joint that moves and that gravity loads, within the torque limits.
+
+    Joints, postures and ends [rad] of M sweeps, their samples and scaled information.
+    """
     limits = belief.limits
     parts: list[tuple[Array, ...]] = []
     t = np.zeros(0)
@@ -156,27 +149,26 @@ def _pool(
         message = "no sweep of any joint that gravity loads keeps the torque limits"
         hint = "Correct effort in the URDF."
         raise ConfigError(message, where=str(belief.robot.source), hint=hint)
-    joint, posture, ends, *states, found = map(np.concatenate, zip(*parts, strict=True))
-    return _Sweeps(joint, posture, ends, Moves(t, *states), found)
+    joint, posture, ends, *states, information = map(np.concatenate, zip(*parts, strict=True))
+    return joint, posture, ends, Moves(t, *states), information
 
 
-def _exchanged(pool: _Sweeps, chosen: list[int], wanted: Mask, *, rounds: int = 3) -> list[int]:
+def _exchanged(joints: Index, wanted: Array, chosen: list[int], *, rounds: int = 3) -> list[int]:
     """Exchange sweeps for others of the same joint while the condition falls and the rank stays."""
     chosen = list(chosen)
-    parts = pool.information[:, wanted][:, :, wanted]
 
     def badness(information: Array) -> tuple[int, float]:
         """Missing rank, then the condition."""
         rank, condition = rank_and_condition(information)
         return -rank, condition
 
-    best = badness(parts[chosen].sum(axis=0))
+    best = badness(wanted[chosen].sum(axis=0))
     for _ in range(rounds):
         before = best
         for place, k in enumerate(chosen):
-            rest = parts[chosen].sum(axis=0) - parts[k]
-            others = np.setdiff1d(np.flatnonzero(pool.joint == pool.joint[k]), chosen)
-            found = [(badness(rest + parts[int(other)]), int(other)) for other in others]
+            rest = wanted[chosen].sum(axis=0) - wanted[k]
+            others = np.setdiff1d(np.flatnonzero(joints == joints[k]), chosen)
+            found = [(badness(rest + wanted[int(other)]), int(other)) for other in others]
             if found and min(found) < (best, 0):
                 best, chosen[place] = min(found)
         if best >= before:

@@ -59,7 +59,7 @@ def test_the_term_is_the_torque_that_was_put_in() -> None:
     found = selection(1, at_joint(1, bump)).told()
     what, c = found.taken[0].term.what, found.taken[0].one.gained.coefficients
     scene = found.model.ground.stage.scenes[0]
-    torque, inside = what.term(c).torque(scene), np.abs(scene.motion.q[:, 1]) < 0.9
+    torque, inside = what.term(c).torques(scene)[1], np.abs(scene.motion.q[:, 1]) < 0.9
     assert np.corrcoef(torque[inside], bump(scene)[inside])[0, 1] > 0.95
     expected = scene.motion.filtered(torque, times=2)
     np.testing.assert_allclose(what.torques(scene, c)[1], expected, atol=1e-9)

@@ -225,7 +225,7 @@ def test_a_term_survives_the_file_and_counts_when_asked() -> None:
     back = fitted_effects(stages, ROBOT, unexplained=True)[1]
     parts = ("joint", "quantities", "axes", "factor")
     assert [getattr(back, name) for name in parts] == [getattr(term, name) for name in parts]
-    np.testing.assert_array_equal(effect_torque(scene, [back])[:, 1], term.torque(scene))
+    np.testing.assert_array_equal(effect_torque(scene, [back])[:, 1], term.torques(scene)[1])
     without, with_it = (effect_notes(stages, unexplained=x) for x in (False, True))
     assert without[0] == "effects in the prediction: stribeck (joint_1)"
     assert "--with-unexplained" in without[1]

@@ -51,12 +51,6 @@ class Base:
     whole: tuple[Whole, ...]
     start: Array
 
-    def hold(self, number: int, inflation: float) -> Array:
-        """Rows that hold rigid body (0) or friction (from 1) to so many standard errors."""
-        prior = (self.prior_rigid, *self.prior_friction)[number]
-        bound = (self.bounds[0], *self.bounds[1])[number]
-        return np.vstack([prior / inflation, np.diag(bound)])
-
     @cached_property
     def bounds(self) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
         """Inverse standard deviations: of rigid (b,), friction (k_j,), time offset (1,).

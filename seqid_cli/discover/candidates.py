@@ -115,13 +115,6 @@ class Candidate:
         """The quantity that its torque on a joint goes with."""
         return self.effect.axis(joint, self.settings)
 
-    @property
-    def kind(self) -> tuple[float, ...]:
-        """Its settings that are not searched between the grid's values."""
-        specs = self.effect.settings
-        own = [s.name for s in specs if not s.continuous and not s.then]
-        return tuple(self.settings.get(name, 0.0) for name in own)
-
     def is_same_as(self, other: Candidate, *, tolerance: float = 0.01) -> bool:
         """Whether two are one effect; a joint may have several lines and ripples.
 

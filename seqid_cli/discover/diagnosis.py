@@ -14,6 +14,7 @@ from msgspec import structs
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of, left_over, pushed, rivals_of, tried_at
 from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.notes import deflection_notes, excess_residuals, expected, notes_of
 from seqid_cli.discover.options import DiscoverOptions
@@ -133,8 +134,9 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
     what, model = taken.term.what, found.model
     assert isinstance(what, Candidate)
     effect, joints = what.effect, joints_below(taken.term.channels, found.ground.n)
-    left = model.rms()[joints] / np.maximum(found.floor.rms[joints], 1e-12)
-    name = named(taken, float(np.max(left, initial=1.0)))
+    before = np.array([rms(taken.left[j]) for j in joints])
+    after, floor = model.rms()[joints], found.floor.rms[joints]
+    name = named(taken, float(np.max(after / np.maximum(floor, 1e-12), initial=1.0)))
     found_there = model.coefficients(taken.term), model.covariance(taken.term)
     values = effect.reported(robot, what.joint, what.settings, *found_there)
     return diagnosis.FindingEntry(
@@ -142,7 +144,7 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
         joint=robot.name_of(what.joint),
         confidence=name.confidence,
         name_confidence=name.by_itself,
-        explains=share_above(taken.without[joints], model.rms()[joints], found.floor.rms[joints]),
+        explains=share_above(before, after, floor),
         confusable_with=list(name.others),
         separate_by=separate_by(effect, name.others, robot, what.joint),
         gain=taken.one.predicted.share,

@@ -91,16 +91,13 @@ def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> Evide
     return _binned(robot, j, over, x, y * over.sign(scenes, j, take))
 
 
-def pushed(found: Investigation, robot: Robot) -> EvidenceEntry | None:
-    """Bin the residual over time around the strongest push; nothing takes that off."""
-    event = max(found.events, key=lambda one: one.score, default=None)
-    if event is None:
-        return None
-    left, motion = found.model.left()[event.scene], found.ground.stage.scenes[event.scene].motion
-    t = motion.t - motion.t[0]
-    near = (t >= event.start - AROUND_S) & (t <= event.end + AROUND_S)
+def pushed(found: Investigation, robot: Robot) -> EvidenceEntry:
+    """Bin the residual over time around the strongest of some pushes; nothing takes that off."""
+    event = max(found.events, key=lambda one: one.score)
+    left, scene = found.model.left()[event.scene], found.ground.stage.scenes[event.scene]
+    near = event.inside(scene, AROUND_S)
     j = max(event.joints, key=lambda k: float(np.mean(left[near, k] ** 2)))
-    x = found.logs[event.scene].offset + t[near]
+    x = found.logs[event.scene].offset + (scene.motion.t - scene.motion.t[0])[near]
     return _binned(robot, j, _Over("time", j), x, left[near, j])
 
 

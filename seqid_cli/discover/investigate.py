@@ -158,7 +158,8 @@ def not_of_terms(events: Sequence[Interval], model: Model) -> list[Interval]:
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
     """Whether an event's residual (N, n) N m is small beside the torque's swing around it.
 
-    One that stands out more against moments of like motion may be smaller, but not near rests.
+    The more it stands out against moments of like motion, at which a law errs alike, the smaller it
+    may be; but not within a period of the cut-off of where a joint may stick.
     """
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     period = round(scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)

@@ -34,7 +34,8 @@ def expected(found: Investigation) -> Array:
 def excess_residuals(found: Investigation, ordinary: Array) -> dict[int, float]:
     """Joints with more than `ordinary` (n,) N m left after all that was found, and how many times.
 
-    The largest first; but not where the noise floor of so short a log may be as large.
+    The largest first; not where the file alone fits as well as expected, nor where the noise floor
+    may be as large, for all that so short a log tells of it.
     """
     left = np.minimum(found.model.rms(), found.start)
     times, most = left / np.maximum(ordinary, 1e-12), found.floor.high

@@ -143,8 +143,13 @@ class WholeLogs:
     robot: Robot
     time_source: TimeSource = "header"
 
-    def error(self, stages: Stages, *, options: InertiaOptions) -> HeldOutError | None:
-        """Error of a model on all samples; None where it cannot be predicted part by part."""
+    def errors(self, models: Sequence[Stages], options: InertiaOptions) -> list[HeldOutError]:
+        """Errors of models on all samples; none where one cannot be predicted part by part."""
+        found = [self._error(stages, options) for stages in models]
+        known = [error for error in found if error is not None]
+        return known if len(known) == len(models) else []
+
+    def _error(self, stages: Stages, options: InertiaOptions) -> HeldOutError | None:
         model = TorqueModel.from_stages(stages, self.robot)
         effects = fitted_effects(stages, self.robot, unexplained=True)
         if not (streams(stages, options) and local_effects(model, effects)):

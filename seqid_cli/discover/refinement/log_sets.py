@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from seqid_cli.discover.excerpts import Excerpts, by_digest, take_excerpts
 from seqid_cli.errors import SeqidError, UsageError
@@ -24,10 +24,6 @@ from seqid_cli.logs.storage.files import check_log
 from seqid_cli.logs.storage.remote import TableLog
 from seqid_cli.params.schema import InputLog
 
-if TYPE_CHECKING:
-    from seqid_cli.logs.recording import Recording
-
-
 # Stages whose logs determine the model; "effects" are those of an earlier refinement.
 FITTED_STAGES = ("friction", "gravity", "imu", "inertia", "effects")
 LOST = "logs of earlier stages that are no longer there or have changed"
@@ -36,7 +32,10 @@ _NAMED = 3  # logs that a note names
 
 
 def held_out_logs(logs: Logs, held_out: Logs) -> tuple[Path | Recording, ...]:
-    """Return the held-out logs, unopened; raise UsageError if a place is in both lists."""
+    """Return the held-out logs; by its place alone each is known until all is decided.
+
+    Raises UsageError: a log is in both lists; InputError: a path stands for no log.
+    """
     files = tuple(expanded(listed(held_out)))
     fitted = {_place(file): file for file in expanded(listed(logs))}
     check_unseen([(_place(file), file) for file in files], fitted)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import msgspec
-import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, doubt, gain, held_out_error
+from seqid_cli.discover.refinement import held_out
+from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, doubt, gain
 from seqid_cli.discover.refinement.reidentify import Material, Refitted, identity, refitted, unique
 from seqid_cli.discover.select.naming import reality
 from seqid_cli.discover.select.options import Options
@@ -80,8 +80,7 @@ class Refinement:
         key: Refitted | int = model if lasting else id(model.stages)
         if key not in self._before:
             self._before[key] = self._error(self.logs_before, replace(model, effects=lasting))
-        both = zip(self.error_of(model), self._before[key], strict=True)
-        return HeldOutError(*map(np.vstack, both))
+        return held_out.joined([self.error_of(model), self._before[key]])
 
     @cached_property
     def logs_before(self) -> list[Recording]:
@@ -92,7 +91,7 @@ class Refinement:
 
     def _error(self, logs: Sequence[Recording], model: Refitted) -> HeldOutError:
         robot, options = self.material.robot, self.material.options.motion
-        return held_out_error(logs, robot, with_effects(model, robot), options=options)
+        return held_out.held_out_error(logs, robot, with_effects(model, robot), options=options)
 
 
 @dataclass(frozen=True, eq=False)

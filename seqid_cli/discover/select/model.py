@@ -108,7 +108,9 @@ class Ground:
 
     def precision(self, hold: Hold, number: int) -> Array:
         """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""
-        rows = self.base.hold(number, hold.of(number - 1) if number else hold.rigid)
+        base, scale = self.base, hold.of(number - 1) if number else hold.rigid
+        prior = (base.prior_rigid, *base.prior_friction)[number] / scale
+        rows = np.vstack([prior, np.diag((base.bounds[0], *base.bounds[1])[number])])
         return rows.T @ rows
 
     def parts(self, hold: Hold, timed: Sequence[bool]) -> list[Part]:

@@ -55,7 +55,7 @@ def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
 
 
 def steadiness(varied: float, share: float, left: float) -> float:
-    """Probability that a term is no error of another law.
+    """Probability that a term is no error of another law: an effect always has the same size.
 
     `varied` is the log evidence that its size is another one in every block, `share` what it takes
     away of the squared error, `left` what the model leaves in noise floors. Odds are even where its

@@ -4,9 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
-from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.rows import Gained, Predicted
@@ -84,11 +81,6 @@ class Taken:
     instead: Mapping[str, float]
     varied: float
     untried: tuple[str, ...] = ()
-
-    @property
-    def without(self) -> Array:
-        """RMS (channels,) N m of that."""
-        return np.array(list(map(rms, self.left)))
 
     @property
     def term(self) -> Term:

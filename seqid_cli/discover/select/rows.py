@@ -128,7 +128,10 @@ class Predicted:
 
     @property
     def share(self) -> float:
-        """Share of the squared error that goes, by the density, where unit noise remains."""
+        """Share of the squared error that goes, where noise of unit variance remains.
+
+        By the density: it knows what other blocks do not tell of one, squared errors do not.
+        """
         return float(self._share_of(self.total))
 
     @property

@@ -13,7 +13,7 @@ from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible, shape_of
+from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, shape_of
 from seqid_cli.model.effects.effect import Effect
 
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
@@ -69,7 +69,10 @@ class Search:
         joints = {j for j in (None, *range(n)) if j not in self._shapes}
         if joints:
             tried = tuner.tried(self._candidates(joints))
-            self.visible.update(most_visible(tried))
+            visible = dict[Key, float]()
+            for one in (one for one in tried if not one.term.absorbed):
+                visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
+            self.visible |= visible
             self._shapes |= {joint: [] for joint in joints}
             for one in best_of(tried, shape_of):
                 known[one.term] = _Shape(one.term)

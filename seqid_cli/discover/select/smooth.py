@@ -13,15 +13,7 @@ from scipy.linalg import eigh
 
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import (
-    Axis,
-    Factor,
-    Measure,
-    SmoothTerm,
-    greville,
-    shape,
-    splines,
-)
+from seqid_cli.model.effects.smooth import Axis, Factor, Measure, greville, shape, splines
 from seqid_cli.model.friction_basis import tensor
 from seqid_cli.typing import Array, Index
 
@@ -64,12 +56,6 @@ class SmoothFunction:
         assert joint == self.joint
         return self.axes[0]
 
-    @property
-    def bending(self) -> Array:
-        """How much each column (k,) bends: its place among the smoothest."""
-        place = np.arange(1.0, self.size + 1.0)
-        return np.sqrt(place) if len(self.axes) > 1 else place
-
     def columns(self, rows: Rows) -> Array:
         """Compute the columns (M, k) on the joint's rows.
 
@@ -92,11 +78,6 @@ class SmoothFunction:
         """Torque (N,) N m of coefficients c (k,) by joint, low-passed."""
         torque = shape(scene, self.joint, self.axes, self.factor) @ (self.mixing @ c)
         return {self.joint: scene.motion.filtered(torque, times=2)}
-
-    def term(self, coefficients: Array) -> SmoothTerm:
-        """Return the torque of coefficients (k,) as a model has it."""
-        c = self.mixing @ coefficients
-        return SmoothTerm(self.joint, self.quantities, self.axes, self.factor, c)
 
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:

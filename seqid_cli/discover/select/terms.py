@@ -88,7 +88,9 @@ def _smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
     if len(columns) > 1 and "load" in one.quantities:
         del columns[j]
     first = {c: one.size for c in columns if c != j and j in columns}
-    precision = _precision(columns, size, first) * np.tile(one.bending, len(columns)) ** 2
+    place = np.arange(1.0, one.size + 1.0)  # among the smoothest: how much each column bends
+    bending = np.tile(np.sqrt(place) if len(one.axes) > 1 else place, len(columns))
+    precision = _precision(columns, size, first) * bending**2
     return Term(one, Part(columns, np.diag(precision), first=first))
 
 

@@ -161,14 +161,8 @@ def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tr
 
 
 def shape_of(tried: Tried) -> Hashable:
-    """An effect at a joint with those of its settings that are not searched."""
+    """An effect at a joint with settings that are not searched between the grid's values."""
     one = tried.candidate
-    return *tried.term.key, one.apart, one.absorbed, one.kind
-
-
-def most_visible(tried: Sequence[Tried]) -> dict[tuple[str, int | None], float]:
-    """The largest visible share of each effect."""
-    visible: dict[tuple[str, int | None], float] = {}
-    for one in (one for one in tried if not one.term.absorbed):
-        visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
-    return visible
+    grid = [s.name for s in one.effect.settings if not s.continuous and not s.then]
+    kind = tuple(one.settings.get(name, 0.0) for name in grid)
+    return *tried.term.key, one.apart, one.absorbed, kind

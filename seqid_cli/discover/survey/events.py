@@ -234,8 +234,11 @@ def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> A
     """Robust sigmas (L,) of some windows' means of m (W,) beside each set of like windows."""
     rest = m[looked]
     for index in likes:
-        median, deviation = _robust(np.where(index >= 0, m[index], np.nan))
-        size = np.maximum(size, PER_MEDIAN * deviation)
+        near = np.where(index >= 0, m[index], np.nan)
+        count = np.count_nonzero(np.isfinite(near), axis=1)
+        median = np.where(count >= FEWEST, _medians(near, count), 0.0)
+        deviation = _medians(np.abs(near - median[:, None]), count)
+        size = np.maximum(size, np.where(count >= FEWEST, PER_MEDIAN * deviation, 0.0))
         shifted = m[looked] - median
         rest = np.where(np.abs(shifted) < np.abs(rest), shifted, rest)
     return np.asarray(np.nan_to_num(rest / np.maximum(size, 1e-300)))
@@ -274,14 +277,6 @@ def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[In
     reached = np.median(np.take_along_axis(np.asarray(distance), order, axis=1), axis=1)
     usual = np.quantile(np.median(tree.query(state[reference], k=asked)[0], axis=1), USUAL)
     return picked, np.maximum(1.0, reached / max(float(usual), 1e-300))
-
-
-def _robust(values: Array) -> tuple[Array, Array]:
-    """Median and median absolute deviation (L,) of rows with NaN; zero where too few."""
-    count = np.count_nonzero(np.isfinite(values), axis=1)
-    median = np.where(count >= FEWEST, _medians(values, count), 0.0)
-    deviation = _medians(np.abs(values - median[:, None]), count)
-    return median, np.where(count >= FEWEST, deviation, 0.0)
 
 
 def _medians(values: Array, count: Index) -> Array:

@@ -140,8 +140,8 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
 def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:
     """Samples (N, n) where a friction surface is only held, or bent, beyond what was identified.
 
-    Nothing that the model lacks is left there. Not masked are joints that are hardly ever
-    inside, and Coulomb and viscous friction, whose columns the base has beyond as well.
+    Nothing that the model lacks is left there. Not masked are joints that are hardly ever inside,
+    of which a surface is all there is, and Coulomb and viscous friction, whose columns go on.
     """
     found, surfaces = list[Mask](), scenes[0].model.surfaces
     for scene in scenes:

@@ -164,14 +164,9 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
 
 def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int | None) -> str:
     """What to record, and the command that plans it against the first rival where it can."""
-    known = catalogue_of(robot)
-    rivals = [
-        name
-        for name in others
-        if name in known
-        and known[name].by_motion
-        and (joint is not None or known[name].arm or known[name].shared)
-    ]
+    every = catalogue_of(robot).items()
+    asked = [n for n, e in every if e.by_motion and (joint is not None or e.arm or e.shared)]
+    rivals = [name for name in others if name in asked]
     if not rivals or not effect.by_motion:
         return effect.separate_by
     where = "" if joint is None else f" --joint {robot.joint_names[joint]}"

@@ -103,23 +103,26 @@ def pushed(found: Investigation, robot: Robot) -> EvidenceEntry:
 
 def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
     """What a term with coefficients theta (k,) goes with; of a wave the place, 0 where it rises."""
-    if isinstance(what, Candidate) and what.effect.over == "wave":
+    if isinstance(what, SmoothFunction):
+        sided, axes = what.factor == "direction", [what.axes[0]]
+    elif what.effect.over == "wave":
         turns, a, b = list[Array](), theta[::2], theta[1::2]
         for X in (what.columns(scene)[j] for scene in scenes):
             turn = np.arctan2(X[:, ::2] @ a + X[:, 1::2] @ b, X[:, 1::2] @ a - X[:, ::2] @ b)
             turns.append(np.mod(turn / (2 * np.pi), 1.0))
         return _Over("wave", j, values=turns)
-    if isinstance(what, Candidate) and what.effect.over == "driving_load":
+    elif what.effect.over == "driving_load":
         along = [scene.load[:, j] * np.sign(scene.motion.dq[:, j]) for scene in scenes]
-        return _Over("driving_load", j, what.sided, along)
-    axis = what.axis(j)
-    axes = [axis] if axis else []
-    if axis and axis.measure == "session_time":  # where logs share no clock, since each one's start
-        axes.append(Axis("time", axis.joint))
+        return _Over("driving_load", j, what.effect.sided, along)
+    else:
+        axis = what.effect.axis(j, what.settings)
+        sided, axes = what.effect.sided, [axis] if axis else []
+    if axes and axes[0].measure == "session_time":  # where logs share no clock: since each's start
+        axes.append(Axis("time", axes[0].joint))
     for one in axes:
         known = [x for scene in scenes if (x := one.values(scene)) is not None]
         if len(known) == len(scenes):
-            return _Over(NAMES.get(one.measure, one.measure), one.joint, what.sided, known)
+            return _Over(NAMES.get(one.measure, one.measure), one.joint, sided, known)
     return _Over("torque", j)
 
 
@@ -165,9 +168,8 @@ def _each(what: Callable[[Array], np.floating], parts: Sequence[Array]) -> list[
 def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> list[RivalEntry]:
     """What was tried in a term's place; `alike` are the effects that could be it as well."""
     others = _each_once(r for r in taken.rivals if r.term.key != taken.term.key)
-    told = [one for one in others if one.term.name in alike]
-    told += [one for one in others if one not in told]
-    ranked = sorted(told[:MOST], key=lambda one: -one.predicted.total)
+    told = sorted(others, key=lambda one: one.term.name not in alike)[:MOST]  # these first
+    ranked = sorted(told, key=lambda one: -one.predicted.total)
     return [_rival(robot, one, _beside(one, taken, alike)) for one in ranked]
 
 

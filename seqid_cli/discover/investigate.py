@@ -18,7 +18,7 @@ from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import select, select_among
-from seqid_cli.discover.survey.events import GATE, Interval, event_masks, find_events
+from seqid_cli.discover.survey.events import GATE, Interval, find_events
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
@@ -76,10 +76,12 @@ def investigate(
     found = select(Ground.of(rows, stages))
     step("looking for events", 8, 10)
     first = found.model
-    guess = guessed(first)
-    events = events_of(first, guess)
-    masks = zip(guess, event_masks(rows, events), strict=True)
-    sure = rows.without([own | event[:, None] for own, event in masks])
+    gone = guessed(first)
+    events = events_of(first, gone)
+    for event in events:  # and what feels them through the low-pass
+        scene = rows.scenes[event.scene]
+        gone[event.scene][event.inside(scene, 0.5 / scene.motion.lowpass.cutoff_hz)] = True
+    sure = rows.without(gone)
     step("choosing effects again", 8, 10)
     if not all(map(np.array_equal, sure.used, rows.used)):
         found = select_among(Ground.of(sure, stages), first.hold, first.candidates)

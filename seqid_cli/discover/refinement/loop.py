@@ -1,7 +1,4 @@
-"""The state of a refinement: the model as it grows, and what comes of one effect more.
-
-Held-out logs play no part here.
-"""
+"""The state of a refinement: the model as it grows, and what comes of one effect more."""
 
 from __future__ import annotations
 
@@ -33,15 +30,13 @@ LATE = "came after the file was identified"
 class Refinement:
     """What is decided before any held-out log is opened.
 
-    `material` is what models are fitted to, `came` the stages at first. `steps` are the model as it
-    came in and that after each effect that was added; `without` is what the first effect had to be
-    better than: the model as it came in, or the same identified anew.
+    The first effect had to be better than the model as it came in, or the same identified anew.
     """
 
-    material: Material
+    material: Material  # what models are fitted to
     came: Stages
-    steps: list[Refitted]
-    without: Refitted
+    steps: list[Refitted]  # the model as it came in, and after each effect that was added
+    without: Refitted  # what the first effect had to be better than
     rounds: list[RefinementRound] = field(default_factory=list)
     notes: tuple[str, ...] = ()
     _errors: dict[Refitted, HeldOutError] = field(default_factory=dict)
@@ -96,16 +91,13 @@ class Refinement:
 
 @dataclass(frozen=True, eq=False)
 class Account:
-    """A model with one effect more, what was `taken` for it, and when the effects came.
-
-    `late` came after the file was identified; the stages are `kept` as they were in this fit.
-    """
+    """A model with one effect more, what was `taken` for it, and when the effects came."""
 
     loop: Refinement
     taken: Taken
     candidates: tuple[Candidate, ...]
-    late: frozenset[Key]
-    kept: bool
+    late: frozenset[Key]  # those that came after the file was identified
+    kept: bool  # whether the stages stayed as they were in this fit
 
     @cached_property
     def model(self) -> Refitted:

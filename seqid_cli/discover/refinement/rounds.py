@@ -2,9 +2,8 @@
 
 The effects that an investigation names are tried one after the other, and fitted anew together
 with the model (see `reidentify`). One that does not help the model fitted anew, or by which other
-joints lose more than its own gain, is refused, with that reason.
-
-Held-out logs play no part in this: what they say of the result is in `confirm`.
+joints lose more than its own gain, is refused, with that reason. Held-out logs play no part in
+this: what they say of the result is in `confirm`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -56,7 +56,7 @@ class Search:
     def near(self, term: Term, linear: Linear) -> list[Tried]:
         """What may be at the place of a term, beside a model without it."""
         tuner = self._tuner(linear)
-        candidates = self._candidates(self._joints_of(term), without=term)
+        candidates = self._candidates(self._joints_of(term), but=term)
         first, reach = _shortlist(best_of(tuner.tried(candidates), shape_of))
         found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
         return [*_best_settings(found), *self._first_functions(linear, term.channels)]
@@ -118,9 +118,9 @@ class Search:
         return Tuner(self.model.ground.stage, linear, self.model.ground.size)
 
     def _candidates(
-        self, joints: Collection[int | None], without: Term | None = None
+        self, joints: Collection[int | None], but: Term | None = None
     ) -> list[Candidate]:
-        left, scenes = self.model.left(without=without), self.model.ground.stage.scenes
+        left, scenes = self.model.left(without=but), self.model.ground.stage.scenes
         return list(candidates_of(scenes, self.catalogue, left, joints))
 
 

@@ -90,16 +90,14 @@ def _known(ground: Ground) -> tuple[Effect, ...]:
 
 
 class Selection:
-    """Terms are taken and taken back, one by one; the model may have some to begin with.
-
-    `others` are terms of other finished models, and the log evidence by which these are behind.
-    """
+    """Terms are taken and taken back, one by one; the model may have some to begin with."""
 
     def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
         self.model, self.options, self.catalogue = model, options, catalogue
         self._search = Search(model, catalogue)
         self._tried: list[Tried] = []
         self._tied: dict[Key, list[Term]] = {}
+        # Terms of other finished models, and the log evidence by which these are behind.
         self.others: list[tuple[float, tuple[Term, ...]]] = []
 
     def worth(self, noise: Noise) -> float:
@@ -323,10 +321,7 @@ class Selection:
         return Part(rows.columns(map(columns, rows.scenes), effect.passes), np.eye(3))
 
     def _untried(self, term: Term) -> tuple[str, ...]:
-        """Effects that look like a term and have no share in its place.
-
-        They cannot be looked for at its joint, or stand beside it for the error of its law.
-        """
+        """Effects like a term that cannot be looked for there, or stand beside it as its error."""
         model, scenes = self.model, self.model.ground.stage.scenes
         alike = term.what.effect.alike if isinstance(term.what, Candidate) else ()
         likely = (one for one in self.catalogue if one.name in alike)

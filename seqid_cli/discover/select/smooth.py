@@ -27,34 +27,19 @@ TENSOR_SIZE = 6  # the same per quantity of a product
 
 @dataclass(frozen=True, eq=False)
 class SmoothFunction:
-    """A smooth function that might be what the residual of a joint is.
-
-    It depends on `quantities`, as the contract spells them, the strongest meaning first; `label`
-    says the same in words. It is made of functions of `axes` and `factor` (see
-    `model.effects.smooth.shape`) in the combinations `mixing` (K, k).
-    """
+    """A smooth function that might be what the residual of a joint is."""
 
     joint: int
-    quantities: tuple[str, ...]
-    label: str
-    axes: tuple[Axis, ...]
+    quantities: tuple[str, ...]  # as the contract spells them, the strongest meaning first
+    label: str  # the same in words
+    axes: tuple[Axis, ...]  # functions of these and `factor` (see `model.effects.smooth.shape`)
     factor: Factor
-    mixing: Array
+    mixing: Array  # (K, k) combinations of them
 
     @property
     def size(self) -> int:
         """Number of columns."""
         return int(self.mixing.shape[1])
-
-    @property
-    def sided(self) -> bool:
-        """Whether its torque turns with the direction of motion."""
-        return self.factor == "direction"
-
-    def axis(self, joint: int) -> Axis:
-        """The quantity that its torque goes with, the first one of two; `joint` is its own."""
-        assert joint == self.joint
-        return self.axes[0]
 
     def columns(self, rows: Rows) -> Array:
         """Compute the columns (M, k) on the joint's rows.
@@ -69,7 +54,7 @@ class SmoothFunction:
         values = [[v for x in scenes if (v := axis.values(x)) is not None] for axis in self.axes]
         every = zip(values, self.axes, strict=True)
         basis = reduce(tensor, [splines(rows.of(j, v), axis.knots) for v, axis in every])
-        if self.sided:
+        if self.factor == "direction":
             sign = [s.motion.filtered(s.sign[:, [j]], times=2) for s in scenes]
             basis = basis * rows.of(j, sign)
         return rows.whitened(j, basis @ self.mixing)

@@ -9,7 +9,7 @@ import numpy as np
 from seqid_cli.discover.base import LIKELY
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select.rows import Channels, Part
-from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions, smooth_products
+from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.typing import Array
 
 
@@ -71,14 +71,7 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
     return found
 
 
-def smooth_terms(stage: Stage, joint: int, size: Array, *, products: bool = False) -> list[Term]:
-    """Smooth functions of everything measured, or of two quantities, for one joint."""
-    functions = smooth_products if products else smooth_functions
-    made = functions(stage.rows, joint) if stage.rows.count(joint) else []
-    return [_smooth_term(stage, one, size) for one in made]
-
-
-def _smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
+def smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
     """Make a term of a function; of a drive it is another one, with coefficients of its own.
 
     A measured load holds all that acts on the link: of that it explains the drive alone.

@@ -37,6 +37,11 @@ class Tried:
         assert isinstance(self.term.what, Candidate)
         return self.term.what
 
+    @property
+    def between(self) -> tuple[Setting, ...]:
+        """Settings that are searched between the grid's values."""
+        return self.candidate.effect.between(self.candidate.settings)
+
 
 @dataclass(frozen=True)
 class Tuner:
@@ -62,7 +67,7 @@ class Tuner:
     def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
         """Search the continuous settings, then follow those that have more values."""
         best = self._opened(tried)
-        for setting in _between(best):
+        for setting in best.between:
             best = self._usual(self._searched(best, setting, spacing), setting)
         return self._sharpened(self._followed(best))
 
@@ -123,7 +128,7 @@ class Tuner:
             first = setting.then.index(now) + 1 if now in setting.then else 0
             for value in setting.then[first:]:
                 found = self._moved(best, **{setting.name: value})
-                for other in _between(found) if found else ():
+                for other in found.between if found else ():
                     found = found and self._searched(found, other, NEAR)
                 if found is None or found.evidence <= best.evidence:
                     break
@@ -146,10 +151,6 @@ class Tuner:
                 return best
             best = found
         return best
-
-
-def _between(tried: Tried) -> tuple[Setting, ...]:
-    return tried.candidate.effect.between(tried.candidate.settings)
 
 
 def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:

@@ -33,31 +33,23 @@ STEEP = 0.1  # of the largest speed: below it directions and reversals are told 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of one length over all data sets.
-
-    `scene`, `centre` (W,) say where; `mean` (W, n) of the scaled residual, NaN where too few
-    samples count; `state` (W, 4n) position, speed, acceleration and load of each joint, scaled;
-    `reverses` (W, 2n) tells where each joint's velocity and each joint's load change sign.
-    """
+    """Windows of one length over all data sets."""
 
     length_s: float
-    scene: Index
-    centre: Array
-    mean: Array
-    state: Array
-    speed: Array
-    reverses: Mask
+    scene: Index  # (W,), the data set
+    centre: Array  # (W,) s
+    mean: Array  # (W, n) of the scaled residual, NaN where too few samples count
+    state: Array  # (W, 4n) position, speed, acceleration and load of each joint, scaled
+    speed: Array  # (W, n)
+    reverses: Mask  # (W, 2n), whether each joint's velocity and each joint's load change sign
 
 
 @dataclass(frozen=True)
 class Track:
-    """Samples of one log: `t` (M,) s, and what each joint does.
+    """Samples of one log, and what each joint does there."""
 
-    `values` (5, M, n): position, velocity, acceleration, load, residual (NaN: does not count).
-    """
-
-    t: Array
-    values: Array
+    t: Array  # (M,) s
+    values: Array  # (5, M, n): position, velocity, acceleration, load, residual (NaN: no count)
     cutoff_hz: float
 
     def __getitem__(self, some: slice) -> "Track":
@@ -201,15 +193,6 @@ def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
         start, end = found.pop() if near else (event.start, event.end)
         found.append((start, max(end, event.end)))
     return found
-
-
-def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
-    """Samples (N,) of each data set that belong to events or feel them through the low-pass."""
-    masks = [np.zeros(scene.samples, dtype=bool) for scene in rows.scenes]
-    for event in events:
-        scene = rows.scenes[event.scene]
-        masks[event.scene] |= event.inside(scene, 0.5 / scene.motion.lowpass.cutoff_hz)
-    return masks
 
 
 def scores(windows: Windows) -> Array:

@@ -32,7 +32,6 @@ from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.results import diagnosis
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
 
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
@@ -137,6 +136,10 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
     before = np.array([rms(taken.left[j]) for j in joints])
     after, floor = model.rms()[joints], found.floor.rms[joints]
     name = named(taken, float(np.max(after / np.maximum(floor, 1e-12), initial=1.0)))
+    # Share of the variance above the noise floor that goes; all where no more is left.
+    scale = np.maximum(after, 1e-12)
+    above = float(np.sum((before**2 - floor**2) / scale**2))
+    gone = float(np.sum((before**2 - after**2) / scale**2))
     found_there = model.coefficients(taken.term), model.covariance(taken.term)
     values = effect.reported(robot, what.joint, what.settings, *found_there)
     return diagnosis.FindingEntry(
@@ -144,16 +147,11 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
         joint=robot.name_of(what.joint),
         confidence=name.confidence,
         name_confidence=name.by_itself,
-        explains=share_above(before, after, floor),
+        explains=float(np.clip(gone / max(above, 1e-300), 0.0, 1.0)),
         confusable_with=list(name.others),
         separate_by=separate_by(effect, name.others, robot, what.joint),
         gain=taken.one.predicted.share,
-        parameters=[
-            diagnosis.EffectParameter(
-                name=v.name, value=v.value, std_error=v.std_error, unit=v.unit
-            )
-            for v in values
-        ],
+        parameters=[diagnosis.EffectParameter(**vars(value)) for value in values],
         settings=dict(what.settings),
         note=effect.lacking(robot, what.joint),
         log_gain=taken.one.predicted.total,
@@ -173,14 +171,6 @@ def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int 
     between = f"--between {effect.name},{rivals[0]}{where}"
     command = f"seqid plan discriminate {between}, with these logs as --have, plans it"
     return f"{effect.separate_by}; {command}"
-
-
-def share_above(before: Array, after: Array, floor: Array) -> float:
-    """Share of the variance (n,) above the noise floor that goes; all where no more is left."""
-    scale = np.maximum(after, 1e-12)
-    above = float(np.sum((before**2 - floor**2) / scale**2))
-    gone = float(np.sum((before**2 - after**2) / scale**2))
-    return float(np.clip(gone / max(above, 1e-300), 0.0, 1.0))
 
 
 def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.UnexplainedPart:

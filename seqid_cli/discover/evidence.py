@@ -67,12 +67,8 @@ def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEnt
     """Bin what is left without a term and with it, at its joint or the one that shows it most."""
     term, model, stage, n = taken.term, found.model, found.ground.stage, found.ground.n
     theta = model.linear.theta[model.where(term)]
-    shown = {
-        c: float(model.noise.weight[c] @ term.part.torque(c, theta) ** 2)
-        for c in term.channels
-        if term.joint in (c % n, None)
-    }
-    channel = max(shown, key=lambda c: shown[c])
+    weight, own = model.noise.weight, [c for c in term.channels if term.joint in (c % n, None)]
+    channel = max(own, key=lambda c: float(weight[c] @ term.part.torque(c, theta) ** 2))
     j, narrow = channel % n, channel // n != 1
     take = stage.rows.of if narrow else stage.high.of
     scenes = [scene if narrow else scene.full or scene for scene in stage.scenes]

@@ -333,15 +333,12 @@ def _of_log(log: ResidualSurvey, parts: int, length: float) -> Iterator[Range]:
     size = max(1, round(piece / BLOCK_S))
     blocks = np.column_stack([log.travel.reshape(len(log.travel), -1), log.usable])
     sums = np.vstack([np.zeros(blocks.shape[1]), np.cumsum(blocks, axis=0)])
-
-    def within(first: Index) -> Array:
-        """Sums (P, k) over the blocks of excerpts."""
-        return np.asarray(sums[np.minimum(first + size, len(blocks))] - sums[first])
-
-    most = np.max(within(np.arange(max(1, len(blocks) - size + 1)))[:, -1])
+    ahead = np.minimum(np.arange(len(sums)) + size, len(blocks))
+    within = sums[ahead] - sums  # (B + 1, k), over the blocks of an excerpt from each on
+    most = np.max(within[: max(1, len(blocks) - size + 1), -1])
     for low, high in pairwise(np.linspace(0.0, whole, parts + 1)):
         starts = np.arange(low, max(high - piece, low) + 1e-9, BLOCK_S)
-        found = within((starts / BLOCK_S).astype(np.intp))
+        found = within[(starts / BLOCK_S).astype(np.intp)]
         worth = np.sqrt(np.maximum(found[:, :-1], 0.0)).sum(axis=1)
         worth[found[:, -1] < WHOLE * most] = -1.0
         if worth.max() >= 0.0:

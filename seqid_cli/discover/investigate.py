@@ -137,7 +137,8 @@ def events_of(model: Model, guess: Sequence[Mask], *, most: float = 0.5) -> list
     slide, or stops above the cut-off.
     """
     rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
-    for event in find_events(rows, model.scaled()):
+    own = zip(model.linear.left_out[: rows.n], model.noise.sigma, strict=False)
+    for event in find_events(rows, [r / sigma for r, sigma in own]):
         scene = rows.scenes[event.scene]
         unknown = (guess[event.scene] | scene.stops | ~scene.slides)[event.inside(scene)]
         known = np.mean(unknown[:, list(event.joints)]) <= most

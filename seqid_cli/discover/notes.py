@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.spectra import DETAIL
@@ -71,7 +72,7 @@ def notes_of(
             "file was identified, which has absorbed a part of it: refine identifies the stages "
             "anew"
             for one in found.found.effects
-            if one.term.absorbed
+            if isinstance(one.term.what, Candidate) and one.term.what.absorbed
         ),
         *outside_notes(found, robot, ordinary),
         *_free_base_notes(found, robot),

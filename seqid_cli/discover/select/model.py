@@ -283,11 +283,6 @@ class Model:
         parts = zip(self.ground.base.whole, self.deviation, self.shown(without), strict=True)
         return [np.where(own.scene.slides, own.residual - b - t, 0.0) for own, b, t in parts]
 
-    def scaled(self) -> list[Array]:
-        """Residual (M_j,) of each joint's rows where it was not fitted, over the joint's noise."""
-        left = self.linear.left_out[: self.ground.n]
-        return [r / s for r, s in zip(left, self.noise.sigma, strict=False)]
-
     def rms(self) -> Array:
         """RMS (n,) N m of each joint's residual where it was not fitted."""
         return np.array(list(map(rms, self.linear.left_out[: self.ground.n])))

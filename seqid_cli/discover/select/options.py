@@ -1,10 +1,6 @@
 """What the selection decides by."""
 
 from dataclasses import dataclass
-from functools import cached_property
-
-import numpy as np
-from scipy.special import ndtri
 
 
 @dataclass(frozen=True)
@@ -14,8 +10,7 @@ class Options:
     A share that is `small` does not matter: `improvement`; a difference of two gains, an effect
     going before a smooth function then; and an error of an effect's torque, as no law is known
     better: less than that at its joints is not told. Beside effects that look like it the error's
-    square must be small (`likeness`), or it may be `apart` of the torque, where motor and link move
-    apart.
+    square must be small, or it may be `apart` of the torque, where motor and link move apart.
     """
 
     doubt: float = 0.025  # probability over drawn blocks that a term gains nothing
@@ -24,13 +19,3 @@ class Options:
     chance: float = 6.0  # log evidence that the best of all terms has on noise
     apart: float = 0.5
     most: int = 8  # terms
-
-    @property
-    def likeness(self) -> float:
-        """Share of an effect's torque, whose square is small, to which a like effect is known."""
-        return float(np.sqrt(self.small))
-
-    @cached_property
-    def behind(self) -> float:
-        """Standard errors by which a term is behind another with no more than `doubt`."""
-        return -float(ndtri(self.doubt))

@@ -70,7 +70,7 @@ class Search:
         if joints:
             tried = tuner.tried(self._candidates(joints))
             visible = dict[Key, float]()
-            for one in (one for one in tried if not one.term.absorbed):
+            for one in (one for one in tried if not one.candidate.absorbed):
                 visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
             self.visible |= visible
             self._shapes |= {joint: [] for joint in joints}

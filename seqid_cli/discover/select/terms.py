@@ -42,11 +42,6 @@ class Term:
         return size + what.effect.searched(what.settings) if isinstance(what, Candidate) else size
 
     @property
-    def absorbed(self) -> bool:
-        """Whether the file has absorbed a part of it."""
-        return isinstance(self.what, Candidate) and bool(self.what.absorbed)
-
-    @property
     def key(self) -> tuple[str, int | None]:
         """What it is, whatever the settings."""
         return self.name, self.joint

@@ -229,14 +229,11 @@ def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> A
 
 def combined(z: Array) -> Array:
     """Score (W,) of windows from z (W, n): the largest of one joint or of the first k together."""
-    best = np.max(np.abs(z), axis=1)
-    squares = np.cumsum(z**2, axis=1)
-    for k in range(2, z.shape[1] + 1):
-        # Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931).
-        spread = 2.0 / (9.0 * k)
-        deviate = (np.cbrt(squares[:, k - 1] / k) - 1.0 + spread) / np.sqrt(spread)
-        best = np.maximum(best, deviate)
-    return np.asarray(best)
+    k = np.arange(2, z.shape[1] + 1)
+    # Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931).
+    spread = 2.0 / (9.0 * k)
+    deviate = (np.cbrt(np.cumsum(z**2, axis=1)[:, 1:] / k) - 1.0 + spread) / np.sqrt(spread)
+    return np.asarray(np.max(np.hstack([np.abs(z), deviate]), axis=1))
 
 
 def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[Index, Array]:

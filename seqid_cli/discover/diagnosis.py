@@ -200,12 +200,12 @@ def _excess(
     terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
     gained = found.model.linear.gained([term.part for term in terms])
     best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
-    if best is None or best[1].evidence <= 0.0:
-        return diagnosis.UnexplainedPart(joint=name, depends_on=[], share=share)
-    what = best[0].what
-    assert isinstance(what, SmoothFunction)
-    on, evidence = list(what.quantities), left_over(found, robot, what)
-    return diagnosis.UnexplainedPart(joint=name, depends_on=on, share=share, evidence=evidence)
+    part = diagnosis.UnexplainedPart(joint=name, depends_on=[], share=share)
+    if best is not None and best[1].evidence > 0.0:
+        what = best[0].what
+        assert isinstance(what, SmoothFunction)
+        part.depends_on, part.evidence = list(what.quantities), left_over(found, robot, what)
+    return part
 
 
 def _joints(found: Investigation, robot: Robot) -> dict[str, diagnosis.ResidualEntry]:

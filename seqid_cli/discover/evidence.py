@@ -24,7 +24,6 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Index
 
 Take = Callable[[int, Sequence[Array]], Array]  # a joint's samples that count, of all logs
-What = Candidate | SmoothFunction
 
 MOST = 6  # rivals of each list that are told
 CELLS = 80  # of the quantity's range, that bins are made of
@@ -97,7 +96,7 @@ def pushed(found: Investigation, robot: Robot) -> EvidenceEntry:
     return _binned(robot, j, _Over("time", j), x, left[near, j])
 
 
-def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
+def _over(what: Candidate | SmoothFunction, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
     """What a term with coefficients theta (k,) goes with; of a wave the place, 0 where it rises."""
     if isinstance(what, SmoothFunction):
         sided, axes = what.factor == "direction", [what.axes[0]]

@@ -37,11 +37,6 @@ class Tried:
         assert isinstance(self.term.what, Candidate)
         return self.term.what
 
-    @property
-    def between(self) -> tuple[Setting, ...]:
-        """Settings that are searched between the grid's values."""
-        return self.candidate.effect.between(self.candidate.settings)
-
 
 @dataclass(frozen=True)
 class Tuner:
@@ -67,7 +62,7 @@ class Tuner:
     def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
         """Search the continuous settings, then follow those that have more values."""
         best = self._opened(tried)
-        for setting in best.between:
+        for setting in best.candidate.effect.between(best.candidate.settings):
             best = self._usual(self._searched(best, setting, spacing), setting)
         return self._sharpened(self._followed(best))
 
@@ -122,13 +117,13 @@ class Tuner:
 
     def _followed(self, tried: Tried) -> Tried:
         """Take the next values of settings that have some while the evidence grows."""
-        best = tried
-        for setting in tried.candidate.effect.settings:
+        best, effect = tried, tried.candidate.effect
+        for setting in effect.settings:
             now = tried.candidate.settings.get(setting.name)
             first = setting.then.index(now) + 1 if now in setting.then else 0
             for value in setting.then[first:]:
                 found = self._moved(best, **{setting.name: value})
-                for other in found.between if found else ():
+                for other in effect.between(found.candidate.settings) if found else ():
                     found = found and self._searched(found, other, NEAR)
                 if found is None or found.evidence <= best.evidence:
                     break

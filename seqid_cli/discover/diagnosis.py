@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from msgspec import structs
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of, left_over, pushed, rivals_of, tried_at
@@ -49,8 +48,8 @@ def diagnose(
     ]
     options = replace(options, motion=with_own_cutoffs(logs, robot, stages, motion))
     found = described(investigate(logs, robot, stages, options), robot)
-    said = [*notes, *found.notes, *deflection_notes(stages, robot)]
-    return structs.replace(found, notes=said)
+    found.notes = [*notes, *found.notes, *deflection_notes(stages, robot)]
+    return found
 
 
 def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:

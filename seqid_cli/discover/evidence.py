@@ -171,9 +171,8 @@ def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> list[R
 def tried_at(found: Investigation, robot: Robot, joint: int) -> list[RivalEntry]:
     """What was tried at a joint beside all that was taken, the largest gain first."""
     n = found.ground.n
-    here = [r for r in found.found.tried if any(c % n == joint for c in r.term.channels)]
-    ranked = sorted(_each_once(here), key=lambda one: -one.predicted.total)
-    return [_rival(robot, one, _lacking(one)) for one in ranked[:MOST]]
+    here = (r for r in found.found.tried if any(c % n == joint for c in r.term.channels))
+    return [_rival(robot, one, _lacking(one)) for one in _each_once(here)[:MOST]]
 
 
 def _each_once(some: Iterable[Ranked]) -> list[Ranked]:

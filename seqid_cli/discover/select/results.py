@@ -91,7 +91,7 @@ class Selected:
     model: Model
     taken: tuple[Taken, ...]
     visible: Mapping[Key, float]  # share of each other effect's torque that it does not absorb
-    tried: tuple[Ranked, ...] = ()  # what was tried last, beside all that was taken
+    tried: tuple[Ranked, ...] = ()  # last, beside all that was taken, the largest gain first
 
     @property
     def effects(self) -> list[Taken]:

@@ -33,33 +33,21 @@ LIKELY = 2.0  # of a column's torque beforehand, over what the file leaves
 
 @dataclass(frozen=True)
 class Base:
-    """Base columns of every joint's rows.
-
-    `rigid[j]` (M_j, b) shared by all joints, `friction[j]` (M_j, k_j), `timing[j]` (M_j, 1) and the
-    residual of the file's model `y[j]` (M_j,) N m. `prior_rigid`
-    (m, b) and `prior_friction[j]` (m_j, k_j) are rows of unit variance: what the file knows of the
-    deviations being zero.
-    """
+    """Base columns of every joint's rows."""
 
     basis: Basis
-    rigid: tuple[Array, ...]
-    friction: tuple[Array, ...]
-    timing: tuple[Array, ...]
-    y: tuple[Array, ...]
-    prior_rigid: Array
-    prior_friction: tuple[Array, ...]
+    rigid: tuple[Array, ...]  # (M_j, b), of parameters that all joints share
+    friction: tuple[Array, ...]  # (M_j, k_j)
+    timing: tuple[Array, ...]  # (M_j, 1)
+    y: tuple[Array, ...]  # (M_j,) N m, residual of the file's model
+    prior: tuple[Array, ...]  # rows of unit variance by which the file knows deviations to be zero:
+    # rigid body (m, b), then friction by joint (m_j, k_j)
     whole: tuple[Whole, ...]
-    start: Array
-
-    def hold(self, number: int, inflation: float) -> Array:
-        """Rows that hold rigid body (0) or friction (from 1) to so many standard errors."""
-        prior = (self.prior_rigid, *self.prior_friction)[number]
-        bound = (self.bounds[0], *self.bounds[1])[number]
-        return np.vstack([prior / inflation, np.diag(bound)])
+    start: Array  # (n,) N m, RMS of `y`
 
     @cached_property
-    def bounds(self) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
-        """Inverse standard deviations: of rigid (b,), friction (k_j,), time offset (1,).
+    def bounds(self) -> list[Array]:
+        """Inverse standard deviations: rigid (b,), friction (k_j,) and time offset (1,) by joint.
 
         No column's torque is likely to be more than some times what the file leaves. That keeps
         directions harmless which the logs, or some of the folds, leave open.
@@ -67,14 +55,9 @@ class Base:
         unit = [LIKELY * size if size > 0 else np.inf for size in self.start]
         rows = sum(len(y) for y in self.y)
         squares = [np.sum(H**2, axis=0) / u**2 for H, u in zip(self.rigid, unit, strict=True)]
-        own = [
-            tuple(
-                np.sqrt(np.sum(X**2, axis=0) / max(len(X), 1)) / u
-                for X, u in zip(columns, unit, strict=True)
-            )
-            for columns in (self.friction, self.timing)
-        ]
-        return np.sqrt(sum(squares, np.zeros(self.basis.size)) / max(rows, 1)), own[0], own[1]
+        every = zip((*self.friction, *self.timing), 2 * unit, strict=True)
+        own = [np.sqrt(np.sum(X**2, axis=0) / max(len(X), 1)) / u for X, u in every]
+        return [np.sqrt(sum(squares, np.zeros(self.basis.size)) / max(rows, 1)), *own]
 
     def deviation(self, rigid: Array, friction: Sequence[Array]) -> list[Array]:
         """Torque (N, n) N m of deviations (b,), (k_j,) at every sample of each data set."""
@@ -123,10 +106,12 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         friction=tuple(own),
         timing=tuple(rows.torque(j, [t[:, j : j + 1] for t in timing]) for j in range(robot.n)),
         y=y,
-        prior_rigid=_rigid_prior(basis, [stages.gravity, stages.inertia]),
-        prior_friction=tuple(
-            _friction_prior(stages.friction, robot.joint_names[j], own[j].shape[1])
-            for j in range(robot.n)
+        prior=(
+            _rigid_prior(basis, [stages.gravity, stages.inertia]),
+            *(
+                _friction_prior(law, x.name, X.shape[1])
+                for x, X in zip(robot.joints, own, strict=True)
+            ),
         ),
         whole=tuple(
             Whole(h.astype(np.float32), scene, law, r)
@@ -151,16 +136,13 @@ def has_trials(scene: Scene, joint: Joint) -> bool:
 def friction_columns(
     scene: Scene, stage: FrictionStage | None, joint: int, part: slice = slice(None)
 ) -> Array:
-    """Free friction of one joint, not low-passed: its surface, or Coulomb, viscous (and offset).
-
-    Beside a surface there is a drag beyond the fastest speed at which it was identified.
-    """
+    """Free friction of one joint, not low-passed: its surface, or Coulomb, viscous (and offset)."""
     surface, v = scene.model.surfaces[joint], scene.motion.dq[part, joint]
     known = stage.joints.get(scene.robot.joint_names[joint]) if stage is not None else None
     if surface is None or known is None or known.parameters:  # these may have an offset
         terms = 2 if surface is None or known is None else len(known.parameters)
         return np.stack([scene.sign[part, joint], v, np.ones_like(v)], axis=1)[:, :terms]
-    beyond = surface.scaling.faster(v) * np.sign(v)
+    beyond = surface.scaling.faster(v) * np.sign(v)  # a drag where friction was not identified
     return np.column_stack([surface_columns(scene, joint, part), beyond])
 
 

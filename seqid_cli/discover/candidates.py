@@ -16,7 +16,6 @@ from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
 from seqid_cli.model.effects.effect import Columns, Effect
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.motion.filters.butterworth import single
 from seqid_cli.typing import Array
 
@@ -32,14 +31,10 @@ class DriveRows:
     friction f and the rotor's inertia I, with an error k by which motor and sensor disagree about a
     torque and a zero c of the sensor. What a model gets wrong of the link, and what else acts on
     it, is not in these rows: it does not hide an effect of the drive there, nor pass for one.
-
-    `y[j]` (M_j,) is what the file's model leaves of motor torque less the sensor's [N m], M_j zero
-    without a sensor; `columns[j]` (M_j, 3) the sensor's torque, the rotor's acceleration, a
-    constant.
     """
 
-    y: tuple[Array, ...] = ()
-    columns: tuple[Array, ...] = ()
+    y: tuple[Array, ...] = ()  # (M_j,) N m the file leaves of motor less sensor; empty without one
+    columns: tuple[Array, ...] = ()  # (M_j, 3): the sensor's torque, rotor acceleration, constant
 
     def of(self, joint: int) -> bool:
         """Whether a joint has such rows."""
@@ -105,22 +100,6 @@ class Candidate:
     def address(self) -> tuple[object, ...]:
         """What it is with its settings."""
         return (*self.key, self.apart, self.absorbed, *sorted(self.settings.items()))
-
-    @property
-    def sided(self) -> bool:
-        """Whether its torque turns with the direction of motion."""
-        return self.effect.sided
-
-    def axis(self, joint: int) -> Axis | None:
-        """The quantity that its torque on a joint goes with."""
-        return self.effect.axis(joint, self.settings)
-
-    @property
-    def kind(self) -> tuple[float, ...]:
-        """Its settings that are not searched between the grid's values."""
-        specs = self.effect.settings
-        own = [s.name for s in specs if not s.continuous and not s.then]
-        return tuple(self.settings.get(name, 0.0) for name in own)
 
     def is_same_as(self, other: Candidate, *, tolerance: float = 0.01) -> bool:
         """Whether two are one effect; a joint may have several lines and ripples.

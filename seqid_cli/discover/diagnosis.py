@@ -9,11 +9,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from msgspec import structs
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of, left_over, pushed, rivals_of, tried_at
 from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.notes import deflection_notes, excess_residuals, expected, notes_of
 from seqid_cli.discover.options import DiscoverOptions
@@ -31,7 +31,6 @@ from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import diagnosis
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
 
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
@@ -49,8 +48,8 @@ def diagnose(
     ]
     options = replace(options, motion=with_own_cutoffs(logs, robot, stages, motion))
     found = described(investigate(logs, robot, stages, options), robot)
-    said = [*notes, *found.notes, *deflection_notes(stages, robot)]
-    return structs.replace(found, notes=said)
+    found.notes = [*notes, *found.notes, *deflection_notes(stages, robot)]
+    return found
 
 
 def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
@@ -131,8 +130,13 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
     what, model = taken.term.what, found.model
     assert isinstance(what, Candidate)
     effect, joints = what.effect, joints_below(taken.term.channels, found.ground.n)
-    left = model.rms()[joints] / np.maximum(found.floor.rms[joints], 1e-12)
-    name = named(taken, float(np.max(left, initial=1.0)))
+    before = np.array([rms(taken.left[j]) for j in joints])
+    after, floor = model.rms()[joints], found.floor.rms[joints]
+    name = named(taken, float(np.max(after / np.maximum(floor, 1e-12), initial=1.0)))
+    # Share of the variance above the noise floor that goes; all where no more is left.
+    scale = np.maximum(after, 1e-12)
+    above = float(np.sum((before**2 - floor**2) / scale**2))
+    gone = float(np.sum((before**2 - after**2) / scale**2))
     found_there = model.coefficients(taken.term), model.covariance(taken.term)
     values = effect.reported(robot, what.joint, what.settings, *found_there)
     return diagnosis.FindingEntry(
@@ -140,16 +144,11 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
         joint=robot.name_of(what.joint),
         confidence=name.confidence,
         name_confidence=name.by_itself,
-        explains=share_above(taken.without[joints], model.rms()[joints], found.floor.rms[joints]),
+        explains=float(np.clip(gone / max(above, 1e-300), 0.0, 1.0)),
         confusable_with=list(name.others),
         separate_by=separate_by(effect, name.others, robot, what.joint),
         gain=taken.one.predicted.share,
-        parameters=[
-            diagnosis.EffectParameter(
-                name=v.name, value=v.value, std_error=v.std_error, unit=v.unit
-            )
-            for v in values
-        ],
+        parameters=[diagnosis.EffectParameter(**vars(value)) for value in values],
         settings=dict(what.settings),
         note=effect.lacking(robot, what.joint),
         log_gain=taken.one.predicted.total,
@@ -160,28 +159,15 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
 
 def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int | None) -> str:
     """What to record, and the command that plans it against the first rival where it can."""
-    known = catalogue_of(robot)
-    rivals = [
-        name
-        for name in others
-        if name in known
-        and known[name].by_motion
-        and (joint is not None or known[name].arm or known[name].shared)
-    ]
+    every = catalogue_of(robot).items()
+    asked = [n for n, e in every if e.by_motion and (joint is not None or e.arm or e.shared)]
+    rivals = [name for name in others if name in asked]
     if not rivals or not effect.by_motion:
         return effect.separate_by
     where = "" if joint is None else f" --joint {robot.joint_names[joint]}"
     between = f"--between {effect.name},{rivals[0]}{where}"
     command = f"seqid plan discriminate {between}, with these logs as --have, plans it"
     return f"{effect.separate_by}; {command}"
-
-
-def share_above(before: Array, after: Array, floor: Array) -> float:
-    """Share of the variance (n,) above the noise floor that goes; all where no more is left."""
-    scale = np.maximum(after, 1e-12)
-    above = float(np.sum((before**2 - floor**2) / scale**2))
-    gone = float(np.sum((before**2 - after**2) / scale**2))
-    return float(np.clip(gone / max(above, 1e-300), 0.0, 1.0))
 
 
 def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.UnexplainedPart:
@@ -211,12 +197,12 @@ def _excess(
     terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
     gained = found.model.linear.gained([term.part for term in terms])
     best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
-    if best is None or best[1].evidence <= 0.0:
-        return diagnosis.UnexplainedPart(joint=name, depends_on=[], share=share)
-    what = best[0].what
-    assert isinstance(what, SmoothFunction)
-    on, evidence = list(what.quantities), left_over(found, robot, what)
-    return diagnosis.UnexplainedPart(joint=name, depends_on=on, share=share, evidence=evidence)
+    part = diagnosis.UnexplainedPart(joint=name, depends_on=[], share=share)
+    if best is not None and best[1].evidence > 0.0:
+        what = best[0].what
+        assert isinstance(what, SmoothFunction)
+        part.depends_on, part.evidence = list(what.quantities), left_over(found, robot, what)
+    return part
 
 
 def _joints(found: Investigation, robot: Robot) -> dict[str, diagnosis.ResidualEntry]:

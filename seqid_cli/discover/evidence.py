@@ -24,7 +24,6 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Index
 
 Take = Callable[[int, Sequence[Array]], Array]  # a joint's samples that count, of all logs
-What = Candidate | SmoothFunction
 
 MOST = 6  # rivals of each list that are told
 CELLS = 80  # of the quantity's range, that bins are made of
@@ -67,12 +66,8 @@ def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEnt
     """Bin what is left without a term and with it, at its joint or the one that shows it most."""
     term, model, stage, n = taken.term, found.model, found.ground.stage, found.ground.n
     theta = model.linear.theta[model.where(term)]
-    shown = {
-        c: float(model.noise.weight[c] @ term.part.torque(c, theta) ** 2)
-        for c in term.channels
-        if term.joint in (c % n, None)
-    }
-    channel = max(shown, key=lambda c: shown[c])
+    weight, own = model.noise.weight, [c for c in term.channels if term.joint in (c % n, None)]
+    channel = max(own, key=lambda c: float(weight[c] @ term.part.torque(c, theta) ** 2))
     j, narrow = channel % n, channel // n != 1
     take = stage.rows.of if narrow else stage.high.of
     scenes = [scene if narrow else scene.full or scene for scene in stage.scenes]
@@ -91,38 +86,38 @@ def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> Evide
     return _binned(robot, j, over, x, y * over.sign(scenes, j, take))
 
 
-def pushed(found: Investigation, robot: Robot) -> EvidenceEntry | None:
-    """Bin the residual over time around the strongest push; nothing takes that off."""
-    event = max(found.events, key=lambda one: one.score, default=None)
-    if event is None:
-        return None
-    left, motion = found.model.left()[event.scene], found.ground.stage.scenes[event.scene].motion
-    t = motion.t - motion.t[0]
-    near = (t >= event.start - AROUND_S) & (t <= event.end + AROUND_S)
+def pushed(found: Investigation, robot: Robot) -> EvidenceEntry:
+    """Bin the residual over time around the strongest of some pushes; nothing takes that off."""
+    event = max(found.events, key=lambda one: one.score)
+    left, scene = found.model.left()[event.scene], found.ground.stage.scenes[event.scene]
+    near = event.inside(scene, AROUND_S)
     j = max(event.joints, key=lambda k: float(np.mean(left[near, k] ** 2)))
-    x = found.logs[event.scene].offset + t[near]
+    x = found.logs[event.scene].offset + (scene.motion.t - scene.motion.t[0])[near]
     return _binned(robot, j, _Over("time", j), x, left[near, j])
 
 
-def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
+def _over(what: Candidate | SmoothFunction, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
     """What a term with coefficients theta (k,) goes with; of a wave the place, 0 where it rises."""
-    if isinstance(what, Candidate) and what.effect.over == "wave":
+    if isinstance(what, SmoothFunction):
+        sided, axes = what.factor == "direction", [what.axes[0]]
+    elif what.effect.over == "wave":
         turns, a, b = list[Array](), theta[::2], theta[1::2]
         for X in (what.columns(scene)[j] for scene in scenes):
             turn = np.arctan2(X[:, ::2] @ a + X[:, 1::2] @ b, X[:, 1::2] @ a - X[:, ::2] @ b)
             turns.append(np.mod(turn / (2 * np.pi), 1.0))
         return _Over("wave", j, values=turns)
-    if isinstance(what, Candidate) and what.effect.over == "driving_load":
+    elif what.effect.over == "driving_load":
         along = [scene.load[:, j] * np.sign(scene.motion.dq[:, j]) for scene in scenes]
-        return _Over("driving_load", j, what.sided, along)
-    axis = what.axis(j)
-    axes = [axis] if axis else []
-    if axis and axis.measure == "session_time":  # where logs share no clock, since each one's start
-        axes.append(Axis("time", axis.joint))
+        return _Over("driving_load", j, what.effect.sided, along)
+    else:
+        axis = what.effect.axis(j, what.settings)
+        sided, axes = what.effect.sided, [axis] if axis else []
+    if axes and axes[0].measure == "session_time":  # where logs share no clock: since each's start
+        axes.append(Axis("time", axes[0].joint))
     for one in axes:
         known = [x for scene in scenes if (x := one.values(scene)) is not None]
         if len(known) == len(scenes):
-            return _Over(NAMES.get(one.measure, one.measure), one.joint, what.sided, known)
+            return _Over(NAMES.get(one.measure, one.measure), one.joint, sided, known)
     return _Over("torque", j)
 
 
@@ -168,18 +163,16 @@ def _each(what: Callable[[Array], np.floating], parts: Sequence[Array]) -> list[
 def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> list[RivalEntry]:
     """What was tried in a term's place; `alike` are the effects that could be it as well."""
     others = _each_once(r for r in taken.rivals if r.term.key != taken.term.key)
-    told = [one for one in others if one.term.name in alike]
-    told += [one for one in others if one not in told]
-    ranked = sorted(told[:MOST], key=lambda one: -one.predicted.total)
+    told = sorted(others, key=lambda one: one.term.name not in alike)[:MOST]  # these first
+    ranked = sorted(told, key=lambda one: -one.predicted.total)
     return [_rival(robot, one, _beside(one, taken, alike)) for one in ranked]
 
 
 def tried_at(found: Investigation, robot: Robot, joint: int) -> list[RivalEntry]:
     """What was tried at a joint beside all that was taken, the largest gain first."""
     n = found.ground.n
-    here = [r for r in found.found.tried if any(c % n == joint for c in r.term.channels)]
-    ranked = sorted(_each_once(here), key=lambda one: -one.predicted.total)
-    return [_rival(robot, one, _lacking(one)) for one in ranked[:MOST]]
+    here = (r for r in found.found.tried if any(c % n == joint for c in r.term.channels))
+    return [_rival(robot, one, _lacking(one)) for one in _each_once(here)[:MOST]]
 
 
 def _each_once(some: Iterable[Ranked]) -> list[Ranked]:

@@ -23,15 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.discover.survey.events import (
-    LENGTHS_S,
-    Interval,
-    Track,
-    joined,
-    places,
-    scores,
-    windows_of,
-)
+from seqid_cli.discover.survey import events
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
@@ -58,25 +50,18 @@ PLACES_OF_LOG = 12  # of one log
 
 @dataclass(frozen=True)
 class ResidualSurvey:
-    """What a pass over one log remembers.
-
-    `kind` is its file format; empty for a log that is read as a whole. By block of `BLOCK_S`:
-    `squares`, `counts` (B, n), the sum of the squared residual [(N m)^2] over samples at which a
-    joint certainly slides, and their number; `travel` (B, n, 2), the way [rad] that it slides
-    forward and backward; `usable` (B,), samples without a gap, once the filters have settled.
-    `places` are where the residual stands out, the strongest first; s since the first sample.
-    """
+    """What a pass over one log remembers, much of it by block (B) of `BLOCK_S`."""
 
     path: Path
     whole: Whole
     samples: int
     rate_hz: float
-    kind: str
-    squares: Array
-    counts: Array
-    travel: Array
-    usable: Array
-    places: tuple[Interval, ...]
+    kind: str  # file format; empty for a log that is read as a whole
+    squares: Array  # (B, n) sum of the squared residual [(N m)^2] where a joint certainly slides
+    counts: Array  # (B, n) samples of that
+    travel: Array  # (B, n, 2) way [rad] that a joint slides forward and backward
+    usable: Array  # (B,) samples without a gap, once the filters have settled
+    places: tuple[events.Interval, ...]  # where the residual stands out, the strongest first
 
 
 def residual_survey(
@@ -95,8 +80,8 @@ def residual_survey(
     """
     del number
     model = TorqueModel.from_stages(stages, robot)
-    n, seen, held, tracks = robot.n, 0, 0, list[Track]()
-    blocks, sums, found = list[Index](), list[Array](), list[Interval]()
+    n, seen, held, tracks = robot.n, 0, 0, list[events.Track]()
+    blocks, sums, found = list[Index](), list[Array](), list[events.Interval]()
     for part in _parts(log, robot, stages, options):
         left, counts = part.tau - part.predicted, part.sliding & part.used[:, None]
         step = float(part.t[1] - part.t[0]) if len(part.t) > 1 else 0.0
@@ -109,11 +94,11 @@ def residual_survey(
         tracks.append(_track(model, part, np.where(counts, left, np.nan), kept))
         seen, held = seen + len(part.t), held + len(kept)
         if held >= 2 * SPAN:
-            whole = joined(tracks)
+            whole = events.joined(tracks)
             found += _standing_out(whole[:SPAN])
             rest = np.searchsorted(whole.t, whole.t[SPAN - 1] - OVERLAP_S)
             tracks, held = [whole[int(rest) :]], len(whole.t) - int(rest)
-    found += _standing_out(joined(tracks))
+    found += _standing_out(events.joined(tracks))
     at = np.concatenate(blocks)
     table = np.zeros((int(at.max()) + 1, 4 * n + 1))
     np.add.at(table, at, np.concatenate(sums))
@@ -150,25 +135,25 @@ def _block_sums(part: LogPrediction, left: Array, counts: Mask, step: float) -> 
     return block[starts], np.add.reduceat(np.hstack(every), starts, axis=0)
 
 
-def _track(model: TorqueModel, part: LogPrediction, left: Array, at: Index) -> Track:
+def _track(model: TorqueModel, part: LogPrediction, left: Array, at: Index) -> events.Track:
     """Some samples of a part with their residual (N, n), NaN where a joint does not count."""
     q, dq, ddq = part.q[at], part.dq[at], part.ddq[at]
     rotor = known_rotors(model.robot) if model.rotor is None else model.rotor
     load = model.rigid(q, dq, ddq) - gear_ratios(model.robot) ** 2 * rotor * ddq
-    return Track(part.t[at], np.stack([q, dq, ddq, load, left[at]]), part.cutoff_hz)
+    return events.Track(part.t[at], np.stack([q, dq, ddq, load, left[at]]), part.cutoff_hz)
 
 
-def _standing_out(track: Track) -> list[Interval]:
+def _standing_out(track: events.Track) -> list[events.Interval]:
     """Places of one span at which the residual stands out."""
     if len(track.t) < SAMPLES_PER_CUTOFF or not np.isfinite(track.values[-1]).any():
         return []
-    every = [windows_of([track], length) for length in LENGTHS_S]
-    return places(0, [(windows, scores(windows)) for windows in every if len(windows.centre)])
+    every = (events.windows_of([track], length) for length in events.LENGTHS_S)
+    return events.places(0, [(some, events.scores(some)) for some in every if len(some.centre)])
 
 
-def _strongest(found: Iterable[Interval]) -> tuple[Interval, ...]:
+def _strongest(found: Iterable[events.Interval]) -> tuple[events.Interval, ...]:
     """The strongest places, each once: spans overlap."""
-    kept: list[Interval] = []
+    kept: list[events.Interval] = []
     for place in sorted(found, key=lambda p: -p.score):
         if all(place.end < other.start or place.start > other.end for other in kept):
             kept.append(place)
@@ -194,17 +179,12 @@ TENTHS, ENDS, CHANGES = 10, 3, 1.5  # parts of the time; ratio of the last to th
 
 @dataclass(frozen=True)
 class Excerpts:
-    """What is diagnosed.
-
-    `recordings` are whole logs or excerpts, of which `about_places` lie about places that stand out
-    and the others last `seconds`; `surveys` tell what the passes over long logs saw. Without
-    surveys all logs are held.
-    """
+    """What is diagnosed: whole logs, or excerpts."""
 
     recordings: tuple[Recording, ...]
-    about_places: int = 0
-    seconds: float = 0.0
-    surveys: tuple[ResidualSurvey, ...] = ()
+    about_places: int = 0  # excerpts about places that stand out
+    seconds: float = 0.0  # of the other ones
+    surveys: tuple[ResidualSurvey, ...] = ()  # of long logs; without any all logs are held
 
     def notes(self, robot: Robot) -> tuple[str, ...]:
         """Say how much of the logs is in the excerpts, and what the passes over them told."""
@@ -353,15 +333,12 @@ def _of_log(log: ResidualSurvey, parts: int, length: float) -> Iterator[Range]:
     size = max(1, round(piece / BLOCK_S))
     blocks = np.column_stack([log.travel.reshape(len(log.travel), -1), log.usable])
     sums = np.vstack([np.zeros(blocks.shape[1]), np.cumsum(blocks, axis=0)])
-
-    def within(first: Index) -> Array:
-        """Sums (P, k) over the blocks of excerpts."""
-        return np.asarray(sums[np.minimum(first + size, len(blocks))] - sums[first])
-
-    most = np.max(within(np.arange(max(1, len(blocks) - size + 1)))[:, -1])
+    ahead = np.minimum(np.arange(len(sums)) + size, len(blocks))
+    within = sums[ahead] - sums  # (B + 1, k), over the blocks of an excerpt from each on
+    most = np.max(within[: max(1, len(blocks) - size + 1), -1])
     for low, high in pairwise(np.linspace(0.0, whole, parts + 1)):
         starts = np.arange(low, max(high - piece, low) + 1e-9, BLOCK_S)
-        found = within((starts / BLOCK_S).astype(np.intp))
+        found = within[(starts / BLOCK_S).astype(np.intp)]
         worth = np.sqrt(np.maximum(found[:, :-1], 0.0)).sum(axis=1)
         worth[found[:, -1] < WHOLE * most] = -1.0
         if worth.max() >= 0.0:

@@ -21,8 +21,6 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ParameterFile
 
 if TYPE_CHECKING:
-    from seqid_cli.discover.excerpts import Excerpts
-    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.logs.recording import Recording
     from seqid_cli.robot.types import Robot
 
@@ -47,14 +45,14 @@ def diagnose(
     needs = ("friction", "inertia", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.discover.diagnosis import diagnose as diagnosed
-    from seqid_cli.discover.excerpts import one_each
+    from seqid_cli.discover.excerpts import one_each, take_excerpts
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.regression.equations import motion_uses
 
     search, given = _search(inputs, options), LogSet.of(inputs)
     stages, arm = inputs.stages, inputs.robot
-    held = _excerpts(inputs, given, search)
+    held = take_excerpts(given, arm, stages, options=search.motion)
     found = diagnosed(held.recordings, arm, stages, options=search)
     said = [*held.notes(arm), *found.notes]
     file = structs.replace(
@@ -117,18 +115,10 @@ def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
     return DiscoverOptions(InertiaOptions(filtering, source=source))
 
 
-def _excerpts(
-    inputs: Inputs, logs: LogSet, search: DiscoverOptions, *, places: bool = True
-) -> Excerpts:
-    from seqid_cli.discover.excerpts import take_excerpts
-
-    return take_excerpts(logs, inputs.robot, inputs.stages, options=search.motion, places=places)
-
-
 def _refined(
     inputs: Inputs, held_out: Sequence[Path | Recording], search: DiscoverOptions
 ) -> ParameterFile:
-    from seqid_cli.discover.excerpts import by_digest, one_each
+    from seqid_cli.discover.excerpts import by_digest, one_each, take_excerpts
     from seqid_cli.discover.refinement.confirm import confirm
     from seqid_cli.discover.refinement.held_out import WholeLogs
     from seqid_cli.discover.refinement.log_sets import read_earlier
@@ -138,33 +128,32 @@ def _refined(
     from seqid_cli.identify.regression.equations import motion_uses
 
     assert inputs.previous is not None
-    robot, previous = inputs.robot, inputs.previous
-    training = LogSet.of(inputs)
-    fitted = _excerpts(inputs, training, search, places=False)
+    robot, previous, stages = inputs.robot, inputs.previous, inputs.stages
+    training, motion = LogSet.of(inputs), search.motion
+    fitted = take_excerpts(training, robot, stages, options=motion, places=False)
     at_hand = {sha256: some[0].path for sha256, some in by_digest(fitted.recordings).items()}
     files = [log for log in held_out if isinstance(log, Path)]
     folders = [path.parent for path in inputs.parameters]
     found = find_earlier(previous.inputs, folders, at_hand=at_hand, held_out=files)
-    earlier, unread = read_earlier(inputs, found, fitted, search.motion)
+    earlier, unread = read_earlier(inputs, found, fitted, motion)
     count = sum(map(len, earlier.values()))
     training.tell("detail", text=f"{len(fitted.recordings)} logs to fit, {count} of earlier stages")
     decided = decide(fitted.recordings, robot, previous, earlier=earlier, options=search)
 
     # Nothing is decided any more: now the held-out logs are opened.
-    rest = replace(inputs, logs=tuple(held_out), missing=())
-    kept_out = LogSet.of(rest)
-    unseen = _excerpts(rest, kept_out, search, places=False)
+    kept_out = LogSet.of(replace(inputs, logs=tuple(held_out), missing=()))
+    unseen = take_excerpts(kept_out, robot, stages, options=motion, places=False)
     held = {sha256: some[0].path for sha256, some in by_digest(unseen.recordings).items()}
     check_unseen(held.items(), {**found.paths, **at_hand})
     whole = WholeLogs(tuple(files), robot, inputs.options.time_source)
     loop = confirm(decided, unseen.recordings, whole if unseen.surveys else None)
-    verdicts = [*physics_verdicts(inputs.stages, robot), *training.verdicts(), *kept_out.verdicts()]
+    verdicts = [*physics_verdicts(stages, robot), *training.verdicts(), *kept_out.verdicts()]
     both = [*one_each(fitted), *one_each(unseen)]
     loop = structs.replace(
         loop,
         verdict="poor" if verdicts else loop.verdict,
         held_out=kept_out.inputs(),
-        motion=motion_uses(both, robot, inputs.stages.imu, options=search.motion),
+        motion=motion_uses(both, robot, stages.imu, options=motion),
         verdicts=verdicts,
         notes=[
             *(f"fitted: {note}" for note in fitted.notes(robot)),

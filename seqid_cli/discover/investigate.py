@@ -18,7 +18,7 @@ from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import select, select_among
-from seqid_cli.discover.survey.events import GATE, Interval, event_masks, find_events
+from seqid_cli.discover.survey.events import GATE, Interval, find_events
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
@@ -76,10 +76,12 @@ def investigate(
     found = select(Ground.of(rows, stages))
     step("looking for events", 8, 10)
     first = found.model
-    guess = guessed(first)
-    events = events_of(first, guess)
-    masks = zip(guess, event_masks(rows, events), strict=True)
-    sure = rows.without([own | event[:, None] for own, event in masks])
+    gone = guessed(first)
+    events = events_of(first, gone)
+    for event in events:  # and what feels them through the low-pass
+        scene = rows.scenes[event.scene]
+        gone[event.scene][event.inside(scene, 0.5 / scene.motion.lowpass.cutoff_hz)] = True
+    sure = rows.without(gone)
     step("choosing effects again", 8, 10)
     if not all(map(np.array_equal, sure.used, rows.used)):
         found = select_among(Ground.of(sure, stages), first.hold, first.candidates)
@@ -135,7 +137,8 @@ def events_of(model: Model, guess: Sequence[Mask], *, most: float = 0.5) -> list
     slide, or stops above the cut-off.
     """
     rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
-    for event in find_events(rows, model.scaled()):
+    own = zip(model.linear.left_out[: rows.n], model.noise.sigma, strict=False)
+    for event in find_events(rows, [r / sigma for r, sigma in own]):
         scene = rows.scenes[event.scene]
         unknown = (guess[event.scene] | scene.stops | ~scene.slides)[event.inside(scene)]
         known = np.mean(unknown[:, list(event.joints)]) <= most
@@ -158,7 +161,8 @@ def not_of_terms(events: Sequence[Interval], model: Model) -> list[Interval]:
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
     """Whether an event's residual (N, n) N m is small beside the torque's swing around it.
 
-    One that stands out more against moments of like motion may be smaller, but not near rests.
+    The more it stands out against moments of like motion, at which a law errs alike, the smaller it
+    may be; but not within a period of the cut-off of where a joint may stick.
     """
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     period = round(scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)

@@ -4,6 +4,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.spectra import DETAIL
@@ -34,7 +35,8 @@ def expected(found: Investigation) -> Array:
 def excess_residuals(found: Investigation, ordinary: Array) -> dict[int, float]:
     """Joints with more than `ordinary` (n,) N m left after all that was found, and how many times.
 
-    The largest first; but not where the noise floor of so short a log may be as large.
+    The largest first; not where the file alone fits as well as expected, nor where the noise floor
+    may be as large, for all that so short a log tells of it.
     """
     left = np.minimum(found.model.rms(), found.start)
     times, most = left / np.maximum(ordinary, 1e-12), found.floor.high
@@ -70,7 +72,7 @@ def notes_of(
             "file was identified, which has absorbed a part of it: refine identifies the stages "
             "anew"
             for one in found.found.effects
-            if one.term.absorbed
+            if isinstance(one.term.what, Candidate) and one.term.what.absorbed
         ),
         *outside_notes(found, robot, ordinary),
         *_free_base_notes(found, robot),

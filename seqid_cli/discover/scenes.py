@@ -1,7 +1,4 @@
-"""From recordings to data sets: filtered motion, the model's torque, one clock for all logs.
-
-Logs whose torque says nothing about the model are left out, and said to be.
-"""
+"""From recordings to data sets: filtered motion, the model's torque, one clock for all logs."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

@@ -48,7 +48,10 @@ NORMAL_95 = np.array([0.0, -1.96, 1.96, 1.96])  # a deviate's middle, ends of it
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """RMS (n,) N m that a right model leaves, and its 95 % interval `low`, `high` (n,)."""
+    """RMS (n,) N m that a right model leaves, and its 95 % interval `low`, `high` (n,).
+
+    Of what spectra leave open, noise of logs so short scatters, and the encoder's part is unsure.
+    """
 
     rms: Array
     low: Array
@@ -161,7 +164,8 @@ def _top_of_band(
 ) -> Spectrum:
     """What is left (N,) of the torque at the top of the band, the low-pass undone.
 
-    What the encoder's noise makes (N,) is taken off. Between the cut-offs `band` nothing moves.
+    Steps of the torque, which reach above the cut-off, the model has below it. What the encoder's
+    noise makes (N,) is taken off. Between the cut-offs `band` nothing moves.
     """
     lowpass, rate = scene.motion.lowpass, scene.motion.rate_hz
     length = min(round(STRETCH * rate / lowpass.cutoff_hz), scene.samples)

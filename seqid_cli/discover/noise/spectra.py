@@ -104,14 +104,14 @@ class Spectrum:
         return replace(self, density=np.maximum(self.density, density))
 
     @property
-    def bands(self) -> Spectrum:
-        """The same in bands of a fraction of an octave."""
+    def bands(self) -> tuple[Array, Array, Array]:
+        """The same, array by array, in bands of a fraction of an octave."""
         band = np.floor(PER_OCTAVE * np.log2(self.frequency))
         starts = np.flatnonzero(np.diff(band, prepend=-np.inf))
         count = np.diff(starts, append=len(band))
         parts = (self.frequency, self.density, self.averaged)
         frequency, density, averaged = (np.add.reduceat(x, starts) for x in parts)
-        return Spectrum(frequency / count, density / count, averaged)
+        return frequency / count, density / count, averaged
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,8 @@ def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
     r is their ratio at `reference_hz`. The excess of a band, noise that is not white and an
     exponent other than 1 must each gain a log-likelihood of one (Akaike's criterion).
     """
-    bands = [(one.frequency, one.density, one.averaged) for one in (x.bands for x in spectra)]
-    frequency, density, averaged = map(np.concatenate, zip(*bands, strict=True))
+    bands = zip(*(one.bands for one in spectra), strict=True)
+    frequency, density, averaged = map(np.concatenate, bands)
     # A mean of so many periodograms has a gamma distribution; its logarithm is off and scatters.
     known = np.log(np.maximum(density, TINY)) - digamma(averaged) + np.log(averaged)
     above = known - np.log(_shapes(frequency / reference_hz))

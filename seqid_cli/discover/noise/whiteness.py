@@ -19,7 +19,7 @@ from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array, Index, Mask
 
-FALSE_ALARM = 0.01
+FALSE_ALARM = 0.01  # share of white residuals that are called coloured
 LAGS = 20
 SAMPLES_PER_LAG = 20  # with fewer, the statistic's tail is heavier than chi-square
 SAMPLES_PER_CUTOFF = 2.0
@@ -27,14 +27,13 @@ MEMORY = 40  # samples beyond which the low-pass has no correlation left
 NUGGET = 1e-6
 
 
-def white(rows: Rows, residual: Sequence[Array], *, false_alarm: float = FALSE_ALARM) -> Mask:
+def white(rows: Rows, residual: Sequence[Array]) -> Mask:
     """Test every joint's residual for being low-passed white noise.
 
     `residual` (N, n) N m per data set, low-passed twice; only samples that count are looked at.
-    `false_alarm` is the share of white residuals that are called coloured. Returns (n,): False
-    where the hypothesis is rejected, True where there are too few samples to.
+    Returns (n,): False where the hypothesis is rejected, True where there are too few samples to.
     """
-    return np.array([_p_value(rows, residual, j) for j in range(rows.n)]) >= false_alarm
+    return np.array([_p_value(rows, residual, j) for j in range(rows.n)]) >= FALSE_ALARM
 
 
 def _p_value(rows: Rows, residual: Sequence[Array], joint: int) -> float:

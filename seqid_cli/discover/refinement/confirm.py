@@ -17,8 +17,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
-from seqid_cli.params.schema import ClosedLoop, Stages
-from seqid_cli.robot.types import Robot
+from seqid_cli.params.schema import ClosedLoop
 from seqid_cli.shares import percent
 
 
@@ -34,7 +33,10 @@ def confirm(
     held_out, notes = usable_logs(held_out, robot)
     motion = with_own_cutoffs(held_out, robot, found.came, options.motion)
     models = [found.came, *(with_effects(m, robot) for m in (found.without, *found.steps[1:]))]
-    errors, more = _errors(models, robot, motion, held_out, whole)
+    of_all = whole.errors(models, motion) if whole is not None else []
+    errors = of_all or [held_out_error(held_out, robot, stages, motion) for stages in models]
+    which = "the whole" if of_all else "pieces of the"
+    more = () if whole is None else (f"errors are of {which} held-out logs",)
     rounds, names = _confirmed(found, errors[1:]), robot.joint_names
     before, after = errors[0], errors[-1] if found.added else errors[0]
     new, floor = after.rmse(), _floor(found, held_out, motion)
@@ -84,22 +86,6 @@ def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
     ask += "" if smooth else ", refine --with-unexplained adds a smooth term for it"
     note = f"more is left than torque noise and encoder account for: {said}; {ask}"
     return (note,) if said else ()
-
-
-def _errors(
-    models: Sequence[Stages],
-    robot: Robot,
-    options: InertiaOptions,
-    held_out: Sequence[Recording],
-    whole: WholeLogs | None,
-) -> tuple[list[HeldOutError], tuple[str, ...]]:
-    """Errors of all models: of the held-out logs as a whole, where they can be had."""
-    there = [whole.error(stages, options=options) for stages in models if whole is not None]
-    known = [error for error in there if error is not None]
-    if len(known) == len(models):
-        return known, ("errors are of the whole held-out logs",)
-    note = () if whole is None else ("errors are of pieces of the held-out logs",)
-    return [held_out_error(held_out, robot, stages, options=options) for stages in models], note
 
 
 def _floor(found: Refinement, held_out: Sequence[Recording], options: InertiaOptions) -> NoiseFloor:

@@ -46,12 +46,11 @@ class HeldOutError(NamedTuple):
     """Squared error (N m)^2 and samples (B, n) of every block, where a joint certainly slides.
 
     At rest the model says an interval: a wider one always fits better, and nothing is gained by it.
-    `outside`, `outside_samples` (B, n) are those of the same beyond the identified friction.
     """
 
     squares: Array
     samples: Array
-    outside: Array
+    outside: Array  # of these beyond the identified friction
     outside_samples: Array
 
     def rmse(self) -> Array:
@@ -143,8 +142,13 @@ class WholeLogs:
     robot: Robot
     time_source: TimeSource = "header"
 
-    def error(self, stages: Stages, *, options: InertiaOptions) -> HeldOutError | None:
-        """Error of a model on all samples; None where it cannot be predicted part by part."""
+    def errors(self, models: Sequence[Stages], options: InertiaOptions) -> list[HeldOutError]:
+        """Errors of models on all samples; none where one cannot be predicted part by part."""
+        found = [self._error(stages, options) for stages in models]
+        known = [error for error in found if error is not None]
+        return known if len(known) == len(models) else []
+
+    def _error(self, stages: Stages, options: InertiaOptions) -> HeldOutError | None:
         model = TorqueModel.from_stages(stages, self.robot)
         effects = fitted_effects(stages, self.robot, unexplained=True)
         if not (streams(stages, options) and local_effects(model, effects)):
@@ -195,8 +199,7 @@ def _weighed(
 ) -> tuple[Array, Array]:
     """Squared errors (B,) of two models, those within and beyond in units of the mean before."""
     chosen = sorted(joints)
-    old = _within_and_beyond(before.squares, before.outside, chosen)
-    new = _within_and_beyond(after.squares, after.outside, chosen)
+    old, new = (_within_and_beyond(x.squares, x.outside, chosen) for x in (before, after))
     counts = _within_and_beyond(before.samples, before.outside_samples, chosen).sum(axis=0)
     total = old.sum(axis=0)
     weight = np.where(total > 0.0, counts / np.maximum(total, 1e-300), 0.0)

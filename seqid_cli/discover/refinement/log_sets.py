@@ -1,7 +1,4 @@
-"""Which logs are fitted, which are held out, and where those of earlier stages are.
-
-Of earlier stages' logs as much is read as memory bears.
-"""
+"""Which logs are fitted, which are held out, and where those of earlier stages are."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from seqid_cli.discover.excerpts import Excerpts, by_digest, take_excerpts
 from seqid_cli.errors import SeqidError, UsageError
@@ -24,10 +21,6 @@ from seqid_cli.logs.storage.files import check_log
 from seqid_cli.logs.storage.remote import TableLog
 from seqid_cli.params.schema import InputLog
 
-if TYPE_CHECKING:
-    from seqid_cli.logs.recording import Recording
-
-
 # Stages whose logs determine the model; "effects" are those of an earlier refinement.
 FITTED_STAGES = ("friction", "gravity", "imu", "inertia", "effects")
 LOST = "logs of earlier stages that are no longer there or have changed"
@@ -36,7 +29,10 @@ _NAMED = 3  # logs that a note names
 
 
 def held_out_logs(logs: Logs, held_out: Logs) -> tuple[Path | Recording, ...]:
-    """Return the held-out logs, unopened; raise UsageError if a place is in both lists."""
+    """Return the held-out logs; by its place alone each is known until all is decided.
+
+    Raises UsageError: a log is in both lists; InputError: a path stands for no log.
+    """
     files = tuple(expanded(listed(held_out)))
     fitted = {_place(file): file for file in expanded(listed(logs))}
     check_unseen([(_place(file), file) for file in files], fitted)
@@ -64,13 +60,10 @@ def check_unseen(
 
 @dataclass(frozen=True)
 class EarlierLogs:
-    """Logs that the stages before were identified from, as far as they are still there.
+    """Logs that the stages before were identified from, as far as they are still there."""
 
-    `paths` maps a log's SHA-256 to where it is now, `by_stage` a stage to the SHA-256 of its logs.
-    """
-
-    paths: Mapping[str, Path]
-    by_stage: Mapping[str, Sequence[str]]
+    paths: Mapping[str, Path]  # by SHA-256: where a log is now
+    by_stage: Mapping[str, Sequence[str]]  # SHA-256 of each stage's logs
     notes: tuple[str, ...]
 
 
@@ -136,11 +129,8 @@ MOST_OF_TRIALS = 8_000_000
 def read_earlier(
     inputs: Inputs, found: EarlierLogs, fitted: Excerpts, options: InertiaOptions
 ) -> tuple[dict[str, list[Recording]], list[str]]:
-    """Read the logs of earlier stages, or pieces of them, by stage; and what is to be said.
-
-    One that is fitted anyway is not read a second time.
-    """
-    at_hand = by_digest(fitted.recordings)
+    """Read the logs of earlier stages, or as much as memory bears, by stage; what is to be said."""
+    at_hand = by_digest(fitted.recordings)  # not read a second time
     held = {sha256 for sha256, some in at_hand.items() if some[0].whole is None}
     trials = {sha256 for stage in TRIALS for sha256 in found.by_stage.get(stage, ())}
     needed = {x: path for x, path in found.paths.items() if x in trials and x not in held}

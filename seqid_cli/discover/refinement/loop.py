@@ -1,7 +1,4 @@
-"""The state of a refinement: the model as it grows, and what comes of one effect more.
-
-Held-out logs play no part here.
-"""
+"""The state of a refinement: the model as it grows, and what comes of one effect more."""
 
 from __future__ import annotations
 
@@ -10,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import msgspec
-import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, doubt, gain, held_out_error
+from seqid_cli.discover.refinement import held_out
+from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, doubt, gain
 from seqid_cli.discover.refinement.reidentify import Material, Refitted, identity, refitted, unique
 from seqid_cli.discover.select.naming import reality
 from seqid_cli.discover.select.options import Options
@@ -33,15 +30,13 @@ LATE = "came after the file was identified"
 class Refinement:
     """What is decided before any held-out log is opened.
 
-    `material` is what models are fitted to, `came` the stages at first. `steps` are the model as it
-    came in and that after each effect that was added; `without` is what the first effect had to be
-    better than: the model as it came in, or the same identified anew.
+    The first effect had to be better than the model as it came in, or the same identified anew.
     """
 
-    material: Material
+    material: Material  # what models are fitted to
     came: Stages
-    steps: list[Refitted]
-    without: Refitted
+    steps: list[Refitted]  # the model as it came in, and after each effect that was added
+    without: Refitted  # what the first effect had to be better than
     rounds: list[RefinementRound] = field(default_factory=list)
     notes: tuple[str, ...] = ()
     _errors: dict[Refitted, HeldOutError] = field(default_factory=dict)
@@ -80,8 +75,7 @@ class Refinement:
         key: Refitted | int = model if lasting else id(model.stages)
         if key not in self._before:
             self._before[key] = self._error(self.logs_before, replace(model, effects=lasting))
-        both = zip(self.error_of(model), self._before[key], strict=True)
-        return HeldOutError(*map(np.vstack, both))
+        return held_out.joined([self.error_of(model), self._before[key]])
 
     @cached_property
     def logs_before(self) -> list[Recording]:
@@ -92,21 +86,18 @@ class Refinement:
 
     def _error(self, logs: Sequence[Recording], model: Refitted) -> HeldOutError:
         robot, options = self.material.robot, self.material.options.motion
-        return held_out_error(logs, robot, with_effects(model, robot), options=options)
+        return held_out.held_out_error(logs, robot, with_effects(model, robot), options=options)
 
 
 @dataclass(frozen=True, eq=False)
 class Account:
-    """A model with one effect more, what was `taken` for it, and when the effects came.
-
-    `late` came after the file was identified; the stages are `kept` as they were in this fit.
-    """
+    """A model with one effect more, what was `taken` for it, and when the effects came."""
 
     loop: Refinement
     taken: Taken
     candidates: tuple[Candidate, ...]
-    late: frozenset[Key]
-    kept: bool
+    late: frozenset[Key]  # those that came after the file was identified
+    kept: bool  # whether the stages stayed as they were in this fit
 
     @cached_property
     def model(self) -> Refitted:

@@ -289,40 +289,36 @@ def _sequential(material: Material, model: Refitted) -> Stages:
     known = {identity(log): log for own in material.earlier.values() for log in own}
     now = known | {identity(log): log for log in material.training}
     freed = cache(lambda name: material.freed(now[name], model))
-    friction, gravity, inertia = (
-        [freed(identity(log)) for log in material.logs_of(stage)]
+    friction, gravity, inertia = (  # each log as it is, and freed
+        [(known[name], freed(name)) for name in map(identity, material.logs_of(stage))]
         for stage in ("friction", "gravity", "inertia")
     )
     if stages.friction is not None:
-        new.friction = _friction(robot, known, friction, stages.friction)
+        new.friction = _friction(robot, friction, stages.friction)
     changed = new.friction is not stages.friction or any(
-        changed_joints(known[identity(log)], log).any()
-        or not np.array_equal(known[identity(log)].valid, log.valid)
-        for log in gravity
+        changed_joints(log, own).any() or not np.array_equal(log.valid, own.valid)
+        for log, own in gravity
     )
     if stages.gravity is not None and changed:
-        new.gravity = identify_gravity(gravity, robot, new)
+        new.gravity = identify_gravity([own for _, own in gravity], robot, new)
     if stages.inertia is not None:
-        inertia = unique([*inertia, *(freed(identity(log)) for log in material.training)])
-        new.inertia = identify_inertia(inertia, robot, new, options=motion)
+        every = [own for _, own in inertia] + [freed(identity(log)) for log in material.training]
+        new.inertia = identify_inertia(unique(every), robot, new, options=motion)
     return new
 
 
 def _friction(
-    robot: Robot,
-    known: Mapping[tuple[str, str], Recording],
-    freed: Sequence[Recording],
-    old: FrictionStage,
+    robot: Robot, logs: Sequence[tuple[Recording, Recording]], old: FrictionStage
 ) -> FrictionStage:
     """Friction again, of the joints whose torque or position the effects change in its logs."""
-    changed = np.any([changed_joints(known[identity(log)], log) for log in freed], axis=0)
-    travel = np.array([np.ptp(log.q, axis=0) for log in freed])
+    changed = np.any([changed_joints(*both) for both in logs], axis=0)
+    travel = np.array([np.ptp(own.q, axis=0) for _, own in logs])
     moves = travel > MOVES * travel.max(axis=0)
-    logs = [log for log, moving in zip(freed, moves, strict=True) if np.any(moving & changed)]
-    if not logs:
+    moved = [own for (_, own), at in zip(logs, moves, strict=True) if np.any(at & changed)]
+    if not moved:
         return old
     names = {name for name, anew in zip(robot.joint_names, changed, strict=True) if anew}
-    new = identify_friction(logs, robot, options=FrictionOptions())
+    new = identify_friction(moved, robot, options=FrictionOptions())
     kept = [v for v in old.verdicts if v.joint not in names]
     return structs.replace(
         old,  # joints in the file's order

@@ -2,9 +2,8 @@
 
 The effects that an investigation names are tried one after the other, and fitted anew together
 with the model (see `reidentify`). One that does not help the model fitted anew, or by which other
-joints lose more than its own gain, is refused, with that reason.
-
-Held-out logs play no part in this: what they say of the result is in `confirm`.
+joints lose more than its own gain, is refused, with that reason. Held-out logs play no part in
+this: what they say of the result is in `confirm`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,6 +26,7 @@ from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.prediction.predict import slides_from
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
+from seqid_cli.model.effects.smooth import SmoothTerm
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import ParameterFile, Stages
@@ -192,5 +192,6 @@ def _add_smooth(loop: Refinement, found: Investigation) -> None:
         if sure:
             what, model = taken.term.what, loop.model
             assert isinstance(what, SmoothFunction)
-            term = what.term(taken.one.gained.coefficients)
+            c = what.mixing @ taken.one.gained.coefficients
+            term = SmoothTerm(what.joint, what.quantities, what.axes, what.factor, c)
             loop.steps.append(replace(model, effects=(*model.effects, term)))

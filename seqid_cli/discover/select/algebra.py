@@ -36,9 +36,9 @@ def half_log_det(factor: Factor) -> float:
 
 
 def bayes_factor(D: Array, d: Array, precision: Array) -> tuple[Array, Array, Array]:
-    """Log Bayes factor, coefficients (k,) and covariance (k, k); `precision` is diagonal.
+    """Log Bayes factor, coefficients and covariance of D (..., k, k), d (..., k).
 
-    D (..., k, k) and d (..., k) may be of several data sets.
+    `precision` (k, k) is diagonal.
     """
     size = 1.0 / np.sqrt(np.diag(precision))
     value, vector = np.linalg.eigh(D * np.outer(size, size))

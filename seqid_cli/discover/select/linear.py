@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, repeat
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -130,8 +130,10 @@ class Linear:
     def _scale(self) -> Array:
         return algebra.scale_of(np.diag(self.prior) + np.diag(self.sums[0]))
 
-    def _factor(self, A: Array) -> algebra.Factor:
-        return algebra.factored((A + self.prior) * np.outer(self._scale, self._scale))
+    def _fit(self, A: Array, b: Array) -> Solved:
+        """Factor and solution (p,) from B'wB and B'wy."""
+        factor = algebra.factored((A + self.prior) * np.outer(self._scale, self._scale))
+        return factor, self._solved(factor, b)
 
     def _solved(self, factor: algebra.Factor, right: Array) -> Array:
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
@@ -144,25 +146,20 @@ class Linear:
 
     @cached_property
     def _whole(self) -> Solved:
-        factor = self._factor(self.sums[0])
-        return factor, self._solved(factor, self.sums[1])
+        return self._fit(*self.sums)
 
     @cached_property
     def _without(self) -> list[Solved]:
         """Factor and solution (p,) without each block."""
         A, b = self.sums
-        return [
-            (factor, self._solved(factor, b - own_b))
-            for own_A, own_b in map(self._sums_of, zip(*self.rows.at, strict=True))
-            for factor in [self._factor(A - own_A)]
-        ]
+        blocks = map(self._sums_of, zip(*self.rows.at, strict=True))
+        return [self._fit(A - own_A, b - own_b) for own_A, own_b in blocks]
 
     @cached_property
     def _without_file(self) -> Solved:
         """Factor and solution (p,) without what the parameter file says."""
         A, b = self.sums
-        factor = self._factor(A + self._coupled(self._blocks(file=False)) - self.prior)
-        return factor, self._solved(factor, b)
+        return self._fit(A + self._coupled(self._blocks(file=False)) - self.prior, b)
 
     @property
     def theta(self) -> Array:
@@ -233,12 +230,8 @@ class Linear:
     @cached_property
     def left_out(self) -> list[Array]:
         """The same of every block where the model is fitted to all others."""
-        return [
-            np.concatenate(
-                [self._left(c, here, t) for here, (_, t) in zip(at, self._without, strict=True)]
-            )
-            for c, at in enumerate(self.rows.at)
-        ]
+        fits, every = [theta for _, theta in self._without], enumerate(self.rows.at)
+        return [np.concatenate([*map(self._left, repeat(c), at, fits)]) for c, at in every]
 
     def torque_beside_file(self, part: Part, channel: int) -> Array:
         """Torque (M_c,) N m of a part at a channel less what the file has absorbed of it."""

@@ -17,7 +17,8 @@ from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.rows import Part, Rows
-from seqid_cli.discover.select.terms import Term, effects, smooth_terms
+from seqid_cli.discover.select.smooth import smooth_functions, smooth_products
+from seqid_cli.discover.select.terms import Term, effects, smooth_term
 from seqid_cli.discover.select.tuning import NEAR, Tuner
 from seqid_cli.discover.survey.rows import Rows as SurveyRows
 from seqid_cli.params.schema import Stages
@@ -101,14 +102,16 @@ class Ground:
 
     def smooth_terms(self, joint: int, *, products: bool = False) -> list[Term]:
         """Smooth functions of everything measured, or of two quantities, for one joint."""
-        key = joint, products
+        key, make = (joint, products), smooth_products if products else smooth_functions
         if key not in self._smooth:
-            self._smooth[key] = smooth_terms(self.stage, joint, self.size, products=products)
+            made = make(self.stage.rows, joint) if self.stage.rows.count(joint) else []
+            self._smooth[key] = [smooth_term(self.stage, one, self.size) for one in made]
         return self._smooth[key]
 
     def precision(self, hold: Hold, number: int) -> Array:
         """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""
-        rows = self.base.hold(number, hold.of(number - 1) if number else hold.rigid)
+        scale = hold.of(number - 1) if number else hold.rigid
+        rows = np.vstack([self.base.prior[number] / scale, np.diag(self.base.bounds[number])])
         return rows.T @ rows
 
     def parts(self, hold: Hold, timed: Sequence[bool]) -> list[Part]:
@@ -116,10 +119,10 @@ class Ground:
         base, stage, joints, n = self.base, self.stage, range(self.n), self.n
         drives = [j for j in joints if stage.drive.of(j)]
         rigid, *friction = [self.precision(hold, number) for number in range(1 + n)]
-        timing = [np.diag(base.bounds[2][j] ** 2 + self.own_offset**-2) for j in joints]
-        own = [np.diag(bound**2) for bound in base.bounds[1]]
+        timing = [np.diag(bound**2 + self.own_offset**-2) for bound in base.bounds[1 + n :]]
+        bare, *own = [np.diag(bound**2) for bound in base.bounds[: 1 + n]]
         return [
-            Part(dict(enumerate(base.rigid)), rigid, np.diag(base.bounds[0] ** 2)),
+            Part(dict(enumerate(base.rigid)), rigid, bare),
             *(Part(stage.with_drive({j: base.friction[j]}), friction[j], own[j]) for j in joints),
             *(Part({j: base.timing[j]} if timed[j] else {}, timing[j]) for j in joints),
             *(stage.drive.part(j, 2 * n + j, self.size[2 * n + j]) for j in drives),
@@ -279,11 +282,6 @@ class Model:
         """What is left (N, n) N m without a term, by scene; zero where a joint may stick."""
         parts = zip(self.ground.base.whole, self.deviation, self.shown(without), strict=True)
         return [np.where(own.scene.slides, own.residual - b - t, 0.0) for own, b, t in parts]
-
-    def scaled(self) -> list[Array]:
-        """Residual (M_j,) of each joint's rows where it was not fitted, over the joint's noise."""
-        left = self.linear.left_out[: self.ground.n]
-        return [r / s for r, s in zip(left, self.noise.sigma, strict=False)]
 
     def rms(self) -> Array:
         """RMS (n,) N m of each joint's residual where it was not fitted."""

@@ -37,11 +37,8 @@ class Named:
 
 
 def tempered(gain: Array | float) -> Array:
-    """By what gains are divided, so that a rival which lacks a small share of `gain` is not told.
-
-    No law is exactly an effect's; a unit of log density counts as one at most.
-    """
-    return np.maximum(Options.small * np.asarray(gain) / BEHIND, 1.0)
+    """By what gains are divided, so that a rival that lacks a small share of `gain` is not told."""
+    return np.maximum(Options.small * np.asarray(gain) / BEHIND, 1.0)  # never enlarged
 
 
 def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
@@ -55,7 +52,7 @@ def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
 
 
 def steadiness(varied: float, share: float, left: float) -> float:
-    """Probability that a term is no error of another law.
+    """Probability that a term is no error of another law: an effect always has the same size.
 
     `varied` is the log evidence that its size is another one in every block, `share` what it takes
     away of the squared error, `left` what the model leaves in noise floors. Odds are even where its

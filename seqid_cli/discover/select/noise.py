@@ -98,12 +98,9 @@ def slow_noise(
 
 def _windows(stage: Stage, *, window_s: float = 0.3) -> list[Index]:
     """Window (M_j,) of every row of a joint, whose rows share a weight."""
-    rows, result = stage.rows, []
-    for j in range(rows.n):
-        parts, first = [np.zeros(0, dtype=np.intp)], 0
-        for scene, picked, used in zip(rows.scenes, rows.picked, rows.used, strict=True):
-            own = (scene.motion.t[picked[used[:, j]]] / window_s).astype(np.intp)
-            parts.append(own + first)
-            first += int(scene.motion.t[-1] / window_s) + 1
-        result.append(np.concatenate(parts))
-    return result
+    rows, every, first = stage.rows, list[Index](), 0
+    for scene, picked in zip(rows.scenes, rows.picked, strict=True):
+        every.append((scene.motion.t[picked] / window_s).astype(np.intp) + first)
+        first += int(scene.motion.t[-1] / window_s) + 1
+    own = [[x[u[:, j]] for x, u in zip(every, rows.used, strict=True)] for j in range(rows.n)]
+    return [np.concatenate(parts) for parts in own]

@@ -1,38 +1,21 @@
 """What the selection decides by."""
 
 from dataclasses import dataclass
-from functools import cached_property
-
-import numpy as np
-from scipy.special import ndtri
 
 
 @dataclass(frozen=True)
 class Options:
     """What decides.
 
-    `doubt` is the probability over drawn blocks that a term gains nothing, `chance` the log
-    evidence that the best of all terms has on noise. A share that is `small` does not matter:
-    `improvement`, the share of the squared error left out that a term must take away; a difference
-    of two gains, an effect going before a smooth function then; and an error of an effect's torque,
-    as no law is known better: less than that at its joints is not told. Beside effects that look
-    like it the error's square must be small (`likeness`), or it may be `apart` of the torque, where
-    motor and link move apart. At most `most` terms.
+    A share that is `small` does not matter: `improvement`; a difference of two gains, an effect
+    going before a smooth function then; and an error of an effect's torque, as no law is known
+    better: less than that at its joints is not told. Beside effects that look like it the error's
+    square must be small, or it may be `apart` of the torque, where motor and link move apart.
     """
 
-    doubt: float = 0.025
+    doubt: float = 0.025  # probability over drawn blocks that a term gains nothing
     small: float = 0.04
-    improvement: float = small
-    chance: float = 6.0
+    improvement: float = small  # share of the squared error left out that a term must take away
+    chance: float = 6.0  # log evidence that the best of all terms has on noise
     apart: float = 0.5
-    most: int = 8
-
-    @property
-    def likeness(self) -> float:
-        """Share of an effect's torque, whose square is small, to which a like effect is known."""
-        return float(np.sqrt(self.small))
-
-    @cached_property
-    def behind(self) -> float:
-        """Standard errors by which a term is behind another with no more than `doubt`."""
-        return -float(ndtri(self.doubt))
+    most: int = 8  # terms

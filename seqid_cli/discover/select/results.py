@@ -4,9 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
-from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.rows import Gained, Predicted
@@ -68,27 +65,18 @@ class Weighed:
 class Taken:
     """A term of the finished model.
 
-    `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N
-    m is what the model without it leaves of left-out blocks. `evidence` (log) and `share` of
-    the squared error are no more than beside a base that may leave the file, and beyond the
-    file as it is. `instead`: effects that may stand in its place, no rivals, and how far they
-    are behind in log evidence. `varied`: log evidence that its size is another one in every
-    block. `untried`: effects that look alike and that these logs lack the channels to look for.
+    `evidence` (log) and `share` of the squared error are no more than beside a base that may leave
+    the file, and beyond the file as it is.
     """
 
     one: Ranked
-    rivals: tuple[Ranked, ...]
-    left: Sequence[Array]
+    rivals: tuple[Ranked, ...]  # all that touches its channels, itself included, in its place
+    left: Sequence[Array]  # (M_c,) N m by channel: left-out blocks by the model without it
     evidence: float
     share: float
-    instead: Mapping[str, float]
-    varied: float
-    untried: tuple[str, ...] = ()
-
-    @property
-    def without(self) -> Array:
-        """RMS (channels,) N m of that."""
-        return np.array(list(map(rms, self.left)))
+    instead: Mapping[str, float]  # effects that may stand in its place, log evidence they lack
+    varied: float  # log evidence that its size is another one in every block
+    untried: tuple[str, ...] = ()  # look alike, but these logs lack the channels to look for them
 
     @property
     def term(self) -> Term:
@@ -98,16 +86,12 @@ class Taken:
 
 @dataclass(frozen=True)
 class Selected:
-    """The finished model, the terms that are told, and what the model hides.
-
-    `visible` is the share of each other effect's torque that the model does not absorb; `tried`
-    ranks what was tried last, beside all that was taken.
-    """
+    """The finished model, the terms that are told, and what the model hides."""
 
     model: Model
     taken: tuple[Taken, ...]
-    visible: Mapping[Key, float]
-    tried: tuple[Ranked, ...] = ()
+    visible: Mapping[Key, float]  # share of each other effect's torque that it does not absorb
+    tried: tuple[Ranked, ...] = ()  # last, beside all that was taken, the largest gain first
 
     @property
     def effects(self) -> list[Taken]:

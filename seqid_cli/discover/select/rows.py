@@ -24,17 +24,12 @@ DRAWS, SEED = 400, 0  # of weights of the blocks
 
 @dataclass(frozen=True)
 class Rows:
-    """What is to be explained.
+    """What is to be explained."""
 
-    `y[c]` (M_c,) is the torque of channel c [N m; N where prismatic], `block[c]` (M_c,) the block
-    of time of each row, ascending, of `blocks`. `views` says of each channel how many channels show
-    the same; one where it is empty.
-    """
-
-    y: tuple[Array, ...]
-    block: tuple[Index, ...]
+    y: tuple[Array, ...]  # (M_c,) by channel, torque [N m; N where prismatic]
+    block: tuple[Index, ...]  # (M_c,) by channel, the block of time of each row, ascending
     blocks: int
-    views: tuple[int, ...] = ()
+    views: tuple[int, ...] = ()  # how many channels show the same as each does; empty: one
 
     @cached_property
     def independent(self) -> Array:
@@ -59,16 +54,14 @@ class Rows:
 class Part:
     """Columns that are fitted together, and the precision (k, k) that their coefficients had.
 
-    `apart` is the part of that precision which is not a parameter file's; all, where it is None.
-    Of channels in `first` the columns are those from that number on; of others they are all.
     `in_file` are coefficients (., k) of other parts of the model, by their number, that stand for
     the part in a parameter file: held to the file is what they are more than that.
     """
 
     columns: Channels
     precision: Array
-    apart: Array | None = None
-    first: Mapping[int, int] = field(default_factory=dict)
+    apart: Array | None = None  # of the precision what is no parameter file's; None: all
+    first: Mapping[int, int] = field(default_factory=dict)  # channel -> its first column, if not 0
     in_file: Mapping[int, Array] = field(default_factory=dict)
 
     @property
@@ -88,28 +81,21 @@ class Part:
 
 @dataclass(frozen=True)
 class Gained:
-    """What one term does to a model that does not have it: `evidence` is the log Bayes factor.
+    """What one term does to a model that does not have it."""
 
-    `visible` is the share of the columns' square that the model does not absorb.
-    """
-
-    evidence: float
-    coefficients: Array
-    covariance: Array
-    visible: float
+    evidence: float  # log Bayes factor
+    coefficients: Array  # (k,)
+    covariance: Array  # (k, k)
+    visible: float  # share of the columns' square that the model does not absorb
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """What one term does to blocks that were left out, (blocks,) each.
+    """What one term does to blocks that were left out."""
 
-    `density` is the gain in log predictive density, `rows` the number of independent rows at its
-    channels; `file` is the gain in the density of what the parameter file says.
-    """
-
-    density: Array
-    rows: Array
-    file: float = 0.0
+    density: Array  # (blocks,) gain in log predictive density
+    rows: Array  # (blocks,) number of independent rows at its channels
+    file: float = 0.0  # gain in the density of what the parameter file says
 
     @property
     def total(self) -> float:
@@ -128,7 +114,10 @@ class Predicted:
 
     @property
     def share(self) -> float:
-        """Share of the squared error that goes, by the density, where unit noise remains."""
+        """Share of the squared error that goes, where noise of unit variance remains.
+
+        By the density: it knows what other blocks do not tell of one, squared errors do not.
+        """
         return float(self._share_of(self.total))
 
     @property

@@ -13,7 +13,7 @@ from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible, shape_of
+from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, shape_of
 from seqid_cli.model.effects.effect import Effect
 
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
@@ -56,7 +56,7 @@ class Search:
     def near(self, term: Term, linear: Linear) -> list[Tried]:
         """What may be at the place of a term, beside a model without it."""
         tuner = self._tuner(linear)
-        candidates = self._candidates(self._joints_of(term), without=term)
+        candidates = self._candidates(self._joints_of(term), but=term)
         first, reach = _shortlist(best_of(tuner.tried(candidates), shape_of))
         found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
         return [*_best_settings(found), *self._first_functions(linear, term.channels)]
@@ -69,7 +69,10 @@ class Search:
         joints = {j for j in (None, *range(n)) if j not in self._shapes}
         if joints:
             tried = tuner.tried(self._candidates(joints))
-            self.visible.update(most_visible(tried))
+            visible = dict[Key, float]()
+            for one in (one for one in tried if not one.candidate.absorbed):
+                visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
+            self.visible |= visible
             self._shapes |= {joint: [] for joint in joints}
             for one in best_of(tried, shape_of):
                 known[one.term] = _Shape(one.term)
@@ -115,9 +118,9 @@ class Search:
         return Tuner(self.model.ground.stage, linear, self.model.ground.size)
 
     def _candidates(
-        self, joints: Collection[int | None], without: Term | None = None
+        self, joints: Collection[int | None], but: Term | None = None
     ) -> list[Candidate]:
-        left, scenes = self.model.left(without=without), self.model.ground.stage.scenes
+        left, scenes = self.model.left(without=but), self.model.ground.stage.scenes
         return list(candidates_of(scenes, self.catalogue, left, joints))
 
 

@@ -13,6 +13,7 @@ from collections.abc import Collection, Sequence
 from itertools import combinations
 
 import numpy as np
+from scipy.special import ndtri
 
 from seqid_cli.discover.base import has_trials
 from seqid_cli.discover.candidates import Candidate
@@ -90,16 +91,14 @@ def _known(ground: Ground) -> tuple[Effect, ...]:
 
 
 class Selection:
-    """Terms are taken and taken back, one by one; the model may have some to begin with.
-
-    `others` are terms of other finished models, and the log evidence by which these are behind.
-    """
+    """Terms are taken and taken back, one by one; the model may have some to begin with."""
 
     def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
         self.model, self.options, self.catalogue = model, options, catalogue
         self._search = Search(model, catalogue)
         self._tried: list[Tried] = []
         self._tied: dict[Key, list[Term]] = {}
+        # Terms of other finished models, and the log evidence by which these are behind.
         self.others: list[tuple[float, tuple[Term, ...]]] = []
 
     def worth(self, noise: Noise) -> float:
@@ -188,7 +187,8 @@ class Selection:
     def _as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
         options, first, own = self.options, best.predicted, one.predicted
-        chance = options.behind * scatter(first.density - own.density)
+        errors = -float(ndtri(options.doubt))  # standard ones, by which doubt is no more than that
+        chance = errors * scatter(first.density - own.density)
         near = first.total - own.total <= max(chance, options.small * first.total, 1.0)
         return near and bool(one.term.channels & best.term.channels)
 
@@ -323,10 +323,7 @@ class Selection:
         return Part(rows.columns(map(columns, rows.scenes), effect.passes), np.eye(3))
 
     def _untried(self, term: Term) -> tuple[str, ...]:
-        """Effects that look like a term and have no share in its place.
-
-        They cannot be looked for at its joint, or stand beside it for the error of its law.
-        """
+        """Effects like a term that cannot be looked for there, or stand beside it as its error."""
         model, scenes = self.model, self.model.ground.stage.scenes
         alike = term.what.effect.alike if isinstance(term.what, Candidate) else ()
         likely = (one for one in self.catalogue if one.name in alike)
@@ -345,15 +342,15 @@ class Selection:
 
     def _known_to(self, term: Term, beside: Term) -> float:
         """Share of a term's torque to which its law is known; less well beside a like term."""
-        what, other = term.what, beside.what
+        what, other, small = term.what, beside.what, self.options.small
         if not isinstance(what, Candidate):
-            return self.options.small
+            return small
         if isinstance(other, Candidate):
             elsewhere = term.name == beside.name and term.joint != beside.joint
             alike = beside.name in what.effect.alike or term.name in other.effect.alike
             if elsewhere or alike:
-                return self.options.apart if what.effect.apart else self.options.likeness
-        return 0.0 if what.effect.exact else self.options.small
+                return self.options.apart if what.effect.apart else float(np.sqrt(small))
+        return 0.0 if what.effect.exact else small
 
 
 def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:

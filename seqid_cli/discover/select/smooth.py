@@ -13,15 +13,7 @@ from scipy.linalg import eigh
 
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import (
-    Axis,
-    Factor,
-    Measure,
-    SmoothTerm,
-    greville,
-    shape,
-    splines,
-)
+from seqid_cli.model.effects.smooth import Axis, Factor, Measure, greville, shape, splines
 from seqid_cli.model.friction_basis import tensor
 from seqid_cli.typing import Array, Index
 
@@ -35,40 +27,19 @@ TENSOR_SIZE = 6  # the same per quantity of a product
 
 @dataclass(frozen=True, eq=False)
 class SmoothFunction:
-    """A smooth function that might be what the residual of a joint is.
-
-    It depends on `quantities`, as the contract spells them, the strongest meaning first; `label`
-    says the same in words. It is made of functions of `axes` and `factor` (see
-    `model.effects.smooth.shape`) in the combinations `mixing` (K, k).
-    """
+    """A smooth function that might be what the residual of a joint is."""
 
     joint: int
-    quantities: tuple[str, ...]
-    label: str
-    axes: tuple[Axis, ...]
+    quantities: tuple[str, ...]  # as the contract spells them, the strongest meaning first
+    label: str  # the same in words
+    axes: tuple[Axis, ...]  # functions of these and `factor` (see `model.effects.smooth.shape`)
     factor: Factor
-    mixing: Array
+    mixing: Array  # (K, k) combinations of them
 
     @property
     def size(self) -> int:
         """Number of columns."""
         return int(self.mixing.shape[1])
-
-    @property
-    def sided(self) -> bool:
-        """Whether its torque turns with the direction of motion."""
-        return self.factor == "direction"
-
-    def axis(self, joint: int) -> Axis:
-        """The quantity that its torque goes with, the first one of two; `joint` is its own."""
-        assert joint == self.joint
-        return self.axes[0]
-
-    @property
-    def bending(self) -> Array:
-        """How much each column (k,) bends: its place among the smoothest."""
-        place = np.arange(1.0, self.size + 1.0)
-        return np.sqrt(place) if len(self.axes) > 1 else place
 
     def columns(self, rows: Rows) -> Array:
         """Compute the columns (M, k) on the joint's rows.
@@ -83,7 +54,7 @@ class SmoothFunction:
         values = [[v for x in scenes if (v := axis.values(x)) is not None] for axis in self.axes]
         every = zip(values, self.axes, strict=True)
         basis = reduce(tensor, [splines(rows.of(j, v), axis.knots) for v, axis in every])
-        if self.sided:
+        if self.factor == "direction":
             sign = [s.motion.filtered(s.sign[:, [j]], times=2) for s in scenes]
             basis = basis * rows.of(j, sign)
         return rows.whitened(j, basis @ self.mixing)
@@ -92,11 +63,6 @@ class SmoothFunction:
         """Torque (N,) N m of coefficients c (k,) by joint, low-passed."""
         torque = shape(scene, self.joint, self.axes, self.factor) @ (self.mixing @ c)
         return {self.joint: scene.motion.filtered(torque, times=2)}
-
-    def term(self, coefficients: Array) -> SmoothTerm:
-        """Return the torque of coefficients (k,) as a model has it."""
-        c = self.mixing @ coefficients
-        return SmoothTerm(self.joint, self.quantities, self.axes, self.factor, c)
 
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:

@@ -9,7 +9,7 @@ import numpy as np
 from seqid_cli.discover.base import LIKELY
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select.rows import Channels, Part
-from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions, smooth_products
+from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.typing import Array
 
 
@@ -42,11 +42,6 @@ class Term:
         return size + what.effect.searched(what.settings) if isinstance(what, Candidate) else size
 
     @property
-    def absorbed(self) -> bool:
-        """Whether the file has absorbed a part of it."""
-        return isinstance(self.what, Candidate) and bool(self.what.absorbed)
-
-    @property
     def key(self) -> tuple[str, int | None]:
         """What it is, whatever the settings."""
         return self.name, self.joint
@@ -71,14 +66,7 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
     return found
 
 
-def smooth_terms(stage: Stage, joint: int, size: Array, *, products: bool = False) -> list[Term]:
-    """Smooth functions of everything measured, or of two quantities, for one joint."""
-    functions = smooth_products if products else smooth_functions
-    made = functions(stage.rows, joint) if stage.rows.count(joint) else []
-    return [_smooth_term(stage, one, size) for one in made]
-
-
-def _smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
+def smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
     """Make a term of a function; of a drive it is another one, with coefficients of its own.
 
     A measured load holds all that acts on the link: of that it explains the drive alone.
@@ -88,7 +76,9 @@ def _smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
     if len(columns) > 1 and "load" in one.quantities:
         del columns[j]
     first = {c: one.size for c in columns if c != j and j in columns}
-    precision = _precision(columns, size, first) * np.tile(one.bending, len(columns)) ** 2
+    place = np.arange(1.0, one.size + 1.0)  # among the smoothest: how much each column bends
+    bending = np.tile(np.sqrt(place) if len(one.axes) > 1 else place, len(columns))
+    precision = _precision(columns, size, first) * bending**2
     return Term(one, Part(columns, np.diag(precision), first=first))
 
 

@@ -62,7 +62,7 @@ class Tuner:
     def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
         """Search the continuous settings, then follow those that have more values."""
         best = self._opened(tried)
-        for setting in _between(best):
+        for setting in best.candidate.effect.between(best.candidate.settings):
             best = self._usual(self._searched(best, setting, spacing), setting)
         return self._sharpened(self._followed(best))
 
@@ -117,13 +117,13 @@ class Tuner:
 
     def _followed(self, tried: Tried) -> Tried:
         """Take the next values of settings that have some while the evidence grows."""
-        best = tried
-        for setting in tried.candidate.effect.settings:
+        best, effect = tried, tried.candidate.effect
+        for setting in effect.settings:
             now = tried.candidate.settings.get(setting.name)
             first = setting.then.index(now) + 1 if now in setting.then else 0
             for value in setting.then[first:]:
                 found = self._moved(best, **{setting.name: value})
-                for other in _between(found) if found else ():
+                for other in effect.between(found.candidate.settings) if found else ():
                     found = found and self._searched(found, other, NEAR)
                 if found is None or found.evidence <= best.evidence:
                     break
@@ -148,10 +148,6 @@ class Tuner:
         return best
 
 
-def _between(tried: Tried) -> tuple[Setting, ...]:
-    return tried.candidate.effect.between(tried.candidate.settings)
-
-
 def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:
     """The one of the largest evidence for each key, the largest first."""
     best: dict[Hashable, Tried] = {}
@@ -161,14 +157,8 @@ def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tr
 
 
 def shape_of(tried: Tried) -> Hashable:
-    """An effect at a joint with those of its settings that are not searched."""
+    """An effect at a joint with settings that are not searched between the grid's values."""
     one = tried.candidate
-    return *tried.term.key, one.apart, one.absorbed, one.kind
-
-
-def most_visible(tried: Sequence[Tried]) -> dict[tuple[str, int | None], float]:
-    """The largest visible share of each effect."""
-    visible: dict[tuple[str, int | None], float] = {}
-    for one in (one for one in tried if not one.term.absorbed):
-        visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
-    return visible
+    grid = [s.name for s in one.effect.settings if not s.continuous and not s.then]
+    kind = tuple(one.settings.get(name, 0.0) for name in grid)
+    return *tried.term.key, one.apart, one.absorbed, kind

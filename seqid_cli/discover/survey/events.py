@@ -33,31 +33,23 @@ STEEP = 0.1  # of the largest speed: below it directions and reversals are told 
 
 @dataclass(frozen=True)
 class Windows:
-    """Windows of one length over all data sets.
-
-    `scene`, `centre` (W,) say where; `mean` (W, n) of the scaled residual, NaN where too few
-    samples count; `state` (W, 4n) position, speed, acceleration and load of each joint, scaled;
-    `reverses` (W, 2n) tells where each joint's velocity and each joint's load change sign.
-    """
+    """Windows of one length over all data sets."""
 
     length_s: float
-    scene: Index
-    centre: Array
-    mean: Array
-    state: Array
-    speed: Array
-    reverses: Mask
+    scene: Index  # (W,), the data set
+    centre: Array  # (W,) s
+    mean: Array  # (W, n) of the scaled residual, NaN where too few samples count
+    state: Array  # (W, 4n) position, speed, acceleration and load of each joint, scaled
+    speed: Array  # (W, n)
+    reverses: Mask  # (W, 2n), whether each joint's velocity and each joint's load change sign
 
 
 @dataclass(frozen=True)
 class Track:
-    """Samples of one log: `t` (M,) s, and what each joint does.
+    """Samples of one log, and what each joint does there."""
 
-    `values` (5, M, n): position, velocity, acceleration, load, residual (NaN: does not count).
-    """
-
-    t: Array
-    values: Array
+    t: Array  # (M,) s
+    values: Array  # (5, M, n): position, velocity, acceleration, load, residual (NaN: no count)
     cutoff_hz: float
 
     def __getitem__(self, some: slice) -> "Track":
@@ -203,15 +195,6 @@ def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
     return found
 
 
-def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
-    """Samples (N,) of each data set that belong to events or feel them through the low-pass."""
-    masks = [np.zeros(scene.samples, dtype=bool) for scene in rows.scenes]
-    for event in events:
-        scene = rows.scenes[event.scene]
-        masks[event.scene] |= event.inside(scene, 0.5 / scene.motion.lowpass.cutoff_hz)
-    return masks
-
-
 def scores(windows: Windows) -> Array:
     """Robust sigmas (W, n), signed, by which every window stands out; zero where unknown."""
     n = windows.mean.shape[1]
@@ -234,8 +217,11 @@ def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> A
     """Robust sigmas (L,) of some windows' means of m (W,) beside each set of like windows."""
     rest = m[looked]
     for index in likes:
-        median, deviation = _robust(np.where(index >= 0, m[index], np.nan))
-        size = np.maximum(size, PER_MEDIAN * deviation)
+        near = np.where(index >= 0, m[index], np.nan)
+        count = np.count_nonzero(np.isfinite(near), axis=1)
+        median = np.where(count >= FEWEST, _medians(near, count), 0.0)
+        deviation = _medians(np.abs(near - median[:, None]), count)
+        size = np.maximum(size, np.where(count >= FEWEST, PER_MEDIAN * deviation, 0.0))
         shifted = m[looked] - median
         rest = np.where(np.abs(shifted) < np.abs(rest), shifted, rest)
     return np.asarray(np.nan_to_num(rest / np.maximum(size, 1e-300)))
@@ -243,14 +229,11 @@ def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> A
 
 def combined(z: Array) -> Array:
     """Score (W,) of windows from z (W, n): the largest of one joint or of the first k together."""
-    best = np.max(np.abs(z), axis=1)
-    squares = np.cumsum(z**2, axis=1)
-    for k in range(2, z.shape[1] + 1):
-        # Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931).
-        spread = 2.0 / (9.0 * k)
-        deviate = (np.cbrt(squares[:, k - 1] / k) - 1.0 + spread) / np.sqrt(spread)
-        best = np.maximum(best, deviate)
-    return np.asarray(best)
+    k = np.arange(2, z.shape[1] + 1)
+    # Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931).
+    spread = 2.0 / (9.0 * k)
+    deviate = (np.cbrt(np.cumsum(z**2, axis=1)[:, 1:] / k) - 1.0 + spread) / np.sqrt(spread)
+    return np.asarray(np.max(np.hstack([np.abs(z), deviate]), axis=1))
 
 
 def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[Index, Array]:
@@ -274,14 +257,6 @@ def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[In
     reached = np.median(np.take_along_axis(np.asarray(distance), order, axis=1), axis=1)
     usual = np.quantile(np.median(tree.query(state[reference], k=asked)[0], axis=1), USUAL)
     return picked, np.maximum(1.0, reached / max(float(usual), 1e-300))
-
-
-def _robust(values: Array) -> tuple[Array, Array]:
-    """Median and median absolute deviation (L,) of rows with NaN; zero where too few."""
-    count = np.count_nonzero(np.isfinite(values), axis=1)
-    median = np.where(count >= FEWEST, _medians(values, count), 0.0)
-    deviation = _medians(np.abs(values - median[:, None]), count)
-    return median, np.where(count >= FEWEST, deviation, 0.0)
 
 
 def _medians(values: Array, count: Index) -> Array:

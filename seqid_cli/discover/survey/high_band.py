@@ -26,17 +26,12 @@ BURST = 4.0  # times the usual RMS, over a period of the cut-off
 
 @dataclass(frozen=True)
 class HighBand:
-    """Rows above the cut-off.
+    """Rows above the cut-off."""
 
-    `used` (N, n) by data set at the log's own rate; by joint `block` and `y` (M_j,): the block of
-    each row, the measured torque above the cut-off [N m]. `weight` (n,) is a factor on each joint's
-    noise.
-    """
-
-    used: tuple[Mask, ...]
-    block: tuple[Index, ...]
-    y: tuple[Array, ...]
-    weight: Array
+    used: tuple[Mask, ...]  # (N, n) by data set, at the log's own rate
+    block: tuple[Index, ...]  # (M_j,) by joint, of each row
+    y: tuple[Array, ...]  # (M_j,) by joint, measured torque above the cut-off [N m]
+    weight: Array  # (n,), a factor on each joint's noise
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of values (N, ...), one array per data set at its own rate."""

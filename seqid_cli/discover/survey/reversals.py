@@ -39,14 +39,11 @@ THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise 
 
 @dataclass(frozen=True)
 class Reversal:
-    """Rows from `first` on, directions (m, k) that are uncertain there, and what is taken of each.
-
-    Of a direction whose uncertainty is s times torque noise 1 - 1 / sqrt(1 + s^2) is taken.
-    """
+    """What is uncertain in some rows, from `first` on."""
 
     first: int
-    directions: Array
-    taken: Array
+    directions: Array  # (m, k)
+    taken: Array  # (k,) of each: 1 - 1 / sqrt(1 + s^2), its uncertainty s times torque noise
 
     @classmethod
     def of(cls, first: int, uncertain: Array) -> Reversal:
@@ -61,10 +58,7 @@ class Reversal:
 
 
 def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Reversal]:
-    """Find what is uncertain in one joint's rows: samples `picked` (M,), where `used` (M,).
-
-    None where friction is small beside torque noise, or either is unknown.
-    """
+    """Find what is uncertain in one joint's rows: samples `picked` (M,), where `used` (M,)."""
     noise, number = _noise(scene, joint), np.cumsum(used) - 1
     uncertain = [(start, pulses / noise) for start, pulses in _uncertain(scene, joint)]
     found: list[Reversal] = []
@@ -72,7 +66,7 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
         counts = np.flatnonzero(used[row : row + len(every)])
         size = np.abs(seen := every[counts])
         felt = np.flatnonzero(size.max(axis=1, initial=0.0) > SEEN * size.max(initial=0.0))
-        if len(felt):
+        if len(felt):  # not where friction is small beside torque noise, or either is unknown
             first = int(number[row + counts[felt[0]]])
             found.append(Reversal.of(first, seen[felt[0] : felt[-1] + 1]))
     return sorted(found, key=lambda one: one.first)
@@ -81,10 +75,7 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
 def low_passed(
     motion: Motion, picked: Index, uncertain: Sequence[tuple[int, Array]]
 ) -> Iterator[tuple[int, Array]]:
-    """Low-pass pulses (m, k) twice that begin at a sample each; their first row and rows (r, k).
-
-    Of rows that feel them. Pulses of one length, with nothing missing, are low-passed at once.
-    """
+    """Low-pass pulses (m, k) from a sample on, twice; first row and rows (r, k) that feel each."""
     lowpass, alike = motion.lowpass, dict[int, list[tuple[int, Array]]]()
     reach = lowpass.memory
     for first, pulses in uncertain:
@@ -98,7 +89,7 @@ def low_passed(
         values[start - low : stop - low] = pulses[start - first : stop - first]
         valid = motion.valid[low:high]
         yield _at_rows(picked, low, lowpass(lowpass(values, valid), valid))
-    for own in alike.values():
+    for own in alike.values():  # of one length, with nothing missing: at once
         values = np.pad(np.hstack([pulses for _, pulses in own]), ((reach, reach), (0, 0)))
         valid = np.ones(len(values), dtype=bool)
         values = lowpass(lowpass(values, valid), valid)

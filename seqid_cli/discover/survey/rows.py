@@ -40,18 +40,13 @@ MOST_OUTSIDE = 0.6  # share of the logs outside the identified friction, from wh
 
 @dataclass(frozen=True)
 class Rows:
-    """Which samples of each data set count, joint by joint.
-
-    By data set: `picked` (M,), the samples that are kept of all N; `used` (M, n), whether each
-    joint counts there; `block` (M,), the block of each, counted over all data sets. `fold`
-    (blocks,) is the fold of each block.
-    """
+    """Which samples of each data set count, joint by joint."""
 
     scenes: tuple[Scene, ...]
-    picked: tuple[Index, ...]
-    used: tuple[Mask, ...]
-    block: tuple[Index, ...]
-    fold: Index
+    picked: tuple[Index, ...]  # (M,) by data set: the samples that are kept of all N
+    used: tuple[Mask, ...]  # (M, n): whether each joint counts there
+    block: tuple[Index, ...]  # (M,): the block of each, counted over all data sets
+    fold: Index  # (blocks,), of each block
 
     @property
     def n(self) -> int:
@@ -107,9 +102,9 @@ class Rows:
         return {j: self.whitened(j, np.concatenate(values)) for j, values in rows.items()}
 
     def without(self, masks: Sequence[Mask]) -> Rows:
-        """The same rows without some samples of each data set: (N,) of all joints, or (N, n)."""
+        """The same rows without some samples (N, n) of each data set."""
         parts = zip(self.used, masks, self.picked, strict=True)
-        return replace(self, used=tuple(u & ~m.reshape(len(m), -1)[p] for u, m, p in parts))
+        return replace(self, used=tuple(u & ~m[p] for u, m, p in parts))
 
 
 def stride_of(motion: Motion) -> int:
@@ -140,8 +135,8 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
 def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:
     """Samples (N, n) where a friction surface is only held, or bent, beyond what was identified.
 
-    Nothing that the model lacks is left there. Not masked are joints that are hardly ever
-    inside, and Coulomb and viscous friction, whose columns the base has beyond as well.
+    Nothing that the model lacks is left there. Not masked are joints that are hardly ever inside,
+    of which a surface is all there is, and Coulomb and viscous friction, whose columns go on.
     """
     found, surfaces = list[Mask](), scenes[0].model.surfaces
     for scene in scenes:

@@ -55,7 +55,7 @@ def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scen
     )
     stages = Stages(friction=FrictionStage(joints={"joint_1": joint, "joint_2": joint}))
     base = base_of(rows_of(scenes), stages)
-    P = base.prior_friction[0].T @ base.prior_friction[0]
+    P = base.prior[1].T @ base.prior[1]
     np.testing.assert_allclose(P, np.diag([25.0, 4.0, 0.0]), atol=1e-9)
     # Coulomb and viscous friction in the surface's own terms, and viscous friction beyond them.
     motion, sign = scenes[0].motion, scenes[0].sign[:, 0]

@@ -171,9 +171,8 @@ def with_terms(extra: Extra, smooth: str, *effects: Candidate) -> tuple[Model, l
     """Return a model that has the first effect and a smooth function, and the effects as terms."""
     ground = ground_of(arm_scenes(extra))
     known = terms.effects(ground.stage, effects, ground.size)
-    functions = terms.smooth_terms(ground.stage, 1, ground.size)
     model = Model(ground, HELD)
-    model.terms = [known[0], next(t for t in functions if t.name == smooth)]
+    model.terms = [known[0], next(t for t in ground.smooth_terms(1) if t.name == smooth)]
     model.settle()
     return model, known
 

@@ -7,6 +7,7 @@ from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.smooth import SmoothTerm
 from tests import Array
 from tests.unit.discover.arms import Extra, at_joint, coloured, ground_of, measuring, related_scenes
 
@@ -59,7 +60,8 @@ def test_the_term_is_the_torque_that_was_put_in() -> None:
     found = selection(1, at_joint(1, bump)).told()
     what, c = found.taken[0].term.what, found.taken[0].one.gained.coefficients
     scene = found.model.ground.stage.scenes[0]
-    torque, inside = what.term(c).torques(scene)[1], np.abs(scene.motion.q[:, 1]) < 0.9
+    term = SmoothTerm(what.joint, what.quantities, what.axes, what.factor, what.mixing @ c)
+    torque, inside = term.torques(scene)[1], np.abs(scene.motion.q[:, 1]) < 0.9
     assert np.corrcoef(torque[inside], bump(scene)[inside])[0, 1] > 0.95
     expected = scene.motion.filtered(torque, times=2)
     np.testing.assert_allclose(what.torques(scene, c)[1], expected, atol=1e-9)

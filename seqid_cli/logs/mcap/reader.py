@@ -10,7 +10,6 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.drives import in_si
-from seqid_cli.logs.mcap import topics
 from seqid_cli.logs.mcap.records import Batch, Scan, read_summary
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap, Payloads
 from seqid_cli.logs.messages.parsers import decoder
@@ -212,24 +211,24 @@ def read_blocks(
     the last block: no joint states, none of the robot's joints in them, nothing readable.
     """
     names = NameMap(robot.joint_names, robot.channels.effort or "torque")
-    kinds: dict[str, Kind] = {topics.JOINT_STATES: "joint_state"}
+    kinds: dict[str, Kind] = {JOINT_STATES: "joint_state"}
     for imu in robot.imus:  # all topics on which they may be logged
-        kinds |= dict.fromkeys((topics.data_topic(imu), *topics.triad_topics(imu)), "imu")
+        kinds |= dict.fromkeys((data_topic(imu), *triad_topics(imu)), "imu")
     log = _Log(path, names, kinds, scan, time_source)
     positions = False
     for last in log.blocks(rows):
         samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
         if last and not log.collectors[log.joint_topic].readable:
             raise _no_joint_states(log.scan, log.collectors[log.joint_topic])
-        joints = topics.joint_stream(log.joint_topic, samples[log.joint_topic], robot)
+        joints = joint_stream(log.joint_topic, samples[log.joint_topic], robot)
         imus: dict[str, tuple[Stream, ...]] = {}
         used = [log.joint_topic]
         for imu in robot.imus:
             if own := log.imu_topics(imu, whole=last):
-                imus[imu.name] = tuple(topics.imu_stream(t, samples[t], imu) for t in own)
+                imus[imu.name] = tuple(imu_stream(t, samples[t], imu) for t in own)
                 used += own
         warnings = tuple(text for topic in used for text in samples[topic].warnings)
-        positions = positions or topics.any_finite(joints.channels["position"])
+        positions = positions or any_finite(joints.channels["position"])
         if last and not positions:
             seen = ", ".join(list(names.seen)[:_SHOWN]) or "no names at all"
             message = "the joint states hold no position of any joint of the robot "
@@ -252,10 +251,10 @@ def list_topics(
 ) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
     """List the topics of a file, damaged or not, and the names in its joint states."""
     names = NameMap(())
-    log = _Log(path, names, {topics.JOINT_STATES: "joint_state"}, scan, "header")
+    log = _Log(path, names, {JOINT_STATES: "joint_state"}, scan, "header")
     for _ in log.batches():
-        log.collectors[topics.JOINT_STATES].drain()
-    log.collectors[topics.JOINT_STATES].drain()
+        log.collectors[JOINT_STATES].drain()
+    log.collectors[JOINT_STATES].drain()
     return _topics(log.scan), tuple(names.seen)
 
 
@@ -265,8 +264,8 @@ class _Log:
     def __init__(
         self, path: Path, names: NameMap, kinds: dict[str, Kind], scan: type[Scan], time: TimeSource
     ) -> None:
-        self.joint_topic = topics.JOINT_STATES
-        self.collectors = {t: topics.Collector(t, kind, names, time) for t, kind in kinds.items()}
+        self.joint_topic = JOINT_STATES
+        self.collectors = {t: Collector(t, kind, names, time) for t, kind in kinds.items()}
         self._chosen = frozenset(kinds)
         self.scan = scan(path, self._wanted)
 
@@ -276,12 +275,12 @@ class _Log:
     def batches(self) -> Iterator[None]:
         """Pass over the file; a second time where the joint states are of the other kind."""
         yield from self._pass()
-        usual = self.collectors[topics.JOINT_STATES]
-        found = topics.find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
+        usual = self.collectors[JOINT_STATES]
+        found = find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
         if found is not None and not usual.readable:
             self.joint_topic, kind = found
             self._chosen = frozenset((self.joint_topic,))
-            own = topics.Collector(self.joint_topic, kind, usual.names, usual.time_source)
+            own = Collector(self.joint_topic, kind, usual.names, usual.time_source)
             self.collectors[self.joint_topic] = own
             first, self.scan = self.scan, type(self.scan)(self.scan.path, self._wanted)
             yield from self._pass()
@@ -311,9 +310,9 @@ class _Log:
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU; refuses a whole file that lacks only some of them."""
-        data = topics.data_topic(imu)
+        data = data_topic(imu)
         use_data = len(imu.positions) == 3 and self.collectors[data].readable
-        needed = [] if use_data else topics.triad_topics(imu)
+        needed = [] if use_data else triad_topics(imu)
         needed += [data] if use_data or imu.gyro else []
         missing = [topic for topic in needed if not self.collectors[topic].readable]
         if len(missing) == len(needed):
@@ -354,7 +353,7 @@ def _listing(scan: Scan) -> str:
     return ", ".join(shown[:_SHOWN] + more) or "no topics"
 
 
-def _no_joint_states(scan: Scan, collector: topics.Collector) -> InputError:
+def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
     if collector.received:
         kinds = ", ".join(sorted(collector.refused))
         reason = f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
@@ -365,9 +364,9 @@ def _no_joint_states(scan: Scan, collector: topics.Collector) -> InputError:
         message = f"the file is damaged and nothing can be salvaged ({faults})"
         hint = scan.remedy
     else:
-        message = f"no messages on {topics.JOINT_STATES}; in the file: {_listing(scan)}"
+        message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
         near = next((t.topic for t in _topics(scan) if t.schema.endswith("JointState")), "")
-        hint = f"Is it {near}? Record or remap it as {topics.JOINT_STATES}."
+        hint = f"Is it {near}? Record or remap it as {JOINT_STATES}."
         if not near:
-            hint = f"Record {topics.JOINT_STATES} (sensor_msgs/msg/JointState) as well."
+            hint = f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
     return InputError(message, hint=hint, where=str(scan.path))

@@ -131,7 +131,7 @@ def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -
 
 
 def _likeness(a: str, b: str) -> float:
-    """Compare names, whatever their case, separators and fillers (`elbow`, `elbow_joint`)."""
+    """Compare names but for case, separators, fillers (`elbow_joint`); numbers must be the same."""
     numbers = [re.findall(r"[0-9]+", text) for text in (a, b)]
     if numbers[0] and numbers[1] and numbers[0] != numbers[1]:
         return 0.0

@@ -37,6 +37,7 @@ def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
     logs: dict[object, list[Recording]] = {}
     for number, recording in enumerate(recordings):
         whole = recording.whole
+        # Two whole ones are two logs even where their content is the same.
         key = number if whole is None else (str(recording.path), whole.sha256, whole.start)
         logs.setdefault(key, []).append(recording)
     return list(logs.values())

@@ -147,7 +147,7 @@ class Tidy:
 
 
 def tidy(stream: Stream) -> Tidy:
-    """Sort a stream by stamp; merge samples of equal stamp, of which the first to hold it counts.
+    """Sort a stream by stamp; merge samples of equal stamp, of each joint the first that holds it.
 
     Where the clock was set back, only the longest stretch of one pass is kept.
     """
@@ -169,10 +169,11 @@ def tidy(stream: Stream) -> Tidy:
 
 
 def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1.0) -> float:
-    """Return the interval from which on samples count as missing, in the unit of `steps` (M,).
+    """Return the interval from which on samples count as missing, by `steps` (M,) in a unit.
 
     Five median intervals, but at least 20 ms, over which the curve itself follows an arm. Where
     samples come in bursts, more than one interval in twenty is beyond that: then five mean ones.
+    `second`: one in that unit.
     """
     least = GAP_LEAST_S * second
     limit = max(GAP_INTERVALS * float(np.median(steps)), least)

@@ -67,7 +67,7 @@ class Cause:
 
 
 def causes_of(data: LogData, sample: Sample, *, units: bool = False) -> Iterator[Cause]:
-    """Yield common faults of axes, zeros, signs, angles, order; of `units` of effort as well."""
+    """Yield common faults of axes, zeros, signs, angles, order; `units`: current for torque."""
     joints, every = sample.robot.joints, np.arange(sample.robot.n)
 
     def at(own: Sequence[int], value: float, usual: float = 1.0) -> Array:

@@ -1,4 +1,4 @@
-"""Which files are meant, and whether they can be logs: fails before any heavy import."""
+"""Which files are meant, and whether they can be logs: a wrong path fails before heavy imports."""
 
 import difflib
 import glob

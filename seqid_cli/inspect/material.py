@@ -54,8 +54,7 @@ class LogData:
 
     def effort(self) -> tuple[str, Array] | None:
         """Return which of torque and current was logged, and its values (M, n); None if neither."""
-        choices = ("current", "torque") if self.raw.prefer_current else ("torque", "current")
-        for quantity in choices:
+        for quantity in ("current", "torque") if self.raw.prefer_current else ("torque", "current"):
             values = self.joints.channels.get(quantity)
             if values is not None and np.isfinite(values).any():
                 return quantity, values

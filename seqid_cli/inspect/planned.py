@@ -49,8 +49,7 @@ def compared(plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]) -> 
     best = [PlannedPart(move=move.name, stage=move.stage, status="missing") for move in plan.moves]
     for log in logs:
         t = log.recording.t
-        grid = np.arange(t[0], t[-1], 1.0 / RATE_HZ)
-        nearest = np.clip(np.searchsorted(t, grid), 0, len(t) - 1)
+        nearest = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / RATE_HZ)).clip(0, len(t) - 1)
         valid = log.recording.valid[nearest].astype(float)
         q = np.where(valid[:, None] > 0, log.recording.q[nearest], 0.0)
         errors = [f.message for f in log.findings if f.severity == "error"]

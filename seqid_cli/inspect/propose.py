@@ -145,8 +145,7 @@ def _matched(log: Sequence[str], urdf: UrdfText | None) -> tuple[Pairs, tuple[Ur
     """Pair the log's joints with those of the URDF's chain that fits best, in chain order."""
     if urdf is None:
         return [], ()
-    pairs = match_names(log, urdf.movable)
-    back = {joint: name for name, joint in pairs.items()}
+    back = {joint: name for name, joint in match_names(log, urdf.movable).items()}
     chain = best_chain(urdf, lambda joint: 1000.0 * (joint.name in back) + 1.0)
     found = [(back[joint.name], joint) for joint in chain if joint.name in back]
     if len(found) == len(log):

@@ -46,17 +46,12 @@ def read_screened(
 ) -> Screened:
     """Read and check a log as a whole, its IMUs if they are used; see `read_recording`."""
     data = LogData(*read_both(path, robot, time_source=time_source), robot)
-    checked = check(data, imus=imus, quality=False)
-    return Screened(checked.data.recording, located(checked.findings, data.recording.path))
+    sound, findings, _ = check(data, imus=imus, quality=False)
+    return Screened(sound.recording, located(findings, data.recording.path))
 
 
 def screened_long(
-    log: SurveyedLog,
-    robot: Robot,
-    *,
-    pieces: int = 8,
-    piece_s: float = 20.0,
-    overlap_s: float = 1.0,
+    log: SurveyedLog, robot: Robot, *, pieces: int = 8, piece_s: float = 20, overlap_s: float = 1.0
 ) -> tuple[SurveyedLog, Findings]:
     """Check a log that is passed over; see `read_screened`.
 
@@ -84,7 +79,7 @@ def screened_long(
         for bridge in bridges:
             bridge.laid(piece)
         data = LogData(*_held(piece, log, first, warnings), robot)
-        findings += check(data, imus=False, quality=False).findings
+        findings += check(data, imus=False, quality=False)[1]
         warnings = ()  # they are the log's, and said once
     return sound, located([first for first, *_ in grouped(findings)], log.path)
 

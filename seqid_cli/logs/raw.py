@@ -136,20 +136,11 @@ GAP_LEAST_S = 0.02
 BURSTS = 0.05
 
 
-@dataclass(frozen=True)
-class Tidy:
-    """A stream in the order of time; its steps back, and the samples dropped as repeated."""
-
-    stream: Stream
-    non_monotonic: int = 0  # steps back in time
-    duplicates: int = 0  # samples dropped because another one holds the same stamp
-    warnings: tuple[str, ...] = ()
-
-
-def tidy(stream: Stream) -> Tidy:
+def tidy(stream: Stream) -> tuple[Stream, int, int, list[str]]:
     """Sort a stream by stamp; merge samples of equal stamp, of each joint the first that holds it.
 
-    Where the clock was set back, only the longest stretch of one pass is kept.
+    Where the clock was set back, only the longest stretch of one pass is kept. Returns: the stream
+    in the order of time; its steps back in time; samples dropped as repeated; warnings.
     """
     backwards = int(np.count_nonzero(np.diff(stream.stamp_ns) < 0))
     warnings: list[str] = []
@@ -165,7 +156,7 @@ def tidy(stream: Stream) -> Tidy:
     if conflicts > 0.01 * before:
         text = f"{stream.name}: {conflicts} samples share a stamp with others but hold other values"
         warnings.append(f"{text}: the clock is too coarse; use the times of logging")
-    return Tidy(stream, backwards, duplicates, tuple(warnings))
+    return stream, backwards, duplicates, warnings
 
 
 def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1.0) -> float:
@@ -249,13 +240,11 @@ def _merged(stream: Stream) -> tuple[Stream, int, int]:
     channels: dict[str, Array] = {}
     for name, values in stream.channels.items():
         channels[name] = np.full((len(stamps), values.shape[1]), np.nan)
-        rows, columns = np.nonzero(np.isfinite(values))
-        rows, columns = rows[::-1], columns[::-1]  # so that the first counts
+        rows, columns = np.argwhere(np.isfinite(values))[::-1].T  # so that the first counts
         channels[name][group[rows], columns] = values[rows, columns]
     lead = next(iter(stream.channels))
     given = np.isfinite(stream.channels[lead])
     surplus = given.sum(axis=0) - np.isfinite(channels[lead]).sum(axis=0)
-    other = given & (stream.channels[lead] != channels[lead][group])
-    conflicts = int(np.count_nonzero(other.any(axis=1)))
+    other = np.any(given & (stream.channels[lead] != channels[lead][group]), axis=1)
     merged = replace(stream, stamp_ns=stamps, channels=channels)
-    return merged, int(surplus.max(initial=0)), conflicts
+    return merged, int(surplus.max(initial=0)), int(np.count_nonzero(other))

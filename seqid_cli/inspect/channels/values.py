@@ -72,8 +72,7 @@ def missing(
     present = np.flatnonzero(np.isfinite(values))
     if len(present) < 2:
         return
-    distance = np.diff(present)
-    usual = int(np.bincount(distance).argmax())
+    usual = int(np.bincount(np.diff(present)).argmax())
     share = 1.0 - (len(present) - 1) * usual / float(present[-1] - present[0])
     if share > max_missing:
         text = f"{percent(share)} of the values are missing"

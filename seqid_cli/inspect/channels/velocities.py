@@ -66,11 +66,9 @@ def _still(data: LogData, travel: Array, integral: Array, *, min_share: float = 
 
 def _crossed(r: Array, moving: list[int], *, min_crossed: float = 0.95) -> list[tuple[int, int]]:
     """Pairs of joints whose velocities fit each other's positions and not their own."""
-    return [
-        (a, b)
-        for a, b in combinations(moving, 2)
-        if min(r[a, b], r[b, a]) > min_crossed and max(r[a, a], r[b, b]) < CORRELATED
-    ]
+    own = np.diag(r)
+    fits = (np.minimum(r, r.T) > min_crossed) & (np.maximum.outer(own, own) < CORRELATED)
+    return [pair for pair in combinations(moving, 2) if fits[pair]]
 
 
 def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
@@ -80,8 +78,7 @@ def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
     width = max(2, round(seconds * recording.rate_hz))
     edges = np.arange(0, len(recording.t), width)
     total = cumulative_trapezoid(recording.dq, dx=1.0 / recording.rate_hz, axis=0, initial=0)
-    broken = np.concatenate([[0], np.cumsum(~recording.valid)])[edges]
-    whole = np.diff(broken) == 0
+    whole = np.diff(np.concatenate([[0], np.cumsum(~recording.valid)])[edges]) == 0
     return np.diff(recording.q[edges], axis=0)[whole], np.diff(total[edges], axis=0)[whole]
 
 

@@ -77,8 +77,7 @@ def causes_of(data: LogData, sample: Sample, *, units: bool = False) -> Iterator
     turning = tuple(j for j, joint in enumerate(joints) if not joint.prismatic)
     degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
     for group in (group for group in degrees if far[list(group)].any()):
-        small = at(group, np.pi / 180.0)
-        yield Cause("position_in_degrees", group, "is in degrees", motion=small)
+        yield Cause("position_in_degrees", group, "is in degrees", motion=at(group, np.pi / 180.0))
     for j in every.tolist():
         back, own = at([j], -1.0), (j,)
         yield Cause("axis_flipped", own, "turns the other way round", motion=back, torque=back)
@@ -154,7 +153,7 @@ def _structural(
     *,
     suspicious: float = 0.1,
     poor: float = 0.6,
-    min_steps: float = 10.0,
+    min_steps: int = 10,
 ) -> Iterator[InspectionFinding]:
     thin = sample.thinned()
     error = _structural_error(thin)
@@ -242,18 +241,13 @@ def _slanted(
         turned = start + strength * (x @ across)
         return np.asarray(turned * strength / np.linalg.norm(turned))
 
-    found_best = minimize(  # type: ignore[call-overload]
-        lambda x: measure(mounted(gravity(x)).on(sample)),
-        np.zeros(2),
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": reach * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
-            "xatol": precise,
-            "fatol": np.inf,
-            "maxfev": evaluations,
-        },
-    )
-    return [mounted(sign * gravity(found_best.x)) for sign in (1.0, -1.0)]
+    def error(x: Array) -> float:
+        return measure(mounted(gravity(x)).on(sample))
+
+    simplex = reach * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    options = {"initial_simplex": simplex, "xatol": precise, "fatol": np.inf, "maxfev": evaluations}
+    best = minimize(error, np.zeros(2), method="Nelder-Mead", options=options).x  # type: ignore[call-overload]
+    return [mounted(sign * gravity(best)) for sign in (1.0, -1.0)]
 
 
 def _structural_error(sample: Sample, *, min_speed: float = 0.2) -> float:
@@ -289,13 +283,9 @@ def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
 def _nominal_error(sample: Sample) -> float:
     """RMS that the URDF's inertials and friction leave of torques, each as a share of its own."""
     left = sample.tau - np.sum(sample.nominal(), axis=0)
-    own = sample.own_columns()
-    shares = [
-        float(np.mean(scaled_fit(own[:, j], left[:, j])[2] ** 2))
-        / max(float(np.var(sample.tau[:, j])), 1e-300)
-        for j in sample.moving
-    ]
-    return float(np.sqrt(np.mean(shares)))
+    own, moving = sample.own_columns(), list(sample.moving)
+    squares = [np.mean(scaled_fit(own[:, j], left[:, j])[2] ** 2) for j in moving]
+    return float(np.sqrt(np.mean(squares / sample.tau[:, moving].var(axis=0).clip(1e-300))))
 
 
 def _weights(

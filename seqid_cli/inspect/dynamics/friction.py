@@ -158,18 +158,15 @@ def _friction(sample: Sample, gravity: Array, j: int) -> tuple[Array, Array, flo
     heavy = [g for g in gravity.T if np.abs(g).max() > 1e-9]
     theta, inverse, residual = scaled_fit(np.column_stack([*columns, own, *heavy]), tau)
     freedom = max(len(tau) - len(theta) * sample.memory, 10.0)
-    variance = float(residual @ residual) / freedom * max(sample.memory, memory_of(residual))
-    friction[moving] = theta[: len(moving)]
-    errors[moving] = np.sqrt(np.sum(inverse**2, axis=1) * variance)[: len(moving)]
-    return friction, errors, spread, float(np.sqrt(np.mean(residual**2))) / spread
-
-
-def memory_of(residual: Array) -> float:
-    """Count the samples of a residual (M,) that say as much as one: by its autocorrelation."""
+    # How many samples of the residual say as much as one: by its autocorrelation.
     x = residual - residual.mean()
     r = correlate(x, x, method="fft")[len(x) - 1 :]
     last = next(iter(np.flatnonzero(r <= 0.0)), len(r))
-    return float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
+    memory = float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
+    variance = float(residual @ residual) / freedom * max(sample.memory, memory)
+    friction[moving] = theta[: len(moving)]
+    errors[moving] = np.sqrt(np.sum(inverse**2, axis=1) * variance)[: len(moving)]
+    return friction, errors, spread, float(np.sqrt(np.mean(residual**2))) / spread
 
 
 def _exchanged(

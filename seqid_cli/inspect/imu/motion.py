@@ -57,19 +57,9 @@ class ShiftScan:
 
 
 def scan(
-    robot: Robot,
-    motion: Motion,
-    values: Array,
-    link: int,
-    *,
-    gyro: bool,
-    max_shift_s: float = 0.06,
-    grid: int = 25,
+    motion: Motion, features: Array, values: Array, *, max_shift_s: float = 0.06, grid: int = 25
 ) -> ShiftScan | None:
-    """Compare readings (N, K) with the motion of a link; None where it rests."""
-    features = _features(robot, motion, link, gyro=gyro)
-    if features is None:
-        return None
+    """Compare readings (N, K) with a link's features (N, p); None where too few rows are usable."""
     reach = max(1, round(max_shift_s * motion.rate_hz))
     shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
     return _shifted(motion, features, motion.lowpass(values, motion.valid), shifts)
@@ -102,15 +92,15 @@ def fit_link(
     step_s: float = 0.01,
 ) -> LinkFit | None:
     """Fit readings (N, K) to the motion of a link at the shift that is best; None if it rests."""
-    tried = scan(robot, motion, values, imu.after_joint, gyro=gyro)
+    features = _features(robot, motion, imu.after_joint, gyro=gyro)
+    tried = None if features is None else scan(motion, features, values)
     if tried is None:
         return None
     if tried.share > wide or int(tried.left.argmin()) in (0, len(tried.left) - 1):
         # None near zero fits: look farther, roughly.
         step = max(1, round(step_s * motion.rate_hz))
         reach = min(round(far_s * motion.rate_hz), len(values) // 4) // step * step
-        shifts = np.arange(-reach, reach + 1, step)
-        far = _shifted(motion, tried.features, tried.readings, shifts)
+        far = _shifted(motion, tried.features, tried.readings, np.arange(-reach, reach + 1, step))
         if far is not None and (tried.share > FOLLOWS or far.share < 0.5 * tried.share):
             tried = far
     return _fine(imu, gyro, motion, tried)
@@ -196,14 +186,10 @@ def follow(data: LogData) -> list[LinkFit]:
 
 
 def motion_findings(
-    data: LogData,
-    following: list[LinkFit],
-    *,
-    min_delay_s: float = 0.005,
-    min_delay_samples: float = 2.0,
+    data: LogData, fits: list[LinkFit], *, min_delay_s: float = 0.005, min_delay_samples: int = 2
 ) -> Iterator[InspectionFinding]:
     """Judge how the IMUs follow the encoders."""
-    for item in following:
+    for item in fits:
         name = item.imu.name
         if better := _better(data, item):
             yield better
@@ -247,7 +233,8 @@ def _better(
     for joint, link in tried:
         sign = np.where(np.arange(robot.n) == joint, -1.0, 1.0)
         moved = replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
-        if scanned := scan(robot, moved, values, link, gyro=item.gyro):
+        features = _features(robot, moved, link, gyro=item.gyro)
+        if features is not None and (scanned := scan(moved, features, values)):
             best = min(best, (scanned.share, joint, link))
     share, joint, link = best
     text = f"{percent(share)} of its variance is left against {percent(item.left, 0)}"

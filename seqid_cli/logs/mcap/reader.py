@@ -10,7 +10,7 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.drives import in_si
-from seqid_cli.logs.mcap.records import Batch, Scan, read_summary
+from seqid_cli.logs.mcap.records import Batch, Scan
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap, Payloads
 from seqid_cli.logs.messages.parsers import decoder
 from seqid_cli.logs.raw import (
@@ -161,8 +161,8 @@ def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
         stamps, values = stamps[about], values[about]
     parts = np.split(values, len(JOINT_QUANTITIES), axis=1)
     channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
-    effort = channels.pop("effort")
-    channels["current" if robot.channels.effort == "current" else "torque"] = effort
+    kind = "current" if robot.channels.effort == "current" else "torque"
+    channels[kind] = channels.pop("effort")
     given = {k: own for k, own in channels.items() if k == "position" or any_finite(own)}
     return Stream(topic, stamps, in_si(given, stamps, robot))
 
@@ -237,13 +237,6 @@ def read_blocks(
             raise InputError(message, hint=hint, where=str(path))
         delay_s = samples[log.joint_topic].delay_s
         yield RawLog(joints, imus, log.partial() if last else "", warnings, delay_s)
-
-
-def count_messages(path: Path) -> int | None:
-    """Count the messages of a file without reading them; None where it does not tell."""
-    with path.open("rb") as file:
-        told = read_summary(file, path.stat().st_size).statistics
-    return None if told is None else int(told.message_count)
 
 
 def list_topics(
@@ -356,9 +349,8 @@ def _listing(scan: Scan) -> str:
 def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
     if collector.received:
         kinds = ", ".join(sorted(collector.refused))
-        reason = f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
-        message = f"none of the {collector.received} messages on {collector.topic} can be decoded"
-        message += f": {reason}"
+        message = f"none of the {collector.received} messages on {collector.topic} can be decoded: "
+        message += f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
         hint = "Record sensor_msgs/msg/JointState as CDR, JSON or protobuf."
     elif faults := "; ".join(_losses(scan)):
         message = f"the file is damaged and nothing can be salvaged ({faults})"

@@ -155,11 +155,8 @@ class TableLog(StoredLog):
 
         log = cls(f"{name}.parquet")
         try:
-            if isinstance(data, pa.Table):
-                log.content = data
-            else:
-                stream = hasattr(data, "__arrow_c_stream__")
-                log.content = pa.table(data) if stream else pa.Table.from_pandas(data)
+            stream = hasattr(data, "__arrow_c_stream__")
+            log.content = pa.table(data) if stream else pa.Table.from_pandas(data)
         except (TypeError, ValueError, AttributeError, pa.ArrowException) as error:
             hint = "Give a path, a pyarrow.Table, a pandas.DataFrame or a Recording."
             raise InputError(f"{type(data).__name__} is no log ({error})", hint=hint) from error

@@ -195,7 +195,7 @@ def _joint_columns(
 
 
 def _time_column(file: TableFile, channels: Channels, match: schemes.Match | None) -> TimeColumn:
-    names, unit = file.names, match.scheme.time_unit if match is not None else None
+    names, unit = file.names, match.time_unit if match is not None else None
     told = schemes.time_names(names)
     if "t" in told and channels.time is None:
         return TimeColumn("t", unit)

@@ -21,22 +21,17 @@ from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import Stream
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
-from seqid_cli.params.results.inspection import (
-    InspectedImu,
-    InspectedJoint,
-    InspectedLog,
-    InspectedMoves,
-    InspectionFinding,
-)
+from seqid_cli.params.results import inspection as schema
+from seqid_cli.params.results.inspection import InspectedImu, InspectedLog, InspectionFinding
 from seqid_cli.robot.types import Array, Robot
 
 
-def _moves(robot: Robot, stretches: Sequence[Stretch]) -> Iterator[InspectedMoves]:
+def _moves(robot: Robot, stretches: Sequence[Stretch]) -> Iterator[schema.InspectedMoves]:
     """Summarise the constant-velocity stretches of each joint."""
     for j, name in enumerate(robot.joint_names):
         own = [s for s in stretches if s.joint == j]
         if own:
-            yield InspectedMoves(
+            yield schema.InspectedMoves(
                 joint=name,
                 forward=sum(s.velocity > 0 for s in own),
                 backward=sum(s.velocity <= 0 for s in own),
@@ -81,7 +76,7 @@ def serve_together(logs: Sequence[InspectedLog], *, min_speeds: int = 3) -> list
     ]
 
 
-def _both_ways(log: InspectedLog) -> list[InspectedMoves]:
+def _both_ways(log: InspectedLog) -> list[schema.InspectedMoves]:
     """Moves at constant speed, both ways, of joints with a torque."""
     driven = {joint.name for joint in log.joints if joint.effort}
     return [m for m in log.moves if m.forward and m.backward and m.joint in driven]
@@ -103,7 +98,7 @@ class Inspected(NamedTuple):
     findings: tuple[InspectionFinding, ...]
 
 
-V = TypeVar("V", InspectedLog, InspectedJoint, InspectedImu)
+V = TypeVar("V", InspectedLog, schema.InspectedJoint, InspectedImu)
 
 
 @dataclass
@@ -179,9 +174,7 @@ class Gathered:
         lost = (found("channel_hole", error.message) for error in self.lost)
         findings = located((*before, *map(self._told, grouped(self.findings)), *lost), path)
         samples = [part.samples for part in self.parts]
-        joints = [
-            _merged(own, samples) for own in zip(*(p.joints for p in self.parts), strict=True)
-        ]
+        each_joint = zip(*(part.joints for part in self.parts), strict=True)
         by_imu: dict[str, list[InspectedImu]] = {}
         for imu in (imu for part in self.parts for imu in part.imus):
             by_imu.setdefault(imu.name, []).append(imu)
@@ -193,7 +186,7 @@ class Gathered:
             seconds=self.end,
             rate_hz=sum(samples)
             / float(np.sum(np.divide(samples, [p.rate_hz for p in self.parts]))),
-            joints=joints,
+            joints=[_merged(own, samples) for own in each_joint],
             imus=[_merged(own, [1] * len(own)) for own in by_imu.values()],
             moves=[*_moves(self.robot, self.stretches)],
             moving_together=_moving_together(self.robot, np.asarray(self.together)),
@@ -234,14 +227,14 @@ class Gathered:
         return structs.replace(first, message=message)
 
 
-def _joint(data: LogData, j: int) -> InspectedJoint:
+def _joint(data: LogData, j: int) -> schema.InspectedJoint:
     """Describe what a part shows of a joint."""
     quantity, torques = data.effort() or ("", None)
     channels, moves = data.joints.channels, data.moves(j)
     given = (channels["position"], torques, channels.get("temperature"))
     columns = [np.zeros(0) if values is None else values[:, j] for values in given]
     q, values, warm = (column[np.isfinite(column)] for column in columns)
-    return InspectedJoint(
+    return schema.InspectedJoint(
         name=data.robot.joint_names[j],
         moves=moves,
         low=float(q.min()),

@@ -14,23 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs import raw as raw_log
 from seqid_cli.logs.lost_samples import mended
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.mcap.records import read_summary
-from seqid_cli.logs.raw import (
-    BURSTS,
-    GAP_INTERVALS,
-    GAP_LEAST_S,
-    Array,
-    BlockReader,
-    Mask,
-    RawLog,
-    Stamps,
-    Stream,
-    TimeSource,
-    in_turns,
-    joined,
-)
+from seqid_cli.logs.raw import BlockReader, RawLog, Stamps, Stream, TimeSource
 from seqid_cli.logs.read import ABSURD, with_torque
 from seqid_cli.logs.storage import files
 from seqid_cli.logs.storage.remote import Spool
@@ -38,6 +26,7 @@ from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM, Base, resample
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
 
 MOST = 262_144
 
@@ -177,7 +166,7 @@ class LongLog:
     def _resampled(self, rows: Iterator[Stream]) -> Iterator[Block]:
         pending, start = _as_stream(np.zeros(0, np.int64), np.zeros((0, 0))), 0
         for part in rows:
-            pending = joined([pending, part])
+            pending = raw_log.joined([pending, part])
             if len(pending) > 4 * MARGIN:
                 sure = int(pending.stamp_ns[-MARGIN]) - self.start_ns
                 stop = min(self.samples, int(sure * 1e-9 / self.step_s))
@@ -233,7 +222,7 @@ class Scan:
                 raise UnevenError
             self.first, self.usual = int(stamps[0]), float(np.median(steps))
         self.steps.push(steps)
-        far = steps > GAP_LEAST_S * 1e9
+        far = steps > raw_log.GAP_LEAST_S * 1e9
         near = steps[~far] if far.any() else steps
         self.beyond.append(steps[far])
         if sum(map(len, self.beyond)) > most_gaps:
@@ -255,8 +244,8 @@ class Scan:
             raise UnevenError
         beyond = np.concatenate(self.beyond)
         median = float(np.median(self.steps.rows))
-        gap = beyond > max(GAP_INTERVALS * median, GAP_LEAST_S * 1e9)
-        if abs(median / self.usual - 1) > 0.02 or gap.sum() > BURSTS * (self.count - 1):
+        gap = beyond > max(raw_log.GAP_INTERVALS * median, raw_log.GAP_LEAST_S * 1e9)
+        if abs(median / self.usual - 1) > 0.02 or gap.sum() > raw_log.BURSTS * (self.count - 1):
             raise UnevenError
         regular = beyond[~gap]
         number = self.count - 1 - int(gap.sum())
@@ -350,7 +339,7 @@ def _rows(
         sound = values.min() >= -ABSURD and values.max() <= ABSURD  # not with NaN
         if not sound or (np.diff(stamps) <= 0).any() or len(mended(joints).losses.rows):
             raise UnevenError
-        if in_turns(joints, robot)[0] is not joints:
+        if raw_log.in_turns(joints, robot)[0] is not joints:
             raise UnevenError
         latest = joints.stamp_ns[-1:]
         yield raw, _as_stream(joints.stamp_ns, values.T)

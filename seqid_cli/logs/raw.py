@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
-from seqid_cli.robot.types import Imu, Joint, Robot
+from seqid_cli.robot.types import Imu, Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -100,10 +100,14 @@ def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stre
     position = stream.channels["position"]
     moved, found = position.copy(), dict[str, int]()
     for j, joint in enumerate(robot.joints):
-        if not joint.prismatic:
-            run, times = _unwrapped(position[:, j], slack)
-            moved[:, j] = run + TURN * _turns_off(run, joint)
-            found |= {joint.name: times} if times else {}
+        if joint.prismatic:
+            continue
+        run, times = _unwrapped(position[:, j], slack)
+        low, high = joint.position_limits or (-np.pi, np.pi)
+        least, most = np.nanmin(run, initial=np.inf), np.nanmax(run, initial=-np.inf)
+        fits = [k for k in (0, -1, 1) if low <= least + TURN * k and most + TURN * k <= high]
+        moved[:, j] = run + TURN * (fits[0] if fits else 0)
+        found |= {joint.name: times} if times else {}
     if np.array_equal(moved, position, equal_nan=True):
         return stream, found
     return replace(stream, channels={**stream.channels, "position": moved}), found
@@ -120,15 +124,6 @@ def _unwrapped(q: Array, slack: float) -> tuple[Array, int]:
     run = q.copy()
     run[there[1:]] -= TURN * np.cumsum(turns)
     return run, count
-
-
-def _turns_off(q: Array, joint: Joint) -> int:
-    """Turns (-1, 0 or 1) that bring all positions within the limits."""
-    low, high = joint.position_limits or (-np.pi, np.pi)
-    least, most = np.nanmin(q, initial=np.inf), np.nanmax(q, initial=-np.inf)
-    if least > most or (low <= least and most <= high):
-        return 0
-    return next((k for k in (-1, 1) if low <= least + TURN * k and most + TURN * k <= high), 0)
 
 
 GAP_INTERVALS = 5.0

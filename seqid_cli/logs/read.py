@@ -7,18 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
+from seqid_cli.logs import raw as raw_log
 from seqid_cli.logs.lost_samples import Mended, mended, with_losses
 from seqid_cli.logs.mcap import reader, rosbags
-from seqid_cli.logs.raw import (
-    ACCELEROMETERS,
-    GYRO,
-    BlockReader,
-    RawLog,
-    Stream,
-    TimeSource,
-    in_turns,
-    tidy,
-)
+from seqid_cli.logs.raw import BlockReader, RawLog, Stream, TimeSource
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.files import check_log, sha256_of, storage_file, unchanged
 from seqid_cli.logs.storage.remote import local_copy
@@ -83,7 +75,7 @@ def read_both(
 def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
     """Read a file of a format as one block; see `BlockReader`."""
     (raw,) = READERS[kind](path, robot, time_source, rows=None)
-    joints, found = in_turns(raw.joints, robot)
+    joints, found = raw_log.in_turns(raw.joints, robot)
     said = [
         f"{name}: position wraps by whole turns {count} times; it is made to run on"
         for name, count in found.items()
@@ -117,7 +109,7 @@ def assemble(
         hint = "Log all joints of the robot file, by the names that it gives them."
         raise InputError(text, hint=hint, where=where)
     joints = with_torque(joints, robot, raw.prefer_current, where, warnings)
-    ordered, backwards, duplicates, of_clock = tidy(joints)
+    ordered, backwards, duplicates, of_clock = raw_log.tidy(joints)
     repair = mended(ordered)
     logged = repair.stream
     base = make_base(logged, where)
@@ -225,10 +217,11 @@ def _read_imus(
     raw: RawLog, robot: Robot, base: Base, repair: Mended, warnings: list[str]
 ) -> tuple[dict[str, Array], dict[str, Array], Mask]:
     """Accelerometers (N, K) and gyros (N, 3) by IMU, and where (N,) all of them are measured."""
-    found: dict[str, dict[str, Array]] = {ACCELEROMETERS: {}, GYRO: {}}
+    found: dict[str, dict[str, Array]] = {raw_log.ACCELEROMETERS: {}, raw_log.GYRO: {}}
     valid = np.ones(base.count, np.bool_)
     for imu in robot.imus:
-        tidied = [tidy(without_absurd(each, warnings)) for each in raw.imus.get(imu.name, ())]
+        given = raw.imus.get(imu.name, ())
+        tidied = [raw_log.tidy(without_absurd(each, warnings)) for each in given]
         streams = [stream for stream, *_ in tidied]
         for k, each in enumerate(streams):
             if np.array_equal(each.stamp_ns, repair.stamps):  # those of the joints
@@ -241,7 +234,7 @@ def _read_imus(
                 target[imu.name] = np.hstack([values for values, *_ in parts])
                 valid &= np.all([measured for _, measured, _ in parts], axis=0)
         warnings += [warning for *_, own in tidied for warning in own]
-    return found[ACCELEROMETERS], found[GYRO], valid
+    return found[raw_log.ACCELEROMETERS], found[raw_log.GYRO], valid
 
 
 def _usable(name: str, streams: list[Stream], base: Base, warnings: list[str]) -> bool:

@@ -140,8 +140,8 @@ def _break(t: Array, q: Array, step: float) -> tuple[str, str, Index] | None:
     large = _least_jump(q, step, usual)
     if frozen := _frozen(t, q, large):
         start, stop = frozen[0]
-        text = (
-            f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
+        text = f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
+        text += (
             f"{t[stop - 1] - t[start]:.3f} s, and then catches up by {q[stop] - q[stop - 1]:.3g}"
         )
         return "position_frozen", text, np.concatenate([np.arange(a + 1, b) for a, b in frozen])

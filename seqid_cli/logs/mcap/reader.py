@@ -9,21 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs import raw as raw_log
 from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.records import Batch, Scan
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap, Payloads
 from seqid_cli.logs.messages.parsers import decoder
-from seqid_cli.logs.raw import (
-    ACCELEROMETERS,
-    GYRO,
-    Array,
-    RawLog,
-    Stamps,
-    Stream,
-    TimeSource,
-    partly_logged,
-)
+from seqid_cli.logs.raw import RawLog, Stamps, Stream, TimeSource, partly_logged
 from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.typing import Array
 
 JOINT_STATES = "/joint_states"
 DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
@@ -173,9 +166,9 @@ def imu_stream(topic: str, samples: Samples, imu: Imu) -> Stream:
     channels = {}
     if topic in triads or count == 3:
         first = 3 * triads.index(topic) if topic in triads else 0
-        channels[ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
+        channels[raw_log.ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
     if topic == data_topic(imu) and imu.gyro:
-        channels[GYRO] = samples.values[:, 3:]
+        channels[raw_log.GYRO] = samples.values[:, 3:]
     return Stream(topic, samples.stamp_ns, channels)
 
 

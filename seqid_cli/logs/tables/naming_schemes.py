@@ -58,12 +58,8 @@ _NUMBERED = {
     "temperature": "temperature temp joint_temperature joint_temperatures",
     "effort": "effort joint_effort joint_efforts",
 }
-_RTDE = {
-    "position": "actual_q",
-    "velocity": "actual_qd",
-    "current": "actual_current",
-    "temperature": "joint_temperatures",
-}
+_RTDE = {"position": "actual_q", "velocity": "actual_qd", "current": "actual_current"}
+_RTDE |= {"temperature": "joint_temperatures"}
 _FRANKA = {"position": "q", "velocity": "dq", "torque": "tau_J"}
 _LEROBOT = {quantity: quantity for quantity in ("torque", "current", "temperature", "effort")}
 _LEROBOT |= {"position": "state", "velocity": "velocity state.velocity"}

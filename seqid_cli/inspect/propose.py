@@ -185,11 +185,10 @@ def _channels(
     channels: dict[str, Columns] = {}
     if "t" not in times and len(times) != 1:
         channels["time"] = next(iter(times), "TODO")
-    patterns = dict(guessed.patterns) or {
-        quantity: f"{{name}}.{quantity}"
-        for quantity in WORDS
-        if quantity == "position" or all(f"{name}.{quantity}" in names for name in guessed.joints)
-    }
+    patterns = dict(guessed.patterns)
+    for quantity in () if patterns else WORDS:
+        there = all(f"{name}.{quantity}" in names for name in guessed.joints)
+        patterns |= {quantity: f"{{name}}.{quantity}"} if quantity == "position" or there else {}
     match = find_scheme(joints, names)
     told = {*match.columns} if match is not None else set()  # by the names themselves
     told |= {"current", "torque"} if "effort" in told else set()

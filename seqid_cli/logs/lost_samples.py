@@ -119,12 +119,10 @@ class Mended:
         seconds = self.losses.seconds
         if not len(seconds):
             return ()
-        return (
-            f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms "
-            f"each (median), {seconds.sum():.3g} s in all: all joints step there by the motion "
-            "of that time and the stamps go on as if nothing was missing. The time base is "
-            "repaired and the holes are bridged; log with the controller's own clock",
-        )
+        text = f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms each "
+        text += f"(median), {seconds.sum():.3g} s in all: all joints step there by the motion of "
+        text += "that time and the stamps go on as if nothing was missing. The time base is "
+        return (f"{text}repaired and the holes are bridged; log with the controller's own clock",)
 
 
 @dataclass(frozen=True)

@@ -179,12 +179,10 @@ def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> 
     if not len(jumps):
         return stream
     kept = _longest(stream, jumps)
-    warnings.append(
-        f"{stream.name}: the clock jumps back {len(jumps)} times (by up to "
-        f"{-steps[jumps].min() * 1e-9:.3g} s) and runs twice over the same time; only the longest "
-        f"stretch is kept, {len(kept)} of {len(stream)} samples. Use the times of logging, or "
-        "split the log at the jump"
-    )
+    text = f"the clock jumps back {len(jumps)} times (by up to {-steps[jumps].min() * 1e-9:.3g} s) "
+    text += f"and runs twice over the same time; only the longest stretch is kept, {len(kept)} of "
+    text += f"{len(stream)} samples. Use the times of logging, or split the log at the jump"
+    warnings.append(f"{stream.name}: {text}")
     return kept
 
 
@@ -217,11 +215,9 @@ def _far_stamps_cut(stream: Stream, warnings: list[str], *, hole_s: int = 60) ->
     if span / np.median(forward) < 20 * len(stream) + 1_000_000:  # samples on the grid
         return stream
     kept = _longest(stream, np.flatnonzero(steps > hole_s * 1_000_000_000))
-    warnings.append(
-        f"{stream.name}: the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the "
-        f"longest stretch without a hole of {hole_s} s is kept, {len(kept)} samples. "
-        "Check the clock, or split the log"
-    )
+    text = f"the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the longest "
+    text += f"stretch without a hole of {hole_s} s is kept, {len(kept)} samples. Check the clock, "
+    warnings.append(f"{stream.name}: {text}or split the log")
     return kept
 
 

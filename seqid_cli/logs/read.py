@@ -76,10 +76,8 @@ def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> 
     """Read a file of a format as one block; see `BlockReader`."""
     (raw,) = READERS[kind](path, robot, time_source, rows=None)
     joints, found = raw_log.in_turns(raw.joints, robot)
-    said = [
-        f"{name}: position wraps by whole turns {count} times; it is made to run on"
-        for name, count in found.items()
-    ]
+    text = "position wraps by whole turns {} times; it is made to run on"
+    said = [f"{name}: {text.format(count)}" for name, count in found.items()]
     return replace(raw, joints=joints, warnings=(*raw.warnings, *said))
 
 

@@ -88,10 +88,9 @@ def overlap(stream: Stream, base: Base) -> float:
     """Return the share of the base that a stream's time covers."""
     if not len(stream):
         return 0.0
-    start = max(0.0, (int(stream.stamp_ns[0]) - base.start_ns) * 1e-9)
     length = (base.count - 1) * base.step_s
-    end = min(length, (int(stream.stamp_ns[-1]) - base.start_ns) * 1e-9)
-    return max(0.0, end - start) / length
+    start, end = np.clip((stream.stamp_ns[[0, -1]] - base.start_ns) * 1e-9, 0.0, length)
+    return float(end - start) / length
 
 
 def _own_step(stamps: Stamps) -> tuple[float, float, Gaps]:

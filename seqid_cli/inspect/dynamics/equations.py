@@ -200,15 +200,12 @@ def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding
     """Tell the first of causes that mend a fit alike, and the others."""
     cause, names = alike[0], robot.joint_names
     if not cause.joints:
-        told = " or ".join(each.text for each in alike[: 2 if robot.nominal is None else 1])
-        return found(cause.code, f"gravity acts along {told}; {fall}")
-    others = [
-        f"{', '.join(names[j] for j in other.joints)}: {other.text}"
-        for other in alike
-        if set(other.joints) != set(cause.joints)
-    ]
+        along = " or ".join(each.text for each in alike[: 2 if robot.nominal is None else 1])
+        return found(cause.code, f"gravity acts along {along}; {fall}")
+    told = [(", ".join(names[j] for j in each.joints), each) for each in alike]
+    others = [f"{own}: {x.text}" for own, x in told if set(x.joints) != set(cause.joints)]
     text = f"{cause.text}; {fall}" + (f" (as well with {'; or '.join(others)})" if others else "")
-    return found(cause.code, text, ", ".join(names[j] for j in cause.joints), cause.channel)
+    return found(cause.code, text, told[0][0], cause.channel)
 
 
 def _slanted(sample: Sample, axes: Sequence[Cause], measure: Measure) -> list[Cause]:
@@ -270,12 +267,9 @@ def _nominal_error(sample: Sample) -> float:
 
 
 def _weights(sample: Sample) -> Iterator[tuple[int, float, float]]:
-    """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error.
-
-    Only of joints that carry a fair share of the weight: a small one of another passes for it. It
-    is `min_load` of the most in the log, and `min_acting` of the joint's most in any posture.
-    """
-    min_load, min_acting = 0.2, 0.1
+    """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error."""
+    # Only of joints that carry a fair share of the weight: a small one of another passes for it.
+    min_load, min_acting = 0.2, 0.1  # of the most in the log, of the joint's most in any posture
     robot = sample.robot
     if robot.nominal is None or not robot.gravity.any():
         return

@@ -287,12 +287,11 @@ class _Log:
 
     def partial(self) -> str:
         """Say in one line what the file lost; empty for a whole one."""
-        unread = [
-            f"{each.damaged} of {each.received} messages of {topic} could not be decoded"
-            for topic, each in self.collectors.items()
-            if each.damaged
-        ]
-        return "; ".join([*_losses(self.scan), *unread])
+        losses = _losses(self.scan)
+        for topic, each in self.collectors.items():
+            text = f"{each.damaged} of {each.received} messages of {topic} could not be decoded"
+            losses += [text] if each.damaged else []
+        return "; ".join(losses)
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU; refuses a whole file that lacks only some of them."""

@@ -4,7 +4,7 @@ Channels are compared with each other without samples that are known to be damag
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from msgspec import structs
@@ -18,7 +18,7 @@ from seqid_cli.inspect.findings import found, grouped
 from seqid_cli.inspect.imu.motion import FOLLOWS, LinkFit, follow, motion_findings
 from seqid_cli.inspect.imu.readings import imu_findings
 from seqid_cli.inspect.material import LogData
-from seqid_cli.logs.read import without_values
+from seqid_cli.logs.read import assemble
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.params.results.inspection import InspectionFinding
 
@@ -52,24 +52,18 @@ _EXPLAINED: tuple[tuple[Codes, Codes], ...] = (
 _UNEVEN = _codes("velocity_inconsistent speed_limit position_jump values_missing")
 
 
-@dataclass(frozen=True)
-class Checked:
-    """A log with its findings; `data` is without the samples that are damaged."""
-
-    data: LogData
-    findings: tuple[InspectionFinding, ...]
-    following: tuple[LinkFit, ...]
-
-
-def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
+def check(
+    data: LogData, *, imus: bool = True, quality: bool = True
+) -> tuple[LogData, list[InspectionFinding], list[LinkFit]]:
     """Check a log: a check is left out where an earlier finding spoils it.
 
     `quality`: whether it is also judged how well channels are measured (steps, held values,
-    temperature): warnings at most. Returns: findings, each code once per joint and channel.
+    temperature): warnings at most. Returns: the log without damaged samples; findings, each code
+    once per joint and channel; how IMUs follow their links.
     """
     breaks = positions.breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)
-    following = tuple(follow(sound)) if imus else ()
+    following = follow(sound) if imus else []
     own = [*clock.clock_findings(data), *clock.hole_findings(data)]
     if data.recording.partial:
         own.append(found("salvaged", data.recording.partial))
@@ -85,12 +79,14 @@ def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
     own = _unexplained(own)
     if not _all_spoilt(own):
         own += _of_dynamics(sound, own, following)
-    first = (alike[0] for alike in grouped(_unexplained(own)))
-    return Checked(sound, tuple(first), following)
+    return sound, [first for first, *_ in grouped(_unexplained(own))], following
 
 
 def without(data: LogData, breaks: Sequence[Break]) -> LogData:
-    """Take the samples of a log out that are known to be wrong."""
+    """Take the samples of a log out that are known to be wrong, and lay it on its base anew.
+
+    Short holes are bridged by a curve, longer ones are not valid, like any missing values.
+    """
     if not any(len(each.rows) for each in breaks):
         return data
     position = data.joints.channels["position"].copy()
@@ -98,7 +94,11 @@ def without(data: LogData, breaks: Sequence[Break]) -> LogData:
         position[each.rows, each.joint] = np.nan
     joints = replace(data.joints, channels={**data.joints.channels, "position": position})
     raw = replace(data.raw, joints=joints)
-    return replace(data, raw=raw, recording=without_values(data.recording, raw, data.robot))
+    log = data.recording
+    again, _ = assemble(log.path, log.format, log.sha256, raw, data.robot)
+    gaps = tuple(sorted({*log.health.gaps, *again.health.gaps}))
+    health = replace(log.health, gaps=gaps, resampled=again.health.resampled)
+    return replace(data, raw=raw, recording=replace(again, health=health))
 
 
 def _all_spoilt(findings: Sequence[InspectionFinding]) -> bool:

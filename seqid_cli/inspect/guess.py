@@ -114,10 +114,9 @@ def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, 
             if quantity := _quantity(_words(form)):
                 forms = found.setdefault(quantity, {}).setdefault(_BRACKET.sub("", form), {})
                 forms.setdefault(int(match[0]), form)
-    return {
-        quantity: {f: own for f, own in forms.items() if len(own) <= max_joints}
-        for quantity, forms in found.items()
-    }
+    for quantity, given in found.items():
+        found[quantity] = {form: own for form, own in given.items() if len(own) <= max_joints}
+    return found
 
 
 def _named(names: list[str]) -> dict[str, dict[str, list[str]]]:
@@ -182,11 +181,8 @@ def _imus(names: Iterable[str]) -> tuple[Imu, ...]:
         elif match := re.fullmatch(r"/?(.*imu.*)/data(?:_raw)?", name):
             counts.setdefault(match[1].strip("/"), 3)
             gyros.add(match[1].strip("/"))
-    return tuple(
-        Imu(imu, 0, np.zeros((count, 3)), np.eye(3)[np.arange(count) % 3], imu in gyros)
-        for imu, count in counts.items()
-        if count >= 3
-    )
+    known = [(imu, n, np.eye(3)[np.arange(n) % 3]) for imu, n in counts.items() if n >= 3]
+    return tuple(Imu(imu, 0, np.zeros((n, 3)), axes, imu in gyros) for imu, n, axes in known)
 
 
 def stand_in(guessed: Guess, *, source: Path) -> Robot:

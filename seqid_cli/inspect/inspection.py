@@ -22,12 +22,8 @@ from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.table import missing_columns
 from seqid_cli.params.document import head
-from seqid_cli.params.results.inspection import (
-    INSPECTION_SCHEMA,
-    InspectedLog,
-    InspectionFile,
-    InspectionFinding,
-)
+from seqid_cli.params.results import inspection as schema
+from seqid_cli.params.results.inspection import InspectedLog, InspectionFinding
 from seqid_cli.robot.types import Robot
 
 Read = Callable[[Robot, Sequence[InspectionFinding]], Inspected]
@@ -39,7 +35,7 @@ def inspect_logs(
     *,
     time_source: TimeSource = "header",
     on_progress: Callable[[Progress], None] | None = None,
-) -> InspectionFile:
+) -> schema.InspectionFile:
     """Inspect logs; findings are of robot file and set of logs, then of each log; see `inspect`."""
     logs: list[InspectedLog] = []
     own: list[InspectionFinding] = []
@@ -58,8 +54,8 @@ def inspect_logs(
             text = f"has the same content as {first[log.sha256]}"
             findings += located([found("duplicate_log", text)], log.path)
     findings += own
-    return InspectionFile(
-        **head(INSPECTION_SCHEMA),
+    return schema.InspectionFile(
+        **head(schema.INSPECTION_SCHEMA),
         robot=robot.name if robot else "",
         verdict=verdict_of(findings),
         logs=logs,

@@ -54,8 +54,7 @@ class LogData:
 
     def effort(self) -> tuple[str, Array] | None:
         """Return which of torque and current was logged, and its values (M, n); None if neither."""
-        choices = ("current", "torque") if self.raw.prefer_current else ("torque", "current")
-        for quantity in choices:
+        for quantity in ("current", "torque") if self.raw.prefer_current else ("torque", "current"):
             values = self.joints.channels.get(quantity)
             if values is not None and np.isfinite(values).any():
                 return quantity, values
@@ -73,10 +72,9 @@ class LogData:
         return np.asarray(self.moving[rows, joint])
 
 
-def _motion(
-    recording: Recording, robot: Robot, *, min_hz: float = 3.0, min_share: float = 0.1
-) -> Motion | None:
+def _motion(recording: Recording, robot: Robot) -> Motion | None:
     """Filter a log; a cut-off fit for accelerations alone may be too low for torques."""
+    min_hz, min_share = 3.0, 0.1
     lowest = min(min_hz, min_share * recording.rate_hz)
     try:
         motion = estimate_motion(recording, robot, MotionOptions())

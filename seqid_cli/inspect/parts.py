@@ -21,22 +21,17 @@ from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import Stream
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
-from seqid_cli.params.results.inspection import (
-    InspectedImu,
-    InspectedJoint,
-    InspectedLog,
-    InspectedMoves,
-    InspectionFinding,
-)
+from seqid_cli.params.results import inspection as schema
+from seqid_cli.params.results.inspection import InspectedImu, InspectedLog, InspectionFinding
 from seqid_cli.robot.types import Array, Robot
 
 
-def _moves(robot: Robot, stretches: Sequence[Stretch]) -> Iterator[InspectedMoves]:
+def _moves(robot: Robot, stretches: Sequence[Stretch]) -> Iterator[schema.InspectedMoves]:
     """Summarise the constant-velocity stretches of each joint."""
     for j, name in enumerate(robot.joint_names):
         own = [s for s in stretches if s.joint == j]
         if own:
-            yield InspectedMoves(
+            yield schema.InspectedMoves(
                 joint=name,
                 forward=sum(s.velocity > 0 for s in own),
                 backward=sum(s.velocity <= 0 for s in own),
@@ -63,36 +58,6 @@ def _moving_together(robot: Robot, counts: Array, *, min_share: float = 0.1) -> 
     return [name for name, count in names if count > min_share * max(moving, 1.0)]
 
 
-def _serves(
-    robot: Robot,
-    stretches: Sequence[Stretch],
-    joints: Sequence[InspectedJoint],
-    together: Sequence[str],
-    *,
-    imus: bool,
-    min_speeds: int = 3,
-    max_share: float = 0.25,
-) -> list[str]:
-    """Return the stages that a log serves; `together` move joints with others."""
-    stages: list[str] = []
-    torque = any(joint.effort for joint in joints)
-    for j, joint in enumerate(robot.joints):
-        mine = [s for s in stretches if s.joint == j]
-        speeds = [abs(s.velocity) for s in mine]
-        if not torque or len({np.sign(s.velocity) for s in mine}) < 2:
-            continue
-        if _speeds(speeds) >= min_speeds:
-            stages.append("friction")
-        slow = max(speeds) < max_share * (joint.velocity_limit or 1.0)
-        if robot.gravity.any() and (slow or _postures(mine, j) > 1):
-            stages.append("gravity")
-    if imus and sum(joint.moves for joint in joints) == 1:
-        stages.append("imu-calib")
-    if torque and (len(together) >= 2 or (robot.n == 1 and joints[0].moves)):
-        stages.append("inertia")
-    return list(dict.fromkeys(stages))
-
-
 def serve_together(logs: Sequence[InspectedLog], *, min_speeds: int = 3) -> list[InspectedLog]:
     """Add `friction` to logs that serve it together, such as one log per speed.
 
@@ -111,7 +76,7 @@ def serve_together(logs: Sequence[InspectedLog], *, min_speeds: int = 3) -> list
     ]
 
 
-def _both_ways(log: InspectedLog) -> list[InspectedMoves]:
+def _both_ways(log: InspectedLog) -> list[schema.InspectedMoves]:
     """Moves at constant speed, both ways, of joints with a torque."""
     driven = {joint.name for joint in log.joints if joint.effort}
     return [m for m in log.moves if m.forward and m.backward and m.joint in driven]
@@ -133,7 +98,7 @@ class Inspected(NamedTuple):
     findings: tuple[InspectionFinding, ...]
 
 
-V = TypeVar("V", InspectedLog, InspectedJoint, InspectedImu)
+V = TypeVar("V", InspectedLog, schema.InspectedJoint, InspectedImu)
 
 
 @dataclass
@@ -159,8 +124,8 @@ class Gathered:
         recording, health, end = data.recording, data.recording.health, self.end
         self.begun = self.begun if self.parts else recording.start
         offset = recording.start - self.begun
-        checked = check(data)
-        self.findings += checked.findings
+        _, findings, following = check(data)
+        self.findings += findings
         self._add_stretches(data, offset)
         several = data.moving & (data.moving.sum(axis=1, keepdims=True) >= 2)
         counts = np.append(several.sum(axis=0), data.moving.any(axis=1).sum())
@@ -179,7 +144,7 @@ class Gathered:
             duplicates=health.duplicates,
             log_minus_header_s=health.log_minus_header_s,
             joints=[_joint(data, j) for j in range(self.robot.n)],
-            imus=[*_imus(data, checked.following)],
+            imus=[*_imus(data, following)],
             partial=recording.partial,
         )
         self.parts.append(part)
@@ -209,31 +174,48 @@ class Gathered:
         lost = (found("channel_hole", error.message) for error in self.lost)
         findings = located((*before, *map(self._told, grouped(self.findings)), *lost), path)
         samples = [part.samples for part in self.parts]
-        log = _merged(self.parts, samples)
-        joints = [
-            _merged(own, samples) for own in zip(*(p.joints for p in self.parts), strict=True)
-        ]
+        each_joint = zip(*(part.joints for part in self.parts), strict=True)
         by_imu: dict[str, list[InspectedImu]] = {}
         for imu in (imu for part in self.parts for imu in part.imus):
             by_imu.setdefault(imu.name, []).append(imu)
-        imus = [_merged(own, [1] * len(own)) for own in by_imu.values()]
-        together = _moving_together(self.robot, np.asarray(self.together))
-        serves = _serves(self.robot, self.stretches, joints, together, imus=bool(imus))
         log = structs.replace(
-            log,
+            _merged(self.parts, samples),
             path=str(path),
             format=form,
             verdict=verdict_of(findings),
             seconds=self.end,
             rate_hz=sum(samples)
             / float(np.sum(np.divide(samples, [p.rate_hz for p in self.parts]))),
-            joints=joints,
-            imus=imus,
+            joints=[_merged(own, samples) for own in each_joint],
+            imus=[_merged(own, [1] * len(own)) for own in by_imu.values()],
             moves=[*_moves(self.robot, self.stretches)],
-            moving_together=together,
-            serves=serves if self.modelled else [],
+            moving_together=_moving_together(self.robot, np.asarray(self.together)),
         )
+        log.serves = self._serves(log) if self.modelled else []
         return Inspected(log, findings)
+
+    def _serves(self, log: InspectedLog) -> list[str]:
+        """Return the stages that a log serves."""
+        min_speeds, max_share = 3, 0.25
+        stages: list[str] = []
+        torque = any(joint.effort for joint in log.joints)
+        for j, joint in enumerate(self.robot.joints):
+            mine = [s for s in self.stretches if s.joint == j]
+            speeds = [abs(s.velocity) for s in mine]
+            if not torque or len({np.sign(s.velocity) for s in mine}) < 2:
+                continue
+            if _speeds(speeds) >= min_speeds:
+                stages.append("friction")
+            slow = max(speeds) < max_share * (joint.velocity_limit or 1.0)
+            if self.robot.gravity.any() and (slow or _postures(mine, j) > 1):
+                stages.append("gravity")
+        if log.imus and sum(joint.moves for joint in log.joints) == 1:
+            stages.append("imu-calib")
+        if torque and (
+            len(log.moving_together) >= 2 or (self.robot.n == 1 and log.joints[0].moves)
+        ):
+            stages.append("inertia")
+        return list(dict.fromkeys(stages))
 
     def _told(self, alike: Sequence[InspectionFinding]) -> InspectionFinding:
         """A finding of several parts, told once."""
@@ -244,14 +226,14 @@ class Gathered:
         return structs.replace(first, message=message)
 
 
-def _joint(data: LogData, j: int) -> InspectedJoint:
+def _joint(data: LogData, j: int) -> schema.InspectedJoint:
     """Describe what a part shows of a joint."""
     quantity, torques = data.effort() or ("", None)
     channels, moves = data.joints.channels, data.moves(j)
     given = (channels["position"], torques, channels.get("temperature"))
     columns = [np.zeros(0) if values is None else values[:, j] for values in given]
     q, values, warm = (column[np.isfinite(column)] for column in columns)
-    return InspectedJoint(
+    return schema.InspectedJoint(
         name=data.robot.joint_names[j],
         moves=moves,
         low=float(q.min()),

@@ -49,8 +49,7 @@ def compared(plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]) -> 
     best = [PlannedPart(move=move.name, stage=move.stage, status="missing") for move in plan.moves]
     for log in logs:
         t = log.recording.t
-        grid = np.arange(t[0], t[-1], 1.0 / RATE_HZ)
-        nearest = np.clip(np.searchsorted(t, grid), 0, len(t) - 1)
+        nearest = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / RATE_HZ)).clip(0, len(t) - 1)
         valid = log.recording.valid[nearest].astype(float)
         q = np.where(valid[:, None] > 0, log.recording.q[nearest], 0.0)
         errors = [f.message for f in log.findings if f.severity == "error"]
@@ -65,19 +64,11 @@ def compared(plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]) -> 
 
 
 def _found(
-    plan: PlanFile,
-    move: PlannedMove,
-    names: Sequence[str],
-    q: Array,
-    valid: Array,
-    scale: float,
-    *,
-    least_share: float = 0.3,
-    whole: float = 0.97,
-    follows: float = 0.05,
-    resembles: float = 0.25,
+    plan: PlanFile, move: PlannedMove, names: Sequence[str], q: Array, valid: Array, scale: float
 ) -> PlannedPart:
     """Look for one move in one log; distances count in shares of each joint's motion."""
+    least_share, whole = 0.3, 0.97  # of the move
+    follows, resembles = 0.05, 0.25  # of the joint's motion (RMS)
     missing = PlannedPart(move=move.name, stage=move.stage, status="missing")
     p = sampled(move, names, RATE_HZ / scale)[1]
     if len(q) < least_share * len(p):

@@ -98,13 +98,9 @@ def _driven(
     return tuple(joints)
 
 
-def with_gravity(
-    content: str, path: Path, logs: Sequence[Path], *, most: int = 8, apart: float = 0.1
-) -> str:
-    """Return a robot file's text with gravity as its first logs tell it, or as it was.
-
-    `apart`: share of gravity by which the logs may differ; their median is written.
-    """
+def with_gravity(content: str, path: Path, logs: Sequence[Path]) -> str:
+    """Return a robot file's text with gravity as its first logs tell it (median), or as it was."""
+    most, apart = 8, 0.1  # logs, share of gravity by which they may differ
     try:
         report = inspect_logs(logs[:most], load_robot(path))
     except SeqidError:
@@ -131,7 +127,7 @@ def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -
 
 
 def _likeness(a: str, b: str) -> float:
-    """Compare names, whatever their case, separators and fillers (`elbow`, `elbow_joint`)."""
+    """Compare names but for case, separators, fillers (`elbow_joint`); numbers must be the same."""
     numbers = [re.findall(r"[0-9]+", text) for text in (a, b)]
     if numbers[0] and numbers[1] and numbers[0] != numbers[1]:
         return 0.0
@@ -145,8 +141,7 @@ def _matched(log: Sequence[str], urdf: UrdfText | None) -> tuple[Pairs, tuple[Ur
     """Pair the log's joints with those of the URDF's chain that fits best, in chain order."""
     if urdf is None:
         return [], ()
-    pairs = match_names(log, urdf.movable)
-    back = {joint: name for name, joint in pairs.items()}
+    back = {joint: name for name, joint in match_names(log, urdf.movable).items()}
     chain = best_chain(urdf, lambda joint: 1000.0 * (joint.name in back) + 1.0)
     found = [(back[joint.name], joint) for joint in chain if joint.name in back]
     if len(found) == len(log):
@@ -190,11 +185,10 @@ def _channels(
     channels: dict[str, Columns] = {}
     if "t" not in times and len(times) != 1:
         channels["time"] = next(iter(times), "TODO")
-    patterns = dict(guessed.patterns) or {
-        quantity: f"{{name}}.{quantity}"
-        for quantity in WORDS
-        if quantity == "position" or all(f"{name}.{quantity}" in names for name in guessed.joints)
-    }
+    patterns = dict(guessed.patterns)
+    for quantity in () if patterns else WORDS:
+        there = all(f"{name}.{quantity}" in names for name in guessed.joints)
+        patterns |= {quantity: f"{{name}}.{quantity}"} if quantity == "position" or there else {}
     match = find_scheme(joints, names)
     told = {*match.columns} if match is not None else set()  # by the names themselves
     told |= {"current", "torque"} if "effort" in told else set()

@@ -46,23 +46,14 @@ def read_screened(
 ) -> Screened:
     """Read and check a log as a whole, its IMUs if they are used; see `read_recording`."""
     data = LogData(*read_both(path, robot, time_source=time_source), robot)
-    checked = check(data, imus=imus, quality=False)
-    return Screened(checked.data.recording, located(checked.findings, data.recording.path))
+    sound, findings, _ = check(data, imus=imus, quality=False)
+    return Screened(sound.recording, located(findings, data.recording.path))
 
 
-def screened_long(
-    log: SurveyedLog,
-    robot: Robot,
-    *,
-    pieces: int = 8,
-    piece_s: float = 20.0,
-    overlap_s: float = 1.0,
-) -> tuple[SurveyedLog, Findings]:
-    """Check a log that is passed over; see `read_screened`.
-
-    Torque and motion are compared in `pieces` of `piece_s`; breaks are looked for with `overlap_s`
-    on either side of a block as well [s].
-    """
+def screened_long(log: SurveyedLog, robot: Robot) -> tuple[SurveyedLog, Findings]:
+    """Check a log that is passed over; see `read_screened`."""
+    pieces, piece_s = 8, 20.0  # in which torque and motion are compared
+    overlap_s = 1.0  # on either side of a block, in which breaks are looked for as well
     first = next(iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source)))
     size = min(log.samples, max(64, int(piece_s * log.rate_hz)))
     starts = np.linspace(0, log.samples - size, pieces)
@@ -84,7 +75,7 @@ def screened_long(
         for bridge in bridges:
             bridge.laid(piece)
         data = LogData(*_held(piece, log, first, warnings), robot)
-        findings += check(data, imus=False, quality=False).findings
+        findings += check(data, imus=False, quality=False)[1]
         warnings = ()  # they are the log's, and said once
     return sound, located([first for first, *_ in grouped(findings)], log.path)
 

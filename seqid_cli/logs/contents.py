@@ -1,5 +1,6 @@
 """What a log holds, told without a robot file."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +9,6 @@ from seqid_cli.logs.storage.files import check_log, storage_file
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.csv_form import read_form
 from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
-from seqid_cli.logs.tables.parquet import motors_of
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,8 @@ def survey(path: Path) -> Survey:
     else:
         channels = names = read_form(path).names
     count = sum(name.startswith(f"{LEROBOT_STATE}[") for name in names)
-    joints = motors_of(path) if count else ()
+    plain = re.compile("(?:[._]pos(?:ition)?|[.]q)$")  # motors by their names as joints
+    joints = tuple(plain.sub("", name) for name in (parquet.lerobot_names(path) if count else ()))
     if len(joints) != count:
         joints = tuple(f"joint_{k + 1}" for k in range(count))
     return Survey(kind, channels, joints, names)

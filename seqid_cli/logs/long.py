@@ -14,22 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs import raw as raw_log
 from seqid_cli.logs.lost_samples import mended
 from seqid_cli.logs.mcap import reader
-from seqid_cli.logs.raw import (
-    BURSTS,
-    GAP_INTERVALS,
-    GAP_LEAST_S,
-    Array,
-    BlockReader,
-    Mask,
-    RawLog,
-    Stamps,
-    Stream,
-    TimeSource,
-    in_turns,
-    joined,
-)
+from seqid_cli.logs.mcap.records import read_summary
+from seqid_cli.logs.raw import BlockReader, RawLog, Stamps, Stream, TimeSource
 from seqid_cli.logs.read import ABSURD, with_torque
 from seqid_cli.logs.storage import files
 from seqid_cli.logs.storage.remote import Spool
@@ -37,6 +26,7 @@ from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM, Base, resample
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
 
 MOST = 262_144
 
@@ -72,6 +62,7 @@ MARGIN = 64  # rows on either side of a block, over which a spline forgets its e
 GROUP = 256  # rows whose distance from the base is remembered by its extremes
 _ALL = "position and torque"
 READERS: dict[str, BlockReader] = {"parquet": parquet.read_blocks, "mcap": reader.read_blocks}
+Watch = Callable[[float, Array], None]
 
 
 class UnevenError(Exception):
@@ -175,7 +166,7 @@ class LongLog:
     def _resampled(self, rows: Iterator[Stream]) -> Iterator[Block]:
         pending, start = _as_stream(np.zeros(0, np.int64), np.zeros((0, 0))), 0
         for part in rows:
-            pending = joined([pending, part])
+            pending = raw_log.joined([pending, part])
             if len(pending) > 4 * MARGIN:
                 sure = int(pending.stamp_ns[-MARGIN]) - self.start_ns
                 stop = min(self.samples, int(sure * 1e-9 / self.step_s))
@@ -196,9 +187,8 @@ class LongLog:
             count = min(parquet.BLOCK_ROWS, stop - low)
             window = Base(self.start_ns, self.step_s, count, self.jitter, False, (), first=low)
             # Only the rows around the window: a hole may be much longer than a block.
-            found = resample(self._around(rows, low, low + count), _ALL, window)
-            n = self.robot.n
-            yield Block(low, found.values[:, :n], found.values[:, n:], found.valid)
+            both, valid, _ = resample(self._around(rows, low, low + count), _ALL, window)
+            yield Block(low, both[:, : self.robot.n], both[:, self.robot.n :], valid)
 
 
 def _as_stream(stamps: Stamps, values: Array) -> Stream:
@@ -226,14 +216,13 @@ class Scan:
         """Take the stamps of the next rows, and what was said of them."""
         self.partial = raw.partial or self.partial
         self.warnings += [note for note in raw.warnings if note not in self.warnings]
-        before = np.full(int(self.count > 0), self.last)
-        steps = np.diff(stamps, prepend=before).astype(np.float64)
+        steps = np.diff(stamps, prepend=np.full(int(self.count > 0), self.last)).astype(np.float64)
         if not self.count:
             if not len(steps):
                 raise UnevenError
             self.first, self.usual = int(stamps[0]), float(np.median(steps))
         self.steps.push(steps)
-        far = steps > GAP_LEAST_S * 1e9
+        far = steps > raw_log.GAP_LEAST_S * 1e9
         near = steps[~far] if far.any() else steps
         self.beyond.append(steps[far])
         if sum(map(len, self.beyond)) > most_gaps:
@@ -255,9 +244,8 @@ class Scan:
             raise UnevenError
         beyond = np.concatenate(self.beyond)
         median = float(np.median(self.steps.rows))
-        limit = max(GAP_INTERVALS * median, GAP_LEAST_S * 1e9)
-        gap = beyond > limit
-        if abs(median / self.usual - 1) > 0.02 or gap.sum() > BURSTS * (self.count - 1):
+        gap = beyond > max(raw_log.GAP_INTERVALS * median, raw_log.GAP_LEAST_S * 1e9)
+        if abs(median / self.usual - 1) > 0.02 or gap.sum() > raw_log.BURSTS * (self.count - 1):
             raise UnevenError
         regular = beyond[~gap]
         number = self.count - 1 - int(gap.sum())
@@ -283,14 +271,16 @@ class Scan:
 
 def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
     """Rows that a log is likely to hold, without reading it; 0 where the format does not tell."""
-    kind, path = files.check_log(Path(path)), files.storage_file(Path(path))
+    kind, path = files.check_log(path), files.storage_file(path)
     try:
         if kind == "parquet":
             with opened_table(path) as file:
                 return int(file.metadata.num_rows)
         if kind == "mcap":
-            messages = reader.count_messages(path)
-            return path.stat().st_size // bytes_per_row if messages is None else messages
+            size = path.stat().st_size
+            with path.open("rb") as file:
+                told = read_summary(file, size).statistics
+            return int(told.message_count) if told else size // bytes_per_row
     except ARROW_ERRORS as error:
         raise parquet.damaged(path, error) from error
     except OSError as error:
@@ -299,18 +289,13 @@ def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
 
 
 def open_long(
-    path: Path,
-    robot: Robot,
-    *,
-    time_source: TimeSource = "header",
-    watch: Callable[[float, Array], None] | None = None,
+    path: Path, robot: Robot, *, time_source: TimeSource = "header", watch: Watch | None = None
 ) -> LongLog | None:
     """Pass over a log once and lay its time base; None where it can only be read as a whole.
 
     `watch`: shown the rate [Hz] that the first rows have, and positions (M, n) as logged: the
     samples of the base if the log is `exact`.
     """
-    path = Path(path)
     kind, file = files.check_log(path), files.storage_file(path)
     if kind not in READERS:
         return None
@@ -342,10 +327,8 @@ def _rows(
         if not len(joints):
             continue
         # Which joints have what torque can be taken from must be the same all along.
-        given = [(name, joints.channels.get(name)) for name in ("current", "torque")]
-        sources = [
-            (k, np.isfinite(own).any(axis=0).tolist()) for k, own in given if own is not None
-        ]
+        there = [name for name in ("current", "torque") if name in joints.channels]
+        sources = [(k, np.isfinite(joints.channels[k]).any(axis=0).tolist()) for k in there]
         first_sources = first_sources or sources
         if sources and sources == first_sources:
             joints = with_torque(joints, robot, raw.prefer_current, str(path), [])
@@ -356,7 +339,7 @@ def _rows(
         sound = values.min() >= -ABSURD and values.max() <= ABSURD  # not with NaN
         if not sound or (np.diff(stamps) <= 0).any() or len(mended(joints).losses.rows):
             raise UnevenError
-        if in_turns(joints, robot)[0] is not joints:
+        if raw_log.in_turns(joints, robot)[0] is not joints:
             raise UnevenError
         latest = joints.stamp_ns[-1:]
         yield raw, _as_stream(joints.stamp_ns, values.T)

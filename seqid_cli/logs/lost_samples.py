@@ -9,10 +9,11 @@ the least-squares solution of
     (b - a)_j = v_j L,    for all joints j,
 
 each weighted by its noise, the encoder's or what the parabolas leave. A joint is a witness only by
-the speed that both sides have: one that is held and then catches up has lost no time. A loss counts
-where it is certain and the same for all joints that move: a step of one joint alone is damage of
-its position. Stamps behind a loss are moved by L; the hole is filled by the cubic through positions
-and velocities of both sides and by straight lines through what else was logged around it.
+the speed that both sides have: one that is held and then catches up has lost no time, and of a
+spike the parabolas leave as much as it steps by. A loss counts where it is certain and the same for
+all joints that move: a step of one joint alone is damage of its position. Stamps behind a loss are
+moved by L; the hole is filled by the cubic through positions and velocities of both sides and by
+straight lines through what else was logged around it.
 
 Losses that recur at one distance tell where the next one is: at such a place, or a row beside it, a
 step at slow motion is one too if the motion of the usual lost time explains it better than no loss.
@@ -118,12 +119,10 @@ class Mended:
         seconds = self.losses.seconds
         if not len(seconds):
             return ()
-        return (
-            f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms "
-            f"each (median), {seconds.sum():.3g} s in all: all joints step there by the motion "
-            "of that time and the stamps go on as if nothing was missing. The time base is "
-            "repaired and the holes are bridged; log with the controller's own clock",
-        )
+        text = f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms each "
+        text += f"(median), {seconds.sum():.3g} s in all: all joints step there by the motion of "
+        text += "that time and the stamps go on as if nothing was missing. The time base is "
+        return (f"{text}repaired and the holes are bridged; log with the controller's own clock",)
 
 
 @dataclass(frozen=True)

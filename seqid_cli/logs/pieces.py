@@ -37,6 +37,7 @@ def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
     logs: dict[object, list[Recording]] = {}
     for number, recording in enumerate(recordings):
         whole = recording.whole
+        # Two whole ones are two logs even where their content is the same.
         key = number if whole is None else (str(recording.path), whole.sha256, whole.start)
         logs.setdefault(key, []).append(recording)
     return list(logs.values())
@@ -109,11 +110,9 @@ def read_pieces(
 
 def _within(raw: RawLog, first: int, last: int, *, around_s: float = 0.1) -> RawLog:
     """What lies between two stamps, of IMUs a little more; without what was said of it."""
-    more = int(around_s * 1e9)
-    imus = {
-        name: tuple(_between(stream, first - more, last + more) for stream in streams)
-        for name, streams in raw.imus.items()
-    }
+    imus, more = {}, int(around_s * 1e9)
+    for name, streams in raw.imus.items():
+        imus[name] = tuple(_between(stream, first - more, last + more) for stream in streams)
     joints = _between(raw.joints, first - 1000, last + 1000)
     return replace(raw, joints=joints, imus=imus, warnings=(), partial="")
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
-from seqid_cli.robot.types import Imu, Joint, Robot
+from seqid_cli.robot.types import Imu, Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -100,10 +100,14 @@ def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stre
     position = stream.channels["position"]
     moved, found = position.copy(), dict[str, int]()
     for j, joint in enumerate(robot.joints):
-        if not joint.prismatic:
-            run, times = _unwrapped(position[:, j], slack)
-            moved[:, j] = run + TURN * _turns_off(run, joint)
-            found |= {joint.name: times} if times else {}
+        if joint.prismatic:
+            continue
+        run, times = _unwrapped(position[:, j], slack)
+        low, high = joint.position_limits or (-np.pi, np.pi)
+        least, most = np.nanmin(run, initial=np.inf), np.nanmax(run, initial=-np.inf)
+        fits = [k for k in (0, -1, 1) if low <= least + TURN * k and most + TURN * k <= high]
+        moved[:, j] = run + TURN * (fits[0] if fits else 0)
+        found |= {joint.name: times} if times else {}
     if np.array_equal(moved, position, equal_nan=True):
         return stream, found
     return replace(stream, channels={**stream.channels, "position": moved}), found
@@ -122,34 +126,16 @@ def _unwrapped(q: Array, slack: float) -> tuple[Array, int]:
     return run, count
 
 
-def _turns_off(q: Array, joint: Joint) -> int:
-    """Turns (-1, 0 or 1) that bring all positions within the limits."""
-    low, high = joint.position_limits or (-np.pi, np.pi)
-    least, most = np.nanmin(q, initial=np.inf), np.nanmax(q, initial=-np.inf)
-    if least > most or (low <= least and most <= high):
-        return 0
-    return next((k for k in (-1, 1) if low <= least + TURN * k and most + TURN * k <= high), 0)
-
-
 GAP_INTERVALS = 5.0
 GAP_LEAST_S = 0.02
 BURSTS = 0.05
 
 
-@dataclass(frozen=True)
-class Tidy:
-    """A stream in the order of time; its steps back, and the samples dropped as repeated."""
+def tidy(stream: Stream) -> tuple[Stream, int, int, list[str]]:
+    """Sort a stream by stamp; merge samples of equal stamp, of each joint the first that holds it.
 
-    stream: Stream
-    non_monotonic: int = 0  # steps back in time
-    duplicates: int = 0  # samples dropped because another one holds the same stamp
-    warnings: tuple[str, ...] = ()
-
-
-def tidy(stream: Stream) -> Tidy:
-    """Sort a stream by stamp; merge samples of equal stamp, of which the first to hold it counts.
-
-    Where the clock was set back, only the longest stretch of one pass is kept.
+    Where the clock was set back, only the longest stretch of one pass is kept. Returns: the stream
+    in the order of time; its steps back in time; samples dropped as repeated; warnings.
     """
     backwards = int(np.count_nonzero(np.diff(stream.stamp_ns) < 0))
     warnings: list[str] = []
@@ -165,14 +151,15 @@ def tidy(stream: Stream) -> Tidy:
     if conflicts > 0.01 * before:
         text = f"{stream.name}: {conflicts} samples share a stamp with others but hold other values"
         warnings.append(f"{text}: the clock is too coarse; use the times of logging")
-    return Tidy(stream, backwards, duplicates, tuple(warnings))
+    return stream, backwards, duplicates, warnings
 
 
 def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1.0) -> float:
-    """Return the interval from which on samples count as missing, in the unit of `steps` (M,).
+    """Return the interval from which on samples count as missing, by `steps` (M,) in a unit.
 
     Five median intervals, but at least 20 ms, over which the curve itself follows an arm. Where
     samples come in bursts, more than one interval in twenty is beyond that: then five mean ones.
+    `second`: one in that unit.
     """
     least = GAP_LEAST_S * second
     limit = max(GAP_INTERVALS * float(np.median(steps)), least)
@@ -192,12 +179,10 @@ def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> 
     if not len(jumps):
         return stream
     kept = _longest(stream, jumps)
-    warnings.append(
-        f"{stream.name}: the clock jumps back {len(jumps)} times (by up to "
-        f"{-steps[jumps].min() * 1e-9:.3g} s) and runs twice over the same time; only the longest "
-        f"stretch is kept, {len(kept)} of {len(stream)} samples. Use the times of logging, or "
-        "split the log at the jump"
-    )
+    text = f"the clock jumps back {len(jumps)} times (by up to {-steps[jumps].min() * 1e-9:.3g} s) "
+    text += f"and runs twice over the same time; only the longest stretch is kept, {len(kept)} of "
+    text += f"{len(stream)} samples. Use the times of logging, or split the log at the jump"
+    warnings.append(f"{stream.name}: {text}")
     return kept
 
 
@@ -230,11 +215,9 @@ def _far_stamps_cut(stream: Stream, warnings: list[str], *, hole_s: int = 60) ->
     if span / np.median(forward) < 20 * len(stream) + 1_000_000:  # samples on the grid
         return stream
     kept = _longest(stream, np.flatnonzero(steps > hole_s * 1_000_000_000))
-    warnings.append(
-        f"{stream.name}: the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the "
-        f"longest stretch without a hole of {hole_s} s is kept, {len(kept)} samples. "
-        "Check the clock, or split the log"
-    )
+    text = f"the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the longest "
+    text += f"stretch without a hole of {hole_s} s is kept, {len(kept)} samples. Check the clock, "
+    warnings.append(f"{stream.name}: {text}or split the log")
     return kept
 
 
@@ -248,13 +231,11 @@ def _merged(stream: Stream) -> tuple[Stream, int, int]:
     channels: dict[str, Array] = {}
     for name, values in stream.channels.items():
         channels[name] = np.full((len(stamps), values.shape[1]), np.nan)
-        rows, columns = np.nonzero(np.isfinite(values))
-        rows, columns = rows[::-1], columns[::-1]  # so that the first counts
+        rows, columns = np.argwhere(np.isfinite(values))[::-1].T  # so that the first counts
         channels[name][group[rows], columns] = values[rows, columns]
     lead = next(iter(stream.channels))
     given = np.isfinite(stream.channels[lead])
     surplus = given.sum(axis=0) - np.isfinite(channels[lead]).sum(axis=0)
-    other = given & (stream.channels[lead] != channels[lead][group])
-    conflicts = int(np.count_nonzero(other.any(axis=1)))
+    other = np.any(given & (stream.channels[lead] != channels[lead][group]), axis=1)
     merged = replace(stream, stamp_ns=stamps, channels=channels)
-    return merged, int(surplus.max(initial=0)), conflicts
+    return merged, int(surplus.max(initial=0)), int(np.count_nonzero(other))

@@ -7,18 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
+from seqid_cli.logs import raw as raw_log
 from seqid_cli.logs.lost_samples import Mended, mended, with_losses
 from seqid_cli.logs.mcap import reader, rosbags
-from seqid_cli.logs.raw import (
-    ACCELEROMETERS,
-    GYRO,
-    BlockReader,
-    RawLog,
-    Stream,
-    TimeSource,
-    in_turns,
-    tidy,
-)
+from seqid_cli.logs.raw import BlockReader, RawLog, Stream, TimeSource
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.files import check_log, sha256_of, storage_file, unchanged
 from seqid_cli.logs.storage.remote import local_copy
@@ -80,25 +72,12 @@ def read_both(
     return (replace(recording, path=path) if copy is not path else recording), raw
 
 
-def without_values(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
-    """Lay a log on its base anew after some values of its joint samples were made NaN.
-
-    Short holes are bridged by a curve, longer ones are not valid, like any missing values.
-    """
-    again, _ = assemble(recording.path, recording.format, recording.sha256, raw, robot)
-    gaps = tuple(sorted({*recording.health.gaps, *again.health.gaps}))
-    health = replace(recording.health, gaps=gaps, resampled=again.health.resampled)
-    return replace(again, health=health)
-
-
 def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
     """Read a file of a format as one block; see `BlockReader`."""
     (raw,) = READERS[kind](path, robot, time_source, rows=None)
-    joints, found = in_turns(raw.joints, robot)
-    said = [
-        f"{name}: position wraps by whole turns {count} times; it is made to run on"
-        for name, count in found.items()
-    ]
+    joints, found = raw_log.in_turns(raw.joints, robot)
+    text = "position wraps by whole turns {} times; it is made to run on"
+    said = [f"{name}: {text.format(count)}" for name, count in found.items()]
     return replace(raw, joints=joints, warnings=(*raw.warnings, *said))
 
 
@@ -128,35 +107,35 @@ def assemble(
         hint = "Log all joints of the robot file, by the names that it gives them."
         raise InputError(text, hint=hint, where=where)
     joints = with_torque(joints, robot, raw.prefer_current, where, warnings)
-    clock = tidy(joints)
-    repair = mended(clock.stream)
+    ordered, backwards, duplicates, of_clock = raw_log.tidy(joints)
+    repair = mended(ordered)
     logged = repair.stream
     base = make_base(logged, where)
-    q = resample(logged, "position", base)
-    valid, gaps, tau = q.valid, {*q.gaps, *base.gaps}, None
+    q, valid, holes = resample(logged, "position", base)
+    gaps, tau = {*holes, *base.gaps}, None
     if "tau" in logged.channels:
-        torque = resample(logged, "tau", base)
-        valid, gaps, tau = valid & torque.valid, gaps.union(torque.gaps), torque.values
+        tau, measured, holes = resample(logged, "tau", base)
+        valid, gaps = valid & measured, gaps.union(holes)
     names = ("velocity", "load", "link_position")
     dq, load, link = (_of_all_joints(logged, name, base, warnings) for name in names)
-    warnings += [*clock.warnings, *repair.warnings]
+    warnings += [*of_clock, *repair.warnings]
     accelerometers, gyros, measured = _read_imus(raw, robot, base, repair, warnings)
     heat = None
     if np.isfinite(logged.channels.get("temperature", np.nan)).any():
-        heat = resample(logged, "temperature", base).values
+        heat, *_ = resample(logged, "temperature", base)
     recording = Recording(
         path=path,
         sha256=digest,
         format=kind,
         t=base.t,
-        q=q.values,
+        q=q,
         valid=valid & measured,
         health=Health(
             rate_hz=1.0 / base.step_s,
             jitter=base.jitter,
             gaps=tuple(sorted(gaps)),
-            non_monotonic=clock.non_monotonic,
-            duplicates=clock.duplicates,
+            non_monotonic=backwards,
+            duplicates=duplicates,
             resampled=not base.exact,
             log_minus_header_s=raw.log_minus_header_s,
             warnings=tuple(dict.fromkeys(warnings)),
@@ -225,7 +204,7 @@ def _of_all_joints(stream: Stream, quantity: str, base: Base, warnings: list[str
     """Resample an optional channel; None, with a warning, where only some joints have it."""
     if quantity not in stream.channels:
         return None
-    values = resample(stream, quantity, base).values
+    values, *_ = resample(stream, quantity, base)
     there = np.isfinite(values)
     if there.any() and not there.all():
         warnings.append(f"{quantity} is logged for some joints only; it is left out")
@@ -236,11 +215,12 @@ def _read_imus(
     raw: RawLog, robot: Robot, base: Base, repair: Mended, warnings: list[str]
 ) -> tuple[dict[str, Array], dict[str, Array], Mask]:
     """Accelerometers (N, K) and gyros (N, 3) by IMU, and where (N,) all of them are measured."""
-    found: dict[str, dict[str, Array]] = {ACCELEROMETERS: {}, GYRO: {}}
+    found: dict[str, dict[str, Array]] = {raw_log.ACCELEROMETERS: {}, raw_log.GYRO: {}}
     valid = np.ones(base.count, np.bool_)
     for imu in robot.imus:
-        tidied = [tidy(without_absurd(each, warnings)) for each in raw.imus.get(imu.name, ())]
-        streams = [each.stream for each in tidied]
+        given = raw.imus.get(imu.name, ())
+        tidied = [raw_log.tidy(without_absurd(each, warnings)) for each in given]
+        streams = [stream for stream, *_ in tidied]
         for k, each in enumerate(streams):
             if np.array_equal(each.stamp_ns, repair.stamps):  # those of the joints
                 streams[k], _ = with_losses(each, repair.losses)
@@ -249,10 +229,10 @@ def _read_imus(
         for quantity, target in found.items():
             those = [stream for stream in streams if quantity in stream.channels]
             if parts := [resample(stream, quantity, base) for stream in those]:
-                target[imu.name] = np.hstack([part.values for part in parts])
-                valid &= np.all([part.valid for part in parts], axis=0)
-        warnings += [warning for each in tidied for warning in each.warnings]
-    return found[ACCELEROMETERS], found[GYRO], valid
+                target[imu.name] = np.hstack([values for values, *_ in parts])
+                valid &= np.all([measured for _, measured, _ in parts], axis=0)
+        warnings += [warning for *_, own in tidied for warning in own]
+    return found[raw_log.ACCELEROMETERS], found[raw_log.GYRO], valid
 
 
 def _usable(name: str, streams: list[Stream], base: Base, warnings: list[str]) -> bool:

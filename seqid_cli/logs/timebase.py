@@ -17,6 +17,7 @@ from seqid_cli.logs.raw import Array, Mask, Stamps, Stream, gap_limit
 LEAST_SAMPLES = 20
 UNIFORM = 1e-3  # of the interval: so far may a sample lie beside the base and be taken as it is
 JITTER_LIMIT = 0.5
+Gaps = tuple[tuple[float, float], ...]  # s, from and to
 
 
 @dataclass(frozen=True)
@@ -28,22 +29,13 @@ class Base:
     count: int
     jitter: float
     exact: bool  # whether the joint samples lie on it
-    gaps: tuple[tuple[float, float], ...]
+    gaps: Gaps
     first: int = 0  # number of its first sample
 
     @property
     def t(self) -> Array:
         """Seconds since sample 0, (N,)."""
         return (self.first + np.arange(self.count, dtype=np.float64)) * self.step_s
-
-
-@dataclass(frozen=True)
-class Resampled:
-    """Values (N, w) on the base, where they are measured and not bridged, and the gaps [s]."""
-
-    values: Array
-    valid: Mask
-    gaps: tuple[tuple[float, float], ...] = ()
 
 
 def make_base(joints: Stream, where: str, *, least_seconds: float = 0.5) -> Base:
@@ -66,11 +58,11 @@ def make_base(joints: Stream, where: str, *, least_seconds: float = 0.5) -> Base
     return Base(int(stamps[0]), step, count, jitter, exact, gaps)
 
 
-def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
+def resample(stream: Stream, quantity: str, base: Base) -> tuple[Array, Mask, Gaps]:
     """Bring one channel (M, w) of a stream in the order of time to the base.
 
-    Columns with any value are finite everywhere, others NaN, of which `valid` takes no heed: it is
-    False in gaps and outside a column's time.
+    Returns: values (N, w), finite everywhere in columns with any value, NaN in others; where (N,)
+    the former are measured, not in a gap, not outside a column's time; the gaps.
     """
     values = stream.channels[quantity]
     if base.exact and (taken := _taken(stream, values, base)):  # it looks at the count first
@@ -89,20 +81,19 @@ def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
             out[:, columns], measured, holes = _interpolate(seconds[present], own, base)
             valid &= measured
             gaps.update(holes)
-    return Resampled(out, valid, tuple(sorted(gaps)))
+    return out, valid, tuple(sorted(gaps))
 
 
 def overlap(stream: Stream, base: Base) -> float:
     """Return the share of the base that a stream's time covers."""
     if not len(stream):
         return 0.0
-    start = max(0.0, (int(stream.stamp_ns[0]) - base.start_ns) * 1e-9)
     length = (base.count - 1) * base.step_s
-    end = min(length, (int(stream.stamp_ns[-1]) - base.start_ns) * 1e-9)
-    return max(0.0, end - start) / length
+    start, end = np.clip((stream.stamp_ns[[0, -1]] - base.start_ns) * 1e-9, 0.0, length)
+    return float(end - start) / length
 
 
-def _own_step(stamps: Stamps) -> tuple[float, float, tuple[tuple[float, float], ...]]:
+def _own_step(stamps: Stamps) -> tuple[float, float, Gaps]:
     """Return the interval [s], its relative jitter, and the gaps."""
     steps = np.diff(stamps)
     median = float(np.median(steps))
@@ -122,7 +113,7 @@ def _on_base(stamps: Stamps, step: float) -> bool:
     return bool(np.abs(off).max() <= UNIFORM * step)
 
 
-def _taken(stream: Stream, values: Array, base: Base) -> Resampled | None:
+def _taken(stream: Stream, values: Array, base: Base) -> tuple[Array, Mask, Gaps] | None:
     """Take samples that lie on the base as they are; None if they do not or some are missing."""
     start = int(np.searchsorted(stream.stamp_ns, base.start_ns))
     picked = slice(start, start + base.count)
@@ -130,7 +121,7 @@ def _taken(stream: Stream, values: Array, base: Base) -> Resampled | None:
     if len(stamps) < base.count or stamps[0] != base.start_ns or not _on_base(stamps, base.step_s):
         return None
     sound = np.isfinite(chosen) | ~np.isfinite(values).any(axis=0)
-    return Resampled(np.array(chosen), np.ones(base.count, np.bool_)) if sound.all() else None
+    return (np.array(chosen), np.ones(base.count, np.bool_), ()) if sound.all() else None
 
 
 def _interpolate(

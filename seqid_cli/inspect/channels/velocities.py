@@ -18,10 +18,9 @@ NEAR = 0.15
 CORRELATED = 0.9
 
 
-def velocity_findings(
-    data: LogData, broken: Container[str] = (), *, window_s: float = 0.5
-) -> Iterator[InspectionFinding]:
+def velocity_findings(data: LogData, broken: Container[str] = ()) -> Iterator[InspectionFinding]:
     """Check the velocity of every joint that moves, but for the joints named in `broken`."""
+    window_s = 0.5
     if data.recording.dq is None:
         return
     names = data.robot.joint_names
@@ -66,11 +65,9 @@ def _still(data: LogData, travel: Array, integral: Array, *, min_share: float = 
 
 def _crossed(r: Array, moving: list[int], *, min_crossed: float = 0.95) -> list[tuple[int, int]]:
     """Pairs of joints whose velocities fit each other's positions and not their own."""
-    return [
-        (a, b)
-        for a, b in combinations(moving, 2)
-        if min(r[a, b], r[b, a]) > min_crossed and max(r[a, a], r[b, b]) < CORRELATED
-    ]
+    own = np.diag(r)
+    fits = (np.minimum(r, r.T) > min_crossed) & (np.maximum.outer(own, own) < CORRELATED)
+    return [pair for pair in combinations(moving, 2) if fits[pair]]
 
 
 def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
@@ -80,21 +77,14 @@ def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
     width = max(2, round(seconds * recording.rate_hz))
     edges = np.arange(0, len(recording.t), width)
     total = cumulative_trapezoid(recording.dq, dx=1.0 / recording.rate_hz, axis=0, initial=0)
-    broken = np.concatenate([[0], np.cumsum(~recording.valid)])[edges]
-    whole = np.diff(broken) == 0
+    whole = np.diff(np.concatenate([[0], np.cumsum(~recording.valid)])[edges]) == 0
     return np.diff(recording.q[edges], axis=0)[whole], np.diff(total[edges], axis=0)[whole]
 
 
 def _verdict(
-    joint: Joint,
-    gain: float,
-    correlation: float,
-    ratio: float,
-    *,
-    max_empty: float = 0.05,
-    min_gain: float = 0.8,
-    max_gain: float = 1.25,
+    joint: Joint, gain: float, correlation: float, ratio: float
 ) -> Iterator[InspectionFinding]:
+    max_empty, min_gain, max_gain = 0.05, 0.8, 1.25
     if ratio < max_empty and abs(correlation) < CORRELATED:
         text = f"integrates to {percent(ratio)} of the position's travel"
         yield found("velocity_zero", text, joint.name, "velocity")

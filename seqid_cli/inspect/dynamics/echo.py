@@ -1,8 +1,8 @@
 """Whether a log's torque is measured, or an echo of the command while something else moves the arm.
 
 Under gravity compensation, or with a constant command, an arm that a hand or its own weight moves
-shows a torque that follows position alone. Where a joint moves both ways, the torque is compared
-with
+shows a torque that follows position alone. A drive's current that moves a joint also overcomes its
+friction and accelerates it. Where a joint moves both ways, the torque is therefore compared with
 
     tau = G(q) phi + sum_k c_k T_k(q_j) + F_c tanh(v / v_s) + F_v v + sum_i J_i dv_i/dt,
 
@@ -34,7 +34,7 @@ REMEDY = (
 def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[int]:
     """Return the joints whose torque follows position alone, of the samples `valid`.
 
-    `t` (N,) s; `q` (N, n) rad (m); `tau` (N, n) N m (N).
+    `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N).
     """
     window_s, memory_s = 0.02, 0.5  # of averages, of the residual
     fewest, travel = 50, 0.1  # windows and rad (m) each way: less is noise, or a flexing brake
@@ -75,8 +75,8 @@ def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 
 
     The others are held, and other joints shake them. In closed loop with a constant reference such
     a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its friction
-    (Forssell and Ljung, Closed-loop identification revisited, Automatica 35(7), 1999). `held`:
-    share of the farthest joint's travel between the `middle` quantiles, below which a joint is it.
+    (Forssell and Ljung, Closed-loop identification revisited, Automatica 35(7), 1999). A joint is
+    held below a share `held` of the farthest one's travel between the `middle` quantiles.
     """
     low, high = np.nanquantile(q, middle, axis=0)
     return np.asarray(high - low >= held * np.max(high - low))

@@ -67,7 +67,7 @@ class Cause:
 
 
 def causes_of(data: LogData, sample: Sample, *, units: bool = False) -> Iterator[Cause]:
-    """Yield common faults of axes, zeros, signs, angles, order; of `units` of effort as well."""
+    """Yield common faults of axes, zeros, signs, angles, order; `units`: current for torque."""
     joints, every = sample.robot.joints, np.arange(sample.robot.n)
 
     def at(own: Sequence[int], value: float, usual: float = 1.0) -> Array:
@@ -77,8 +77,7 @@ def causes_of(data: LogData, sample: Sample, *, units: bool = False) -> Iterator
     turning = tuple(j for j, joint in enumerate(joints) if not joint.prismatic)
     degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
     for group in (group for group in degrees if far[list(group)].any()):
-        small = at(group, np.pi / 180.0)
-        yield Cause("position_in_degrees", group, "is in degrees", motion=small)
+        yield Cause("position_in_degrees", group, "is in degrees", motion=at(group, np.pi / 180.0))
     for j in every.tolist():
         back, own = at([j], -1.0), (j,)
         yield Cause("axis_flipped", own, "turns the other way round", motion=back, torque=back)
@@ -148,14 +147,9 @@ def geometry_findings(
     return structural or [*_scale(data, sample.thinned())]
 
 
-def _structural(
-    data: LogData,
-    sample: Sample,
-    *,
-    suspicious: float = 0.1,
-    poor: float = 0.6,
-    min_steps: float = 10.0,
-) -> Iterator[InspectionFinding]:
+def _structural(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
+    suspicious, poor = 0.1, 0.6  # of the torque's RMS
+    min_steps = 10.0  # of the encoder, per second
     thin = sample.thinned()
     error = _structural_error(thin)
     if error < suspicious:
@@ -170,16 +164,7 @@ def _structural(
 
 
 def _mending(
-    sample: Sample,
-    before: float,
-    measure: Measure,
-    causes: Sequence[Cause],
-    *,
-    max_ratio: float = 0.5,
-    max_error: float = 0.35,
-    max_rivals: int = 8,
-    max_alike: int = 3,
-    few_rows: int = 250,
+    sample: Sample, before: float, measure: Measure, causes: Sequence[Cause]
 ) -> InspectionFinding | None:
     """Find the change that mends a fit; none where too many do.
 
@@ -187,6 +172,8 @@ def _mending(
     first counts, unless a later one leaves clearly less. Where several of a kind do as well, the
     inertials of a URDF decide: gravity turned round fits as well with parameters of the other sign.
     """
+    max_ratio, max_error = 0.5, 0.35  # of the error before, of the torque's RMS
+    max_rivals, max_alike, few_rows = 8, 3, 250
     few = sample.thinned(few_rows)
     kinds = [sorted(causes, key=lambda cause: measure(cause.on(few)))[:max_rivals]]
     strength = float(np.linalg.norm(sample.robot.gravity))
@@ -213,27 +200,17 @@ def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding
     """Tell the first of causes that mend a fit alike, and the others."""
     cause, names = alike[0], robot.joint_names
     if not cause.joints:
-        told = " or ".join(each.text for each in alike[: 2 if robot.nominal is None else 1])
-        return found(cause.code, f"gravity acts along {told}; {fall}")
-    others = [
-        f"{', '.join(names[j] for j in other.joints)}: {other.text}"
-        for other in alike
-        if set(other.joints) != set(cause.joints)
-    ]
+        along = " or ".join(each.text for each in alike[: 2 if robot.nominal is None else 1])
+        return found(cause.code, f"gravity acts along {along}; {fall}")
+    told = [(", ".join(names[j] for j in each.joints), each) for each in alike]
+    others = [f"{own}: {x.text}" for own, x in told if set(x.joints) != set(cause.joints)]
     text = f"{cause.text}; {fall}" + (f" (as well with {'; or '.join(others)})" if others else "")
-    return found(cause.code, text, ", ".join(names[j] for j in cause.joints), cause.channel)
+    return found(cause.code, text, told[0][0], cause.channel)
 
 
-def _slanted(
-    sample: Sample,
-    axes: Sequence[Cause],
-    measure: Measure,
-    *,
-    reach: float = 0.5,
-    precise: float = 2e-3,
-    evaluations: int = 60,
-) -> list[Cause]:
+def _slanted(sample: Sample, axes: Sequence[Cause], measure: Measure) -> list[Cause]:
     """Gravity in the direction that fits best, from the best of the `axes`, and against it."""
+    reach, precise, evaluations = 0.5, 2e-3, 60  # rad, rad, of `measure`
     start = min(axes, key=lambda axis: measure(axis.on(sample))).gravity
     assert start is not None
     strength, across = np.linalg.norm(start), np.linalg.svd(start[None])[2][1:]
@@ -242,18 +219,13 @@ def _slanted(
         turned = start + strength * (x @ across)
         return np.asarray(turned * strength / np.linalg.norm(turned))
 
-    found_best = minimize(  # type: ignore[call-overload]
-        lambda x: measure(mounted(gravity(x)).on(sample)),
-        np.zeros(2),
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": reach * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
-            "xatol": precise,
-            "fatol": np.inf,
-            "maxfev": evaluations,
-        },
-    )
-    return [mounted(sign * gravity(found_best.x)) for sign in (1.0, -1.0)]
+    def error(x: Array) -> float:
+        return measure(mounted(gravity(x)).on(sample))
+
+    simplex = reach * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    options = {"initial_simplex": simplex, "xatol": precise, "fatol": np.inf, "maxfev": evaluations}
+    best = minimize(error, np.zeros(2), method="Nelder-Mead", options=options).x  # type: ignore[call-overload]
+    return [mounted(sign * gravity(best)) for sign in (1.0, -1.0)]
 
 
 def _structural_error(sample: Sample, *, min_speed: float = 0.2) -> float:
@@ -289,23 +261,15 @@ def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
 def _nominal_error(sample: Sample) -> float:
     """RMS that the URDF's inertials and friction leave of torques, each as a share of its own."""
     left = sample.tau - np.sum(sample.nominal(), axis=0)
-    own = sample.own_columns()
-    shares = [
-        float(np.mean(scaled_fit(own[:, j], left[:, j])[2] ** 2))
-        / max(float(np.var(sample.tau[:, j])), 1e-300)
-        for j in sample.moving
-    ]
-    return float(np.sqrt(np.mean(shares)))
+    own, moving = sample.own_columns(), list(sample.moving)
+    squares = [np.mean(scaled_fit(own[:, j], left[:, j])[2] ** 2) for j in moving]
+    return float(np.sqrt(np.mean(squares / sample.tau[:, moving].var(axis=0).clip(1e-300))))
 
 
-def _weights(
-    sample: Sample, *, min_load: float = 0.2, min_acting: float = 0.1
-) -> Iterator[tuple[int, float, float]]:
-    """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error.
-
-    Only of joints that carry a fair share of the weight: a small one of another passes for it. It
-    is `min_load` of the most in the log, and `min_acting` of the joint's most in any posture.
-    """
+def _weights(sample: Sample) -> Iterator[tuple[int, float, float]]:
+    """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error."""
+    # Only of joints that carry a fair share of the weight: a small one of another passes for it.
+    min_load, min_acting = 0.2, 0.1  # of the most in the log, of the joint's most in any posture
     robot = sample.robot
     if robot.nominal is None or not robot.gravity.any():
         return
@@ -322,16 +286,11 @@ def _weights(
         yield j, float(theta[0]), float(np.sqrt(variance * (inverse[0] @ inverse[0])))
 
 
-def _scale(
-    data: LogData,
-    sample: Sample,
-    *,
-    sigmas: float = 3.0,  # from a ratio to its limits
-    min_opposite: float = 0.25,  # of the expected gravity torque, in the opposite direction
-    small: float = 0.25,  # ratios to the expected gravity torque, beyond which a torque is off
-    large: float = 4.0,
-) -> Iterator[InspectionFinding]:
+def _scale(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
     """Judge the size of the torque at the joints that carry weight."""
+    sigmas = 3.0  # from a ratio to its limits
+    min_opposite = 0.25  # of the expected gravity torque, in the opposite direction
+    small, large = 0.25, 4.0  # ratios to the expected gravity torque, beyond which a torque is off
     off = []
     for j, ratio, error in _weights(sample):
         low, high = ratio - sigmas * error, ratio + sigmas * error

@@ -84,17 +84,11 @@ class Sample:
         return gravity, inverse_dynamics(*given, self.dq, self.ddq) - gravity
 
 
-def sample_of(
-    data: LogData,
-    *,
-    max_rows: int = 1000,
-    min_rows: int = 60,
-    slow: float = 0.1,
-    memory_s: float = 0.3,
-    min_way: float = 0.05,
-    min_balance: float = 0.2,
-) -> Sample | None:
+def sample_of(data: LogData) -> Sample | None:
     """Filter a log; None where it has no torque or nothing moves long enough."""
+    max_rows, min_rows, memory_s = 1000, 60, 0.3
+    slow = 0.1  # of the RMS speed: friction changes its sign over it
+    min_way, min_balance = 0.05, 0.2  # rad (m), of the longer way
     if data.recording.tau is None or data.motion is None:
         return None
     motion = decimated(data.motion)
@@ -113,10 +107,9 @@ def sample_of(
     return Sample(data.robot, q, dq, ddq, tau, direction, memory, moving, basis)
 
 
-def friction_findings(
-    data: LogData, sample: Sample, *, max_unexplained: float = 0.25
-) -> Iterator[InspectionFinding]:
+def friction_findings(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
     """Check signs of torques and their order by the friction that they show."""
+    max_unexplained = 0.25  # of the torque's spread
     names, gravity = data.robot.joint_names, sample.gravity_columns()
     fits = [_friction(sample, gravity[:, j], j) for j in range(data.robot.n)]
     friction, errors, spread, unexplained = map(np.array, zip(*fits, strict=True))
@@ -158,18 +151,15 @@ def _friction(sample: Sample, gravity: Array, j: int) -> tuple[Array, Array, flo
     heavy = [g for g in gravity.T if np.abs(g).max() > 1e-9]
     theta, inverse, residual = scaled_fit(np.column_stack([*columns, own, *heavy]), tau)
     freedom = max(len(tau) - len(theta) * sample.memory, 10.0)
-    variance = float(residual @ residual) / freedom * max(sample.memory, memory_of(residual))
-    friction[moving] = theta[: len(moving)]
-    errors[moving] = np.sqrt(np.sum(inverse**2, axis=1) * variance)[: len(moving)]
-    return friction, errors, spread, float(np.sqrt(np.mean(residual**2))) / spread
-
-
-def memory_of(residual: Array) -> float:
-    """Count the samples of a residual (M,) that say as much as one: by its autocorrelation."""
+    # How many samples of the residual say as much as one: by its autocorrelation.
     x = residual - residual.mean()
     r = correlate(x, x, method="fft")[len(x) - 1 :]
     last = next(iter(np.flatnonzero(r <= 0.0)), len(r))
-    return float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
+    memory = float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
+    variance = float(residual @ residual) / freedom * max(sample.memory, memory)
+    friction[moving] = theta[: len(moving)]
+    errors[moving] = np.sqrt(np.sum(inverse**2, axis=1) * variance)[: len(moving)]
+    return friction, errors, spread, float(np.sqrt(np.mean(residual**2))) / spread
 
 
 def _exchanged(

@@ -9,21 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs import raw as raw_log
 from seqid_cli.logs.drives import in_si
-from seqid_cli.logs.mcap.records import Batch, Scan, read_summary
+from seqid_cli.logs.mcap.records import Batch, Scan
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap, Payloads
 from seqid_cli.logs.messages.parsers import decoder
-from seqid_cli.logs.raw import (
-    ACCELEROMETERS,
-    GYRO,
-    Array,
-    RawLog,
-    Stamps,
-    Stream,
-    TimeSource,
-    partly_logged,
-)
+from seqid_cli.logs.raw import RawLog, Stamps, Stream, TimeSource, partly_logged
 from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.typing import Array
 
 JOINT_STATES = "/joint_states"
 DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
@@ -161,8 +154,8 @@ def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
         stamps, values = stamps[about], values[about]
     parts = np.split(values, len(JOINT_QUANTITIES), axis=1)
     channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
-    effort = channels.pop("effort")
-    channels["current" if robot.channels.effort == "current" else "torque"] = effort
+    kind = "current" if robot.channels.effort == "current" else "torque"
+    channels[kind] = channels.pop("effort")
     given = {k: own for k, own in channels.items() if k == "position" or any_finite(own)}
     return Stream(topic, stamps, in_si(given, stamps, robot))
 
@@ -173,9 +166,9 @@ def imu_stream(topic: str, samples: Samples, imu: Imu) -> Stream:
     channels = {}
     if topic in triads or count == 3:
         first = 3 * triads.index(topic) if topic in triads else 0
-        channels[ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
+        channels[raw_log.ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
     if topic == data_topic(imu) and imu.gyro:
-        channels[GYRO] = samples.values[:, 3:]
+        channels[raw_log.GYRO] = samples.values[:, 3:]
     return Stream(topic, samples.stamp_ns, channels)
 
 
@@ -239,13 +232,6 @@ def read_blocks(
         yield RawLog(joints, imus, log.partial() if last else "", warnings, delay_s)
 
 
-def count_messages(path: Path) -> int | None:
-    """Count the messages of a file without reading them; None where it does not tell."""
-    with path.open("rb") as file:
-        told = read_summary(file, path.stat().st_size).statistics
-    return None if told is None else int(told.message_count)
-
-
 def list_topics(
     path: Path, *, scan: type[Scan] = Scan
 ) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
@@ -301,12 +287,11 @@ class _Log:
 
     def partial(self) -> str:
         """Say in one line what the file lost; empty for a whole one."""
-        unread = [
-            f"{each.damaged} of {each.received} messages of {topic} could not be decoded"
-            for topic, each in self.collectors.items()
-            if each.damaged
-        ]
-        return "; ".join([*_losses(self.scan), *unread])
+        losses = _losses(self.scan)
+        for topic, each in self.collectors.items():
+            text = f"{each.damaged} of {each.received} messages of {topic} could not be decoded"
+            losses += [text] if each.damaged else []
+        return "; ".join(losses)
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU; refuses a whole file that lacks only some of them."""
@@ -356,9 +341,8 @@ def _listing(scan: Scan) -> str:
 def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
     if collector.received:
         kinds = ", ".join(sorted(collector.refused))
-        reason = f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
-        message = f"none of the {collector.received} messages on {collector.topic} can be decoded"
-        message += f": {reason}"
+        message = f"none of the {collector.received} messages on {collector.topic} can be decoded: "
+        message += f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
         hint = "Record sensor_msgs/msg/JointState as CDR, JSON or protobuf."
     elif faults := "; ".join(_losses(scan)):
         message = f"the file is damaged and nothing can be salvaged ({faults})"

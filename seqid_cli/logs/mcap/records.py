@@ -1,8 +1,9 @@
 """MCAP files, read once from the first record to the last, as far as a damaged one allows.
 
-Chunks are taken one at a time, so memory does not grow with the file. With a summary, chunks that
-hold nothing wanted are stepped over. What is lost is counted, and the rest is used. Records are
-read by the library mcap, but for messages and their indexes, of which there are too many.
+Chunks are taken one at a time, so memory does not grow with the file. With a summary, which a
+cut-off recording lacks, chunks that hold nothing wanted are stepped over. What is lost is counted,
+and the rest is used. Records are read by the library mcap, but for messages and their indexes, of
+which there are too many.
 """
 
 import struct

@@ -36,6 +36,7 @@ class _Cursor:
         self.data = data
         self.order, self._largest = _REPRESENTATIONS[data[1]]
         self.at = _STAMP_END
+        # 0xFF where a message of the same layout must have the same bytes.
         self.mask = bytearray(b"\xff" * _ENCAPSULATION + bytes(len(data) - _ENCAPSULATION))
 
     def message(self, kind: Kind) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""Which files are meant, and whether they can be logs: fails before any heavy import."""
+"""Which files are meant, and whether they can be logs: a wrong path fails before heavy imports."""
 
 import difflib
 import glob
@@ -12,7 +12,7 @@ from pathlib import Path
 from seqid_cli.errors import InputError
 from seqid_cli.logs.storage.remote import is_url, stored_logs
 from seqid_cli.logs.tables.csv_form import is_text, nameless, read_form
-from seqid_cli.logs.tables.naming_schemes import looks_like_log
+from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
 
 SUFFIXES = (".parquet", ".mcap", ".csv", ".tsv", ".db3", ".bag")
 CSV_SUFFIXES = (".csv", ".tsv")
@@ -248,7 +248,7 @@ def _fault_of(path: Path) -> tuple[str, str]:
         names = read_form(path).names if check_log(path) == "csv" else ("t",)
     except InputError as error:
         return error.message, error.hint
-    if looks_like_log(names):
+    if time_names(names) or stamp_parts(names):
         return "", ""
     return ("has no line of names" if nameless(names) else "has no column of time"), _NAME_IT
 

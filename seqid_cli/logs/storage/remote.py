@@ -12,7 +12,8 @@ system allows, and goes with whoever holds it. Where there is too little room, o
 too many, there is none.
 """
 
-import contextlib
+from __future__ import annotations
+
 import glob
 import os
 import re
@@ -24,11 +25,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-import numpy as np
-
 from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
-from seqid_cli.logs.raw import Array, Stamps
 from seqid_cli.params.files import process_runs
+
+if TYPE_CHECKING:
+    from seqid_cli.logs.raw import Array, Stamps
+
+    _LocalPath = Path
+else:
+    _LocalPath = type(Path())  # the system's own kind of path, which can be inherited from
 
 
 class Spool:
@@ -52,6 +57,8 @@ class Spool:
 
     def push(self, stamps: Stamps, values: Array) -> None:
         """Take the next rows: stamps (M,) ns, values (M, c)."""
+        import numpy as np
+
         if self._file is None:
             return
         size = stamps.nbytes + values.nbytes
@@ -76,6 +83,8 @@ class Spool:
 
     def parts(self) -> Iterator[tuple[Stamps, Array]]:
         """Yield the rows as they came; they may be overwritten."""
+        import numpy as np
+
         assert self._file is not None
         place = 0
         for rows, columns in self._shapes:
@@ -104,11 +113,6 @@ def temporary_folder(where: str) -> Iterator[Path]:
     with folder as name:
         yield Path(name)
 
-
-if TYPE_CHECKING:
-    _LocalPath = Path
-else:
-    _LocalPath = type(Path())  # the system's own kind of path, which can be inherited from
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")  # two letters at least: no drive of Windows
 _EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs", "az": "az", "abfs": "az"}
@@ -145,17 +149,14 @@ class TableLog(StoredLog):
     content: Any
 
     @classmethod
-    def of(cls, data: object, name: str) -> "TableLog":
+    def of(cls, data: object, name: str) -> TableLog:
         """Take a table under the name that results give it."""
         import pyarrow as pa
 
         log = cls(f"{name}.parquet")
         try:
-            if isinstance(data, pa.Table):
-                log.content = data
-            else:
-                stream = hasattr(data, "__arrow_c_stream__")
-                log.content = pa.table(data) if stream else pa.Table.from_pandas(data)
+            stream = hasattr(data, "__arrow_c_stream__")
+            log.content = pa.table(data) if stream else pa.Table.from_pandas(data)
         except (TypeError, ValueError, AttributeError, pa.ArrowException) as error:
             hint = "Give a path, a pyarrow.Table, a pandas.DataFrame or a Recording."
             raise InputError(f"{type(data).__name__} is no log ({error})", hint=hint) from error
@@ -195,7 +196,7 @@ def stored_logs(url: str, suffixes: Sequence[str]) -> list[Path]:
     return [log for log in logs if not log.name.startswith(".")]
 
 
-@contextlib.contextmanager
+@contextmanager
 def local_copy(path: Path) -> Iterator[Path]:
     """Yield a local file with the content of a log, itself where it is local.
 
@@ -233,7 +234,7 @@ def _opened(url: str) -> tuple[Any, str]:
     return system, str(root)
 
 
-@contextlib.contextmanager
+@contextmanager
 def _explained(url: str) -> Iterator[None]:
     """Turn what a store says into a message; every kind of store has errors of its own."""
     try:

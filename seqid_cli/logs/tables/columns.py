@@ -180,5 +180,4 @@ def opened_table(path: Path, **options: object) -> pq.ParquetFile:
 
 def readable(path: Path) -> Path | BinaryIO:
     """What Arrow opens: a file by its name, or open already where it cannot spell the name."""
-    spelt = str(path).encode("utf-8", "replace") == os.fsencode(path)
-    return path if spelt else path.open("rb")
+    return path if str(path).encode("utf-8", "replace") == os.fsencode(path) else path.open("rb")

@@ -1,4 +1,4 @@
-"""How a CSV file is written, told by its first lines: standard library only."""
+"""How a CSV file is written, by its first lines (loggers do not agree): standard library only."""
 
 import csv
 import re

@@ -58,12 +58,8 @@ _NUMBERED = {
     "temperature": "temperature temp joint_temperature joint_temperatures",
     "effort": "effort joint_effort joint_efforts",
 }
-_RTDE = {
-    "position": "actual_q",
-    "velocity": "actual_qd",
-    "current": "actual_current",
-    "temperature": "joint_temperatures",
-}
+_RTDE = {"position": "actual_q", "velocity": "actual_qd", "current": "actual_current"}
+_RTDE |= {"temperature": "joint_temperatures"}
 _FRANKA = {"position": "q", "velocity": "dq", "torque": "tau_J"}
 _LEROBOT = {quantity: quantity for quantity in ("torque", "current", "temperature", "effort")}
 _LEROBOT |= {"position": "state", "velocity": "velocity state.velocity"}
@@ -71,30 +67,24 @@ LEROBOT_STATE = "observation.state"
 EPISODES = ("episode_index", "episode_id", "episode")
 
 
-@dataclass(frozen=True)
-class Scheme:
-    """Names of one kind of log."""
-
-    patterns: Mapping[str, tuple[str, ...]]  # of a quantity, tried one after the other
-    time_unit: str | None = None  # of its time column where the name does not say
+Scheme = Mapping[str, tuple[str, ...]]  # patterns of a quantity, tried one after the other
 
 
 @dataclass(frozen=True)
 class Match:
     """A scheme found in a log: the column of each joint, by quantity; None where it lacks one."""
 
-    scheme: Scheme
     columns: dict[str, list[str | None]]
+    time_unit: str | None  # of its time column where the name does not say
 
 
-def _scheme(form: str, words: Mapping[str, str], time_unit: str | None = None) -> Scheme:
+def _scheme(form: str, words: Mapping[str, str]) -> Scheme:
     """Make a scheme of a form of names, in which `*` stands for each word of a quantity."""
-    forms = {name: tuple(form.replace("*", w) for w in own.split()) for name, own in words.items()}
-    return Scheme(forms, time_unit)
+    return {name: tuple(form.replace("*", w) for w in own.split()) for name, own in words.items()}
 
 
 DEFAULT = _scheme("{name}.*", {quantity: quantity for quantity in _ALL})
-FRANKA = _scheme("state.*[{index0}]", _FRANKA, "ms")
+FRANKA = _scheme("state.*[{index0}]", _FRANKA)
 SCHEMES = (
     DEFAULT,
     *(_scheme(f, _NAMED) for f in ("{name}.*", "{name}/*", "*.{name}", "*/{name}")),
@@ -123,14 +113,15 @@ def find_scheme(
     `entries`: place of each joint in the log's lists, where it names them; else that in the chain.
     """
     for scheme in SCHEMES:
-        lists = all(p.endswith("[{index0}]") for p in scheme.patterns["position"])
+        lists = all(p.endswith("[{index0}]") for p in scheme["position"])
         at = [*range(len(joints))]
-        if entries and lists and scheme != FRANKA:
+        if entries and lists and scheme is not FRANKA:
             at = [entries.get(joint, -1) for joint in joints]
         pairs = [*zip(joints, at, strict=True)]
         found = {name: _find(scheme, name, pairs, known, name == "position") for name in _ALL}
         if found["position"] is not None:
-            return Match(scheme, {name: own for name, own in found.items() if own is not None})
+            columns = {name: own for name, own in found.items() if own is not None}
+            return Match(columns, "ms" if scheme is FRANKA else None)
     return None
 
 
@@ -148,21 +139,17 @@ def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, 
 
 def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
     """List the position columns that a log lacks of the scheme that fits it best."""
-    patterns = [pattern for scheme in SCHEMES for pattern in scheme.patterns["position"]]
+    patterns = [pattern for scheme in SCHEMES for pattern in scheme["position"]]
     tried = [[column_name(p, joint, i) for i, joint in enumerate(joints)] for p in patterns]
     return min(([name for name in names if name not in known] for names in tried), key=len)
 
 
 def _find(
-    scheme: Scheme,
-    quantity: str,
-    joints: list[tuple[str, int]],
-    known: Collection[str],
-    whole: bool,
+    scheme: Scheme, quantity: str, pairs: list[tuple[str, int]], known: Collection[str], whole: bool
 ) -> list[str | None] | None:
     """Return the columns of the first pattern that gives one for every joint, or for some."""
-    for pattern in scheme.patterns.get(quantity, ()):
-        names = [column_name(pattern, joint, place) for joint, place in joints]
+    for pattern in scheme.get(quantity, ()):
+        names = [column_name(pattern, joint, place) for joint, place in pairs]
         found = [name if name in known else None for name in names]
         if all(found) or (not whole and any(found)):
             return found
@@ -187,8 +174,3 @@ def stamp_parts(names: Collection[str]) -> tuple[str, str] | None:
                 if matched["stem"] + word in names:
                     return name, matched["stem"] + word
     return None
-
-
-def looks_like_log(names: Collection[str]) -> bool:
-    """Tell, without a robot file, whether a table with these columns can be a log."""
-    return bool(time_names(names)) or stamp_parts(names) is not None

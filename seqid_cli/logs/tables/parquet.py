@@ -30,13 +30,8 @@ _ENDINGS = ("", ".pos", ".position", "_pos", "_position", ".q")
 _NAME_COLUMNS = ("name", "names", "joint_names")
 
 
-def motors_of(path: Path) -> tuple[str, ...]:
-    """Name the motors of a LeRobot data set as joints; empty where they are not told."""
-    plain = re.compile("(?:[._]pos(?:ition)?|[.]q)$")
-    return tuple(plain.sub("", name) for name in _lerobot_names(path))
-
-
-def _lerobot_names(path: Path) -> list[str]:
+def lerobot_names(path: Path) -> list[str]:
+    """Names of the motors of a LeRobot data set; empty where they are not told."""
     for folder in list(path.absolute().parents)[1:4]:
         info = folder / "meta" / "info.json"
         try:
@@ -151,7 +146,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
             lengths = {each.name: _length(file, each.name, each.type) for each in fields}
             lists = {name: length for name, length in lengths.items() if length}
             lerobot = LEROBOT_STATE in lists
-            named = _lerobot_names(path) if lerobot else _name_column(path, file)
+            named = lerobot_names(path) if lerobot else _name_column(path, file)
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
     # The place of each joint in the lists, where the file names them all.

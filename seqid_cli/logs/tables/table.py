@@ -63,7 +63,7 @@ def imu_columns(
 def separate(
     stamps: Stamps, keep: Rows, episode: Array, name: str
 ) -> tuple[Stamps, Rows, list[str]]:
-    """Lay episodes (M,), of a column `name`, one behind the other; one alone stays as it is.
+    """Lay episodes (M,), NaN where missing, of a column `name`, one behind the other; one stays.
 
     `stamps` (M,): of the rows [ns]. `keep` (K,): the rows that have one. Returns: new stamps, the
     rows of an episode, notes.
@@ -195,7 +195,7 @@ def _joint_columns(
 
 
 def _time_column(file: TableFile, channels: Channels, match: schemes.Match | None) -> TimeColumn:
-    names, unit = file.names, match.scheme.time_unit if match is not None else None
+    names, unit = file.names, match.time_unit if match is not None else None
     told = schemes.time_names(names)
     if "t" in told and channels.time is None:
         return TimeColumn("t", unit)

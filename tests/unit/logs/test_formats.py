@@ -17,7 +17,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT, Array
 from tests.unit.logs.format_writers import EXACT, FLOAT32, Data
-from tests.unit.logs.samples import JOINTS, grid, make_motion
+from tests.unit.logs.samples import JOINTS, grid, make_motion, write_motion
 
 ONE, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "six_joint"))
 FLOAT32_STEP = 2.0**-23
@@ -75,6 +75,14 @@ def test_same_recording(tmp_path: Path, label: str, folder: Path, name: str, eve
 
 
 MOTION = make_motion(grid(100))
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+def test_topics_of_mcap_are_its_channels(tmp_path: Path, encoding: str) -> None:
+    found = survey(write_motion(tmp_path / "log.mcap", MOTION, encoding=encoding))
+    assert found.joints == JOINTS
+    assert {"/joint_states", "/array/accel_2"} <= set(found.channels)
+
 
 NAMED = ("csv", "rosbag1", "mcap cdr", "mcap json")
 

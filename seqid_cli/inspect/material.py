@@ -72,9 +72,10 @@ class LogData:
         return np.asarray(self.moving[rows, joint])
 
 
-def _motion(recording: Recording, robot: Robot) -> Motion | None:
+def _motion(
+    recording: Recording, robot: Robot, *, min_hz: float = 3.0, min_share: float = 0.1
+) -> Motion | None:
     """Filter a log; a cut-off fit for accelerations alone may be too low for torques."""
-    min_hz, min_share = 3.0, 0.1
     lowest = min(min_hz, min_share * recording.rate_hz)
     try:
         motion = estimate_motion(recording, robot, MotionOptions())

@@ -194,9 +194,10 @@ class Gathered:
         log.serves = self._serves(log) if self.modelled else []
         return Inspected(log, findings)
 
-    def _serves(self, log: InspectedLog) -> list[str]:
+    def _serves(
+        self, log: InspectedLog, *, min_speeds: int = 3, max_share: float = 0.25
+    ) -> list[str]:
         """Return the stages that a log serves."""
-        min_speeds, max_share = 3, 0.25
         stages: list[str] = []
         torque = any(joint.effort for joint in log.joints)
         for j, joint in enumerate(self.robot.joints):

@@ -64,11 +64,19 @@ def compared(plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]) -> 
 
 
 def _found(
-    plan: PlanFile, move: PlannedMove, names: Sequence[str], q: Array, valid: Array, scale: float
+    plan: PlanFile,
+    move: PlannedMove,
+    names: Sequence[str],
+    q: Array,
+    valid: Array,
+    scale: float,
+    *,
+    least_share: float = 0.3,
+    whole: float = 0.97,
+    follows: float = 0.05,
+    resembles: float = 0.25,
 ) -> PlannedPart:
     """Look for one move in one log; distances count in shares of each joint's motion."""
-    least_share, whole = 0.3, 0.97  # of the move
-    follows, resembles = 0.05, 0.25  # of the joint's motion (RMS)
     missing = PlannedPart(move=move.name, stage=move.stage, status="missing")
     p = sampled(move, names, RATE_HZ / scale)[1]
     if len(q) < least_share * len(p):

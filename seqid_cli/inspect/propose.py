@@ -98,9 +98,13 @@ def _driven(
     return tuple(joints)
 
 
-def with_gravity(content: str, path: Path, logs: Sequence[Path]) -> str:
-    """Return a robot file's text with gravity as its first logs tell it (median), or as it was."""
-    most, apart = 8, 0.1  # logs, share of gravity by which they may differ
+def with_gravity(
+    content: str, path: Path, logs: Sequence[Path], *, most: int = 8, apart: float = 0.1
+) -> str:
+    """Return a robot file's text with gravity as its first logs tell it, or as it was.
+
+    `apart`: share of gravity by which the logs may differ; their median is written.
+    """
     try:
         report = inspect_logs(logs[:most], load_robot(path))
     except SeqidError:

@@ -50,10 +50,14 @@ def read_screened(
     return Screened(sound.recording, located(findings, data.recording.path))
 
 
-def screened_long(log: SurveyedLog, robot: Robot) -> tuple[SurveyedLog, Findings]:
-    """Check a log that is passed over; see `read_screened`."""
-    pieces, piece_s = 8, 20.0  # in which torque and motion are compared
-    overlap_s = 1.0  # on either side of a block, in which breaks are looked for as well
+def screened_long(
+    log: SurveyedLog, robot: Robot, *, pieces: int = 8, piece_s: float = 20, overlap_s: float = 1.0
+) -> tuple[SurveyedLog, Findings]:
+    """Check a log that is passed over; see `read_screened`.
+
+    Torque and motion are compared in `pieces` of `piece_s`; breaks are looked for with `overlap_s`
+    on either side of a block as well [s].
+    """
     first = next(iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source)))
     size = min(log.samples, max(64, int(piece_s * log.rate_hz)))
     starts = np.linspace(0, log.samples - size, pieces)

@@ -34,10 +34,16 @@ _SAID: tuple[tuple[str, str], ...] = (
 _EPISODES = re.compile(r"episodes .* are read as stretches with a gap of ([0-9.e+]+) s")
 
 
-def clock_findings(data: LogData) -> Iterator[InspectionFinding]:
+def clock_findings(
+    data: LogData,
+    *,
+    slow_hz: float = 20.0,
+    min_hz: float = 5.0,
+    max_hz: float = 50_000.0,
+    min_delay_s: float = -0.005,
+    max_delay_s: float = 5.0,
+) -> Iterator[InspectionFinding]:
     """Check the clock of a log, and turn the reader's warnings into findings."""
-    slow_hz, min_hz, max_hz = 20.0, 5.0, 50_000.0
-    min_delay_s, max_delay_s = -0.005, 5.0  # from header stamp to time of logging
     health = data.recording.health
     rate = health.rate_hz
     text = f"{rate:.3g} samples per second"

@@ -50,9 +50,10 @@ def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[Inspec
         yield from broken or filter(None, [_unit(data, j)])
 
 
-def position_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
+def position_quality(
+    data: LogData, broken: Container[str], *, max_ratio: float = 2.0
+) -> Iterator[InspectionFinding]:
     """Check how well positions are measured, but for the joints named in `broken`."""
-    max_ratio = 2.0  # of the top speed to `velocity_limit`
     for j, joint in enumerate(data.robot.joints):
         column = data.joints.channels["position"][:, j]
         q = column[np.isfinite(column)]
@@ -165,11 +166,17 @@ def _break(t: Array, q: Array, step: float) -> tuple[str, str, Index] | None:
     return "position_spikes" if back else "position_jump", text, np.array(wrong, dtype=np.intp)
 
 
-def _least_jump(q: Array, step: float, usual: float) -> float:
+def _least_jump(
+    q: Array,
+    step: float,
+    usual: float,
+    *,
+    min_steps: float = 8.0,
+    min_noise: float = 6.0,  # times what one in a hundred changes differs from its neighbours
+    max_jumps: int = 16,
+    min_share: float = 0.005,  # of the position's range
+) -> float:
     """Return the change between two samples that neither motion nor the log's own noise makes."""
-    min_steps, max_jumps = 8.0, 16
-    min_noise = 6.0  # times what one in a hundred changes differs from its neighbours
-    min_share = 0.005  # of the position's range
     d = np.diff(q)
     uneven = np.sort(np.abs(d - median_filter(d, 5, mode="wrap")))
     noise = float(np.quantile(uneven[: max(len(d) - max_jumps, 1)], 0.99))
@@ -177,15 +184,17 @@ def _least_jump(q: Array, step: float, usual: float) -> float:
     return max(min_steps * step, _beyond_any_arm(usual), min_noise * noise, min_share * span)
 
 
-def _beyond_any_arm(usual: float) -> float:
+def _beyond_any_arm(
+    usual: float, *, max_acceleration: float = 1000.0, max_step: float = 0.05
+) -> float:
     """Return the change of velocity, times the usual time, that no arm makes."""
-    max_acceleration, max_step = 1000.0, 0.05
     return min(max_acceleration * usual**2, max_step)  # the first says little at low rates
 
 
-def _frozen(t: Array, q: Array, large: float) -> list[tuple[int, int]]:
+def _frozen(
+    t: Array, q: Array, large: float, *, min_samples: int = 5, min_s: float = 0.01
+) -> list[tuple[int, int]]:
     """List freezes [start, stop), each ended by a jump as far as the motion around it goes."""
-    min_samples, min_s = 5, 0.01
     found_runs = []
     for a, b in equal_runs(q, min_samples):
         if b + 5 >= len(q) or a < 5 or t[b - 1] - t[a] < min_s:

@@ -36,9 +36,10 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
         yield found("effort_unclear", text, channel=quantity)
 
 
-def _of_channel(data: LogData, j: int, column: Array, quantity: str) -> Iterator[tuple[str, str]]:
+def _of_channel(
+    data: LogData, j: int, column: Array, quantity: str, *, max_rms: float = 200.0
+) -> Iterator[tuple[str, str]]:
     """Yield codes and messages of one joint's channel; no drive takes `max_rms` amperes."""
-    max_rms = 200.0  # A, that no drive takes
     present = np.isfinite(column)
     values, t = column[present], data.t[present]
     rms = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
@@ -73,9 +74,10 @@ def _spikes(values: Array, *, min_ratio: float = 10.0, min_share: float = 1.0) -
     return rows if len(rows) <= max_spikes else rows[:0]
 
 
-def torque_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
+def torque_quality(
+    data: LogData, broken: Container[str], *, max_step: float = 0.25, max_changing: float = 0.6
+) -> Iterator[InspectionFinding]:
     """Check how well torque is measured, but for the joints named in `broken`."""
-    max_step, max_changing = 0.25, 0.6  # of the standard deviation, of the samples
     quantity, all_values = data.effort() or ("", np.zeros((0, 0)))
     for j, (name, column) in enumerate(zip(data.robot.joint_names, all_values.T, strict=False)):
         yield from missing(column, name, quantity)
@@ -93,8 +95,9 @@ def torque_quality(data: LogData, broken: Container[str]) -> Iterator[Inspection
             yield found("torque_quantised", text, name, quantity)
 
 
-def _stuck(values: Array, t: Array, moving: Mask) -> str:
-    min_samples, min_s = 50, 0.2
+def _stuck(
+    values: Array, t: Array, moving: Mask, *, min_samples: int = 50, min_s: float = 0.2
+) -> str:
     if moving.sum() < 3 or not np.median(np.diff(values[moving]) != 0):
         return ""  # it repeats itself anyway
     for a, b in equal_runs(values, min_samples):

@@ -18,9 +18,10 @@ def equal_runs(values: Array, least: int) -> list[tuple[int, int]]:
     return [(a, b + 1) for a, b in runs(same, len(same)) if b + 1 - a >= least]
 
 
-def clipped(values: Array) -> tuple[float, float] | None:
+def clipped(
+    values: Array, *, min_samples: int = 10, min_share: float = 2e-3, min_pile: float = 3.0
+) -> tuple[float, float] | None:
     """Find a limit at which a channel (M,) is cut off, and its share of the samples; or None."""
-    min_samples, min_share, min_pile = 10, 2e-3, 3.0
     for limit in (float(values.max()), float(values.min())) if len(values) else ():
         count = int(np.count_nonzero(values == limit))
         # Zero is a brake, or a channel that is off, not a limit.
@@ -32,9 +33,10 @@ def clipped(values: Array) -> tuple[float, float] | None:
     return None
 
 
-def held(values: Array) -> int:
+def held(
+    values: Array, *, min_equal: float = 0.7, min_regular: float = 0.95, min_changes: int = 20
+) -> int:
     """Return in groups of how many samples a channel (M,) repeats its values; 1 if it does not."""
-    min_equal, min_regular, min_changes = 0.7, 0.95, 20
     changes = np.flatnonzero(np.diff(values) != 0)
     if len(changes) < min_changes:
         return 1
@@ -63,9 +65,10 @@ def lattice(values: Array) -> float:
     return step
 
 
-def missing(values: Array, joint: str, channel: str) -> Iterator[InspectionFinding]:
+def missing(
+    values: Array, joint: str, channel: str, *, max_missing: float = 0.01
+) -> Iterator[InspectionFinding]:
     """Find values of a channel (M,) that are missing at uneven distances, as of no slower one."""
-    max_missing = 0.01
     present = np.flatnonzero(np.isfinite(values))
     if len(present) < 2:
         return

@@ -18,9 +18,10 @@ NEAR = 0.15
 CORRELATED = 0.9
 
 
-def velocity_findings(data: LogData, broken: Container[str] = ()) -> Iterator[InspectionFinding]:
+def velocity_findings(
+    data: LogData, broken: Container[str] = (), *, window_s: float = 0.5
+) -> Iterator[InspectionFinding]:
     """Check the velocity of every joint that moves, but for the joints named in `broken`."""
-    window_s = 0.5
     if data.recording.dq is None:
         return
     names = data.robot.joint_names
@@ -82,9 +83,15 @@ def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
 
 
 def _verdict(
-    joint: Joint, gain: float, correlation: float, ratio: float
+    joint: Joint,
+    gain: float,
+    correlation: float,
+    ratio: float,
+    *,
+    max_empty: float = 0.05,
+    min_gain: float = 0.8,
+    max_gain: float = 1.25,
 ) -> Iterator[InspectionFinding]:
-    max_empty, min_gain, max_gain = 0.05, 0.8, 1.25
     if ratio < max_empty and abs(correlation) < CORRELATED:
         text = f"integrates to {percent(ratio)} of the position's travel"
         yield found("velocity_zero", text, joint.name, "velocity")

@@ -147,9 +147,14 @@ def geometry_findings(
     return structural or [*_scale(data, sample.thinned())]
 
 
-def _structural(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
-    suspicious, poor = 0.1, 0.6  # of the torque's RMS
-    min_steps = 10.0  # of the encoder, per second
+def _structural(
+    data: LogData,
+    sample: Sample,
+    *,
+    suspicious: float = 0.1,
+    poor: float = 0.6,
+    min_steps: int = 10,
+) -> Iterator[InspectionFinding]:
     thin = sample.thinned()
     error = _structural_error(thin)
     if error < suspicious:
@@ -164,7 +169,16 @@ def _structural(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
 
 
 def _mending(
-    sample: Sample, before: float, measure: Measure, causes: Sequence[Cause]
+    sample: Sample,
+    before: float,
+    measure: Measure,
+    causes: Sequence[Cause],
+    *,
+    max_ratio: float = 0.5,
+    max_error: float = 0.35,
+    max_rivals: int = 8,
+    max_alike: int = 3,
+    few_rows: int = 250,
 ) -> InspectionFinding | None:
     """Find the change that mends a fit; none where too many do.
 
@@ -172,8 +186,6 @@ def _mending(
     first counts, unless a later one leaves clearly less. Where several of a kind do as well, the
     inertials of a URDF decide: gravity turned round fits as well with parameters of the other sign.
     """
-    max_ratio, max_error = 0.5, 0.35  # of the error before, of the torque's RMS
-    max_rivals, max_alike, few_rows = 8, 3, 250
     few = sample.thinned(few_rows)
     kinds = [sorted(causes, key=lambda cause: measure(cause.on(few)))[:max_rivals]]
     strength = float(np.linalg.norm(sample.robot.gravity))
@@ -208,9 +220,16 @@ def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding
     return found(cause.code, text, told[0][0], cause.channel)
 
 
-def _slanted(sample: Sample, axes: Sequence[Cause], measure: Measure) -> list[Cause]:
+def _slanted(
+    sample: Sample,
+    axes: Sequence[Cause],
+    measure: Measure,
+    *,
+    reach: float = 0.5,
+    precise: float = 2e-3,
+    evaluations: int = 60,
+) -> list[Cause]:
     """Gravity in the direction that fits best, from the best of the `axes`, and against it."""
-    reach, precise, evaluations = 0.5, 2e-3, 60  # rad, rad, of `measure`
     start = min(axes, key=lambda axis: measure(axis.on(sample))).gravity
     assert start is not None
     strength, across = np.linalg.norm(start), np.linalg.svd(start[None])[2][1:]
@@ -266,10 +285,14 @@ def _nominal_error(sample: Sample) -> float:
     return float(np.sqrt(np.mean(squares / sample.tau[:, moving].var(axis=0).clip(1e-300))))
 
 
-def _weights(sample: Sample) -> Iterator[tuple[int, float, float]]:
-    """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error."""
-    # Only of joints that carry a fair share of the weight: a small one of another passes for it.
-    min_load, min_acting = 0.2, 0.1  # of the most in the log, of the joint's most in any posture
+def _weights(
+    sample: Sample, *, min_load: float = 0.2, min_acting: float = 0.1
+) -> Iterator[tuple[int, float, float]]:
+    """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error.
+
+    Only of joints that carry a fair share of the weight: a small one of another passes for it. It
+    is `min_load` of the most in the log, and `min_acting` of the joint's most in any posture.
+    """
     robot = sample.robot
     if robot.nominal is None or not robot.gravity.any():
         return
@@ -286,11 +309,16 @@ def _weights(sample: Sample) -> Iterator[tuple[int, float, float]]:
         yield j, float(theta[0]), float(np.sqrt(variance * (inverse[0] @ inverse[0])))
 
 
-def _scale(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
+def _scale(
+    data: LogData,
+    sample: Sample,
+    *,
+    sigmas: float = 3.0,  # from a ratio to its limits
+    min_opposite: float = 0.25,  # of the expected gravity torque, in the opposite direction
+    small: float = 0.25,  # ratios to the expected gravity torque, beyond which a torque is off
+    large: float = 4.0,
+) -> Iterator[InspectionFinding]:
     """Judge the size of the torque at the joints that carry weight."""
-    sigmas = 3.0  # from a ratio to its limits
-    min_opposite = 0.25  # of the expected gravity torque, in the opposite direction
-    small, large = 0.25, 4.0  # ratios to the expected gravity torque, beyond which a torque is off
     off = []
     for j, ratio, error in _weights(sample):
         low, high = ratio - sigmas * error, ratio + sigmas * error

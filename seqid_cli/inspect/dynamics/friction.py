@@ -84,11 +84,17 @@ class Sample:
         return gravity, inverse_dynamics(*given, self.dq, self.ddq) - gravity
 
 
-def sample_of(data: LogData) -> Sample | None:
+def sample_of(
+    data: LogData,
+    *,
+    max_rows: int = 1000,
+    min_rows: int = 60,
+    slow: float = 0.1,
+    memory_s: float = 0.3,
+    min_way: float = 0.05,
+    min_balance: float = 0.2,
+) -> Sample | None:
     """Filter a log; None where it has no torque or nothing moves long enough."""
-    max_rows, min_rows, memory_s = 1000, 60, 0.3
-    slow = 0.1  # of the RMS speed: friction changes its sign over it
-    min_way, min_balance = 0.05, 0.2  # rad (m), of the longer way
     if data.recording.tau is None or data.motion is None:
         return None
     motion = decimated(data.motion)
@@ -107,9 +113,10 @@ def sample_of(data: LogData) -> Sample | None:
     return Sample(data.robot, q, dq, ddq, tau, direction, memory, moving, basis)
 
 
-def friction_findings(data: LogData, sample: Sample) -> Iterator[InspectionFinding]:
+def friction_findings(
+    data: LogData, sample: Sample, *, max_unexplained: float = 0.25
+) -> Iterator[InspectionFinding]:
     """Check signs of torques and their order by the friction that they show."""
-    max_unexplained = 0.25  # of the torque's spread
     names, gravity = data.robot.joint_names, sample.gravity_columns()
     fits = [_friction(sample, gravity[:, j], j) for j in range(data.robot.n)]
     friction, errors, spread, unexplained = map(np.array, zip(*fits, strict=True))

@@ -56,17 +56,19 @@ class ShiftScan:
         return float(self.left.min()) / self.total
 
 
-def scan(motion: Motion, features: Array, values: Array) -> ShiftScan | None:
+def scan(
+    motion: Motion, features: Array, values: Array, *, max_shift_s: float = 0.06, grid: int = 25
+) -> ShiftScan | None:
     """Compare readings (N, K) with a link's features (N, p); None where too few rows are usable."""
-    max_shift_s, grid = 0.06, 25
     reach = max(1, round(max_shift_s * motion.rate_hz))
     shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
     return _shifted(motion, features, motion.lowpass(values, motion.valid), shifts)
 
 
-def _shifted(motion: Motion, features: Array, readings: Array, shifts: Index) -> ShiftScan | None:
+def _shifted(
+    motion: Motion, features: Array, readings: Array, shifts: Index, *, min_rows: int = 200
+) -> ShiftScan | None:
     """What features leave of readings at each shift, by every fourth of some 4000 rows."""
-    min_rows = 200
     rows = np.flatnonzero(motion.usable)
     rows = rows[(rows >= shifts[-1]) & (rows < len(readings) - shifts[-1])]
     rows = rows[:: max(1, len(rows) // 4000)]
@@ -79,10 +81,17 @@ def _shifted(motion: Motion, features: Array, readings: Array, shifts: Index) ->
 
 
 def fit_link(
-    robot: Robot, motion: Motion, values: Array, imu: Imu, *, gyro: bool
+    robot: Robot,
+    motion: Motion,
+    values: Array,
+    imu: Imu,
+    *,
+    gyro: bool,
+    wide: float = 0.2,
+    far_s: float = 2.0,
+    step_s: float = 0.01,
 ) -> LinkFit | None:
     """Fit readings (N, K) to the motion of a link at the shift that is best; None if it rests."""
-    wide, far_s, step_s = 0.2, 2.0, 0.01  # of the variance that is left; of a search farther off
     features = _features(robot, motion, imu.after_joint, gyro=gyro)
     tried = None if features is None else scan(motion, features, values)
     if tried is None:
@@ -97,9 +106,10 @@ def fit_link(
     return _fine(imu, gyro, motion, tried)
 
 
-def _fine(imu: Imu, gyro: bool, motion: Motion, scan: ShiftScan) -> LinkFit:
+def _fine(
+    imu: Imu, gyro: bool, motion: Motion, scan: ShiftScan, *, blocks: int = 8, memory_s: float = 0.1
+) -> LinkFit:
     """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton."""
-    blocks, memory_s = 8, 0.1
     # The delay's error is the larger of what white noise leads to and of how it moves when one of
     # `blocks` parts of the log is left out: a coarse encoder's noise is far from white.
     rows, y = scan.rows, scan.readings[scan.rows]
@@ -137,9 +147,10 @@ def _map_error(X: Array, variance: float) -> float:
     return float(spread[:3].max())
 
 
-def _features(robot: Robot, motion: Motion, link: int, *, gyro: bool) -> Array | None:
+def _features(
+    robot: Robot, motion: Motion, link: int, *, gyro: bool, min_turning: float = 0.02
+) -> Array | None:
     """Filtered features (N, p) of a link's motion, for readings on it; None if it rests."""
-    min_turning = 0.02  # rad/s
     moved = link_motion(robot.chain, robot.gravity, motion.q.T, motion.dq.T, motion.ddq.T)
     w = moved.w[link]
     if float(np.sqrt(np.mean(np.sum(w**2, axis=0)))) < min_turning:
@@ -174,10 +185,11 @@ def follow(data: LogData) -> list[LinkFit]:
     return [fit for fit in result if fit is not None]
 
 
-def motion_findings(data: LogData, following: list[LinkFit]) -> Iterator[InspectionFinding]:
+def motion_findings(
+    data: LogData, fits: list[LinkFit], *, min_delay_s: float = 0.005, min_delay_samples: int = 2
+) -> Iterator[InspectionFinding]:
     """Judge how the IMUs follow the encoders."""
-    min_delay_s, min_delay_samples = 0.005, 2.0
-    for item in following:
+    for item in fits:
         name = item.imu.name
         if better := _better(data, item):
             yield better
@@ -205,9 +217,10 @@ def _resolution_s(data: LogData, link: int) -> float:
     return float(1.0 / np.sqrt(12.0) / max([*speeds, 1e-9]))  # the error is even within one step
 
 
-def _better(data: LogData, item: LinkFit) -> InspectionFinding | None:
+def _better(
+    data: LogData, item: LinkFit, *, max_ratio: float = 0.25, min_left: float = 0.01
+) -> InspectionFinding | None:
     """Find another link, or a joint reversed, that the IMU follows far better than its own link."""
-    max_ratio, min_left = 0.25, 0.01  # of the own link's, of the variance
     motion, robot = data.motion, data.robot
     if item.left < min_left or motion is None:
         return None
@@ -246,9 +259,10 @@ def _gyro(item: LinkFit) -> Iterator[InspectionFinding]:
         yield found("gyro_scale", text, name)
 
 
-def _axes(data: LogData, item: LinkFit) -> Iterator[InspectionFinding]:
+def _axes(
+    data: LogData, item: LinkFit, *, max_scale_error: float = 0.05
+) -> Iterator[InspectionFinding]:
     """Judge the axes by the map of specific force, which must be a rotation behind the axes."""
-    max_scale_error = 0.05
     force, imu = item.map[:, :3], item.imu
     size = float(np.linalg.svd(force, compute_uv=False)[0])
     other_unit = not 0.5 < size / np.sqrt(max(len(imu.axes) / 3.0, 1.0)) < 2.0

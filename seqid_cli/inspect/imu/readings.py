@@ -53,9 +53,10 @@ def channel_name(imu: Imu, quantity: str, k: int) -> str:
     return f"{imu.name}.g{'xyz'[k % 3]}" if quantity == GYRO else f"{imu.name}.a{k + 1}"
 
 
-def _channels(data: LogData, imu: Imu) -> Iterator[InspectionFinding]:
+def _channels(
+    data: LogData, imu: Imu, *, stuck_s: float = 0.5, stuck_samples: int = 50
+) -> Iterator[InspectionFinding]:
     """Find channels with missing values, and those that are stuck or clipped."""
-    stuck_s, stuck_samples = 0.5, 50
     first = {ACCELEROMETERS: 0, GYRO: 0}
     for stream in data.raw.imus.get(imu.name, ()):
         stamps = stream.stamp_ns
@@ -119,9 +120,10 @@ def _force(data: LogData, imu: Imu, values: Array, *, at_rest: bool) -> Iterator
         yield found("imu_gravity", text, imu.name)
 
 
-def odd_channel(imu: Imu, rest: Array, gravity: float) -> InspectionFinding | None:
+def odd_channel(
+    imu: Imu, rest: Array, gravity: float, *, max_left: float = 0.1
+) -> InspectionFinding | None:
     """Find the one change with which readings (R, K) m/s^2 at rest agree on gravity (Eq. 29)."""
-    max_left = 0.1  # of the squared error
     every = np.arange(rest.shape[1])
     error = _disagreement(rest, imu.axes)
     if len(every) <= 3 or np.sqrt(error) < WRONG * gravity:

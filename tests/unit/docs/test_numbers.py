@@ -1,9 +1,7 @@
 """The page of the numbers that decide: every number is in the source where the page says."""
 
-import ast
 import inspect
 import re
-from contextlib import suppress
 from importlib import import_module
 from types import ModuleType
 
@@ -27,18 +25,7 @@ def defaults(module: ModuleType, owner: str) -> dict[str, object]:
     classes = [kind for kind in vars(module).values() if inspect.isclass(kind)]
     owners = [vars(place).get(owner) for place in (module, *classes)]
     signatures = [inspect.signature(own).parameters for own in owners if callable(own)]
-    found = {name: given.default for known in signatures for name, given in known.items()}
-    for function in ast.walk(ast.parse(inspect.getsource(module))):
-        if isinstance(function, ast.FunctionDef) and function.name == owner:
-            nodes = [node for node in function.body if isinstance(node, ast.Assign)]
-            for target, value in ((node.targets[0], node.value) for node in nodes):
-                several = isinstance(target, ast.Tuple)
-                with suppress(ValueError):  # no numbers
-                    values = ast.literal_eval(value)
-                    names = target.elts if several else [target]
-                    pairs = zip(names, values if several else [values], strict=True)
-                    found |= {ast.unparse(name): own for name, own in pairs}
-    return found
+    return {name: given.default for known in signatures for name, given in known.items()}
 
 
 def test_names_are_in_the_files_of_their_row() -> None:

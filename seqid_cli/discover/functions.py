@@ -120,8 +120,8 @@ def _refined(
 ) -> ParameterFile:
     from seqid_cli.discover.excerpts import by_digest, one_each, take_excerpts
     from seqid_cli.discover.refinement.confirm import confirm
+    from seqid_cli.discover.refinement.earlier_logs import read_earlier
     from seqid_cli.discover.refinement.held_out import WholeLogs
-    from seqid_cli.discover.refinement.log_sets import read_earlier
     from seqid_cli.discover.refinement.rounds import refine as decide
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet

@@ -101,7 +101,7 @@ def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
 def usable_logs(
     recordings: Iterable[Recording], robot: Robot
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Leave out logs whose torque is an echo of the command (see `logs.checks.echo`).
+    """Leave out logs whose torque is an echo of the command (see `inspect.dynamics.echo`).
 
     A log that comes in pieces is one if half of these are. Returns what is left, and a note on
     every log that was left out. Raises InputError: nothing is left.

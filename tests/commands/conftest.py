@@ -143,8 +143,8 @@ def gathering(monkeypatch: pytest.MonkeyPatch) -> None:
         return Excerpts(tuple(recordings))
 
     monkeypatch.setattr("seqid_cli.discover.excerpts.take_excerpts", take)
-    monkeypatch.setattr("seqid_cli.discover.refinement.log_sets.take_excerpts", take)
-    monkeypatch.setattr("seqid_cli.discover.refinement.log_sets.likely_rows", lambda *_: 0)
+    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.take_excerpts", take)
+    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.likely_rows", lambda *_: 0)
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **functions: object) -> None:

@@ -187,7 +187,7 @@ def test_earlier_trials_that_are_too_long_are_left_aside(
     rig: Rig, library: Library, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     earlier_file(rig, friction=("c.parquet", content(2)), inertia=("d.parquet", content(3)))
-    monkeypatch.setattr("seqid_cli.discover.refinement.log_sets.likely_rows", lambda *_: 10**9)
+    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.likely_rows", lambda *_: 10**9)
     done = rig.run(*BASE)
     assert done.code == 0
     assert library.earlier == {"friction": [], "inertia": ["d.parquet"]}

@@ -24,6 +24,7 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.cases import Case, declared_plant, injections, motions
+from tests.plants.effects.friction import clear
 from tests.plants.motions.trials import run_drill
 from tests.plants.robots.identified import simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
@@ -99,11 +100,12 @@ def test_an_effect_is_found_at_its_joint_with_its_parameters() -> None:
     assert first.gain > 0.5
     assert first.effect not in first.confusable_with
     assert "constant speeds" in first.separate_by
-    curve = injections(Case(RIG, SEED, (HUMP,)))[-1].plant.friction.curve
+    plant = declared_plant(Case(RIG, SEED, (HUMP,)))
     (value,) = first.parameters
     assert (value.name, value.unit) == ("stribeck_torque", "N m")
-    assert value.value == pytest.approx(curve.level, rel=0.15)
-    assert first.settings["stribeck_speed"] == pytest.approx(curve.speed, rel=0.25)
+    assert value.value == pytest.approx(clear(plant, 1, 1.0), rel=0.15)
+    speed = 0.06 * plant.velocity_limits[1]
+    assert first.settings["stribeck_speed"] == pytest.approx(speed, rel=0.25)
     assert first.settings["exponent"] == 2.0
     assert list(found.joints) == ["shoulder", "elbow"]
     (shoulder, elbow), before = found.joints.values(), honest.joints

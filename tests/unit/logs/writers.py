@@ -228,8 +228,10 @@ def rewrite(
     storage["index_types"] = IndexType.ALL if index else IndexType.NONE
     with source.open("rb") as file:
         found = list(NonSeekingReader(file).iter_messages(log_time_order=False))
-    topics = {
+    topics: dict[str, Channel] = {
         link.topic: (link.message_encoding, schema.name, schema.encoding, schema.data)
+        if schema
+        else link.message_encoding
         for schema, link, _ in found
     }
     messages = ((link.topic, message.log_time, message.data) for _, link, message in found)

@@ -93,13 +93,13 @@ def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
         if effect.name == "external_contact":
             continue
         joint = None if effect.arm else 1
-        settings = settings_of(effect, [scene], joint)[0]
-        columns = effect.columns(scene, joint, settings).values()
-        size = max(float(np.sqrt(np.mean(X**2))) for X in columns)
-        count = len(effect.coefficients(settings))
-        # What shifts torque in time takes its derivative, and that of rounding errors.
-        values = np.full(count, (0.1 if effect.timing else 2.0) / max(size, 1e-9))
-        found.append(FittedEffect(effect, joint, settings, values, np.eye(count), session))
+        for settings in settings_of(effect, [scene], joint)[:1]:
+            columns = effect.columns(scene, joint, settings).values()
+            size = max(float(np.sqrt(np.mean(X**2))) for X in columns)
+            count = len(effect.coefficients(settings))
+            # What shifts torque in time takes its derivative, and that of rounding errors.
+            values = np.full(count, (0.1 if effect.timing else 2.0) / max(size, 1e-9))
+            found.append(FittedEffect(effect, joint, settings, values, np.eye(count), session))
     return [each for each in found if each.local]
 
 

@@ -77,7 +77,8 @@ def test_any_sensors_and_their_faults_leave_fusion_better(
 ) -> None:
     assert len(smoothed(rig).mounted) == len(recorded(rig).robot.imus)
     assert (error(rig) < share * alone(rig)).all()
-    assert least <= coverage(rig).min() < coverage(rig).max() < most
+    assert least <= coverage(rig).min()
+    assert coverage(rig).max() < most
 
 
 @pytest.mark.parametrize("joints", [1, 2, 6])

@@ -47,7 +47,9 @@ class Base:
 
     @cached_property
     def bounds(self) -> list[Array]:
-        """Inverse standard deviations: rigid (b,), friction (k_j,) and time offset (1,) by joint.
+        """Inverse standard deviations: rigid (b,), friction (k_j,), time offset (1,) by joint.
+
+        1 + 2 n of them, in this order.
 
         No column's torque is likely to be more than some times what the file leaves. That keeps
         directions harmless which the logs, or some of the folds, leave open.

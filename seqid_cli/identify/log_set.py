@@ -157,7 +157,9 @@ class LogSet:
                 warn(_in_words([finding]))
         known = {finding.message for finding in note.findings}
         texts = [text for text in note.warnings if text not in known]
-        for text in [*texts, *[f"only partly read: {note.partial}"] * bool(note.partial)]:
+        if note.partial:
+            texts.append(f"only partly read: {note.partial}")
+        for text in texts:
             warn(f"{note.path}: {text}")
 
 

@@ -78,15 +78,17 @@ def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
 
 def read_trend(path: Path) -> TrendFile | None:
     """Read a trend; None where it is another document. Raises as `read_parameters` does."""
-    _, document = _opened(path, _RESULT_HINT)
-    if not str(document.get("schema")).startswith("seqid/trend@"):
+    opened = _opened(path, _RESULT_HINT)
+    if not str(opened[1].get("schema")).startswith("seqid/trend@"):
         return None
-    return cast(TrendFile, _read(path, ["trend"], _RESULT_HINT)[1])
+    return cast(TrendFile, _read(path, ["trend"], _RESULT_HINT, opened)[1])
 
 
-def _read(path: Path, kinds: Collection[str], hint: str) -> tuple[str, Any]:
+def _read(
+    path: Path, kinds: Collection[str], hint: str, opened: tuple[bytes, Json] | None = None
+) -> tuple[str, Any]:
     """Return SHA-256 and content of a document of these kinds; an old one is brought up to date."""
-    where, (data, document) = str(path), _opened(path, hint)
+    where, (data, document) = str(path), opened or _opened(path, hint)
     sha256 = hashlib.sha256(data).hexdigest()
     schema, kind, version = _schema_of(document, kinds, where, hint)
     newest = PARAMS_VERSION if kind == "params" else 1

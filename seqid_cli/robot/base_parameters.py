@@ -2,7 +2,8 @@
 
 Symbols: phi (p,) standard parameters, 10 per link and then one rotor inertia per joint; `pi` (b,)
 base parameters; E and P as in pi = E phi and Y P pi = Y phi, for every state. Y is the regressor of
-Eq. 3, H = Y P that of Eq. 4. States `q`, `dq`, `ddq` (N, n) are those of `regressor`.
+Eq. 3, H = Y P that of Eq. 4. States `q`, `dq`, `ddq` (N, n) are in rad, rad/s, rad/s^2 (m where
+prismatic).
 
 Columns of Y are taken one by one in a readable order (first link first, a link's mass
 last, rotors after all links); a column that depends on those before it is dropped and its parameter

@@ -122,8 +122,8 @@ def inverse_dynamics(
 ) -> Array:
     """Compute the joint torque (N, n) [N m; N where prismatic] by recursive Newton-Euler.
 
-    `phi` (n, 10): standard parameters, physical or not (Pinocchio's order, inertia about the link
-    frame's origin).
+    `q`, `dq`, `ddq` (N, n), `gravity` (3,): as in the module's head. `phi` (n, 10): standard
+    parameters, physical or not (Pinocchio's order, inertia about the link frame's origin).
     """
     motion = link_motion(chain, gravity, q.T, dq.T, ddq.T)
     force, moment = np.zeros((2, 3, len(q)))

@@ -58,10 +58,10 @@ def _result(function: Callable[..., object]) -> type:
 
 def test_the_result_is_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     by_hand, by_function = tmp_path / "command.json", tmp_path / "function.json"
-    logs, orders = SAMPLES / "friction", ("--position-order", "2", "--velocity-order", "3")
-    assert run(["friction", str(logs), "-r", str(ROBOT), *orders, "-o", str(by_hand)]) == 0
+    logs = SAMPLES / "friction"
+    assert run(["friction", str(logs), "-r", str(ROBOT), "-o", str(by_hand)]) == 0
     capsys.readouterr()
-    found = identify.friction(logs, ROBOT, ORDERS, output=by_function)
+    found = identify.friction(logs, ROBOT, output=by_function)
     assert capsys.readouterr() == ("", "")
     assert found.stages.friction is not None
     one, other = (json.loads(path.read_text()) for path in (by_hand, by_function))

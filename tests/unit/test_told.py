@@ -45,8 +45,15 @@ def test_a_part_is_neither_none_nor_all(share: float, digits: int, text: str) ->
     assert percent(share, digits) == text
 
 
-PAIRS = {"N m": "N", "rad/s": "m/s", "N m s^2/rad^2": "N s^2/m^2", "1/rad": "1/m"}
-PAIRS |= {"N m s/(rad K)": "N s/(m K)", "N m/A": "N/A"}
+PAIRS = {
+    "N m": "N",
+    "rad": "m",
+    "N m/rad": "N/m",
+    "rad/s": "m/s",
+    "N m s^2/rad^2": "N s^2/m^2",
+    "1/rad": "1/m",
+}
+PAIRS |= {"N m/rad": "N/m", "N m s/(rad K)": "N s/(m K)", "N m/A": "N/A"}
 UNTOUCHED = ("1", "s", "Hz", "kg m^2", "kg m", "degC", "m/s^2", "A", "N mm", "N m^2", "mrad")
 
 

@@ -26,7 +26,11 @@ UNPAIRED = "no pair of forward and backward trials at one speed in one configura
 def identify_friction(
     recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
 ) -> FrictionStage:
-    """Identify the friction surface of every joint that the logs move at constant velocity."""
+    """Identify the friction surface of every joint that the logs move at constant velocity.
+
+    Raises QualityError if no joint moves by itself at constant velocity, no trial has a twin in the
+    other direction, or the orders ask for more speeds than there are.
+    """
     trials = collect_trials(recordings, robot)
     if not trials:
         logs = [str(getattr(log, "path", log)) for log in getattr(recordings, "logs", recordings)]
@@ -140,11 +144,18 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reducti
     for group in gravity.groups:
         doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
         for trial, doubt in zip(group.trials, doubts, strict=True):
-            way, q, t = 1 if trial.velocity > 0 else -1, trial.q, trial.t
-            friction, push = trial.tau - group.torque(q), trial.inertia_error * trial.ddq
-            weight, edges = np.full(len(q), trial.weight), reduction.edges_of(t, trial.seconds)
-            measured = q, way * friction, weight, edges, way * push, doubt
-            data.append(reduction.SpeedData(trial.speed, way, *measured))
+            way = 1 if trial.velocity > 0 else -1
+            item = reduction.SpeedData(
+                speed=trial.speed,
+                direction=way,
+                q=trial.q,
+                friction=way * (trial.tau - group.torque(trial.q)),
+                weight=np.full(len(trial.q), trial.weight),
+                edges=reduction.edges_of(trial.t, trial.seconds),
+                push=way * trial.inertia_error * trial.ddq,
+                doubt=doubt,
+            )
+            data.append(item)
     return [
         replace(item, speed=float(np.mean([other.speed for other in level])))
         for level in speed_levels(data)

@@ -5,6 +5,7 @@ inner speeds by a surface that was fitted to the others, of the slowest and the 
 which nothing was seen, by the surface itself.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -136,7 +137,7 @@ def summarise(
     for level in joint.speeds:
         scaled = described.torque_constant_error * level.friction
         level.std_error = float(np.hypot(level.std_error, scaled))
-    return joint, verdict, _notes(described.name, joint, gravity.groups[0].beyond, unpaired)
+    return joint, verdict, [*_notes(described.name, joint, gravity.groups[0].beyond, unpaired)]
 
 
 def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
@@ -192,23 +193,32 @@ def _verdict(
     return Verdict(joint=name, good=good, reason=reason)
 
 
-def _notes(name: str, joint: FrictionJoint, beyond: Chebyshev | None, unpaired: int) -> list[str]:
+def _notes(
+    name: str, joint: FrictionJoint, beyond: Chebyshev | None, unpaired: int
+) -> Iterator[str]:
     """What is to be said of a joint; `beyond` is torque over the position that is no gravity."""
-    size = float(np.std(beyond(np.linspace(*beyond.domain)))) if beyond is not None else 0.0
-    notes = {
-        f"{unpaired} trial(s) have no twin in the other direction in the same configuration and "
-        "were left out; Eq. 15 needs both": unpaired > 0,
-        f"friction depends on direction by {percent(joint.asymmetry or 0.0)}, against the "
-        "assumption of Eq. 15; each direction has its own surface": joint.directional,
-        f"Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the largest error is "
-        f"{percent(joint.max_error)} ({joint.max_abs_error:.3g} {joint.unit})": (
-            not joint.criterion_met
-        ),
-        f"torque that depends on the position and is no gravity, {size:.3g} {joint.unit} RMS and "
-        "the same both ways, as of a spring or a cable, is taken off the trials; seqid diagnose "
-        "tells what it is": beyond is not None,
-    }
-    return [f"{name}: {text}" for text, holds in notes.items() if holds]
+    if unpaired:
+        yield (
+            f"{name}: {unpaired} trial(s) have no twin in the other direction in the same "
+            "configuration and were left out; Eq. 15 needs both"
+        )
+    if joint.directional:
+        yield (
+            f"{name}: friction depends on direction by {percent(joint.asymmetry or 0.0)}, against "
+            "the assumption of Eq. 15; each direction has its own surface"
+        )
+    if not joint.criterion_met:
+        yield (
+            f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the "
+            f"largest error is {percent(joint.max_error)} ({joint.max_abs_error:.3g} {joint.unit})"
+        )
+    if beyond is not None:
+        size = float(np.std(beyond(np.linspace(*beyond.domain))))
+        yield (
+            f"{name}: torque that depends on the position and is no gravity, {size:.3g} "
+            f"{joint.unit} RMS and the same both ways, as of a spring or a cable, is taken off the "
+            "trials; seqid diagnose tells what it is"
+        )
 
 
 def _rms(values: Array) -> float:

@@ -151,14 +151,22 @@ def _trial(
     places[:, j] = path(middles)
     celsius = np.zeros(0) if temperature is None else temperature[stretch.start : stretch.stop, j]
     celsius = celsius[np.isfinite(celsius)]
-    warmth = float(celsius.mean()) if len(celsius) else np.nan
-    dq, ddq = path.deriv()(middles) / half, path.deriv(2)(middles) / half**2
-    tau = block.tau[own, j].reshape(slices, length).mean(axis=1)
-    ramps = _ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch)
-    t = (block.start + stretch.start) / rate_hz + (middles + 1) * half
-    motion = j, stretch.velocity, places[:, j].copy(), dq, ddq, tau, ramps, float(length)
-    where = np.array(stretch.configuration), places
-    return Trial(*motion, *where, t, length / rate_hz, number, warmth)
+    return Trial(
+        joint=j,
+        velocity=stretch.velocity,
+        q=places[:, j].copy(),
+        dq=path.deriv()(middles) / half,
+        ddq=path.deriv(2)(middles) / half**2,
+        tau=block.tau[own, j].reshape(slices, length).mean(axis=1),
+        ramps=_ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch),
+        weight=float(length),
+        configuration=np.array(stretch.configuration),
+        places=places,
+        t=(block.start + stretch.start) / rate_hz + (middles + 1) * half,
+        seconds=length / rate_hz,
+        log=number,
+        celsius=float(celsius.mean()) if len(celsius) else np.nan,
+    )
 
 
 def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:

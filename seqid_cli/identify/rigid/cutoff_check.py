@@ -32,8 +32,11 @@ Differences = list[tuple[int, float, float]]
 def cutoff_check(
     own: Result, near: Mapping[float, Result], surfaces: Surfaces, *, clear_sigma: float = 4.0
 ) -> tuple[Array, Differences]:
-    """Compare an estimate with others, `near` by multiple of the cut-off: errors, differences."""
-    # Directions (p, d) of one standard deviation each; differences by `clear_sigma` of their own.
+    """Compare an estimate with others, `near` by multiple of the cut-off.
+
+    Returns directions (p, d) of one standard deviation each, and differences that exceed
+    `clear_sigma` of their own errors.
+    """
     size = len(own[0].theta)
     stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
     excess, differences = [], Differences()

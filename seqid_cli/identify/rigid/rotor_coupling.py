@@ -28,10 +28,12 @@ def decide(
     max_sigma: float = 3.0,
     min_log_odds: float = 5.0,
 ) -> tuple[bool, Array, list[str]]:
-    """Compare the two hypotheses by the logs; `rows` as used first, then at other cut-offs."""
-    # Returns whether the coupling is used, directions (p, d) along which the other hypothesis would
-    # move the parameters, in standard deviations, and notes.
-    # The free share agrees with 0 or 1 within `max_sigma` standard errors. Log odds of 5: 150 to 1.
+    """Compare the two hypotheses by the logs; `rows` as used first, then at other cut-offs.
+
+    The free share agrees with 0 or 1 within `max_sigma` standard errors; log odds of 5: 150 to 1.
+    Returns whether the coupling is used, directions (p, d) along which the other hypothesis would
+    move the parameters, in standard deviations, and notes.
+    """
     kappa = equations.basis.size
     nothing = np.zeros((kappa, 0))
     known = []  # value, standard error and log odds of the free share

@@ -65,17 +65,23 @@ class BaseTilt(Effect):
         return {**settings, **dict(zip(AROUND, found, strict=True))}
 
     def plausible(
-        self, scenes: Scenes, joint: Joint, settings: Settings, c: Array, *, most: float = 10.0
+        self,
+        scenes: Scenes,
+        joint: Joint,
+        settings: Settings,
+        c: Array,
+        *,
+        most_moment: float = 10.0,
     ) -> bool:
         """Ask that a tilt comes with the first link's moments, where other joints would show it.
 
-        Moments alone are any function of the first joint's angle: `most` of the largest torque that
-        a gear passes on, per rad.
+        Moments alone are any function of the first joint's angle: `most_moment` of the largest
+        torque that a gear passes on, per rad.
         """
         alone = not settings["upright"] or scenes[0].robot.n == 1
         tilt, moments = np.linalg.norm(c[:2]), np.linalg.norm(c[2:])
         largest = max(float(np.max(np.abs(scene.load))) for scene in scenes)
-        tilted = alone or moments <= most * largest * tilt
+        tilted = alone or moments <= most_moment * largest * tilt
         return bool(tilted) and super().plausible(scenes, joint, settings, c)
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:

@@ -47,7 +47,10 @@ class Signal:
 
 
 def strongest_lines(signals: Sequence[Signal], low_hz: float, count: int) -> list[float]:
-    """At most `count` frequencies [Hz] from `low_hz` on where the logs' summed power stands out."""
+    """At most `count` frequencies [Hz] from `low_hz` on that stand out of the summed power.
+
+    The clearest comes first.
+    """
     longest = max((signal.length_s for signal in signals), default=0.0)
     top = 0.45 * min((signal.rate_hz for signal in signals), default=0.0)
     low = max(low_hz, 8.0 / longest) if longest > 0.0 else np.inf

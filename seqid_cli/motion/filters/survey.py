@@ -49,6 +49,7 @@ class Welch:
 
     def density(self, rate_hz: float) -> tuple[Array, Array]:
         """Return frequencies (F,) Hz and densities (c, F) of samples at a rate."""
+        assert self._segments
         density = np.asarray(self._sum / (rate_hz * np.sum(self._window**2) * self._segments))
         density[:, 1 : None if self.length % 2 else -1] *= 2
         frequency = np.arange(self.length // 2 + 1) * (rate_hz / self.length)
@@ -75,8 +76,8 @@ class Survey:
         survey.push(q)
         return survey
 
-    def push(self, q: Array) -> None:
-        """Take the next samples."""
+    def push(self, q: Array, *, steps: int = 16) -> None:
+        """Take the next samples; travel is looked at `steps` times in half a reach of motion."""
         for j, levels in enumerate(self._levels):
             if len(levels) <= MOST_LEVELS:
                 values = np.round(q[:, j], 10)
@@ -88,7 +89,7 @@ class Survey:
         self._fourth.push(np.abs(np.diff(wide[max(0, self._seen - begin - 4) :], 4, axis=0)))
         wanted = [spectrum.look(wide, begin) for spectrum in (self._second, self._velocity)]
         for half in self._halves:
-            low, step = max(0, self._seen - begin - 2 * half), max(1, half // 16)
+            low, step = max(0, self._seen - begin - 2 * half), max(1, half // steps)
             low += -(begin + low) % step  # on the same samples whatever parts they come in
             if low + 2 * half < len(wide):
                 travel = np.abs(wide[low + 2 * half :: step] - wide[low : -2 * half : step])
@@ -132,12 +133,13 @@ class Survey:
         """Choose one low-pass cut-off by the joints that move; the others say nothing about it."""
         # `resolution` (n,) rad: of the robot file, zero where the step is to be read off the data.
         step, joints = self._steps(resolution)
-        highest, best = min(highest_hz, self.rate_hz / 8), 60
+        highest = min(highest_hz, self.rate_hz / 8)
         floors = step**2 / 12 * 2 / self.rate_hz
         if len(joints):
             own = bandwidth.highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
             highest = min(highest, own)
         candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
+        best = len(candidates) // 2  # where nothing moves
         if len(joints):
             score, floors[joints] = self._scored(joints, step, candidates)
             best = bandwidth.first_maximum(score)

@@ -167,7 +167,8 @@ def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Arra
     """Residuals (C, K), their noise (K,), whitened Jacobians (C, K, g), information (g, g)."""
     r = _cell_means(chunk, x, x.y - predicted(chunk, c, x))
     noise: Array = np.maximum(x.spread, gaussian_spread(r))
-    G = jacobians(chunk, c, x, gains=False)[1][:, :, :count]
+    _, by_constants = jacobians(chunk, c, x, gains=False)
+    G = by_constants[:, :, :count]
     there = np.add.reduceat(x.seen.astype(float), chunk.cells) > 0
     G = G * there[:, :, None] / noise[:, None]
     return r, noise, G, np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]

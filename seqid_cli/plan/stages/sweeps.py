@@ -153,7 +153,7 @@ def _pool(
     return joint, posture, ends, Moves(t, *states), information
 
 
-def _exchanged(joints: Index, wanted: Array, chosen: list[int], *, rounds: int = 3) -> list[int]:
+def _exchanged(joints: Index, parts: Array, chosen: list[int], *, rounds: int = 3) -> list[int]:
     """Exchange sweeps for others of the same joint while the condition falls and the rank stays."""
     chosen = list(chosen)
 
@@ -162,13 +162,13 @@ def _exchanged(joints: Index, wanted: Array, chosen: list[int], *, rounds: int =
         rank, condition = rank_and_condition(information)
         return -rank, condition
 
-    best = badness(wanted[chosen].sum(axis=0))
+    best = badness(parts[chosen].sum(axis=0))
     for _ in range(rounds):
         before = best
         for place, k in enumerate(chosen):
-            rest = wanted[chosen].sum(axis=0) - wanted[k]
+            rest = parts[chosen].sum(axis=0) - parts[k]
             others = np.setdiff1d(np.flatnonzero(joints == joints[k]), chosen)
-            found = [(badness(rest + wanted[int(other)]), int(other)) for other in others]
+            found = [(badness(rest + parts[int(other)]), int(other)) for other in others]
             if found and min(found) < (best, 0):
                 best, chosen[place] = min(found)
         if best >= before:

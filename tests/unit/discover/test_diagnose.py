@@ -115,6 +115,13 @@ def test_an_effect_is_found_at_its_joint_with_its_parameters() -> None:
     assert shoulder.rmse == pytest.approx(before["shoulder"].rmse, rel=0.2)
 
 
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_diagnosis() -> None:
+    short = replace(given(), logs=given().logs[:2])
+    first, second = (msgspec.structs.replace(short.diagnosed(), created="") for _ in range(2))
+    assert first == second
+
+
 def test_nothing_is_missing_where_nothing_is() -> None:
     found = diagnosis()
     said = (found.verdict, found.findings, found.unexplained, found.events)

@@ -84,10 +84,15 @@ def test_a_log_too_slow_for_the_cutoff_says_what_it_allows(robot: Robot, tmp_pat
     assert estimate_motion(recording, robot, MotionOptions(6.0, origin=options.origin)).samples
 
 
-def test_samples_that_are_lost_without_the_stamps_showing_it(robot: Robot, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "rate_hz", [500.0, *(pytest.param(rate, marks=pytest.mark.slow) for rate in (250.0, 1000.0))]
+)
+def test_samples_that_are_lost_without_the_stamps_showing_it(
+    robot: Robot, tmp_path: Path, rate_hz: float
+) -> None:
     found = []
-    for lost in (0, 15):
-        log = write_log(tmp_path / f"{lost}.parquet", 500.0, lost, seed=4)
+    for lost in (0, round(0.03 * rate_hz)):
+        log = write_log(tmp_path / f"{lost}.parquet", rate_hz, lost, seed=4)
         logs = [read_recording(log, robot)]
         found.append(identify_simultaneous(logs, robot, options=MotionOptions())[1])
     whole, lossy = (stage.parameters[-1].value for stage in found)

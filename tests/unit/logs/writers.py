@@ -140,7 +140,7 @@ def arm_messages(
 
 
 def encoded(
-    messages: Sequence[Message], encoding: Encoding, definitions: Mapping[str, str] = DEFINITIONS
+    messages: Sequence[Message], encoding: Encoding
 ) -> tuple[dict[str, Channel], Iterator[tuple[str, int, bytes]]]:
     """Encode messages for `write_raw`; the type of each topic is told from their fields."""
     topics: dict[str, Channel] = {}

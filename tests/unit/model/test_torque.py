@@ -11,7 +11,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.params.schema import RigidStage, Stages
-from seqid_cli.robot.base_parameters import standard_names
+from seqid_cli.robot.base_parameters import base_parameters, base_regressor, standard_names
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.arms.rigs import six_joint
@@ -66,6 +66,16 @@ def test_the_rigid_torque_is_the_plants(robot: Robot, motion: Motion, coupling: 
     whole = motion.filtered(model.rigid(motion.q, motion.dq, motion.ddq))
     whole += motion.filtered(sampled_friction(model.surfaces, motion), times=2)
     np.testing.assert_allclose(model.predict(motion), whole, atol=1e-8)
+
+
+def test_the_rigid_torque_is_the_regressor_times_the_parameters(
+    robot: Robot, motion: Motion
+) -> None:
+    """H pi of Eq. 4."""
+    basis, phi = base_parameters(robot, rotor=range(6)), np.r_[ARM.phi.ravel(), ARM.rotor_inertia]
+    state = motion.q, motion.dq, motion.ddq
+    H, model = base_regressor(robot, basis, *state), TorqueModel.from_stages(stages(robot), robot)
+    np.testing.assert_allclose(model.rigid(*state), H @ (basis.expression @ phi), atol=1e-8)
 
 
 def test_parts_are_models_too(robot: Robot, motion: Motion) -> None:

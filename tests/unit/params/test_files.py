@@ -46,6 +46,18 @@ def test_new_files_have_the_usual_rights_and_links_that_lead_somewhere_stay(tmp_
     assert not Path(os.devnull).is_file()  # a device is written, not replaced
 
 
+def test_what_a_killed_run_left_is_removed_and_what_a_living_one_writes_stays(
+    tmp_path: Path,
+) -> None:
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    left, written = (tmp_path / f".a[1].json.{x}.tmp" for x in (gone.pid, os.getppid()))
+    for path in (left, written):
+        path.write_text("half")
+    write_text_atomic(tmp_path / "a[1].json", "whole")
+    assert (left.exists(), written.exists()) == (False, True)
+
+
 def test_an_input_is_never_overwritten(tmp_path: Path) -> None:
     source = tmp_path / "in.json"
     source.write_text("precious")

@@ -12,7 +12,7 @@ from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from tests import Array
 from tests.plants.sensors import noise
 
-SAMPLES, SEEDS = 2000, 100
+SAMPLES, SEEDS = 2000, 200
 THETA = np.array([1.0, -2.0, 0.5, 3.0])
 GRAVITY = np.array([0.5, -0.2])  # of the trials
 TRIALS, ROWS, LENGTH, RATE_HZ = 24, 8, 38, 100.0  # rows of a trial, samples of a row

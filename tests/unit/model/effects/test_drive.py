@@ -101,6 +101,12 @@ def test_the_size_comes_back_down_to_the_floor(
     assert left < 1.05 * alone * (1.08 if name == "torque_constant" else 1.0)
 
 
+def test_lag_and_delay_part_in_the_second_order() -> None:
+    lagged = scenes(lagging(0.02))
+    left = [best_fitted(CATALOGUE[name], lagged, 0)[2] for name in ("actuator_lag", "time_skew")]
+    assert left[1] > 1.5 * left[0]
+
+
 @pytest.mark.parametrize("share", [0.05, 0.12])
 def test_saturation_comes_back(floor: Array, share: float) -> None:
     effect = CATALOGUE["torque_saturation"]

@@ -8,7 +8,7 @@ from msgspec.structs import astuple
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml import read_robot_file
-from seqid_cli.robot.urdf import check_joints, read_urdf_text
+from seqid_cli.robot.urdf import check_joints, parse_urdf
 
 if TYPE_CHECKING:
     from seqid_cli.robot.toml_schema import ImuEntry
@@ -21,10 +21,11 @@ def load_robot(path: Path) -> "Robot":
     The robot's `sha256` is over the bytes of the one and then the other. Raises ConfigError naming
     the file, the key's full path, the value and the remedy.
     """
-    raw, content, formulas = read_robot_file(path)
+    content, formulas, raw, urdf_raw = read_robot_file(path)
     names = tuple(joint.name for joint in content.joint)
-    urdf = None if content.urdf is None else read_urdf_text(path.parent / content.urdf)
-    if urdf is not None:
+    urdf = None
+    if content.urdf is not None and urdf_raw is not None:
+        urdf = parse_urdf(urdf_raw, path.parent / content.urdf)
         check_joints(urdf, content.joint, path)
     import numpy as np
 
@@ -59,7 +60,7 @@ def load_robot(path: Path) -> "Robot":
         joints=tuple(joints),
         chain=chain,
         gravity=np.array(content.gravity, dtype=float),
-        sha256=hashlib.sha256(raw + (urdf.raw if urdf else b"")).hexdigest(),
+        sha256=hashlib.sha256(raw + (urdf_raw or b"")).hexdigest(),
         source=path,
         imus=tuple(_imu(entry, names) for entry in content.imu),
         channels=content.channels,

@@ -189,17 +189,20 @@ def _pattern(key: str, pattern: str, joints: int) -> Iterator[Problem]:
         yield f"{key} {pattern!r} is the same for all {joints} joints", hint
 
 
-SIZE_LIMIT = 4 * 2**20  # bytes
+SIZE_LIMIT, URDF_LIMIT = 4 * 2**20, 64 * 2**20  # bytes
 MOST_PARTS = 32  # of a dotted key
 _PART = r"(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')"
 _DEEP_KEY = re.compile(rf"(?<![\w\-\"'.]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST_PARTS}}}")
 
 
-def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[formula.Formula | None]]:
+Formulas = list[formula.Formula | None]  # None where an installed package offers the effect
+
+
+def read_robot_file(path: Path) -> tuple[RobotFile, Formulas, bytes, bytes | None]:
     """Read a robot file and check all that needs neither a URDF nor geometry.
 
-    Returns its bytes, its content, and the formulas of its effects: None where an installed package
-    offers the effect. Raises ConfigError naming the file and the key's full path.
+    Returns its content, the formulas of its effects, its bytes and those of the URDF beside it.
+    Raises ConfigError naming the file and the key's full path.
     """
     raw = read_limited(path, "robot file", SIZE_LIMIT)
     document = _parse(path, raw)
@@ -221,7 +224,7 @@ def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[formula.Formula 
         raise ConfigError(message, where=str(path), hint=hint) from None
     for message, hint in problems(content):
         raise ConfigError(message, where=str(path), hint=hint)
-    formulas = list[formula.Formula | None]()
+    formulas = Formulas()
     for k, effect in enumerate(content.effect):
         text, given = effect.torque, (len(content.joint), effect.settings)
         try:
@@ -231,7 +234,9 @@ def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[formula.Formula 
             sums = "Write a sum of terms as in 'c1 * sign(dq) * abs(load)'"
             hint = f"{sums}; of {', '.join(formula.SYMBOLS)}."
             raise ConfigError(message, where=str(path), hint=hint) from None
-    return raw, content, formulas
+    if content.urdf is None:
+        return content, formulas, raw, None
+    return content, formulas, raw, read_limited(path.parent / content.urdf, "URDF", URDF_LIMIT)
 
 
 def read_limited(path: Path, what: str, limit: int) -> bytes:

@@ -11,10 +11,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.toml import LARGEST, LEAST_AXIS, nearest, read_limited
+from seqid_cli.robot.toml import LARGEST, LEAST_AXIS, URDF_LIMIT, nearest, read_limited
 from seqid_cli.robot.toml_schema import JointEntry
 
-SIZE_LIMIT = 64 * 2**20  # bytes
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
 _ANY, _SIZED = (-math.inf, math.inf), (-LARGEST, LARGEST)
 # How many numbers an attribute of a link or joint has, and between what they are.
@@ -59,12 +58,16 @@ class UrdfText:
 
 
 def read_urdf_text(path: Path) -> UrdfText:
-    """Read a URDF file and check it.
+    """Read a URDF file and check it; raises ConfigError if there is none, and as `parse_urdf`."""
+    return parse_urdf(read_limited(path, "URDF", URDF_LIMIT), path)
 
-    Raises ConfigError naming the file, the joint or link: there is no file, it is a xacro file, no
-    well-formed XML or no URDF, has numbers that are none, names twice, or links that are no tree.
+
+def parse_urdf(raw: bytes, path: Path) -> UrdfText:
+    """Check the bytes of a URDF file.
+
+    Raises ConfigError naming the file, the joint or link: it is a xacro file, no well-formed XML or
+    no URDF, has numbers that are none, names twice, or links that are no tree.
     """
-    raw = read_limited(path, "URDF", SIZE_LIMIT)
     text = re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
     problem, hint = "", ""
     try:

@@ -142,7 +142,9 @@ class Stage:
         """Columns of candidates on the rows of the joints that they touch."""
         keys = [replace(candidate, absorbed="").address for candidate in candidates]
         missing = {k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made}
-        self._made |= {k: self._wide(c) for k, c in missing.items() if c.effect.wide}
+        for key, candidate in missing.items():
+            if candidate.effect.wide:  # kept at once: another setting of it may stand on these
+                self._made[key] = self._wide(candidate)
         longest = max(scene.samples for scene in self.scenes)
         together = max(1, min(TOGETHER, MOST_COLUMNS // longest))
         for passes in (1, 2):

@@ -183,7 +183,11 @@ def slowest_near(motion: Motion, velocity: Array, *, per_period: float = 80.0) -
 def sampled_friction(
     surfaces: list[FrictionSurface | None], motion: Motion, *, dense: float = 80.0
 ) -> Array:
-    """Friction torque (N, n) before the motion's low-pass, steps kept below half of the rate."""
+    """Friction torque of a motion, its step at reversals kept below half of the rate.
+
+    Returns (N, n) [N m; N where prismatic]: before the motion's own low-pass; zero for a joint
+    whose friction is not known.
+    """
     torque = friction_torque(surfaces, motion.q, motion.dq)
     if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
         return torque

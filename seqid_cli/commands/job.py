@@ -15,6 +15,7 @@ import typer
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.errors import SeqidError, SeqidWarning, UsageError
+from seqid_cli.params.document import worst_level
 from seqid_cli.params.schema import Verdict
 from seqid_cli.working import heard_by
 
@@ -84,15 +85,15 @@ class Told:
         After poor verdicts it says what to do. With --strict they, and what is `untrusted` for
         another reason, count.
         """
-        poor = any_poor(verdicts)
-        if poor:
+        not_good = any_poor(verdicts)
+        if worst_level(verdicts) == "poor":
             for remedy in dict.fromkeys(f.remedy for f in self.findings if f.severity == "error"):
                 self.screen.note(f"do: {remedy}")
             self.screen.note(
                 "do: look at the reasons above and mend the logs or the robot file before going on"
                 + ("" if self.findings else " (seqid inspect LOG... -r ROBOT looks closer)")
             )
-        if (poor or untrusted) and self.given.get("strict"):
+        if (not_good or untrusted) and self.given.get("strict"):
             return EXIT_UNTRUSTED
         return EXIT_PARTIAL if self.partial else EXIT_DONE
 

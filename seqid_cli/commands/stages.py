@@ -5,13 +5,15 @@ from pathlib import Path
 
 import typer
 
-from seqid_cli.commands.job import any_poor, called
+from seqid_cli.commands.job import called
 from seqid_cli.commands.options import ADDED_TO, SIX, command, option
 from seqid_cli.commands.screen.show import show_stages
+from seqid_cli.params.document import worst_level
 from seqid_cli.params.schema import Stages
 
 _SHARED = "cutoff_hz time_source jobs engine scheduler skip_failed"
 _NEXT_INERTIA = "seqid inertia LOG... -r {robot} -p {output} -o inertia.json"
+_NEXT_DIAGNOSE = "seqid diagnose LOG... -r {robot} -p {output} -o diagnosis.json"
 _NEXT_PREDICT = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
 
 
@@ -115,5 +117,7 @@ def _stage(context: typer.Context, names: Sequence[str], following: str) -> int:
     stages = Stages(**{name: getattr(file.stages, name) for name in names})
     show_stages(told.screen, stages, file.robot)
     verdicts = [verdict for name in names for verdict in getattr(stages, name).verdicts]
-    told.tell_output("" if any_poor(verdicts) else following)
+    level = worst_level(verdicts)
+    proposed = {"good": following, "usable": _NEXT_DIAGNOSE, "poor": ""}
+    told.tell_output(proposed[level] if level else following)
     return told.ended(verdicts)

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params import schema
+from seqid_cli.params.document import worst_level
 from seqid_cli.robot.base_parameters import free_basis, standard_regressor
 from seqid_cli.robot.kinematics import gravity_columns
 from seqid_cli.robot.regressor import inverse_dynamics
@@ -77,13 +78,16 @@ def physics_verdicts(stages: schema.Stages, robot: Robot) -> list[schema.Verdict
 
 
 def as_a_whole(verdicts: Sequence[schema.Verdict]) -> list[schema.Verdict]:
-    """Verdicts with a poor one of the whole (joint empty), where that of any joint is poor."""
-    poor = list(dict.fromkeys(v.joint for v in verdicts if v.joint and not v.good))
-    whole = [verdict for verdict in verdicts if not verdict.joint]
-    if not poor or any(not verdict.good for verdict in whole):
+    """Return verdicts with one of the whole (joint empty) that is no better than any joint's."""
+    of_joints = [verdict for verdict in verdicts if verdict.joint]
+    of_whole = [verdict for verdict in verdicts if not verdict.joint]
+    level = worst_level(verdicts)
+    if level is None or level == "good" or level == worst_level(of_whole):
         return list(verdicts)
-    reason = "; ".join([*(v.reason for v in whole), f"not good: {', '.join(poor)}"])
-    return [*(v for v in verdicts if v.joint), schema.Verdict(good=False, reason=reason)]
+
+    names = list(dict.fromkeys(verdict.joint for verdict in of_joints if not verdict.good))
+    reason = "; ".join([*(v.reason for v in of_whole), f"not good: {', '.join(names)}"])
+    return [*of_joints, schema.Verdict(good=False, level=level, reason=reason)]
 
 
 def _physics(stage: Stage, known: schema.Stages, robot: Robot) -> Iterator[schema.Verdict]:

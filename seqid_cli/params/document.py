@@ -59,8 +59,14 @@ def present(stages: Stages) -> dict[str, object]:
     return {name: stage for name, stage in found.items() if stage is not None}
 
 
+def worst_level(verdicts: Iterable[schema.Verdict]) -> schema.Level | None:
+    """Return the worst level among some verdicts, None without any."""
+    levels = [verdict.level for verdict in verdicts]
+    return max(levels, key=schema.LEVELS.index, default=None)
+
+
 def poor_because(verdicts: Iterable[schema.Verdict], joint: str) -> str:
-    """Return why a joint (a whole stage where it is empty) is poor; nothing where it is not."""
+    """Return why a joint (a whole stage where it is empty) is not good; nothing where it is."""
     return "; ".join(v.reason for v in verdicts if v.joint == joint and not v.good)
 
 

@@ -58,12 +58,27 @@ class InputLog(Struct, kw_only=True):
     stage: str = ""
 
 
+Level = Literal["good", "usable", "poor"]
+LEVELS: tuple[Level, ...] = ("good", "usable", "poor")  # the best first
+
+
 class Verdict(Struct, kw_only=True):
-    """Whether a joint's result (or a whole stage's, joint empty) can be trusted, and why not."""
+    """Whether a joint's result (or a whole stage's, joint empty) can be trusted, and why not.
+
+    `good`: what is left of the torque is noise, and the stated standard errors hold. `usable`: the
+    torque is predicted to the share that the reason gives, but more than noise is left, and the
+    standard errors are widened by it. `poor`: not to be used.
+    """
 
     joint: str = ""
     good: bool
+    level: Level = "poor"
     reason: str = ""
+
+    def __post_init__(self) -> None:
+        """Say the same by `level` as by `good`, which earlier files have alone."""
+        if self.good:
+            self.level = "good"
 
 
 class Parameter(Struct, kw_only=True):

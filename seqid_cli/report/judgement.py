@@ -154,7 +154,8 @@ def _prediction_points(collection: Collection) -> Iterator[Point]:
 def _poor(verdicts: Iterable[Verdict], whole: str, path: str, call: str = "") -> Iterator[Point]:
     for verdict in verdicts:
         if not verdict.good:
-            yield Point("poor", f"{verdict.joint or whole}: {verdict.reason}", path, command=call)
+            weight: Weight = "open" if verdict.level == "usable" else "poor"
+            yield Point(weight, f"{verdict.joint or whole}: {verdict.reason}", path, command=call)
 
 
 def _model_points(collection: Collection, judged: bool) -> Iterator[Point]:
@@ -174,7 +175,8 @@ def _model_points(collection: Collection, judged: bool) -> Iterator[Point]:
         for verdict in stage.verdicts if stage else []:
             if not verdict.good:
                 what = f"{name} of {verdict.joint}" if verdict.joint else f"the {name} stage"
-                yield Point(weight, f"{what}: {verdict.reason}", path)
+                usable = verdict.level == "usable"
+                yield Point("open" if usable else weight, f"{what}: {verdict.reason}", path)
     for name, rigid in (("gravity", stages.gravity), ("inertia", stages.inertia)):
         if rigid is not None and rigid.not_excited:
             text = f"not determined by the {name} logs: {listed(rigid.not_excited)}"

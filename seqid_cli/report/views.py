@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from seqid_cli import __version__
 from seqid_cli.model.effects.units import UNTOLD
-from seqid_cli.params.document import now
+from seqid_cli.params.document import now, worst_level
 from seqid_cli.params.results.tables import Values, heads, values
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report import words
@@ -100,9 +100,7 @@ class Group:
 
 def badge(verdicts: Sequence[Verdict]) -> str:
     """Return the badge of some verdicts: nothing without any."""
-    if not verdicts:
-        return ""
-    return "good" if all(verdict.good for verdict in verdicts) else "poor"
+    return worst_level(verdicts) or ""
 
 
 def reasons(verdicts: Sequence[Verdict]) -> str:

@@ -103,7 +103,9 @@ def _code(cell: str, head: bool) -> str:
     """Return what colours a cell."""
     if head:
         return "\x1b[1m"
-    return "\x1b[32m" if cell == "good" else "\x1b[33m" * cell.startswith("poor")
+    if cell == "good":
+        return "\x1b[32m"
+    return "\x1b[33m" if cell.startswith(("usable", "poor")) else ""
 
 
 def _wrapped(text: str, width: int, indent: str = "") -> list[str]:

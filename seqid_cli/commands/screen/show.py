@@ -6,7 +6,7 @@ from statistics import median
 
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.params import schema
-from seqid_cli.params.document import poor_because
+from seqid_cli.params.document import poor_because, worst_level
 from seqid_cli.params.results.tables import of_joints, values
 
 
@@ -22,10 +22,13 @@ def show_stages(screen: Screen, stages: schema.Stages, robot: schema.RobotId) ->
 
 
 def verdict_text(verdicts: Sequence[schema.Verdict], joint: str) -> str:
-    """Return `good`, or `poor` and why, or a dash where nothing was judged."""
-    if any(verdict.joint == joint and not verdict.good for verdict in verdicts):
-        return f"poor: {poor_because(verdicts, joint)}"
-    return "good" if any(verdict.joint == joint for verdict in verdicts) else "-"
+    """Return `good`, or `usable` or `poor` and why, or a dash where nothing was judged."""
+    level = worst_level(verdict for verdict in verdicts if verdict.joint == joint)
+    if level is None:
+        return "-"
+    if level == "good":
+        return level
+    return f"{level}: {poor_because(verdicts, joint)}"
 
 
 def show_poor(screen: Screen, verdicts: Sequence[schema.Verdict], whole: str) -> None:

@@ -8,7 +8,7 @@ be done as a subclass of `SeqidError`. Cheap checks come before anything heavy i
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 from msgspec.structs import replace
 
@@ -52,9 +52,10 @@ def friction(
     inputs = prepare(logs, robot, (), options, **keywords)
     from seqid_cli.identify.friction_surface.stage import identify_friction as identified
 
-    return _added(
-        inputs, lambda given: Stages(friction=identified(given, inputs.robot, options=options))
-    )
+    def find(given: LogSet) -> Identified:
+        return Identified(Stages(friction=identified(given, inputs.robot, options=options)))
+
+    return _added(inputs, find)
 
 
 @documented(ParallelKeywords)
@@ -77,9 +78,11 @@ def gravity(
     inputs = prepare(logs, robot, parameters, options, needs=("friction",), **keywords)
     from seqid_cli.identify.rigid.gravity import identify_gravity as identified
 
-    return _added(
-        inputs, lambda given: Stages(gravity=identified(given, inputs.robot, inputs.stages))
-    )
+    def find(given: LogSet) -> Identified:
+        result = identified(given, inputs.robot, inputs.stages)
+        return Identified(Stages(gravity=result.gravity), Stages(friction=result.friction))
+
+    return _added(inputs, find)
 
 
 @documented(ParallelKeywords)
@@ -107,12 +110,12 @@ def imu_calib(
     from seqid_cli.motion.imu.array import layout_statements
     from seqid_cli.motion.options import MotionOptions
 
-    def find(given: LogSet) -> Stages:
+    def find(given: LogSet) -> Identified:
         for imu in inputs.robot.imus:
             for text in layout_statements(imu):
                 given.tell("note", text=f"{imu.name}: {text}")
         filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
-        return Stages(imu=calibrate_imus(given, inputs.robot, options=filtering))
+        return Identified(Stages(imu=calibrate_imus(given, inputs.robot, options=filtering)))
 
     return _added(inputs, find, imus=True)
 
@@ -141,12 +144,15 @@ def inertia(
     from seqid_cli.identify.rigid.inertia import identify_inertia
     from seqid_cli.identify.rigid.parameters import made_consistent
 
-    def find(given: LogSet) -> Stages:
+    def find(given: LogSet) -> Identified:
         arm, known = inputs.robot, inputs.stages
         motion = identification_options(inputs.logs, arm, options, known.imu)
         rigid = InertiaOptions(motion, options.source)
-        stage = identify_inertia(given, arm, known, options=rigid, compare=True)
-        return Stages(inertia=made_consistent(stage, known, arm) if options.consistent else stage)
+        result = identify_inertia(given, arm, known, options=rigid, compare=True)
+        stage = result.inertia
+        if options.consistent:
+            stage = made_consistent(stage, known, arm)
+        return Identified(Stages(inertia=stage), Stages(friction=result.friction))
 
     return _added(inputs, find)
 
@@ -174,7 +180,7 @@ def simultaneous(
     from seqid_cli.identify.rigid.parameters import made_consistent
     from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
-    def find(given: LogSet) -> Stages:
+    def find(given: LogSet) -> Identified:
         arm, imu = inputs.robot, inputs.stages.imu
         motion = identification_options(inputs.logs, arm, options, imu)
         friction, inertia = identify_simultaneous(
@@ -182,7 +188,7 @@ def simultaneous(
         )
         if options.consistent:
             inertia = made_consistent(inertia, Stages(), arm)
-        return Stages(friction=friction, inertia=inertia)
+        return Identified(Stages(friction=friction, inertia=inertia))
 
     return _added(inputs, find)
 
@@ -232,24 +238,37 @@ def predict(
     return file
 
 
+class Identified(NamedTuple):
+    """New stages, and earlier ones with what the logs of the new ones show of them."""
+
+    stages: Stages
+    improved: Stages = Stages()
+
+
 def _added(
-    inputs: Inputs, find: Callable[[LogSet], Stages], *, imus: bool | None = None
+    inputs: Inputs, find: Callable[[LogSet], Identified], *, imus: bool | None = None
 ) -> ParameterFile:
     """Find new stages, judge them, and add them to those before; `imus` is as of `LogSet.of`."""
     from seqid_cli.identify.judging import judged
     from seqid_cli.identify.log_set import LogSet
 
     logs = LogSet.of(inputs, imus=imus)
-    found = find(logs)
-    noted = {}
-    for name in present(found):
-        stage = getattr(found, name)
-        noted[name] = replace(stage, notes=[*stage.notes, *logs.notes(stage.notes)])
-    found = judged(replace(found, **noted), inputs.stages, inputs.robot, logs.verdicts())
-    new = present(found)
+    identified = find(logs)
+    improved = present(identified.improved)
+    before = replace(inputs.stages, **improved)
+
+    noted: dict[str, Any] = {}
+    for name in present(identified.stages):
+        stage = getattr(identified.stages, name)
+        notes = [*stage.notes, *logs.notes(stage.notes)]
+        noted[name] = replace(stage, notes=notes)
+    new = present(judged(Stages(**noted), before, inputs.robot, logs.verdicts()))
+
     for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")
-    file = with_stage(inputs.previous, robot_id(inputs.robot), logs.inputs(next(iter(new))), **new)
+    file = with_stage(
+        inputs.previous, robot_id(inputs.robot), logs.inputs(next(iter(new))), improved, **new
+    )
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
     return file

@@ -20,7 +20,7 @@ Their variances make the error grow outside: by the spread of friction over posi
 about the slope, by what friction changes near the slowest speed.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -136,6 +136,29 @@ class FrictionSurface:
                 level = level + self._extension(*at) @ self.extension[0]
             result[part] = np.tanh(v[part] / self.sign_width) * level
         return result
+
+    def odd_torque(self, q: Array, v: Array) -> Array:
+        """Friction torque (N,) N m that turns with the direction of motion."""
+        if not self.directional:
+            return self.torque(q, v)
+        return np.asarray((self.torque(q, v) - self.torque(q, -v)) / 2.0)
+
+    def of_size(self, entries: Array) -> Self:
+        """Return a surface of other entries whose torque is the same for both directions."""
+        covariance = np.zeros((2 * entries.size, 2 * entries.size))
+        return replace(
+            self,
+            positive=entries,
+            negative=-entries,
+            entry_covariance=covariance,
+            directional=True,
+        )
+
+    def odd_columns(self, q: Array, v: Array) -> Array:
+        """Derivatives (N, k) of `odd_torque` by `coefficients`."""
+        if not self.directional:
+            return self.columns(q, v)
+        return np.asarray((self.columns(q, v) - self.columns(q, -v)) / 2.0)
 
     def std_error(self, q: Array, v: Array) -> Array:
         """Standard error (N,) N m of `torque`; zero where the file gives no covariance."""

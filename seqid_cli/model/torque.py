@@ -69,6 +69,7 @@ class TorqueModel:
     phi: Array | None
     rotor: Array | None
     coupling: Coupling
+    delays_s: Array | None = None
 
     @classmethod
     def from_stages(cls, stages: Stages, robot: Robot) -> Self:
@@ -76,10 +77,10 @@ class TorqueModel:
         rigid = stages.inertia or stages.gravity
         surfaces = friction_surfaces(stages, robot)
         if rigid is None:
-            return cls(robot, surfaces, None, None, "diagonal")
+            return cls(robot, surfaces, None, None, "diagonal", delays_s(stages, robot))
         phi, rotor = standard_parameters(rigid, robot.n)
         coupling: Coupling = "gyroscopic" if rigid.rotor_coupling == "gyroscopic" else "diagonal"
-        return cls(robot, surfaces, phi, rotor, coupling)
+        return cls(robot, surfaces, phi, rotor, coupling, delays_s(stages, robot))
 
     def friction(self, q: Array, dq: Array) -> Array:
         """Friction torque (N, n) N m."""
@@ -112,7 +113,20 @@ class TorqueModel:
     def _terms(self, motion: Motion) -> tuple[Array, Array]:
         """Rigid-body and friction torque, each filtered like `motion.tau`."""
         rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
-        return rigid, motion.filtered(sampled_friction(self.surfaces, motion), times=2)
+        friction = motion.filtered(sampled_friction(self.surfaces, motion), times=2)
+        return self.late(rigid, motion), self.late(friction, motion)
+
+    def late(self, torque: Array, motion: Motion) -> Array:
+        """Return torque (N, n) N m as it is logged, late by each joint's delay."""
+        if self.delays_s is None or not self.delays_s.any():
+            return torque
+        samples = np.arange(len(torque), dtype=np.float64)
+        shifts = self.delays_s * motion.rate_hz
+        columns = [
+            np.interp(samples - shift, samples, values)
+            for shift, values in zip(shifts, torque.T, strict=True)
+        ]
+        return np.stack(columns, axis=1)
 
     def predict_set(
         self, motion: Motion, slides: Mask, added: Predicted | None = None
@@ -145,6 +159,18 @@ class TorqueModel:
             if surface is not None:
                 found[:, j] = surface.outside(motion.q[:, j], motion.dq[:, j])
         return found
+
+
+def delays_s(stages: Stages, robot: Robot) -> Array:
+    """Delays (n,) s of the joints' torques against their positions, zero where none is known."""
+    joints = stages.friction.joints if stages.friction else {}
+    found = {
+        name: term.value
+        for name, joint in joints.items()
+        for term in joint.nuisances
+        if term.name == "delay"
+    }
+    return np.array([found.get(name, 0.0) for name in robot.joint_names])
 
 
 def standard_parameters(stage: RigidStage, n: int) -> tuple[Array, Array]:

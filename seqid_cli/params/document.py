@@ -80,18 +80,23 @@ def stale_stages(previous: ParameterFile | None, names: Sequence[str]) -> tuple[
 
 
 def with_stage(
-    previous: ParameterFile | None, robot: RobotId, inputs: Logs, **stages: object
+    previous: ParameterFile | None,
+    robot: RobotId,
+    inputs: Logs,
+    improved: Mapping[str, object] | None = None,
+    **stages: object,
 ) -> ParameterFile:
     """Return a new document: `previous` and the given stages, by their names in `Stages`.
 
     Earlier stages and their inputs stay; a stage that is given again replaces the old one, and
-    what had been identified from the old one (`stale_stages`) is dropped.
+    what had been identified from the old one (`stale_stages`) is dropped. `improved` are earlier
+    stages with what the new logs show of them: nothing is dropped for these.
     """
     gone = {*stages, *stale_stages(previous, tuple(stages))}
     old = present(previous.stages) if previous else {}
     kept = {name: stage for name, stage in old.items() if name not in gone}
     earlier = [log for log in previous.inputs if log.stage not in gone] if previous else []
-    return _file(robot, [*earlier, *inputs], {**kept, **stages})
+    return _file(robot, [*earlier, *inputs], {**kept, **(improved or {}), **stages})
 
 
 def refined(

@@ -113,6 +113,21 @@ class SpeedLevel(Struct, kw_only=True):
     left_out: float | None = None
 
 
+class Nuisance(Struct, kw_only=True):
+    """What a joint's drive adds to its torque whatever the arm: `delay`, `offset`, `asymmetry`.
+
+    A positive `delay` (s): torque is logged late against the positions. `offset`: torque that is
+    always there. `asymmetry`: the share of friction that is added forward and taken off backward.
+    Where the logs do not show one its value is near zero and its standard error that of the prior.
+    """
+
+    name: str
+    joint: str
+    value: float
+    std_error: float
+    unit: str
+
+
 class GravityOfTrial(Struct, kw_only=True):
     """Eq. 12-14: p_xi of one locked configuration (kg m), used only to remove gravity."""
 
@@ -135,6 +150,10 @@ class FrictionJoint(Struct, kw_only=True):
     `rmse` is that of the surface's averages over a quarter of a trial. `held_out_rmse`,
     `max_abs_error` (N m) and `max_error` (of the friction) are of the same averages at speeds that
     were left out, and of the surface itself at the slowest and the fastest.
+
+    `nuisances` are the delay, offset and asymmetry that the surface was identified with; offset and
+    asymmetry are in `positive`, `negative` and `covariance`, and `nuisance_covariance` is theirs.
+    All entries of the surface move by `delay_moves` per second by which the delay is another.
 
     `torque_constant_error` is the relative error that the torque constant adds to every torque: all
     entries move together. `covariance` is without it, the standard errors of `speeds` are with it.
@@ -161,6 +180,9 @@ class FrictionJoint(Struct, kw_only=True):
     asymmetry: float | None = None  # share of friction that depends on direction
     temperature: float | None = None  # degC, mean over the trials, where it was logged
     gravity: list[GravityOfTrial] = []
+    nuisances: list[Nuisance] = []
+    nuisance_covariance: Matrix = []  # of offset and asymmetry
+    delay_moves: list[float] = []  # N m/s, of the entries of `covariance`
     speeds: list[SpeedLevel] = []
     parameters: list[Parameter] = []  # Coulomb, viscous, offset of a simultaneous fit
     unit: str = "N m"
@@ -206,6 +228,8 @@ class RigidStage(Struct, kw_only=True):
     holds, by joint, what one standard error of its torque constant moves every parameter by,
     through gravity as well. `covariance` is without these moves, the standard errors are with them.
     `noise_density` (N m/sqrt(Hz)) is the white noise that would make the parameters' own errors.
+    `nuisances` are delays, offsets and asymmetries as this stage found them beside its parameters;
+    `nuisance_covariance` is the joint covariance of the parameters and then of all of them.
     """
 
     parameters: list[Parameter]
@@ -216,6 +240,8 @@ class RigidStage(Struct, kw_only=True):
     covariance: Matrix = []
     friction_sensitivity: dict[str, Matrix] = {}
     torque_constant_moves: dict[str, list[float]] = {}
+    nuisances: list[Nuisance] = []
+    nuisance_covariance: Matrix = []
     not_excited: list[str] = []
     rmse: dict[str, float] = {}
     noise_density: dict[str, float] = {}

@@ -300,10 +300,12 @@ def _sequential(material: Material, model: Refitted) -> Stages:
         for log, own in gravity
     )
     if stages.gravity is not None and changed:
-        new.gravity = identify_gravity([own for _, own in gravity], robot, new)
+        result = identify_gravity([own for _, own in gravity], robot, new)
+        new.gravity, new.friction = result.gravity, result.friction
     if stages.inertia is not None:
         every = [own for _, own in inertia] + [freed(identity(log)) for log in material.training]
-        new.inertia = identify_inertia(unique(every), robot, new, options=motion)
+        found = identify_inertia(unique(every), robot, new, options=motion)
+        new.inertia, new.friction = found.inertia, found.friction
     return new
 
 

@@ -24,6 +24,19 @@ Asked = tuple[int | None, int | None]  # orders over position and velocity that 
 
 
 @dataclass(frozen=True)
+class DelayShare:
+    """A delay beside a surface, in standard deviations of its prior.
+
+    `moves` (k,) N m: change of the surface's entries, row-major, per standard deviation by which
+    the delay is larger.
+    """
+
+    value: float
+    std_error: float
+    moves: Array
+
+
+@dataclass(frozen=True)
 class SurfaceFit:
     """One surface from trials, to be had with any orders up to the `highest`."""
 
@@ -58,6 +71,16 @@ class SurfaceFit:
         columns, error = self._grid
         own = np.einsum("nk,kl,nl->", columns[:, kept], found, columns[:, kept], optimize=True)
         return np.asarray(found * max(float(np.sum(error**2)) / max(float(own), 1e-300), 1.0))
+
+    def delay_share(self, orders: Orders) -> "DelayShare":
+        """Return the delay that the trials show, and how the entries of a surface go with it."""
+        order = self.highest.velocity
+        place = (self.reduced.size + reduction.LATE) * (order + 1)
+        mean, covariance = self.whole
+        variance = float(covariance[place, place])
+        kept = np.flatnonzero(self._kept(orders))
+        moves = covariance[kept, place] / max(variance, 1e-300)
+        return DelayShare(float(mean[place]), float(np.sqrt(variance)), moves)
 
     def leaving_out(self, orders: Orders) -> Iterator[tuple[float, Array]]:
         """Each inner speed u, with the entries of a surface fitted to the others."""

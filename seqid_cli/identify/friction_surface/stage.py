@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface import gravity_separation, reduction, summary
@@ -13,6 +12,7 @@ from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_su
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.trials import collect_trials, speed_levels
+from seqid_cli.identify.nuisances import PRIORS
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
@@ -85,7 +85,7 @@ def _fit(
     narrow_sign: float = 25.0,
 ) -> summary.Fit:
     """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`."""
-    # One surface for both directions together (Eq. 15's assumption), or one for each.
+    # One surface for both directions together: what is alike both ways has been taken off.
     data, asked = _friction_data(gravity, held), (options.position_order, options.velocity_order)
     levels = len({item.speed for item in data})
     if asked[1] is not None and asked[1] + 1 > levels:
@@ -93,20 +93,30 @@ def _fit(
         hint = f"record more speeds or use --velocity-order {levels - 1} or less"
         where = f"joint {robot.joints[j].name}"
         raise QualityError(f"{needed}, these logs hold {levels}", hint=hint, where=where)
-    sides = (1, -1) if gravity.directional else (0,)
-    sets = [[item for item in data if side in (0, item.direction)] for side in sides]
-    parts = _fitted(sets, _scalings(data) if near else _scalings(data)[:1], asked, near)
+    parts = _fitted([data], _scalings(data) if near else _scalings(data)[:1], asked, near)
     fits, beta = [fit for _, fit in parts], options.beta or 0.0
 
     def accept(orders: reduction.Orders) -> bool:
         return summary.errors_of(parts, orders, unseen=True).relative <= beta
 
     chosen = choose_orders(fits, asked, accept=accept if beta else None)
-    D, scaling = [fit.entries(chosen) for fit in fits], fits[0].reduced.scaling
-    covariance = block_diag(*(fit.covariance(chosen) for fit in fits))
-    width = scaling.speed[0] / narrow_sign
-    surface = FrictionSurface(scaling, width, D[0], D[-1], covariance, gravity.directional)
-    return summary.Fit(gravity, parts, chosen, surface)
+    entries = fits[0].entries(chosen)
+    scaling = fits[0].reduced.scaling
+    share = fits[0].delay_share(chosen)
+    surface = FrictionSurface(
+        scaling=scaling,
+        sign_width=scaling.speed[0] / narrow_sign,
+        positive=entries,
+        negative=entries,
+        entry_covariance=fits[0].covariance(chosen),
+        directional=False,
+    )
+    delay = summary.Delay(
+        value_s=PRIORS.delay_s * share.value,
+        std_error_s=PRIORS.delay_s * share.std_error,
+        moves=share.moves / PRIORS.delay_s,
+    )
+    return summary.Fit(gravity, parts, chosen, surface, delay)
 
 
 def _fitted(
@@ -145,15 +155,17 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reducti
         doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
         for trial, doubt in zip(group.trials, doubts, strict=True):
             way = 1 if trial.velocity > 0 else -1
+            same_both_ways = group.torque(trial.q) + gravity.even_torque(trial.q, trial.speed)
             item = reduction.SpeedData(
                 speed=trial.speed,
                 direction=way,
                 q=trial.q,
-                friction=way * (trial.tau - group.torque(trial.q)),
+                friction=way * (trial.tau - same_both_ways),
                 weight=np.full(len(trial.q), trial.weight),
                 edges=reduction.edges_of(trial.t, trial.seconds),
                 push=way * trial.inertia_error * trial.ddq,
                 doubt=doubt,
+                late=-PRIORS.delay_s * trial.speed * group.slope(trial.q),
             )
             data.append(item)
     return [

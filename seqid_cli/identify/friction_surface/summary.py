@@ -9,15 +9,23 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.polynomial import Chebyshev
 
 from seqid_cli.identify.friction_surface.fit import SurfaceFit
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
 from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData
+from seqid_cli.identify.nuisances import DELAY_UNIT, shown, with_even_part
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
-from seqid_cli.params.schema import FrictionJoint, GravityOfTrial, SpeedLevel, Verdict
+from seqid_cli.params.schema import (
+    FrictionJoint,
+    GravityOfTrial,
+    Nuisance,
+    SpeedLevel,
+    Verdict,
+)
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
@@ -80,6 +88,15 @@ def errors_of(parts: list[Part], orders: Orders, *, unseen: bool, group_size: in
 
 
 @dataclass(frozen=True)
+class Delay:
+    """The delay of a joint's torque [s], and the change `moves` (k,) N m/s of entries with it."""
+
+    value_s: float
+    std_error_s: float
+    moves: Array
+
+
+@dataclass(frozen=True)
 class Fit:
     """One joint's friction data, freed of gravity, and the surface fitted to them."""
 
@@ -87,6 +104,7 @@ class Fit:
     parts: list[Part]
     orders: Orders
     surface: FrictionSurface
+    delay: Delay
 
 
 def summarise(
@@ -134,10 +152,26 @@ def summarise(
         unit=described.unit("N m"),
     )
     verdict = _verdict(described.name, joint, unseen, surface.scaling)
+    joint = _with_nuisances(joint, described.name, fit)
     for level in joint.speeds:
         scaled = described.torque_constant_error * level.friction
         level.std_error = float(np.hypot(level.std_error, scaled))
     return joint, verdict, [*_notes(described.name, joint, gravity.groups[0].beyond, unpaired)]
+
+
+def _with_nuisances(joint: FrictionJoint, name: str, fit: Fit) -> FrictionJoint:
+    """Return the joint's entry with its delay, offset and asymmetry, known or not."""
+    delay = Nuisance(
+        name="delay",
+        joint=name,
+        value=fit.delay.value_s,
+        std_error=fit.delay.std_error_s,
+        unit=DELAY_UNIT,
+    )
+    joint = replace(joint, nuisances=[delay], delay_moves=fit.delay.moves.tolist())
+    if fit.gravity.friction is None:
+        return joint
+    return with_even_part(joint, name, fit.gravity.even)
 
 
 def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
@@ -202,10 +236,10 @@ def _notes(
             f"{name}: {unpaired} trial(s) have no twin in the other direction in the same "
             "configuration and were left out; Eq. 15 needs both"
         )
-    if joint.directional:
+    if shown(joint.nuisances, {name: _rms(np.array([x.friction for x in joint.speeds]))}):
         yield (
             f"{name}: friction depends on direction by {percent(joint.asymmetry or 0.0)}, against "
-            "the assumption of Eq. 15; each direction has its own surface"
+            "the assumption of Eq. 15; offset and asymmetry are part of the surfaces"
         )
     if not joint.criterion_met:
         yield (

@@ -16,7 +16,7 @@ standard errors that hold for autocorrelated residuals; the white-noise formula'
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -147,6 +147,19 @@ class Solution:
     shares: Array  # (n, p) of the estimate that come from each joint's right side
     designs: Array  # (n,) variance that each joint's residual makes, over that of white noise
 
+    def first(self, count: int) -> "Solution":
+        """Return the same without all but the first so many parameters."""
+        return replace(
+            self,
+            theta=self.theta[:count],
+            covariance=self.covariance[:count, :count],
+            determined=self.determined[:count],
+            bread=self.bread[:count, :count],
+            left_open=self.left_open[:count],
+            moves=self.moves[:, :count],
+            shares=self.shares[:, :count],
+        )
+
 
 def solve(
     joints: Sequence[Accumulator],
@@ -155,15 +168,20 @@ def solve(
     iterations: int = 3,
     independent: float = 1.0,
     white_floor: float = 0.05,
+    nuisances: slice = slice(0, 0),
 ) -> Solution:
     """Solve for all joints together, each weighted by its own residual, with a block jackknife.
 
     `iterations`: rounds of reweighting. `independent`: share of the samples that count beside the
-    prior: low-passed noise does not count more where there are more samples of it.
+    prior: low-passed noise does not count more where there are more samples of it. `nuisances`:
+    columns that the prior determines where the rows do not; rank and condition are of the others,
+    these being marginalised.
     """
     size = joints[0].size
     totals = [joint.total for joint in joints]
-    used = [k for k, joint in enumerate(joints) if joint.samples > size // 4]
+    marginalised = len(range(*nuisances.indices(size)))
+    fewest = (size - marginalised) // 4
+    used = [k for k, joint in enumerate(joints) if joint.samples > fewest]
     # Each joint by itself first, not by R's last entry: rounding decides it where columns depend.
     alone = [_solve_scaled(total)[:2] for total in totals]
     left = [j.residual_rms(x, B.shape[1]) for j, (x, B) in zip(joints, alone, strict=True)]
@@ -177,7 +195,9 @@ def solve(
         factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
         theta, basis, left_open, condition, determined = _solve_scaled(factor, seen)
         sigma = np.maximum([joint.residual_rms(theta) for joint in joints], 1e-12)
-    rank = basis.shape[1]
+    rank = basis.shape[1] - marginalised
+    if marginalised:
+        condition = _marginal_condition(factor, seen, nuisances)
     bread = basis @ basis.T
     blocks = {k: joints[k].blocks for k in used}
     moves, designs = _jackknife(blocks, scale, theta, factor, bread)
@@ -215,6 +235,21 @@ def _solve_scaled(
     left_open = Vt[~kept].T / np.where(np.isfinite(scale), scale, 1.0)[:, None]
     determined: Mask = np.isfinite(scale) & (np.sum(Vt[kept] ** 2, axis=0) > 1 - 1e-4)
     return basis @ (U[:, kept].T @ z), basis, left_open, condition, determined
+
+
+def _marginal_condition(factor: Array, seen: Mask, nuisances: slice) -> float:
+    """Return the condition of the scaled columns that are no nuisances, these marginalised."""
+    columns = np.arange(len(factor) - 1)
+    first = columns[nuisances]
+    others = np.setdiff1d(columns[seen], first)
+    ordered = factor[:, np.concatenate([first, others])]
+    # Below the rows that hold nuisances the triangular factor is of what they leave.
+    triangle = np.asarray(np.linalg.qr(ordered, mode="r"))
+    rest = triangle[len(first) :, len(first) :]
+    norms = np.linalg.norm(factor[:, others], axis=0)
+    values = np.linalg.svd(rest / np.where(norms > 0.0, norms, 1.0), compute_uv=False)
+    kept = values[values > RANK_TOLERANCE * values[0]] if len(values) else values
+    return float(kept[0] / kept[-1]) if len(kept) else 0.0
 
 
 def _jackknife(

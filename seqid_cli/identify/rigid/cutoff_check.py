@@ -68,8 +68,11 @@ def with_cutoff_check(
     stage: RigidStage, differences: Differences, basis: Basis, *, poor_sigma: float = 3.0
 ) -> RigidStage:
     """Note the parameters that depend on the cut-off; poor where one does by `poor_sigma`."""
-    own = {p.name for p in stage.parameters}
-    named = [(basis.names[k], at, by) for k, at, by in differences if basis.names[k] in own]
+    stated = {p.name for p in stage.parameters}
+    of_parameters = [one for one in differences if one[0] < basis.size]  # the rest: nuisances
+    named = [
+        (basis.names[k], at, by) for k, at, by in of_parameters if basis.names[k] in stated
+    ]
     text = ", ".join(f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in named)
     note = f"parameters that depend on the cut-off, in stated standard errors: {text}"
     reason = (

@@ -3,49 +3,89 @@
 Rows are slice averages of constant-velocity trials, of the moving joint alone: a locked joint's
 torque lies anywhere within its stiction. Friction comes from the friction stage. Its error flips
 with the direction while gravity does not, so trials in both directions keep it out of the estimate.
+What does not turn with the direction either, a drive's offset and the share by which friction is
+larger one way, is unknown beside gravity, joint by joint (`identify.nuisances`). The surfaces are
+handed on with what these trials, in more postures than friction's, show of it.
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
+from msgspec.structs import replace as replace_fields
 
 from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.friction_surface import corrections
 from seqid_cli.identify.friction_surface.corrections import HeldJoints, SteadyGroup
 from seqid_cli.identify.friction_surface.gravity_separation import configurations
 from seqid_cli.identify.friction_surface.trials import Trial, collect_trials
-from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
+from seqid_cli.identify.nuisances import (
+    EVEN_TERMS,
+    EvenPart,
+    described,
+    even_columns,
+    even_prior,
+    friction_rms,
+    robot_friction_rms,
+    shown,
+    with_even_part,
+)
+from seqid_cli.identify.regression.least_squares import Accumulator, Prior, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from seqid_cli.identify.rigid.parameters import rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior, Sensitivity
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
-from seqid_cli.params.schema import RigidStage, Stages, Verdict
+from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array, Index, Mask
 
 
-def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stages) -> RigidStage:
+@dataclass(frozen=True)
+class GravityResult:
+    """The gravity stage, and the friction stage with the offsets that gravity's trials show."""
+
+    gravity: RigidStage
+    friction: FrictionStage
+
+
+def identify_gravity(
+    recordings: Iterable[Recording], robot: Robot, stages: Stages
+) -> GravityResult:
     """Identify the base parameters of gravity; the stage is empty where it loads no joint."""
     if stages.friction is None:
         raise UsageError("gravity needs the friction stage", hint="run seqid friction first")
     size = int(base_parameters(robot, rotor=()).gravity.sum())
     if size == 0:
         note = "gravity loads no joint of this robot: nothing to identify (Sec. 4.2)"
-        return RigidStage(parameters=[], condition=0.0, rank=0, notes=[note])
-    joints = [Accumulator(size) for _ in range(robot.n)]
-    trials, surfaces = collect_trials(recordings, robot), friction_surfaces(stages, robot)
-    cross = GravityRows(HeldJoints.of(robot, trials, surfaces), surfaces)
+        empty = RigidStage(parameters=[], condition=0.0, rank=0, notes=[note])
+        return GravityResult(empty, stages.friction)
+    trials = list(collect_trials(recordings, robot))
+    surfaces = friction_surfaces(stages, robot)
+    rows = GravityRows(HeldJoints.of(robot, trials, surfaces), surfaces)
+    joints = [Accumulator(rows.columns) for _ in range(robot.n)]
     for j in range(robot.n):
-        cross.add_joint([trial for trial in trials if trial.joint == j], joints)
-    if not cross.used:
+        rows.add_joint([trial for trial in trials if trial.joint == j], joints)
+    if not rows.used:
         message = "no constant-velocity trial of a joint with known friction was found"
         hint = "give the logs of the friction stage again, or record single-joint moves"
         raise QualityError(message, hint=hint)
-    return _stage(solve(joints), cross)
+
+    prior = even_prior(surfaces, stages.friction, robot.joint_names)
+    prior = replace(prior, A=np.pad(prior.A, ((0, 0), (size, 0))))
+    solution = solve(joints, prior=prior, nuisances=slice(size, None))
+    return _stage(solution, rows, prior, stages.friction)
+
+
+class EvenParts(NamedTuple):
+    """Friction with another even part, its terms, and their places behind the parameters."""
+
+    friction: FrictionStage
+    terms: list[Nuisance]
+    order: Index
 
 
 class GravityRows:
@@ -54,6 +94,9 @@ class GravityRows:
     def __init__(self, held: HeldJoints, surfaces: list[FrictionSurface | None]) -> None:
         self.robot, self.held, self.surfaces = held.robot, held, surfaces
         self.size = len(held.theta)
+        # Behind the parameters: changes of all joints' offsets, then of their asymmetries, then of
+        # the viscous ones.
+        self.columns = self.size + EVEN_TERMS * held.robot.n
         self.used = 0
         self.skipped: list[str] = []
         self.cross: dict[int, Array] = {}
@@ -71,12 +114,17 @@ class GravityRows:
         table = self._table(groups, surface)
         if not len(table):
             return
-        H, y = table[:, : self.size], table[:, -7]
+        shared = self.size + EVEN_TERMS
         t, weight, seconds = table[:, -6:-3].T
         trial, log, group = table[:, -3:].T.astype(np.intp)
-        white = whitener_of(Rows(H, y, t, weight, seconds, trial, log))(table[:, :-6])
-        parts_of = [self.size, -2 - self.robot.n, -2, -1]
-        H, F, stood, accelerated, y = np.split(white, parts_of, axis=1)
+        noise = Rows(table[:, :shared], table[:, -7], t, weight, seconds, trial, log)
+        white = whitener_of(noise)(table[:, :-6])
+        parts_of = [self.size, shared, -2 - self.robot.n, -2, -1]
+        gravity, even, F, stood, accelerated, y = np.split(white, parts_of, axis=1)
+
+        H = np.zeros((len(gravity), self.columns))
+        H[:, : self.size] = gravity
+        H[:, self.size + j :: self.robot.n] = even
         for number in np.unique(trial):  # each is a block
             self.used += 1
             for k, joint in enumerate(joints):
@@ -92,7 +140,8 @@ class GravityRows:
         self, groups: list[SteadyGroup], surface: FrictionSurface, *, group_size: int = 8
     ) -> Array:
         """Rows of all trials, means over so many slices (`group_size`)."""
-        # H, F, where others stand, acceleration, torque, time, samples, seconds; trial, log, group.
+        # H, offset and asymmetries, F, where others stand, acceleration, torque, time, samples,
+        # seconds; last come trial, log, group.
         every = [(k, trial) for k, group in enumerate(groups) for trial in group.trials]
         settled = [(k, trial.part(_settled(trial, surface))) for k, trial in every]
         used = [(k, trial) for k, trial in settled if len(trial.q) >= group_size]
@@ -103,8 +152,13 @@ class GravityRows:
         parts = []
         for n, ((k, trial), H, stood) in enumerate(by_gravity):
             v, count = np.full(len(trial.q), trial.velocity), len(trial.q) // group_size
-            F, y = surface.columns(trial.q, v), trial.tau - surface.torque(trial.q, v)
-            wide = np.array_split(np.column_stack([H, F, stood, trial.ddq, y, trial.t]), count)
+            # What friction's surfaces have alike both ways is an unknown here, of which they hold
+            # a first estimate; its error is not friction's.
+            F = surface.odd_columns(trial.q, v)
+            y = trial.tau - surface.torque(trial.q, v)
+            even = even_columns(surface, trial.q, v)
+            columns = [H, even, F, stood, trial.ddq, y, trial.t]
+            wide = np.array_split(np.column_stack(columns), count)
             slices = len(trial.q) / count
             about = slices * trial.weight, slices * trial.seconds, n, trial.log, k
             means = np.stack([part.mean(axis=0) for part in wide])
@@ -128,15 +182,33 @@ def _settled(
 
 
 def _stage(
-    solution: Solution, rows: GravityRows, *, poor_condition: float = 300, clear_sigma: float = 4
-) -> RigidStage:
+    solution: Solution,
+    rows: GravityRows,
+    prior: Prior,
+    friction: FrictionStage,
+    *,
+    poor_condition: float = 300,
+    clear_sigma: float = 4,
+) -> GravityResult:
     """The stage; gravity shows where a parameter is `clear_sigma` standard errors from zero."""
-    robot, basis = rows.robot, rows.held.basis
-    about = rows.surfaces, robot.torque_constant_errors, rows.sensitivity(solution)
+    robot = rows.robot
+    size = rows.size
     unseen = [solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen]
-    posterior = Posterior.of(solution, *about, known={})
-    posterior = posterior.with_error(np.reshape(unseen, (-1, rows.size)).T)
-    stage = rigid_stage(robot, basis, solution, posterior, np.arange(rows.size), np.zeros(robot.n))
+    joint_posterior = Posterior.of(
+        solution,
+        rows.surfaces,
+        robot.torque_constant_errors,
+        rows.sensitivity(solution),
+        known={},
+        prior=prior,
+    ).with_error(np.reshape(unseen, (-1, rows.columns)).T)
+
+    posterior = joint_posterior.first(size)
+    parameters = solution.first(size)
+    own = np.arange(size)
+    stage = rigid_stage(
+        robot, rows.held.basis, parameters, posterior, own, np.zeros(robot.n)
+    )
     remedy = "Move the joints that carry them with the others locked in other configurations"
     notes = [f"{note}. {remedy}" for note in stage.notes]
     if rows.skipped:
@@ -146,7 +218,51 @@ def _stage(
             "no gravity shows in the torque: either no joint carries a weight, or a driver has "
             'subtracted it (then write effort = "gravity_compensated" under [channels])'
         )
+
+    friction, terms, order = _with_even_parts(solution, joint_posterior, rows, friction)
+    used = np.concatenate([np.flatnonzero(parameters.determined), size + order])
+    covariance = joint_posterior.covariance[np.ix_(used, used)]
+    sizes = robot_friction_rms(rows.surfaces, robot)
+    notes += [described(term) for term in shown(terms, sizes)]
+
     good = not stage.not_excited and solution.condition < poor_condition
-    reason = f"rank {solution.rank} of {rows.size}, condition {solution.condition:.3g}"
-    verdict = Verdict(good=good, reason=reason)
-    return replace(stage, structural_rank=rows.size, verdicts=[verdict], notes=notes)
+    reason = f"rank {solution.rank} of {size}, condition {solution.condition:.3g}"
+    stage = replace_fields(
+        stage,
+        structural_rank=size,
+        verdicts=[Verdict(good=good, reason=reason)],
+        notes=notes,
+        nuisances=terms,
+        nuisance_covariance=covariance.tolist(),
+    )
+    return GravityResult(stage, friction)
+
+
+def _with_even_parts(
+    solution: Solution, posterior: Posterior, rows: GravityRows, friction: FrictionStage
+) -> EvenParts:
+    """Return friction with offsets and asymmetries as gravity's trials show them.
+
+    Beside it stand the terms as the file lists them, joint by joint, and the place of each of
+    them behind the parameters.
+    """
+    n = rows.robot.n
+    joints = dict(friction.joints)
+    terms: list[Nuisance] = []
+    order: list[int] = []
+    for j, name in enumerate(rows.robot.joint_names):
+        surface = rows.surfaces[j]
+        if surface is None or j not in rows.cross:
+            continue
+        places = [k * n + j for k in range(EVEN_TERMS)]
+        wide = [rows.size + place for place in places]
+        before = EvenPart.of_joint(joints[name], friction_rms(surface))
+        even = EvenPart(
+            values=before.values + solution.theta[wide],
+            covariance=posterior.covariance[np.ix_(wide, wide)],
+        )
+        joints[name] = with_even_part(joints[name], name, even)
+        terms += even.terms(name, joints[name].unit)
+        order += places
+    stage = replace_fields(friction, joints=joints)
+    return EvenParts(stage, terms, np.array(order, dtype=np.intp))

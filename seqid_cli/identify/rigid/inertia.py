@@ -6,15 +6,25 @@ asked whether the gyroscopic coupling to the link that carries one is there too 
 
 import contextlib
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial, reduce
-from typing import cast
+from typing import NamedTuple, cast
 
 import msgspec
 import numpy as np
 
 from seqid_cli.errors import InputError, QualityError, UsageError
 from seqid_cli.identify.log_set import mapped
+from seqid_cli.identify.nuisances import (
+    DELAY_UNIT,
+    EvenPart,
+    described,
+    friction_rms,
+    robot_friction_rms,
+    shown,
+    with_delay,
+    with_even_part,
+)
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import cutoff_note, open_if_long, source_text, streams
 from seqid_cli.identify.regression.least_squares import Solution
@@ -26,10 +36,19 @@ from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
-from seqid_cli.params.schema import RigidStage, Stages, Verdict
+from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages, Verdict
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
 
 AllRows = tuple[InertiaRows | None, ...]  # as used, at neighbouring cut-offs, by the encoders
+
+
+@dataclass(frozen=True)
+class InertiaResult:
+    """The inertia stage, and friction with the delays and offsets that its logs show."""
+
+    inertia: RigidStage
+    friction: FrictionStage
 
 
 def identify_inertia(
@@ -39,7 +58,7 @@ def identify_inertia(
     *,
     options: InertiaOptions,
     compare: bool = False,
-) -> RigidStage:
+) -> InertiaResult:
     """Identify the base parameters that gravity does not show."""
     # With `compare` a second time with the encoders alone, for their standard errors.
     if stages.friction is None:
@@ -57,17 +76,19 @@ def identify_inertia(
     if own is None or not any(joint.samples for joint in own.joints):
         raise QualityError("no joint with known friction moves in these logs")
     known = zip(options.neighbours, near, strict=True)
-    stage = _stage(equations, own, {factor: rows for factor, rows in known if rows is not None})
+    result = _stage(equations, own, {factor: rows for factor, rows in known if rows is not None})
+    stage = result.inertia
     if not (others and encoder and any(use.source != "encoder" for use in stage.motion_use)):
-        return stage
-    before = {p.name: p.std_error for p in _stage(others, encoder, {}).parameters}
+        return result
+    before = {p.name: p.std_error for p in _stage(others, encoder, {}).inertia.parameters}
     there = [p for p in stage.parameters if p.name in before]
     ratios = [before[p.name] / max(p.std_error, 1e-300) for p in there]
     notes = list(stage.notes)
     if ratios:
         times = f"{np.median(ratios):.2g} times these"
         notes.append(f"by the encoders alone the standard errors would be {times} (median)")
-    return msgspec.structs.replace(stage, encoder_std_errors=before, notes=notes)
+    stage = msgspec.structs.replace(stage, encoder_std_errors=before, notes=notes)
+    return InertiaResult(stage, result.friction)
 
 
 def _rows_of(
@@ -89,7 +110,7 @@ def _all(first: AllRows, second: AllRows) -> AllRows:
 
 def _stage(
     equations: InertiaEquations, rows: InertiaRows, near: Mapping[float, InertiaRows]
-) -> RigidStage:
+) -> InertiaResult:
     """Solve, decide on the rotor coupling, and describe; `near` by multiples of the cut-off."""
     robot, basis, stages = equations.robot, equations.basis, equations.stages
     coupled, by_coupling, notes = decide(equations, [rows, *near.values()])
@@ -100,13 +121,83 @@ def _stage(
     imus = stages.imu.imus if stages.imu else {}
     used = {name for use in rows.uses for name in use.imus}
     errors = {name: imus[name].acceleration_std_error or 0.0 for name in used if imus}
-    inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, solution.theta)
+    theta = solution.theta[: basis.size]
+    inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, theta)
     moves = parameters.imu_moves(robot, basis, inertia, equations.reflected, errors)
+    moves = np.pad(moves, ((0, equations.nuisances.count), (0, 0)))
     posterior = posterior.with_error(by_cutoff).with_error(moves)
-    stage = _described(equations, rows, solution, posterior)
+    stage = _described(
+        equations, rows, solution.first(basis.size), posterior.first(basis.size)
+    )
+    drives = _drive_terms(equations, rows, solution, posterior)
+    stage = msgspec.structs.replace(
+        stage,
+        nuisances=drives.terms,
+        nuisance_covariance=drives.covariance.tolist(),
+        notes=[*stage.notes, *drives.notes],
+    )
     kind, notes = "gyroscopic" if coupled else "diagonal", [*stage.notes, *notes]
     stage = msgspec.structs.replace(stage, rotor_coupling=kind, notes=notes)
-    return with_cutoff_check(stage, differences, basis)
+    return InertiaResult(with_cutoff_check(stage, differences, basis), drives.friction)
+
+
+class DriveTerms(NamedTuple):
+    """Nuisance terms of the joints that moved, their notes, and friction with them.
+
+    `covariance` is that of the stage's determined parameters, then of the terms.
+    """
+
+    terms: list[Nuisance]
+    covariance: Array
+    notes: list[str]
+    friction: FrictionStage
+
+
+def _drive_terms(
+    equations: InertiaEquations, rows: InertiaRows, solution: Solution, posterior: Posterior
+) -> DriveTerms:
+    """Describe delays, offsets and asymmetries, and put them into the friction stage."""
+    robot, basis, columns = equations.robot, equations.basis, equations.nuisances
+    friction = equations.stages.friction
+    assert friction is not None
+    joints = dict(friction.joints)
+    gravity = equations.stages.gravity
+    of_gravity = {p.name for p in gravity.parameters} if gravity else set()
+    places = [
+        k
+        for k in range(basis.size)
+        if solution.determined[k] and basis.names[k] not in of_gravity
+    ]
+    terms: list[Nuisance] = []
+    for j, name in enumerate(robot.joint_names):
+        surface = equations.surfaces[j]
+        if surface is None or not rows.joints[j].samples:
+            continue
+        delay, *even_places = range(*columns.of_joint(j).indices(columns.size))
+        before = EvenPart.of_joint(joints[name], friction_rms(surface))
+        even = EvenPart(
+            values=before.values + solution.theta[even_places],
+            covariance=posterior.covariance[np.ix_(even_places, even_places)],
+        )
+        delay_s = float(solution.theta[delay])
+        delay_error = float(np.sqrt(posterior.covariance[delay, delay]))
+        joint = with_delay(joints[name], delay_s, delay_error)
+        joints[name] = with_even_part(joint, name, even)
+        terms.append(
+            Nuisance(
+                name="delay", joint=name, value=delay_s, std_error=delay_error, unit=DELAY_UNIT
+            )
+        )
+        terms += even.terms(name, joint.unit)
+        places += [delay, *even_places]
+
+    sizes = robot_friction_rms(equations.surfaces, robot)
+    return DriveTerms(
+        terms=terms,
+        covariance=posterior.covariance[np.ix_(places, places)],
+        notes=[described(term) for term in shown(terms, sizes)],
+        friction=msgspec.structs.replace(friction, joints=joints),
+    )
 
 
 def _described(

@@ -3,20 +3,28 @@
     tau - tau_f - H_g pi_g = H_r pi_r.
 
 Friction is subtracted, gravity enters as a prior with the covariance of its stage, and both
-uncertainties end up in the standard errors. Only joints that slide contribute rows: the torque of
-a locked joint lies anywhere within its stiction.
+uncertainties end up in the standard errors. So do what the drives add, delay, offset and asymmetry
+of each joint (`identify.nuisances`), which are unknowns beside the parameters. Only joints that
+slide contribute rows: the torque of a locked joint lies anywhere within its stiction.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
+from seqid_cli.identify.nuisances import (
+    NuisanceColumns,
+    delay_of,
+    even_surfaces,
+    later_prior,
+)
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.equations import CHUNK
 from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Solution, solve
-from seqid_cli.identify.rigid.posterior import Posterior, gravity_prior
+from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_friction, sliding
@@ -51,16 +59,55 @@ class InertiaRows:
         return InertiaRows(joints, squares, cross, self.uses + other.uses, counts)
 
 
+@dataclass(frozen=True)
+class FrictionDelay:
+    """The delay [s] in a joint's friction, and friction's change per second of another delay."""
+
+    value_s: float
+    per_second: FrictionSurface
+
+
+@dataclass(frozen=True)
+class DriveColumns:
+    """What the drives add to the torques of n joints, filtered alike, all (N, n).
+
+    `delay` [N m/s] is per second by which the torque is late, `friction_per_second` the part of it
+    by which friction was identified differently; `dry_size` and `viscous_size` [N m] are per
+    asymmetry of either part of friction.
+    """
+
+    delay: Array
+    friction_per_second: Array
+    dry_size: Array
+    viscous_size: Array
+
+    def part(self, where: slice) -> "DriveColumns":
+        """Return the columns of some samples."""
+        return DriveColumns(
+            delay=self.delay[where],
+            friction_per_second=self.friction_per_second[where],
+            dry_size=self.dry_size[where],
+            viscous_size=self.viscous_size[where],
+        )
+
+
 class InertiaEquations:
-    """The equations of every log; the last column is the share of gyroscopic coupling."""
+    """The equations of every log.
+
+    Their unknowns are the base parameters, the nuisance terms of all joints (`NuisanceColumns`),
+    and last the share of gyroscopic coupling.
+    """
 
     def __init__(self, robot: Robot, stages: Stages, options: InertiaOptions) -> None:
         self.robot, self.stages, self.options = robot, stages, options
         self.basis = free_basis(robot)
+        self.nuisances = NuisanceColumns(self.basis.size, robot.n)
+        self.coupling_place = self.nuisances.size
         self.surfaces = friction_surfaces(stages, robot)
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
         self.reflected = gear_ratios(robot) ** 2 * self.rotors
+        self._delays = [self._delay_of(name) for name in robot.joint_names]
         self._scaled = (robot.torque_constant_errors > 0.0) & (self.reflected > 0.0)
 
     def rows_of(self, log: Recording | SurveyedLog, *, forgotten: float = 0.8) -> InertiaRows:
@@ -82,13 +129,15 @@ class InertiaEquations:
         block = lowpass.rate_hz  # samples of a second; longer where blocks would be merged anyway
         while samples > MOST_BLOCKS * block and block < CHUNK / 2:
             block *= 2.0
-        joints = [Accumulator(self.basis.size + 1) for _ in range(self.robot.n)]
+        joints = [Accumulator(self.nuisances.size + 1) for _ in range(self.robot.n)]
         rows = InertiaRows(joints, np.zeros(self.robot.n), {}, [], np.zeros(2))
         moving, usable = np.zeros(self.robot.n, dtype=bool), False
         # Right sides need little memory: they are made of longer parts than the regressor.
         held = samples if isinstance(log, Recording) else 2 * size
         for motion, start, stop in overlapping(parts, held, 2 * reach):
             y = self.right_side(motion)
+            drive = self.drive_columns(motion)
+            y += self._reference(drive)
             about, beside = (motion, self.robot, self.basis), self.coupling_column
             for part, H in equations.filtered_regressor(
                 *about, within=(start, stop), chunk=size, reach=reach, beside=beside
@@ -97,9 +146,15 @@ class InertiaEquations:
                 slides = sliding(motion.part(slice(low, high)), self.slowest)
                 for at in range(part.start, part.stop, CHUNK):
                     own = slice(at, min(at + CHUNK, part.stop))
-                    inner = H[own.start - part.start : own.stop - part.start], y[own]
-                    used = slides[own.start - low : own.stop - low]
-                    self.add_chunk(rows, motion.part(own), *inner, used, block / lowpass.rate_hz)
+                    rigid = H[own.start - part.start : own.stop - part.start]
+                    self.add_chunk(
+                        rows,
+                        motion.part(own),
+                        self._joined(rigid, drive.part(own)),
+                        y[own],
+                        slides[own.start - low : own.stop - low],
+                        block / lowpass.rate_hz,
+                    )
             moving |= motion.moving.any(axis=0)
             usable |= bool(motion.usable.any())
         if not usable:
@@ -121,6 +176,60 @@ class InertiaEquations:
             own -= motion.filtered(self.reflected * motion.ddq)
         return own
 
+    def _delay_of(self, name: str) -> FrictionDelay | None:
+        """Return the delay in a joint's friction, and how friction goes with it."""
+        friction = self.stages.friction
+        joint = friction.joints.get(name) if friction else None
+        stated = delay_of(joint) if joint else None
+        if joint is None or stated is None or not joint.delay_moves:
+            return None
+        moves = np.array(joint.delay_moves)
+        size = np.size(joint.positive)
+        shape = np.shape(joint.positive)
+        ahead = moves[:size].reshape(shape)
+        back = moves[size:].reshape(shape) if joint.directional else ahead
+        surface = FrictionSurface.from_stage(
+            msgspec.structs.replace(joint, positive=ahead.tolist(), negative=back.tolist())
+        )
+        return FrictionDelay(stated.value, surface)
+
+    def drive_columns(self, motion: Motion) -> DriveColumns:
+        """Return what delay and asymmetry of each joint's drive add to its torque."""
+        assert motion.tau is not None
+        changes = [None if delay is None else delay.per_second for delay in self._delays]
+        by_friction = motion.filtered(sampled_friction(changes, motion), times=2)
+        none: list[FrictionSurface | None] = [None, None]
+        sizes = [none if surface is None else even_surfaces(surface) for surface in self.surfaces]
+        dry, viscous = (
+            motion.filtered(sampled_friction([parts[k] for parts in sizes], motion), times=2)
+            for k in range(2)
+        )
+        change = np.gradient(motion.tau, axis=0) * motion.rate_hz
+        return DriveColumns(
+            delay=by_friction - change,
+            friction_per_second=by_friction,
+            dry_size=dry,
+            viscous_size=viscous,
+        )
+
+    def _reference(self, drive: DriveColumns) -> Array:
+        """Return what friction has of the delay that it was identified with (N, n) N m."""
+        values = [0.0 if delay is None else delay.value_s for delay in self._delays]
+        return np.asarray(drive.friction_per_second * np.array(values))
+
+    def _joined(self, rigid: Array, drive: DriveColumns) -> Array:
+        """Return all columns (N, n, p) from those of the rigid body (N, n, b + 1)."""
+        size = self.basis.size
+        samples, n = rigid.shape[:2]
+        columns = np.zeros((n, self.nuisances.size + 1, samples)).transpose(2, 0, 1)
+        columns[:, :, :size] = rigid[:, :, :size]
+        columns[:, :, -1] = rigid[:, :, size]
+        for j in range(n):
+            of_drive = [drive.delay, np.ones_like(drive.delay), drive.dry_size, drive.viscous_size]
+            places = self.nuisances.of_joint(j)
+            columns[:, j, places] = np.stack([values[:, j] for values in of_drive], axis=1)
+        return columns
+
     def coupling_column(self, motion: Motion) -> Array:
         """Torque (N, n) that known rotors add if they are coupled to the links that carry them."""
         if not self.rotors.any():
@@ -132,7 +241,7 @@ class InertiaEquations:
     def add_chunk(
         self, rows: InertiaRows, motion: Motion, H: Array, y: Array, usable: Mask, block_s: float
     ) -> None:
-        """Add H (N, n, b + 1), y (N, n) of consecutive samples, where usable, to some rows."""
+        """Add H (N, n, p), y (N, n) of consecutive samples, where usable, to some rows."""
         # What is left of the torque is low-passed: two samples per period of its band say all.
         lowpass, share = motion.lowpass, 1.0
         if lowpass.active:
@@ -149,7 +258,8 @@ class InertiaEquations:
             assert motion.tau is not None
             rows.torque_squares[j] += float(np.sum(motion.tau[own, j] ** 2))
             some = np.flatnonzero(own)[::every]
-            F = every * surface.columns(motion.q[some, j], motion.dq[some, j])
+            # What is alike both ways of friction's error is in the nuisance terms.
+            F = every * surface.odd_columns(motion.q[some, j], motion.dq[some, j])
             if self._scaled[j]:
                 F = np.column_stack([F, every * self.reflected[j] * motion.ddq[some, j]])
             rows.cross[j] = rows.cross.get(j, 0.0) + H[some, j].T @ F
@@ -161,13 +271,19 @@ class InertiaEquations:
         # The gravity stage enters as a prior with its covariance, friction's errors directly and
         # through gravity. After six rounds the weights have settled to 1e-3 standard errors.
         joints = rows.joints
-        prior = gravity_prior(self.stages.gravity, self.basis, self.robot.joint_names)
+        prior = later_prior(self.stages, self.surfaces, self.basis, self.robot.joint_names)
         if coupling is None:  # of which the prior knows nothing
             prior = replace(prior, A=np.pad(prior.A, ((0, 0), (0, 1))))
         else:
             joints = [joint.with_fixed(joint.size - 1, coupling) for joint in joints]
         share = float(rows.counts[0] / max(rows.counts[1], 1.0))
-        solution = solve(joints, prior=prior, iterations=rounds, independent=share)
+        solution = solve(
+            joints,
+            prior=prior,
+            iterations=rounds,
+            independent=share,
+            nuisances=self.nuisances.all,
+        )
         size = len(solution.theta)
         crossed = {
             j: -share * solution.bread @ sums[:size] / solution.sigma[j] ** 2

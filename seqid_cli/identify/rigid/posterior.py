@@ -105,6 +105,14 @@ class Posterior:
         constants = constant_moves(solution, errors, known, through)
         return cls((covariance + covariance.T) / 2, total, constants)
 
+    def first(self, count: int) -> "Posterior":
+        """Return the same of the first so many parameters."""
+        return Posterior(
+            covariance=self.covariance[:count, :count],
+            friction={j: T[:count] for j, T in self.friction.items()},
+            constants={j: move[:count] for j, move in self.constants.items()},
+        )
+
     def with_error(self, directions: Array) -> "Posterior":
         """Add an error along directions (p, d), one standard deviation each."""
         return replace(self, covariance=self.covariance + directions @ directions.T)

@@ -34,7 +34,7 @@ def decide(
     Returns whether the coupling is used, directions (p, d) along which the other hypothesis would
     move the parameters, in standard deviations, and notes.
     """
-    kappa = equations.basis.size
+    kappa = equations.coupling_place
     nothing = np.zeros((kappa, 0))
     known = []  # value, standard error and log odds of the free share
     for own in rows if equations.rotors.any() else ():

@@ -1,0 +1,439 @@
+"""What a drive adds to the torque that is logged, whatever the arm: one model for all stages.
+
+A logged torque is late against the logged positions, has an offset, and friction is larger one way
+than the other. With the torque `tau` that acts at joint j, its friction f for motion forward, and
+s the direction of motion,
+
+    tau_logged(t) = tau(t - d_j) + o_j + a_j |f_j(q, slow)| + b_j (|f_j| - |f_j(q, slow)|),
+
+    d_j  delay [s]: a part common to all joints, of one logger's clock, and one of each joint's own,
+    o_j  offset [N m],
+    a_j  asymmetry, the share by which dry friction is larger forward than on the mean of both ways,
+    b_j  viscous asymmetry, the same share of what friction has more at higher speeds.
+
+To first order a delay adds -d_j dtau/dt. All are unknowns of every stage, Gaussian about zero with
+the standard deviations of `NuisancePriors`. Where logs do not show them they are marginalised:
+the standard errors of everything else grow by what they may be. Where logs do show them they are
+estimated, reported and taken along with their covariance. No stage decides between them and the
+parameters that they resemble.
+
+- Trials at constant speed, both ways: o and a |f| are the same both ways, as gravity is; the shape
+  over the position tells them apart (`friction_surface.gravity_separation`, `rigid.gravity`). A
+  delay turns with the direction, as friction does: -|v| d dG/dq (`friction_surface.reduction`).
+- Moves of many joints: d is seen by dtau/dt (`rigid.inertia_equations`). What it says of friction
+  goes back into the friction stage, whose entries are linear in it (`with_delay`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from msgspec.structs import replace
+
+from seqid_cli.identify.regression.least_squares import Prior, whitened
+from seqid_cli.identify.rigid.posterior import gravity_prior
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.schema import FrictionJoint, FrictionStage, Nuisance, Stages
+from seqid_cli.robot.base_parameters import Basis
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+
+# A joint's terms that do not turn with its direction, in their order.
+EVEN_NAMES = ("offset", "asymmetry", "viscous_asymmetry")
+EVEN_TERMS = len(EVEN_NAMES)
+DRIVE_NAMES = ("delay", *EVEN_NAMES)
+DELAY_UNIT = "s"
+# From which a nuisance is worth a line to a user: known to be there, and large enough to matter.
+SHOWN_SIGMA = 3.0
+SHOWN_SHARE = 0.03  # of the friction's RMS
+SHOWN_DELAY_S = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class NuisancePriors:
+    """Standard deviations of the nuisance terms before any log was seen.
+
+    Drives and loggers of the recorded robots lie within two of them. `session_share`: by how much
+    offset and asymmetry change between the trials of friction and moves recorded later, as drives
+    warm up.
+    """
+
+    common_delay_s: float = 3e-3
+    own_delay_s: float = 0.6e-3
+    offset_share: float = 0.1  # of the friction's RMS
+    asymmetry: float = 0.1
+    session_share: float = 0.02
+
+    @property
+    def delay_s(self) -> float:
+        """Standard deviation of the delay of one joint alone [s]."""
+        return float(np.hypot(self.common_delay_s, self.own_delay_s))
+
+    def delay_covariance(self, joints: int) -> Array:
+        """Covariance (n, n) [s^2] of the delays of so many joints."""
+        common = np.full((joints, joints), self.common_delay_s**2)
+        return common + self.own_delay_s**2 * np.eye(joints)
+
+    def even_std(self, friction_rms: float) -> Array:
+        """Standard deviations (3,) of offset [N m] and asymmetries beside a friction's RMS."""
+        return np.array([self.offset_share * friction_rms, self.asymmetry, self.asymmetry])
+
+    def session_std(self, friction_rms: float) -> Array:
+        """Standard deviations (3,) of what these change by from one session to the next."""
+        return self.session_share * np.array([friction_rms, 1.0, 1.0])
+
+
+PRIORS = NuisancePriors()
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvenPart:
+    """Offset and asymmetries of one joint's friction, with their covariance (3, 3)."""
+
+    values: Array
+    covariance: Array
+
+    @classmethod
+    def of_joint(cls, joint: FrictionJoint, friction_rms: float) -> "EvenPart":
+        """Return what a file says; zero within the prior where it says nothing."""
+        stated = {term.name: term.value for term in joint.nuisances}
+        if not joint.nuisance_covariance:
+            prior_std = PRIORS.even_std(friction_rms)
+            return cls(values=np.zeros(EVEN_TERMS), covariance=np.diag(prior_std**2))
+        values = np.array([stated.get(name, 0.0) for name in EVEN_NAMES])
+        return cls(values=values, covariance=np.array(joint.nuisance_covariance))
+
+    def terms(self, joint: str, unit: str) -> list[Nuisance]:
+        """Return the terms as a file has them."""
+        std_errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return [
+            Nuisance(
+                name=name,
+                joint=joint,
+                value=float(value),
+                std_error=float(std_error),
+                unit=unit if name == "offset" else "",
+            )
+            for name, value, std_error in zip(EVEN_NAMES, self.values, std_errors, strict=True)
+        ]
+
+
+def dry_entries(entries: Array) -> Array:
+    """Return the entries (size, l + 1) N m of what a surface has at its slowest speed."""
+    # Chebyshev polynomials of the scaled speed are +1 and -1 there in turn.
+    at_slowest = (-1.0) ** np.arange(entries.shape[1])
+    dry = np.zeros_like(entries)
+    dry[:, 0] = entries @ at_slowest
+    return dry
+
+
+def even_jacobian(odd_entries: Array) -> Array:
+    """Return what offset and asymmetries change in the entries of both directions' surfaces.
+
+    Parameters
+    ----------
+    odd_entries : (size, l + 1) array
+        Entries [N m] of the mean of both directions' surfaces.
+
+    Returns
+    -------
+    (2 size (l + 1), 3) array
+        Change of [forward, backward] entries per offset [N m] and per asymmetry.
+    """
+    # What is the same torque either way is, with the sign of motion taken off, added to the surface
+    # of one direction and subtracted from the other's. The first entry is that of 1.
+    constant = np.zeros(odd_entries.size)
+    constant[0] = 1.0
+    dry = dry_entries(odd_entries)
+    forward = np.column_stack([constant, dry.ravel(), (odd_entries - dry).ravel()])
+    return np.concatenate([forward, -forward])
+
+
+def with_even_part(joint: FrictionJoint, name: str, even: EvenPart) -> FrictionJoint:
+    """Return a joint's friction with another estimate of its offset and asymmetry."""
+    forward = np.array(joint.positive)
+    backward = np.array(joint.negative)
+    size = forward.size
+    jacobian = even_jacobian((forward + backward) / 2.0)
+
+    covariance = np.array(joint.covariance)
+    change = even.values
+    if joint.nuisance_covariance:
+        stated = EvenPart.of_joint(joint, 0.0)
+        covariance = covariance - jacobian @ stated.covariance @ jacobian.T
+        change = even.values - stated.values
+    elif not joint.directional:
+        covariance = np.tile(covariance, (2, 2))
+    covariance = covariance + jacobian @ even.covariance @ jacobian.T
+
+    moved = jacobian @ change
+    return replace(
+        joint,
+        directional=True,
+        positive=(forward + moved[:size].reshape(forward.shape)).tolist(),
+        negative=(backward + moved[size:].reshape(forward.shape)).tolist(),
+        covariance=((covariance + covariance.T) / 2.0).tolist(),
+        delay_moves=_of_both_directions(joint),
+        nuisances=[
+            *(term for term in joint.nuisances if term.name == "delay"),
+            *even.terms(name, joint.unit),
+        ],
+        nuisance_covariance=even.covariance.tolist(),
+    )
+
+
+def _of_both_directions(joint: FrictionJoint) -> list[float]:
+    moves = list(joint.delay_moves)
+    return moves if joint.directional else 2 * moves
+
+
+def delay_of(joint: FrictionJoint) -> Nuisance | None:
+    """Return the delay that a joint's friction was identified with, None where it has none."""
+    return next((term for term in joint.nuisances if term.name == "delay"), None)
+
+
+def with_delay(joint: FrictionJoint, delay_s: float, std_error_s: float) -> FrictionJoint:
+    """Return a joint's friction for a delay that moves of many joints have shown.
+
+    Parameters
+    ----------
+    joint : FrictionJoint
+        Friction whose entries move by `delay_moves` per second of delay.
+    delay_s, std_error_s : float
+        The delay and its standard error [s].
+    """
+    stated = delay_of(joint)
+    if stated is None or not joint.delay_moves:
+        return joint
+
+    moves = np.array(joint.delay_moves)
+    shape = np.shape(joint.positive)
+    size = shape[0] * shape[1]
+    change = moves * (delay_s - stated.value)
+    forward = np.array(joint.positive) + change[:size].reshape(shape)
+    backward = forward
+    if joint.directional:
+        backward = np.array(joint.negative) + change[size:].reshape(shape)
+
+    variance = std_error_s**2 - stated.std_error**2
+    covariance = np.array(joint.covariance) + variance * np.outer(moves, moves)
+    term = replace(stated, value=delay_s, std_error=std_error_s)
+    return replace(
+        joint,
+        positive=forward.tolist(),
+        negative=backward.tolist(),
+        covariance=covariance.tolist(),
+        nuisances=[term, *(x for x in joint.nuisances if x.name != "delay")],
+    )
+
+
+def friction_rms(surface: FrictionSurface, *, cells: int = 9) -> float:
+    """Return the RMS friction [N m] over the identified positions and speeds, both ways."""
+    low, high = surface.scaling.position
+    slow, fast = surface.scaling.speed
+    places, speeds = np.meshgrid(np.linspace(low, high, cells), np.linspace(slow, fast, cells))
+    odd = surface.odd_torque(places.ravel(), speeds.ravel())
+    return float(np.sqrt(np.mean(odd**2)))
+
+
+def even_surfaces(surface: FrictionSurface) -> list[FrictionSurface]:
+    """Return surfaces of the size of dry friction and of the rest, the same both ways."""
+    odd = (surface.positive + surface.negative) / 2.0
+    dry = dry_entries(odd)
+    return [surface.of_size(dry), surface.of_size(odd - dry)]
+
+
+def even_columns(surface: FrictionSurface, q: Array, v: Array) -> Array:
+    """Return the torques (N, 3) of one offset and one of each asymmetry [N m]."""
+    sizes = [part.torque(q, v) for part in even_surfaces(surface)]
+    return np.column_stack([np.ones(len(q)), *sizes])
+
+
+def even_prior(
+    surfaces: Sequence[FrictionSurface | None], friction: FrictionStage, names: Sequence[str]
+) -> Prior:
+    """Return the prior of offsets and asymmetries as rows of unit variance.
+
+    The unknowns are changes against what the surfaces hold: first the offsets of all joints [N m],
+    then their asymmetries, then their viscous ones: (3 n,).
+    """
+    joints = len(surfaces)
+    weights = np.zeros(EVEN_TERMS * joints)
+    values = np.zeros(EVEN_TERMS * joints)
+    for j, surface in enumerate(surfaces):
+        places = np.arange(EVEN_TERMS) * joints + j
+        if surface is None:
+            weights[places] = 1.0
+            continue
+        rms = friction_rms(surface)
+        stated = EvenPart.of_joint(friction.joints[names[j]], rms)
+        prior_std = np.maximum(PRIORS.even_std(rms), 1e-12)
+        weights[places] = 1.0 / prior_std
+        values[places] = -stated.values
+    return Prior(np.diag(weights), weights * values)
+
+
+def later_prior(
+    stages: Stages,
+    surfaces: Sequence[FrictionSurface | None],
+    basis: Basis,
+    names: Sequence[str],
+) -> Prior:
+    """Return what friction and gravity stages know, as rows of unit variance for a later stage.
+
+    Parameters
+    ----------
+    stages : Stages
+        With friction; with gravity where it loads a joint.
+    surfaces : sequence of FrictionSurface or None
+        Of the n joints `names`.
+    basis : Basis
+        The base parameters of the later stage.
+
+    Returns
+    -------
+    Prior
+        Rows over [parameters (b,), delays (n,) s, changes of offsets (n,) N m, of asymmetries (n,),
+        of viscous asymmetries (n,)]: the order of `NuisanceColumns`.
+    """
+    columns = NuisanceColumns(basis.size, len(names))
+    gravity = stages.gravity if stages.gravity and stages.gravity.parameters else None
+    known = gravity_prior(gravity, basis, names)
+    friction, constants = known.friction, known.constants
+    blocks = [np.pad(known.A, ((0, 0), (0, columns.count)))]
+    values = [known.b]
+
+    stated: list[tuple[str, str]] = []
+    if gravity is not None and gravity.nuisance_covariance:
+        stated = [(term.name, term.joint) for term in gravity.nuisances]
+        size = len(gravity.parameters)
+        covariance = np.array(gravity.nuisance_covariance)
+        places = [basis.names.index(parameter.name) for parameter in gravity.parameters]
+        for k, (name, joint) in enumerate(stated):
+            j = names.index(joint)
+            rms = friction_rms(_known(surfaces[j]))
+            drift = PRIORS.session_std(rms)[EVEN_NAMES.index(name)]
+            covariance[size + k, size + k] += drift**2
+            places.append(columns.of(name, j))
+        rows = whitened(covariance)
+        wide = np.zeros((len(rows), columns.size))
+        wide[:, places] = rows
+        # Changes are against what the surfaces hold, which gravity's trials have put there.
+        center = np.linalg.pinv(known.A[:, places[:size]]) @ known.b if size else np.zeros(0)
+        blocks, values = [wide], [rows[:, :size] @ center]
+        inverse = np.linalg.pinv(known.A[:, places[:size]])
+        friction = {j: rows[:, :size] @ inverse @ T for j, T in known.friction.items()}
+        constants = {j: rows[:, :size] @ inverse @ T for j, T in known.constants.items()}
+
+    for j, (name, surface) in enumerate(zip(names, surfaces, strict=True)):
+        if ("offset", name) in stated:
+            continue
+        rms = friction_rms(surface) if surface is not None else 1.0
+        covariance = np.diag(PRIORS.even_std(max(rms, 1e-12)) ** 2)
+        if surface is not None and stages.friction is not None:
+            covariance = EvenPart.of_joint(stages.friction.joints[name], rms).covariance
+        drift_std = PRIORS.session_std(max(rms, 1e-12))
+        rows = whitened(covariance + np.diag(drift_std**2))
+        wide = np.zeros((len(rows), columns.size))
+        wide[:, [columns.of(term, j) for term in EVEN_NAMES]] = rows
+        blocks.append(wide)
+        values.append(np.zeros(len(rows)))
+
+    rows = whitened(PRIORS.delay_covariance(len(names)))
+    wide = np.zeros((len(rows), columns.size))
+    wide[:, columns.delays] = rows
+    blocks.append(wide)
+    values.append(np.zeros(len(rows)))
+
+    count = sum(map(len, values))
+    first = len(values[0])
+    padding = ((0, count - first), (0, 0))
+    return Prior(
+        A=np.vstack(blocks),
+        b=np.concatenate(values),
+        friction={j: np.pad(T, padding) for j, T in friction.items()},
+        constants={j: np.pad(move, (0, count - first)) for j, move in constants.items()},
+    )
+
+
+@dataclass(frozen=True)
+class NuisanceColumns:
+    """Places of the nuisance terms of n joints behind so many parameters."""
+
+    parameters: int
+    joints: int
+
+    @property
+    def count(self) -> int:
+        """Number of nuisance terms."""
+        return len(DRIVE_NAMES) * self.joints
+
+    @property
+    def size(self) -> int:
+        """Number of parameters and terms."""
+        return self.parameters + self.count
+
+    @property
+    def all(self) -> slice:
+        """Places of all terms."""
+        return slice(self.parameters, self.size)
+
+    @property
+    def delays(self) -> slice:
+        """Places of the delays."""
+        return slice(self.parameters, self.parameters + self.joints)
+
+    def of(self, name: str, joint: int) -> int:
+        """Return the place of a term of a joint."""
+        return self.parameters + DRIVE_NAMES.index(name) * self.joints + joint
+
+    def of_joint(self, joint: int) -> slice:
+        """Return the places of the terms of a joint, in the order of `DRIVE_NAMES`."""
+        return slice(self.parameters + joint, self.size, self.joints)
+
+
+def _known(surface: FrictionSurface | None) -> FrictionSurface:
+    assert surface is not None
+    return surface
+
+
+def shown(terms: Sequence[Nuisance], friction: Mapping[str, float]) -> list[Nuisance]:
+    """Return the terms that logs show and that matter, beside the RMS `friction` of joints."""
+    found = []
+    for term in terms:
+        least = SHOWN_SHARE
+        if term.name not in DRIVE_NAMES:
+            continue
+        if term.name == "offset":
+            least = SHOWN_SHARE * friction.get(term.joint, 0.0)
+        if term.name == "delay":
+            least = SHOWN_DELAY_S
+        if abs(term.value) > max(SHOWN_SIGMA * term.std_error, least):
+            found.append(term)
+    return found
+
+
+def described(term: Nuisance) -> str:
+    """Say a term in words, as a note on a stage has it."""
+    if term.name == "delay":
+        way = "late" if term.value > 0.0 else "early"
+        size = f"{1e3 * abs(term.value):.2g} +- {1e3 * term.std_error:.1g} ms"
+        return f"{term.joint}: torque is {size} {way} against the positions"
+    if term.name == "offset":
+        size = f"{term.value:.3g} +- {term.std_error:.1g} {term.unit}"
+        return f"{term.joint}: torque has an offset of {size}"
+    way = "forward" if term.value > 0.0 else "backward"
+    share = f"{100.0 * abs(term.value):.2g} +- {100.0 * term.std_error:.1g} %"
+    kind = "viscous friction" if term.name == "viscous_asymmetry" else "friction"
+    return f"{term.joint}: {kind} is {share} of its mean larger {way}"
+
+
+def robot_friction_rms(
+    surfaces: Sequence[FrictionSurface | None], robot: Robot
+) -> dict[str, float]:
+    """Return the RMS friction [N m] of each joint whose friction is known."""
+    return {
+        name: friction_rms(surface)
+        for name, surface in zip(robot.joint_names, surfaces, strict=True)
+        if surface is not None
+    }

@@ -185,24 +185,28 @@ def known_rotors(robot: Robot) -> Array:
     return np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
 
 
-def sliding(motion: Motion, slowest: Array) -> Mask:
+def sliding(motion: Motion, slowest: Array, *, reach_periods: float = REACH) -> Mask:
     """Samples (N, n) at which a joint certainly slides, so that friction opposes its motion.
 
-    At rest, and where the filter mixes rest in, friction is anything up to stiction.
+    At rest, and where the filter mixes rest in, friction is anything up to stiction. The filter is
+    taken to mix over `reach_periods` of its cut-off on either side.
     """
-    near = slowest_near(motion, np.where(motion.moving, motion.dq, 0.0))
+    velocity = np.where(motion.moving, motion.dq, 0.0)
+    near = slowest_near(motion, velocity, reach_periods=reach_periods)
     return np.asarray((near >= slowest) & (near > 0.0) & motion.usable[:, None])
 
 
-def slowest_near(motion: Motion, velocity: Array, *, per_period: float = 80.0) -> Array:
-    """Least of velocities (N, k) within a quarter of a period of the cut-off, without sign."""
+def slowest_near(
+    motion: Motion, velocity: Array, *, per_period: float = 80.0, reach_periods: float = REACH
+) -> Array:
+    """Least of velocities (N, k) within some periods of the cut-off, without sign."""
     cutoff = motion.lowpass.cutoff_hz
     parts = max(1, math.ceil(per_period * cutoff / motion.rate_hz))
     share = (np.arange(parts) / parts)[:, None]
     # Straight between samples, so that thinning does not hide a reversal between two.
     ahead = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
     fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(-1, velocity.shape[1])
-    size = 2 * max(1, int(REACH * motion.rate_hz * parts / cutoff)) + 1
+    size = 2 * max(1, int(reach_periods * motion.rate_hz * parts / cutoff)) + 1
     return np.asarray(minimum_filter1d(fine, size, axis=0, mode="nearest")[::parts])
 
 

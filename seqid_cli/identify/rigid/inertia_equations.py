@@ -38,6 +38,10 @@ from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
+# Periods of the cut-off on either side of a reversal that are left out. Friction at the onset of
+# sliding is not that of its surface, and the filter mixes it in: the shorter quarter period that a
+# prediction is judged by reads delays of up to a millisecond where there are none.
+SETTLED_PERIODS = 1.0
 LEAST_CHUNKS, MOST_CHUNKS = 2, 6  # of the equations, worked on together
 
 
@@ -143,7 +147,8 @@ class InertiaEquations:
                 *about, within=(start, stop), chunk=size, reach=reach, beside=beside
             ):
                 low, high = max(0, part.start - reach), part.stop + reach
-                slides = sliding(motion.part(slice(low, high)), self.slowest)
+                near = motion.part(slice(low, high))
+                slides = sliding(near, self.slowest, reach_periods=SETTLED_PERIODS)
                 for at in range(part.start, part.stop, CHUNK):
                     own = slice(at, min(at + CHUNK, part.stop))
                     rigid = H[own.start - part.start : own.stop - part.start]

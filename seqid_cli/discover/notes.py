@@ -7,12 +7,12 @@ import numpy as np
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
-from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import extrapolated
 from seqid_cli.identify.imu_calibration.calibrate import deflecting
 from seqid_cli.identify.prediction.predict import OUTSIDE_NOTE
+from seqid_cli.motion.torque_noise import DETAIL
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec.structs import replace
 
+from seqid_cli.identify.regression.noise_level import postures
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params import schema
@@ -94,7 +95,7 @@ def _physics(stage: Stage, known: schema.Stages, robot: Robot) -> Iterator[schem
     if isinstance(stage, schema.FrictionStage):
         yield from friction_verdicts(stage, robot)
     elif isinstance(stage, schema.RigidStage) and stage.parameters:
-        q = _postures(robot)
+        q = postures(robot, count=LIMITS.postures)
         samples = dict(enumerate((q, own) for own in _gravity(robot, stage, q).T))
         if stage is not known.gravity:
             yield from inertia_verdicts(stage, robot)
@@ -185,7 +186,7 @@ def _gravity_verdicts(
     """Judge gravity by a stage's, or by the URDF's inertials; `text` says how it differs."""
     if not samples or (stage is None and robot.nominal is None):
         return
-    largest = float(np.abs(_gravity(robot, stage, _postures(robot))).max())
+    largest = float(np.abs(_gravity(robot, stage, postures(robot, count=LIMITS.postures))).max())
     for j, (q, own) in samples.items():
         told = _gravity(robot, stage, q)[:, j]
         rms = float(np.sqrt(np.mean(told**2)))
@@ -217,7 +218,7 @@ def inertia_verdicts(stage: schema.RigidStage, robot: Robot) -> Iterator[schema.
         return
     links, rotors = standard_parameters(stage, robot.n)
     standard = np.concatenate([links.ravel(), rotors])
-    q = _postures(robot)
+    q = postures(robot, count=LIMITS.postures)
     still = np.zeros_like(q)
     at_rest = standard_regressor(robot, q, still, still, coupling="diagonal")
     for j, name in enumerate(robot.joint_names):
@@ -237,11 +238,3 @@ def inertia_verdicts(stage: schema.RigidStage, robot: Robot) -> Iterator[schema.
                 "unit of the torque, torque_constant, gear_ratio and rotor_inertia"
             )
             yield schema.Verdict(joint=name, good=False, reason=reason)
-
-
-def _postures(robot: Robot) -> Array:
-    """Postures (P, n) within the limits, always the same."""
-    default = [(-0.5, 0.5) if joint.prismatic else (-np.pi, np.pi) for joint in robot.joints]
-    ranges = [j.position_limits or d for j, d in zip(robot.joints, default, strict=True)]
-    low, high = np.array(ranges).T
-    return np.random.default_rng(0).uniform(low, high, (LIMITS.postures, robot.n))

@@ -228,6 +228,8 @@ class RigidStage(Struct, kw_only=True):
     holds, by joint, what one standard error of its torque constant moves every parameter by,
     through gravity as well. `covariance` is without these moves, the standard errors are with them.
     `noise_density` (N m/sqrt(Hz)) is the white noise that would make the parameters' own errors.
+    `noise_floor` (N m) is what noise alone would leave beside the `rmse` of the fit, and
+    `noise_floor_high` the upper end of its 95 % interval.
     `nuisances` are delays, offsets and asymmetries as this stage found them beside its parameters;
     `nuisance_covariance` is the joint covariance of the parameters and then of all of them.
     """
@@ -245,6 +247,8 @@ class RigidStage(Struct, kw_only=True):
     not_excited: list[str] = []
     rmse: dict[str, float] = {}
     noise_density: dict[str, float] = {}
+    noise_floor: dict[str, float] = {}
+    noise_floor_high: dict[str, float] = {}
     method: str = "sequential"
     rotor_coupling: str = "diagonal"
     motion: dict[str, str] = {}

@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.discover.noise.spectra import Slid, Spectrum, level_of, power_gain, stretches
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
@@ -34,6 +33,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import unmoved
+from seqid_cli.motion.torque_noise import Slid, Spectrum, level_of, power_gain, stretches
 from seqid_cli.robot.types import Joint
 from seqid_cli.typing import Array
 

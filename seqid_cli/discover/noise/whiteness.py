@@ -14,9 +14,9 @@ import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
 from scipy.stats import chi2
 
-from seqid_cli.discover.noise.spectra import power_gain
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.motion.motion import Motion
+from seqid_cli.motion.torque_noise import power_gain
 from seqid_cli.typing import Array, Index, Mask
 
 FALSE_ALARM = 0.01  # share of white residuals that are called coloured

@@ -20,7 +20,6 @@ from typing import NamedTuple, cast
 import numpy as np
 from scipy.stats import t as student_t
 
-from seqid_cli.discover.noise.spectra import LEVEL
 from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.options import InertiaOptions
@@ -34,6 +33,7 @@ from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.motion.torque_noise import LEVEL
 from seqid_cli.params.schema import JointRmse, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array

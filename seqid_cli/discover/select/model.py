@@ -12,7 +12,6 @@ from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import Base, base_of
 from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
 from seqid_cli.discover.noise.floor import rms
-from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.noise import Noise, settled
@@ -21,6 +20,7 @@ from seqid_cli.discover.select.smooth import smooth_functions, smooth_products
 from seqid_cli.discover.select.terms import Term, effects, smooth_term
 from seqid_cli.discover.select.tuning import NEAR, Tuner
 from seqid_cli.discover.survey.rows import Rows as SurveyRows
+from seqid_cli.motion.torque_noise import DETAIL
 from seqid_cli.params.schema import Stages
 from seqid_cli.typing import Array
 

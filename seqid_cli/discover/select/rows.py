@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from seqid_cli.discover.noise.spectra import LEVEL
 from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
+from seqid_cli.motion.torque_noise import LEVEL
 from seqid_cli.typing import Array, Index
 
 Channels = Mapping[int, Array]  # channel -> its rows of some columns (M_c, k)

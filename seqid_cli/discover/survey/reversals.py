@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.discover.noise.spectra import DETAIL, power_gain
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.motion import Motion
+from seqid_cli.motion.torque_noise import DETAIL, power_gain
 from seqid_cli.robust import gaussian_spread
 from seqid_cli.typing import Array, Index, Mask
 

@@ -1,19 +1,18 @@
 """Torque predicted by an identified model, log by log, a long one part by part at its own rate."""
 
 import contextlib
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.special import beta
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.equations import open_if_long
+from seqid_cli.identify.regression.noise_level import PASSED
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
@@ -27,9 +26,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
-# Twice low-passed noise of the acceleration over that below the cut-off: 5 times the integral of
-# x^4 / (1 + x^8)^4.
-PASSED = math.sqrt(0.625 * beta(0.625, 3.375))
 OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a note
 
 

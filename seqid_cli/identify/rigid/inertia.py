@@ -28,12 +28,14 @@ from seqid_cli.identify.nuisances import (
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import cutoff_note, open_if_long, source_text, streams
 from seqid_cli.identify.regression.least_squares import Solution
+from seqid_cli.identify.regression.noise_level import NoiseLevel, noise_level, torque_of_noise
 from seqid_cli.identify.rigid import parameters
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages, Verdict
@@ -221,8 +223,16 @@ def _described(
         text = ", ".join(" + ".join(pair) for pair in pairs)
         notes.append(f"moving these joints together as well would give full rank: {text}")
     idle = "does not move in these logs, or its friction is not known"
-    fitted = robot, solution, rows.joints, rows.torque_squares
-    verdicts = parameters.joint_verdicts(*fitted, poor_share=poor_share, idle=idle)
+    floor = _noise_level(equations, rows, stage)
+    verdicts = parameters.joint_verdicts(
+        robot,
+        solution,
+        rows.joints,
+        rows.torque_squares,
+        floor,
+        poor_share=poor_share,
+        idle=idle,
+    )
     good = solution.rank == basis.size and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {basis.size}, condition {solution.condition:.3g}"
     # N m/sqrt(Hz) of each joint as the parameters feel it, slow noise included.
@@ -232,6 +242,10 @@ def _described(
         stage,
         rmse={name: float(solution.sigma[j]) for name, j in moved.items()},
         noise_density={name: float(noise[j]) for name, j in moved.items()},
+        noise_floor={name: float(floor.rms[j]) for name, j in moved.items() if floor.rms[j]},
+        noise_floor_high={
+            name: float(floor.high[j]) for name, j in moved.items() if floor.high[j]
+        },
         motion={use.log: source_text(use) for use in rows.uses},
         motion_use=rows.uses,
         missing_pairs=pairs,
@@ -239,3 +253,16 @@ def _described(
         verdicts=[*verdicts, Verdict(good=good, reason=reason)],
         notes=notes,
     )
+
+
+def _noise_level(equations: InertiaEquations, rows: InertiaRows, stage: RigidStage) -> NoiseLevel:
+    """Return what noise of torque and motion would leave of the torque in the used rows."""
+    robot = equations.robot
+    counts = np.array([max(joint.samples, 1) for joint in rows.joints])
+    torque = np.sqrt(rows.torque_squares / counts)
+    model = TorqueModel.from_stages(Stages(inertia=stage), robot)
+    squares = [
+        torque_of_noise(model, robot, use.acceleration_error) ** 2 for use in rows.uses
+    ]
+    encoder = np.sqrt(np.mean(squares, axis=0)) if squares else np.zeros(robot.n)
+    return noise_level(rows.noise, encoder, torque)

@@ -9,7 +9,7 @@ slide contribute rows: the torque of a locked joint lies anywhere within its sti
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import msgspec
 import numpy as np
@@ -24,6 +24,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.equations import CHUNK
 from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Solution, solve
+from seqid_cli.identify.regression.noise_level import LogNoise, noise_of_log
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
@@ -54,13 +55,15 @@ class InertiaRows:
     cross: dict[int, Array]
     uses: list[MotionUse]
     counts: Array  # (2,): samples that count as independent, and all
+    noise: list[LogNoise] = field(default_factory=list)  # of the logs that are held
 
     def __add__(self, other: "InertiaRows") -> "InertiaRows":
         none, known = np.zeros(()), self.cross | other.cross
         cross = {j: self.cross.get(j, none) + other.cross.get(j, none) for j in known}
         joints = [a + b for a, b in zip(self.joints, other.joints, strict=True)]
         squares, counts = self.torque_squares + other.torque_squares, self.counts + other.counts
-        return InertiaRows(joints, squares, cross, self.uses + other.uses, counts)
+        uses, noise = self.uses + other.uses, self.noise + other.noise
+        return InertiaRows(joints, squares, cross, uses, counts, noise)
 
 
 @dataclass(frozen=True)
@@ -164,6 +167,9 @@ class InertiaEquations:
             usable |= bool(motion.usable.any())
         if not usable:
             raise too_short(log.path, lowpass.cutoff_hz)
+        if isinstance(log, Recording):
+            slides = sliding(motion, self.slowest, reach_periods=SETTLED_PERIODS)
+            rows.noise.append(noise_of_log(log, motion, slides))
         whole = replace(motion, moving=moving[None])
         rows.uses.append(equations.motion_use(log.path, self.robot, whole))
         return rows

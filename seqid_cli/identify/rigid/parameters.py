@@ -14,9 +14,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution
+from seqid_cli.identify.regression.noise_level import NoiseLevel
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.model.bodies.nearest import identified, nearest_bodies
-from seqid_cli.params.schema import Parameter, RigidStage, Stages, Verdict
+from seqid_cli.params.schema import Level, Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import Basis, base_regressor, standard_names
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
@@ -107,19 +108,55 @@ def joint_verdicts(
     solution: Solution,
     joints: Sequence[Accumulator],
     squares: Array,
+    noise: NoiseLevel,
     *,
     poor_share: float,
     idle: str,
 ) -> list[Verdict]:
-    """A joint is poor where over `poor_share` of its torque's RMS is left, or none was used."""
-    # By sums `squares` (n,) of the squared torque of rows, (N m)^2; `idle` says why there are none.
+    """Judge each joint by what is left of its torque.
+
+    Parameters
+    ----------
+    robot : Robot
+    solution : Solution
+        With the RMS residual of each joint.
+    joints : sequence of Accumulator
+        The joints' rows.
+    squares : (n,) array
+        Sums of the squared torque of the rows [(N m)^2].
+    noise : NoiseLevel
+        What noise alone would leave.
+    poor_share : float
+        Of the torque's RMS, from which a joint is poor if it is left.
+    idle : str
+        Why a joint has no rows.
+
+    Returns
+    -------
+    list of Verdict
+        Good where noise is left, usable where more is but less than `poor_share`.
+    """
+    times_noise = noise.times(solution.sigma)
     verdicts = []
     for j, (joint, rows) in enumerate(zip(robot.joints, joints, strict=True)):
-        share, reason, sigma, square = np.inf, idle, float(solution.sigma[j]), squares[j]
-        if rows.samples:
-            share = sigma / max(float(np.sqrt(square / rows.samples)), 1e-300)
-            reason = f"leaves {percent(share)} of the torque ({sigma:.3g} {joint.unit('N m')})"
-        verdicts.append(Verdict(joint=joint.name, good=bool(share < poor_share), reason=reason))
+        if not rows.samples:
+            verdicts.append(Verdict(joint=joint.name, good=False, reason=idle))
+            continue
+        left = float(solution.sigma[j])
+        share = left / max(float(np.sqrt(squares[j] / rows.samples)), 1e-300)
+        unit = joint.unit("N m")
+        reason = f"leaves {percent(share)} of the torque ({left:.3g} {unit})"
+        if noise.high[j] > 0.0:
+            reason += f", noise up to {noise.high[j]:.3g} {unit}"
+        level: Level = "good"
+        if share >= poor_share:
+            level = "poor"
+        elif times_noise[j] > 1.0:
+            level = "usable"
+            reason += f": {times_noise[j]:.2g} times that, so something is missing"
+        verdicts.append(
+            Verdict(joint=joint.name, good=level == "good", level=level, reason=reason)
+        )
     return verdicts
 
 

@@ -4,7 +4,9 @@
 
 for comparison with the sequential way, and for logs that hold no single-joint trials. F_o is a
 constant torque per joint, as a current sensor's zero or a warm drive leaves it. Without it, base
-parameters stand in for it and are wrong beyond their errors. The result is written as a friction
+parameters stand in for it and are wrong beyond their errors. The delay of each joint's torque is
+unknown as well (`identify.nuisances`). It is marginalised and never reported: beside this law of
+friction it takes what friction is otherwise. The result is written as a friction
 stage of orders (0, 1) and an inertia stage with all base parameters, for every later command.
 """
 
@@ -16,14 +18,29 @@ from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface.summary import constants_note
+from seqid_cli.identify.nuisances import PRIORS
 from seqid_cli.identify.regression import equations
-from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
+from seqid_cli.identify.regression.least_squares import (
+    Accumulator,
+    Prior,
+    Solution,
+    solve,
+    whitened,
+)
+from seqid_cli.identify.regression.noise_level import (
+    LogNoise,
+    NoiseLevel,
+    noise_level,
+    noise_of_log,
+    torque_of_noise,
+)
 from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.units import UNTOLD
 from seqid_cli.model.friction import SLIDES
-from seqid_cli.model.torque import known_rotors, sliding
+from seqid_cli.model.torque import TorqueModel, known_rotors, sliding
+from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params import schema
@@ -31,6 +48,7 @@ from seqid_cli.robot.base_parameters import free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
+SIGN_SHARE = 0.004  # of a joint's speed, over which its friction changes sign
 TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
 
 
@@ -44,16 +62,19 @@ def identify_simultaneous(
     source: str = "auto",
 ) -> tuple[schema.FrictionStage, schema.RigidStage]:
     """Identify rigid body and Coulomb-viscous friction, and a torque F_o if `offset`, together."""
-    paths, motions = [], []
+    paths, motions, noise = [], [], []
     for recording in recordings:
         paths.append(recording.path)
         motion = equations.torque_motion(recording, robot, options, imu=imu, source=source)
         motions.append(deepcopy(motion))  # without the samples that it was thinned from
+        fastest = np.abs(np.where(motion.moving, motion.dq, 0.0)).max(axis=0)
+        slides = sliding(motion, SLIDES * SIGN_SHARE * fastest)
+        noise.append(noise_of_log(recording, motion, slides))
     rows = SimultaneousEquations(robot, motions, offset=offset) if motions else None
     if rows is None or not any(joint.samples for joint in rows.joints):
         raise QualityError("no joint moves in these logs", hint="record moves of every joint")
     uses = [equations.motion_use(path, robot, x) for path, x in zip(paths, motions, strict=True)]
-    return rows.stages(uses, options)
+    return rows.stages(uses, options, noise)
 
 
 class SimultaneousEquations:
@@ -64,16 +85,19 @@ class SimultaneousEquations:
     """
 
     def __init__(
-        self, robot: Robot, motions: Sequence[Motion], *, offset: bool, share: float = 0.004
+        self, robot: Robot, motions: Sequence[Motion], *, offset: bool, share: float = SIGN_SHARE
     ) -> None:
         self.robot, self.basis = robot, free_basis(robot)
         self.terms = TERMS if offset else TERMS[:2]
-        size = self.basis.size + len(self.terms) * robot.n
-        edges = range(self.basis.size, size, len(self.terms))
+        first_delay = self.basis.size + len(self.terms) * robot.n
+        edges = range(self.basis.size, first_delay, len(self.terms))
         self.own = [slice(k, k + len(self.terms)) for k in edges]
+        size = first_delay + robot.n
+        self.delays = slice(first_delay, size)
         self.joints = [Accumulator(size) for _ in range(robot.n)]
         self._rotor_sums = np.zeros((robot.n, size))  # H' times the torque of known rotors
         self.torque_squares = np.zeros(robot.n)
+        self.independent = float(np.mean([_independent_share(motion) for motion in motions]))
         speeds = [np.where(motion.moving, np.abs(motion.dq), 0.0) for motion in motions]
         self.fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
         usual = [np.quantile(speed, 0.99, axis=0) for speed in speeds]
@@ -96,6 +120,7 @@ class SimultaneousEquations:
         sign = np.tanh(motion.dq / np.where(self.width > 0, self.width, 1.0))
         columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
         friction = motion.filtered(columns[:, :, : len(self.terms)], times=2)
+        change = np.gradient(motion.tau, axis=0) * motion.rate_hz
         for part, H in equations.filtered_regressor(motion, self.robot, self.basis):
             for block in equations.blocks(len(H), motion.rate_hz):
                 for j, joint in enumerate(self.joints):
@@ -103,18 +128,32 @@ class SimultaneousEquations:
                     wide = np.zeros((int(kept.sum()), joint.size))
                     wide[:, : self.basis.size] = H[block, j][kept]
                     wide[:, self.own[j]] = friction[part][block, j][kept]
+                    wide[:, self.delays.start + j] = -change[part][block, j][kept]
                     joint.add(wide, y[part][block, j][kept])
                     self._rotor_sums[j] += wide.T @ rotors[part][block, j][kept]
         self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
 
     def stages(
-        self, uses: list[schema.MotionUse], options: MotionOptions
+        self,
+        uses: list[schema.MotionUse],
+        options: MotionOptions,
+        noise: Sequence[LogNoise] = (),
     ) -> tuple[schema.FrictionStage, schema.RigidStage]:
-        """Solve and describe the result; `uses` are of the logs' motions."""
-        robot, solution = self.robot, solve(self.joints)
-        sums = enumerate(self._rotor_sums)
-        known = {j: -solution.bread @ own / solution.sigma[j] ** 2 for j, own in sums}
-        posterior = Posterior.of(solution, (), robot.torque_constant_errors, {}, known)
+        """Solve and describe the result; `uses` and `noise` are of the logs."""
+        robot = self.robot
+        delays = whitened(PRIORS.delay_covariance(robot.n))
+        rows = np.pad(delays, ((0, 0), (self.delays.start, 0)))
+        prior = Prior(rows, np.zeros(len(rows)))
+        solution = solve(
+            self.joints, prior=prior, nuisances=self.delays, independent=self.independent
+        )
+        known = {
+            j: -self.independent * solution.bread @ sums / solution.sigma[j] ** 2
+            for j, sums in enumerate(self._rotor_sums)
+        }
+        posterior = Posterior.of(
+            solution, (), robot.torque_constant_errors, {}, known, prior
+        )
         moved = [j for j in range(robot.n) if self.joints[j].samples]
         named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
         note = f"friction ({named}) from one least squares with the rigid body (Eq. 5-6)"
@@ -132,8 +171,12 @@ class SimultaneousEquations:
             f"the offset of {', '.join(robot.joint_names[j] for j in free)} is not told apart from "
             "other torques: record wider moves, or leave offsets out (--no-offset)"
         )
+        floor = self._noise_level(stage, uses, noise)
+        named_floor = [(name, j) for j, name in enumerate(robot.joint_names) if floor.high[j]]
         rigid = replace(
             stage,
+            noise_floor={name: float(floor.rms[j]) for name, j in named_floor},
+            noise_floor_high={name: float(floor.high[j]) for name, j in named_floor},
             rank=solution.rank - len(self.terms) * len(moved),
             friction_sensitivity={},
             rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
@@ -141,7 +184,7 @@ class SimultaneousEquations:
             motion={use.log: equations.source_text(use) for use in uses},
             motion_use=uses,
             cutoff_hz=cutoff,
-            verdicts=self._verdicts(solution, len(stage.not_excited)),
+            verdicts=self._verdicts(solution, floor, len(stage.not_excited)),
             notes=[*stage.notes, *([text] if free else [])],
         )
         return friction, rigid
@@ -176,20 +219,55 @@ class SimultaneousEquations:
             ],
         )
 
+    def _noise_level(
+        self,
+        stage: schema.RigidStage,
+        uses: Sequence[schema.MotionUse],
+        noise: Sequence[LogNoise],
+    ) -> NoiseLevel:
+        """Return what noise of torque and motion would leave of the torque in the used rows."""
+        counts = np.array([max(joint.samples, 1) for joint in self.joints])
+        model = TorqueModel.from_stages(schema.Stages(inertia=stage), self.robot)
+        squares = [
+            torque_of_noise(model, self.robot, use.acceleration_error) ** 2 for use in uses
+        ]
+        torque = np.sqrt(self.torque_squares / counts)
+        return noise_level(noise, np.sqrt(np.mean(squares, axis=0)), torque)
+
     def _verdicts(
-        self, solution: Solution, missing: int, *, poor_share: float = 0.25, clear_sigma: float = 3
+        self,
+        solution: Solution,
+        floor: NoiseLevel,
+        missing: int,
+        *,
+        poor_share: float = 0.25,
+        clear_sigma: float = 3,
     ) -> list[schema.Verdict]:
         """A joint is poor by what is left of its torque, or where Coulomb friction is negative."""
-        known, squares = (self.robot, solution, self.joints), self.torque_squares
-        verdicts = joint_verdicts(*known, squares, poor_share=poor_share, idle="does not move")
+        verdicts = joint_verdicts(
+            self.robot,
+            solution,
+            self.joints,
+            self.torque_squares,
+            floor,
+            poor_share=poor_share,
+            idle="does not move",
+        )
         for j, (joint, own) in enumerate(zip(self.robot.joints, self.own, strict=True)):
             dry, error = solution.theta[own.start], np.sqrt(solution.covariance[(own.start,) * 2])
             if self.joints[j].samples and dry < -clear_sigma * error:
                 text = f"Coulomb friction of {dry:.3g} {joint.unit('N m')} cannot be"
                 reason = f"{verdicts[j].reason}; {text}: record both ways"
-                verdicts[j] = replace(verdicts[j], good=False, reason=reason)
+                verdicts[j] = replace(verdicts[j], good=False, level="poor", reason=reason)
         reason = f"condition {solution.condition:.3g}, {missing} parameter(s) not excited"
         return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
+
+
+def _independent_share(motion: Motion) -> float:
+    """Share of a low-passed log's samples that count as independent."""
+    if not motion.lowpass.active:
+        return 1.0
+    return min(1.0, 2.0 * NOISE_BANDWIDTH * motion.lowpass.cutoff_hz / motion.rate_hz)
 
 
 def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:

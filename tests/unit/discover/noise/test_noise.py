@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_floor, rms
-from seqid_cli.discover.noise.spectra import Spectrum, level_of, power_gain
+from seqid_cli.motion.torque_noise import Spectrum, level_of, power_gain
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
 from seqid_cli.discover.survey.rows import Rows

@@ -299,7 +299,7 @@ def later_prior(
     columns = NuisanceColumns(basis.size, len(names))
     gravity = stages.gravity if stages.gravity and stages.gravity.parameters else None
     known = gravity_prior(gravity, basis, names)
-    friction, constants = known.friction, known.constants
+    friction, constants, tolerances = known.friction, known.constants, known.tolerances
     blocks = [np.pad(known.A, ((0, 0), (0, columns.count)))]
     values = [known.b]
 
@@ -324,6 +324,7 @@ def later_prior(
         inverse = np.linalg.pinv(known.A[:, places[:size]])
         friction = {j: rows[:, :size] @ inverse @ T for j, T in known.friction.items()}
         constants = {j: rows[:, :size] @ inverse @ T for j, T in known.constants.items()}
+        tolerances = {k: rows[:, :size] @ inverse @ T for k, T in known.tolerances.items()}
 
     for j, (name, surface) in enumerate(zip(names, surfaces, strict=True)):
         if ("offset", name) in stated:
@@ -353,6 +354,7 @@ def later_prior(
         b=np.concatenate(values),
         friction={j: np.pad(T, padding) for j, T in friction.items()},
         constants={j: np.pad(move, (0, count - first)) for j, move in constants.items()},
+        tolerances={k: np.pad(move, (0, count - first)) for k, move in tolerances.items()},
     )
 
 

@@ -90,6 +90,11 @@ def _rigid(key: str, stage: schema.RigidStage) -> Iterator[_Problem]:
     for joint, moves in stage.torque_constant_moves.items():
         if len(moves) != count:
             yield f"{key}.torque_constant_moves.{joint}", f"must be {count} numbers"
+    for name, moves in stage.tolerance_moves.items():
+        if len(moves) != count:
+            yield f"{key}.tolerance_moves.{name}", f"must be {count} numbers"
+    if stage.nuisance_covariance:
+        yield from _square(key, stage.nuisance_covariance, count + len(stage.nuisances))
 
 
 def _imu(key: str, imu: schema.ImuCalibration) -> Iterator[_Problem]:

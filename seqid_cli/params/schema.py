@@ -226,7 +226,8 @@ class RigidStage(Struct, kw_only=True):
     every entry of that joint's friction `covariance` (a column), through gravity as well: with the
     covariances it gives that of everything identified with everything. `torque_constant_moves`
     holds, by joint, what one standard error of its torque constant moves every parameter by,
-    through gravity as well. `covariance` is without these moves, the standard errors are with them.
+    through gravity as well. `tolerance_moves` hold the same for what no log shows and the robot
+    file gives a tolerance of. `covariance` is without these moves, the standard errors are with them.
     `noise_density` (N m/sqrt(Hz)) is the white noise that would make the parameters' own errors.
     `noise_floor` (N m) is what noise alone would leave beside the `rmse` of the fit, and
     `noise_floor_high` the upper end of its 95 % interval.
@@ -242,6 +243,7 @@ class RigidStage(Struct, kw_only=True):
     covariance: Matrix = []
     friction_sensitivity: dict[str, Matrix] = {}
     torque_constant_moves: dict[str, list[float]] = {}
+    tolerance_moves: dict[str, list[float]] = {}
     nuisances: list[Nuisance] = []
     nuisance_covariance: Matrix = []
     not_excited: list[str] = []

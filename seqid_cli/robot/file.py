@@ -67,6 +67,9 @@ def load_robot(path: Path) -> "Robot":
         nominal=nominal,
         urdf=urdf.path if urdf else None,
         effects=tuple(effects),
+        gravity_error=content.gravity_error,
+        geometry_error_m=content.geometry_error.position,
+        geometry_error_rad=content.geometry_error.angle,
     )
 
 

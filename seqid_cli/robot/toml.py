@@ -30,6 +30,7 @@ MOST_JOINTS = 16  # memory grows with the third power, the time of some checks w
 _MEANINGS = {
     "torque_constant": "It is the motor-side constant in N m/A; the sign goes to gear_ratio.",
     "torque_constant_error": "It is relative: 0.02 where the constant is known to 2 % (one sigma).",
+    "position_zero_error": "It is the standard error of the joint's zero in rad (m).",
     "gear_ratio": "Motor turns per joint turn; 1 for a direct drive, negative if it turns back.",
     "rotor_inertia": "It is in kg m^2 on the motor side; leave it out to identify it.",
     "winding_resistance": "It is the motor's resistance in ohm, both terminals.",
@@ -37,7 +38,12 @@ _MEANINGS = {
     "encoder_resolution": "It is the encoder's step at the joint in rad.",
     "velocity_limit": "It is the largest speed in rad/s.",
 }
-_LIMITS = {"torque_constant_error": (0.0, 1.0), "rotor_inertia": (0.0, LARGEST)}
+_LIMITS = {
+    "torque_constant_error": (0.0, 1.0),
+    "position_zero_error": (0.0, 1.0),
+    "rotor_inertia": (0.0, LARGEST),
+}
+LARGEST_TOLERANCE = 0.5  # rad, m: more is no tolerance but another arm
 # What the motor's data must hold for a log of these channels.
 _NEEDED = {
     "current": ("torque_constant",),
@@ -61,6 +67,7 @@ def problems(robot: RobotFile) -> Iterator[Problem]:
         hint = f"Add one [[joint]] table per actuated joint of one serial arm, up to {MOST_JOINTS}."
         yield f"the robot has {len(robot.joint) or 'no'} [[joint]] tables", hint
     yield from _numbers("gravity", "", robot.gravity)
+    yield from _tolerances(robot)
     for table in ("joint", "imu", "effect"):
         names = [entry.name for entry in getattr(robot, table)]
         for k, (name, entry) in enumerate(zip(names, getattr(robot, table), strict=True)):
@@ -97,6 +104,19 @@ def _numbers(key: str, named: str, value: Any) -> Iterator[Problem]:
 def _text(key: str, value: str) -> Iterator[Problem]:
     if not value.strip() or not value.isprintable():
         yield f"{key} is {value!r}", "Give it a name of printable characters."
+
+
+def _tolerances(robot: RobotFile) -> Iterator[Problem]:
+    """Say which standard errors of the arm as a whole make no sense."""
+    sizes = {
+        "gravity_error": robot.gravity_error,
+        "geometry_error.position": robot.geometry_error.position,
+        "geometry_error.angle": robot.geometry_error.angle,
+    }
+    for key, size in sizes.items():
+        if not 0.0 <= size <= LARGEST_TOLERANCE:
+            message = f"{key} must be from 0 to {LARGEST_TOLERANCE:g}, is {size:g}"
+            yield message, "It is a standard error in rad, that of a position in m."
 
 
 def _joint(key: str, joint: JointEntry, urdf: str | None) -> Iterator[Problem]:

@@ -33,6 +33,7 @@ class JointEntry(Table, frozen=True):
     dh: DhEntry | None = None
     torque_constant: float | None = None
     torque_constant_error: float = 0.0
+    position_zero_error: float = 0.0
     gear_ratio: float | None = None
     rotor_inertia: float | None = None
     winding_resistance: float | None = None
@@ -86,6 +87,13 @@ class EffectEntry(Table, frozen=True):
     settings: dict[str, tuple[float, float]] = {}
 
 
+class GeometryError(Table, frozen=True):
+    """`geometry_error`: standard errors of each joint's place [m] and turn [rad] in the chain."""
+
+    position: float = 0.0
+    angle: float = 0.0
+
+
 class RobotFile(Table, frozen=True):
     """The whole document."""
 
@@ -94,6 +102,8 @@ class RobotFile(Table, frozen=True):
     gravity: Vector
     joint: tuple[JointEntry, ...]
     urdf: str | None = None
+    gravity_error: float = 0.0
+    geometry_error: GeometryError = GeometryError()
     imu: tuple[ImuEntry, ...] = ()
     effect: tuple[EffectEntry, ...] = ()
     channels: Channels = Channels()
@@ -102,6 +112,7 @@ class RobotFile(Table, frozen=True):
 TABLES: dict[str, type[Table]] = {  # by their keys in the document
     "joint": JointEntry,
     "joint.dh": DhEntry,
+    "geometry_error": GeometryError,
     "imu": ImuEntry,
     "imu.accelerometers": AccelerometerEntry,
     "channels": Channels,

@@ -23,6 +23,7 @@ class Joint:
     prismatic: bool = False
     torque_constant: float | None = None  # N m/A, motor side
     torque_constant_error: float = 0.0  # relative standard error of the joint's torque scale
+    position_zero_error: float = 0.0  # rad (m), standard error of the joint's zero
     gear_ratio: float | None = None
     rotor_inertia: float | None = None  # kg m^2, motor side
     winding_resistance: float | None = None  # ohm; as the voltage for logs of voltage or duty cycle
@@ -97,6 +98,10 @@ class Robot:
     nominal: Array | None = None
     urdf: Path | None = None
     effects: tuple[OwnEffect, ...] = ()
+    # Standard errors of what no log shows: gravity's direction, each joint's frame in the chain.
+    gravity_error: float = 0.0  # rad, about either axis across it
+    geometry_error_m: float = 0.0
+    geometry_error_rad: float = 0.0
 
     @property
     def n(self) -> int:

@@ -124,6 +124,7 @@ class Prior:
     # By joint what b moves by with coefficients of friction (k, K_j), torque constants' errors (k,)
     friction: dict[int, Array] = field(default_factory=dict)
     constants: dict[int, Array] = field(default_factory=dict)
+    tolerances: dict[str, Array] = field(default_factory=dict)  # likewise with what no log shows
 
 
 @dataclass(frozen=True)

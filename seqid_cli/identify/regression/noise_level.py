@@ -50,8 +50,7 @@ class LogNoise:
 class NoiseLevel:
     """RMS (n,) N m that noise leaves of each joint's torque, and its 95 % interval.
 
-    All zero for a joint that nothing is known of. Where no log has rests, the colour of the noise
-    below the cut-off stays open, and `high` is the most that noise of any shape could leave.
+    All zero for a joint that nothing is known of.
     """
 
     rms: Array
@@ -127,11 +126,10 @@ def noise_level(logs: Sequence[LogNoise], encoder: Array, torque: Array) -> Nois
         if not spectra or not slid:
             continue
         level = level_of(spectra, slid[0][0].lowpass.cutoff_hz).rms(slid)
-        largest = level[2] if resting else level[3]
         middle[j] = np.hypot(level[0], encoder[j])
         low[j] = level[1]
         detail = DETAIL * torque[j]
-        high[j] = np.linalg.norm([largest, ENCODER_DOUBT * encoder[j], detail])
+        high[j] = np.linalg.norm([level[2], ENCODER_DOUBT * encoder[j], detail])
     return NoiseLevel(rms=middle, low=low, high=high)
 
 

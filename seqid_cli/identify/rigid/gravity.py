@@ -35,6 +35,7 @@ from seqid_cli.identify.regression.least_squares import Accumulator, Prior, Solu
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from seqid_cli.identify.rigid.parameters import rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior, Sensitivity
+from seqid_cli.identify.tolerances import deviation_torques, deviations
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
@@ -100,6 +101,12 @@ class GravityRows:
         self.used = 0
         self.skipped: list[str] = []
         self.cross: dict[int, Array] = {}
+        standard = held.basis.representative[:, : self.size] @ held.theta
+        # The whole of the bodies counts where the geometry is another, not their base parameters.
+        links = standard[: 10 * self.robot.n].reshape(-1, 10)
+        self.standard = links if self.robot.nominal is None else self.robot.nominal
+        self.deviations = [deviation.name for deviation in deviations(self.robot)]
+        self.tolerances: dict[str, dict[int, Array]] = {name: {} for name in self.deviations}
         self.unseen: list[tuple[int, Array]] = []  # what is not known of acceleration and others
 
     def add_joint(self, trials: list[Trial], joints: list[Accumulator]) -> None:
@@ -119,8 +126,9 @@ class GravityRows:
         trial, log, group = table[:, -3:].T.astype(np.intp)
         noise = Rows(table[:, :shared], table[:, -7], t, weight, seconds, trial, log)
         white = whitener_of(noise)(table[:, :-6])
-        parts_of = [self.size, shared, -2 - self.robot.n, -2, -1]
-        gravity, even, F, stood, accelerated, y = np.split(white, parts_of, axis=1)
+        count = len(self.deviations)
+        parts_of = [self.size, shared, -2 - count - self.robot.n, -2 - count, -2, -1]
+        gravity, even, F, stood, deviated, accelerated, y = np.split(white, parts_of, axis=1)
 
         H = np.zeros((len(gravity), self.columns))
         H[:, : self.size] = gravity
@@ -130,6 +138,8 @@ class GravityRows:
             for k, joint in enumerate(joints):
                 joint.add(H, y[:, 0], (trial == number) & (k == j))
         self.cross[j] = H.T @ F
+        for name, torque in zip(self.deviations, deviated.T, strict=True):
+            self.tolerances[name][j] = H.T @ torque
         for k, each in enumerate(groups):
             self.unseen.append((j, H.T @ (each.std_error * accelerated[:, 0] * (group == k))))
             for number in np.unique(log[group == k]):  # each with the same reading all along
@@ -140,8 +150,8 @@ class GravityRows:
         self, groups: list[SteadyGroup], surface: FrictionSurface, *, group_size: int = 8
     ) -> Array:
         """Rows of all trials, means over so many slices (`group_size`)."""
-        # H, offset and asymmetries, F, where others stand, acceleration, torque, time, samples,
-        # seconds; last come trial, log, group.
+        # H, offset and asymmetries, F, where others stand, deviations, acceleration, torque, time,
+        # samples, seconds; last come trial, log, group.
         every = [(k, trial) for k, group in enumerate(groups) for trial in group.trials]
         settled = [(k, trial.part(_settled(trial, surface))) for k, trial in every]
         used = [(k, trial) for k, trial in settled if len(trial.q) >= group_size]
@@ -157,13 +167,24 @@ class GravityRows:
             F = surface.odd_columns(trial.q, v)
             y = trial.tau - surface.torque(trial.q, v)
             even = even_columns(surface, trial.q, v)
-            columns = [H, even, F, stood, trial.ddq, y, trial.t]
+            still = np.zeros_like(trial.places)
+            torques = deviation_torques(self.robot, self.standard, trial.places, still, still)
+            deviated = [torque[:, trial.joint] for torque in torques.values()]
+            columns = [H, even, F, stood, *deviated, trial.ddq, y, trial.t]
             wide = np.array_split(np.column_stack(columns), count)
             slices = len(trial.q) / count
             about = slices * trial.weight, slices * trial.seconds, n, trial.log, k
             means = np.stack([part.mean(axis=0) for part in wide])
             parts.append(np.hstack([means, np.tile(about, (count, 1))]))
         return np.vstack(parts)
+
+    def tolerance_moves(self, solution: Solution) -> dict[str, Array]:
+        """How the parameters move with one standard deviation of what no log shows."""
+        moves = {}
+        for name, crossed in self.tolerances.items():
+            parts = [cross / solution.sigma[j] ** 2 for j, cross in crossed.items()]
+            moves[name] = solution.bread @ np.sum(parts, axis=0)
+        return moves
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
         """How the parameters move with the coefficients of each joint's friction."""
@@ -202,6 +223,7 @@ def _stage(
         known={},
         prior=prior,
     ).with_error(np.reshape(unseen, (-1, rows.columns)).T)
+    joint_posterior = replace(joint_posterior, tolerances=rows.tolerance_moves(solution))
 
     posterior = joint_posterior.first(size)
     parameters = solution.first(size)

@@ -31,7 +31,11 @@ from seqid_cli.identify.regression.least_squares import Solution
 from seqid_cli.identify.regression.noise_level import NoiseLevel, noise_level, torque_of_noise
 from seqid_cli.identify.rigid import parameters
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
-from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
+from seqid_cli.identify.rigid.inertia_equations import (
+    InertiaEquations,
+    InertiaRows,
+    tolerance_moves,
+)
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs.recording import Recording
@@ -128,6 +132,7 @@ def _stage(
     moves = parameters.imu_moves(robot, basis, inertia, equations.reflected, errors)
     moves = np.pad(moves, ((0, equations.nuisances.count), (0, 0)))
     posterior = posterior.with_error(by_cutoff).with_error(moves)
+    posterior = replace(posterior, tolerances=tolerance_moves(equations, rows, solution))
     stage = _described(
         equations, rows, solution.first(basis.size), posterior.first(basis.size)
     )

@@ -26,6 +26,7 @@ from seqid_cli.identify.regression.equations import CHUNK
 from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Solution, solve
 from seqid_cli.identify.regression.noise_level import LogNoise, noise_of_log
 from seqid_cli.identify.rigid.posterior import Posterior
+from seqid_cli.identify.tolerances import deviation_torques, deviations
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_friction, sliding
@@ -34,7 +35,7 @@ from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
-from seqid_cli.robot.base_parameters import free_basis, gear_ratios
+from seqid_cli.robot.base_parameters import base_regressor, free_basis, gear_ratios
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
@@ -44,6 +45,19 @@ from seqid_cli.typing import Array, Mask
 # prediction is judged by reads delays of up to a millisecond where there are none.
 SETTLED_PERIODS = 1.0
 LEAST_CHUNKS, MOST_CHUNKS = 2, 6  # of the equations, worked on together
+
+
+MOST_STATES = 200  # of one log, at which deviations from the robot file are looked at
+
+
+@dataclass(frozen=True)
+class States:
+    """Some states (S, n) of a log [rad, rad/s, rad/s^2], and where joints' rows were `used`."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+    used: Mask
 
 
 @dataclass
@@ -56,14 +70,22 @@ class InertiaRows:
     uses: list[MotionUse]
     counts: Array  # (2,): samples that count as independent, and all
     noise: list[LogNoise] = field(default_factory=list)  # of the logs that are held
+    states: list[States] = field(default_factory=list)  # some of each log's
 
     def __add__(self, other: "InertiaRows") -> "InertiaRows":
         none, known = np.zeros(()), self.cross | other.cross
         cross = {j: self.cross.get(j, none) + other.cross.get(j, none) for j in known}
         joints = [a + b for a, b in zip(self.joints, other.joints, strict=True)]
         squares, counts = self.torque_squares + other.torque_squares, self.counts + other.counts
-        uses, noise = self.uses + other.uses, self.noise + other.noise
-        return InertiaRows(joints, squares, cross, uses, counts, noise)
+        return InertiaRows(
+            joints=joints,
+            torque_squares=squares,
+            cross=cross,
+            uses=self.uses + other.uses,
+            counts=counts,
+            noise=self.noise + other.noise,
+            states=self.states + other.states,
+        )
 
 
 @dataclass(frozen=True)
@@ -170,6 +192,11 @@ class InertiaEquations:
         if isinstance(log, Recording):
             slides = sliding(motion, self.slowest, reach_periods=SETTLED_PERIODS)
             rows.noise.append(noise_of_log(log, motion, slides))
+            some = np.flatnonzero(slides.any(axis=1))
+            some = some[:: max(1, len(some) // MOST_STATES)]
+            rows.states.append(
+                States(motion.q[some], motion.dq[some], motion.ddq[some], slides[some])
+            )
         whole = replace(motion, moving=moving[None])
         rows.uses.append(equations.motion_use(log.path, self.robot, whole))
         return rows
@@ -304,6 +331,40 @@ class InertiaEquations:
         direct = {j: S[:, :-1] if j in known else S for j, S in crossed.items()}
         about = self.surfaces, self.robot.torque_constant_errors
         return solution, Posterior.of(solution, *about, direct, known, prior)
+
+
+def tolerance_moves(
+    equations: InertiaEquations, rows: InertiaRows, solution: Solution
+) -> dict[str, Array]:
+    """Return how the unknowns (p,) move with one standard deviation of what no log shows."""
+    robot, basis = equations.robot, equations.basis
+    names = [deviation.name for deviation in deviations(robot)]
+    if not names or not rows.states:
+        return {}
+    q, dq, ddq, used = (
+        np.concatenate([getattr(states, name) for states in rows.states])
+        for name in ("q", "dq", "ddq", "used")
+    )
+    links = (basis.representative @ solution.theta[: basis.size])[: 10 * robot.n]
+    standard = links.reshape(-1, 10) if robot.nominal is None else robot.nominal
+    H = base_regressor(robot, basis, q, dq, ddq)
+    torques = deviation_torques(robot, standard, q, dq, ddq)
+
+    # Some states stand for all rows of a joint, of which a share counts as independent.
+    share = float(rows.counts[0] / max(rows.counts[1], 1.0))
+    prior = later_prior(equations.stages, equations.surfaces, basis, robot.joint_names)
+    size = len(solution.theta)
+    moves = {}
+    for name in names:
+        right = np.zeros(size)
+        for j, joint in enumerate(rows.joints):
+            mask = used[:, j]
+            weight = share * joint.samples / max(int(mask.sum()), 1) / solution.sigma[j] ** 2
+            right[: basis.size] += weight * (H[mask, j].T @ torques[name][mask, j])
+        if name in prior.tolerances:
+            right += prior.A[:, :size].T @ prior.tolerances[name]
+        moves[name] = solution.bread @ right
+    return moves
 
 
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:

@@ -77,6 +77,9 @@ def rigid_stage(
         torque_constant_moves={
             names[j]: move[determined].tolist() for j, move in posterior.constants.items()
         },
+        tolerance_moves={
+            name: move[determined].tolist() for name, move in posterior.tolerances.items()
+        },
         not_excited=missing,
         notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
     )

@@ -25,6 +25,7 @@ that torque uses cov(theta), and what is stated of physical values adds M.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -63,8 +64,8 @@ def constant_moves(solution: Solution, errors: Array, known: Moves, through: Mov
     }
 
 
-def moves_covariance(moves: Mapping[int, Array], size: int) -> Array:
-    """Covariance (p, p) that the errors of the torque constants make: sum_k M_k M_k'."""
+def moves_covariance(moves: Mapping[Any, Array], size: int) -> Array:
+    """Covariance (p, p) that errors common to all rows make: sum_k M_k M_k'."""
     return sum((np.outer(M, M) for M in moves.values()), np.zeros((size, size)))
 
 
@@ -75,11 +76,15 @@ class Posterior:
     covariance: Array  # without the errors of torque constants
     friction: Sensitivity  # the total one
     constants: Moves = field(default_factory=dict)
+    # By its name: (p,) change of parameters per standard deviation of what no log shows.
+    tolerances: dict[str, Array] = field(default_factory=dict)
 
     @property
     def stated(self) -> Array:
-        """Covariance (p, p) of the physical values, with the errors of the torque constants."""
-        return self.covariance + moves_covariance(self.constants, len(self.covariance))
+        """Covariance (p, p) of the physical values, with what cancels in predicted torques."""
+        size = len(self.covariance)
+        common = moves_covariance(self.constants, size) + moves_covariance(self.tolerances, size)
+        return self.covariance + common
 
     @classmethod
     def of(
@@ -111,6 +116,7 @@ class Posterior:
             covariance=self.covariance[:count, :count],
             friction={j: T[:count] for j, T in self.friction.items()},
             constants={j: move[:count] for j, move in self.constants.items()},
+            tolerances={name: move[:count] for name, move in self.tolerances.items()},
         )
 
     def with_error(self, directions: Array) -> "Posterior":
@@ -135,4 +141,5 @@ def gravity_prior(gravity: RigidStage | None, basis: Basis, joints: Sequence[str
         for known in (gravity.friction_sensitivity, gravity.torque_constant_moves)
     )
     value = np.asarray((basis.expression @ phi)[:size])[own]
-    return Prior(wide, rows @ value, friction, constants)
+    tolerances = {name: rows @ np.array(move) for name, move in gravity.tolerance_moves.items()}
+    return Prior(wide, rows @ value, friction, constants, tolerances)

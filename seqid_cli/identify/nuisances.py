@@ -217,6 +217,13 @@ def with_delay(joint: FrictionJoint, delay_s: float, std_error_s: float) -> Fric
 
     variance = std_error_s**2 - stated.std_error**2
     covariance = np.array(joint.covariance) + variance * np.outer(moves, moves)
+    if joint.nuisance_covariance:
+        # Asymmetries are shares of the mean of both directions, which has moved as well.
+        even = np.array(joint.nuisance_covariance)
+        mean = (np.array(joint.positive) + np.array(joint.negative)) / 2.0
+        before = even_jacobian(mean)
+        after = even_jacobian((forward + backward) / 2.0)
+        covariance += after @ even @ after.T - before @ even @ before.T
     term = replace(stated, value=delay_s, std_error=std_error_s)
     return replace(
         joint,

@@ -227,7 +227,7 @@ class RigidStage(Struct, kw_only=True):
     covariances it gives that of everything identified with everything. `torque_constant_moves`
     holds, by joint, what one standard error of its torque constant moves every parameter by,
     through gravity as well. `tolerance_moves` hold the same for what no log shows and the robot
-    file gives a tolerance of. `covariance` is without these moves, the standard errors are with them.
+    file gives a tolerance of. `covariance` is without these moves, the standard errors with them.
     `noise_density` (N m/sqrt(Hz)) is the white noise that would make the parameters' own errors.
     `noise_floor` (N m) is what noise alone would leave beside the `rmse` of the fit, and
     `noise_floor_high` the upper end of its 95 % interval.

@@ -194,11 +194,11 @@ def solve(
         scale = sigma / np.sqrt(independent)  # of the factor: what follows must use the same
         stack = [totals[k] / scale[k] for k in used] + told
         factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
-        theta, basis, left_open, condition, determined = _solve_scaled(factor, seen)
+        theta, basis, left_open, condition, determined = _solve_marginalised(
+            factor, seen, nuisances
+        )
         sigma = np.maximum([joint.residual_rms(theta) for joint in joints], 1e-12)
     rank = basis.shape[1] - marginalised
-    if marginalised:
-        condition = _marginal_condition(factor, seen, nuisances)
     bread = basis @ basis.T
     blocks = {k: joints[k].blocks for k in used}
     moves, designs = _jackknife(blocks, scale, theta, factor, bread)
@@ -238,19 +238,43 @@ def _solve_scaled(
     return basis @ (U[:, kept].T @ z), basis, left_open, condition, determined
 
 
-def _marginal_condition(factor: Array, seen: Mask, nuisances: slice) -> float:
-    """Return the condition of the scaled columns that are no nuisances, these marginalised."""
+def _solve_marginalised(
+    factor: Array, seen: Mask, nuisances: slice
+) -> tuple[Array, Array, Array, float, Mask]:
+    """Solve as `_solve_scaled` does, which directions are excited being asked of the others alone.
+
+    A nuisance term that resembles a parameter is told apart by its prior, however weak that is
+    beside the rows: it is no direction to be dropped.
+    """
     columns = np.arange(len(factor) - 1)
     first = columns[nuisances]
-    others = np.setdiff1d(columns[seen], first)
-    ordered = factor[:, np.concatenate([first, others])]
-    # Below the rows that hold nuisances the triangular factor is of what they leave.
-    triangle = np.asarray(np.linalg.qr(ordered, mode="r"))
-    rest = triangle[len(first) :, len(first) :]
-    norms = np.linalg.norm(factor[:, others], axis=0)
-    values = np.linalg.svd(rest / np.where(norms > 0.0, norms, 1.0), compute_uv=False)
-    kept = values[values > RANK_TOLERANCE * values[0]] if len(values) else values
-    return float(kept[0] / kept[-1]) if len(kept) else 0.0
+    if not len(first):
+        return _solve_scaled(factor, seen)
+
+    # With the nuisances first, the rows below theirs are of what they leave of the others.
+    others = np.setdiff1d(columns, first)
+    ordered = factor[:, [*first, *others, len(columns)]]
+    R = np.asarray(np.linalg.qr(ordered, mode="r"), dtype=np.float64)
+    count = len(first)
+    theta_rest, basis_rest, open_rest, condition, determined_rest = _solve_scaled(
+        R[count:, count:], seen[others]
+    )
+    inner = R[:count, :count]
+    across = R[:count, count:-1]
+
+    size, rank = len(columns), basis_rest.shape[1]
+    theta = np.zeros(size)
+    theta[others] = theta_rest
+    theta[first] = np.linalg.solve(inner, R[:count, -1] - across @ theta_rest)
+    basis = np.zeros((size, count + rank))
+    basis[np.ix_(others, np.arange(count, count + rank))] = basis_rest
+    basis[first, :count] = np.linalg.inv(inner)
+    basis[first, count:] = -np.linalg.solve(inner, across @ basis_rest)
+    left_open = np.zeros((size, open_rest.shape[1]))
+    left_open[others] = open_rest
+    determined = np.ones(size, dtype=np.bool_)
+    determined[others] = determined_rest
+    return theta, basis, left_open, condition, determined
 
 
 def _jackknife(

@@ -81,6 +81,20 @@ def identify_gravity(
     return _stage(solution, rows, prior, stages.friction)
 
 
+@dataclass(frozen=True)
+class TrialFit:
+    """Rows H (N, p), y (N,) N m of one joint's trials as they were measured, and their weights."""
+
+    H: Array
+    y: Array
+    weight: Array
+
+    def left(self, theta: Array) -> float:
+        """Return the RMS torque [N m] that parameters and nuisance terms (p,) leave."""
+        residual = self.y - self.H @ theta
+        return float(np.sqrt(np.average(residual**2, weights=self.weight)))
+
+
 class EvenParts(NamedTuple):
     """Friction with another even part, its terms, and their places behind the parameters."""
 
@@ -101,6 +115,7 @@ class GravityRows:
         self.used = 0
         self.skipped: list[str] = []
         self.cross: dict[int, Array] = {}
+        self.fits: dict[int, TrialFit] = {}
         standard = held.basis.representative[:, : self.size] @ held.theta
         # The whole of the bodies counts where the geometry is another, not their base parameters.
         links = standard[: 10 * self.robot.n].reshape(-1, 10)
@@ -138,6 +153,10 @@ class GravityRows:
             for k, joint in enumerate(joints):
                 joint.add(H, y[:, 0], (trial == number) & (k == j))
         self.cross[j] = H.T @ F
+        raw = np.zeros((len(table), self.columns))
+        raw[:, : self.size] = table[:, : self.size]
+        raw[:, self.size + j :: self.robot.n] = table[:, self.size : shared]
+        self.fits[j] = TrialFit(raw, table[:, -7], weight)
         for name, torque in zip(self.deviations, deviated.T, strict=True):
             self.tolerances[name][j] = H.T @ torque
         for k, each in enumerate(groups):
@@ -210,8 +229,13 @@ def _stage(
     *,
     poor_condition: float = 300,
     clear_sigma: float = 4,
+    most_left: float = 2.5,
 ) -> GravityResult:
-    """The stage; gravity shows where a parameter is `clear_sigma` standard errors from zero."""
+    """The stage; gravity shows where a parameter is `clear_sigma` standard errors from zero.
+
+    One set of parameters may leave `most_left` times what friction's surface leaves of the same
+    joint's trials, each posture having its own gravity there.
+    """
     robot = rows.robot
     size = rows.size
     unseen = [solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen]
@@ -247,17 +271,39 @@ def _stage(
     sizes = robot_friction_rms(rows.surfaces, robot)
     notes += [described(term) for term in shown(terms, sizes)]
 
+    of_joints = _joint_verdicts(solution, rows, friction, most_left)
     good = not stage.not_excited and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {size}, condition {solution.condition:.3g}"
     stage = replace_fields(
         stage,
         structural_rank=size,
-        verdicts=[Verdict(good=good, reason=reason)],
+        verdicts=[*of_joints, Verdict(good=good, reason=reason)],
         notes=notes,
         nuisances=terms,
         nuisance_covariance=covariance.tolist(),
     )
     return GravityResult(stage, friction)
+
+
+def _joint_verdicts(
+    solution: Solution, rows: GravityRows, friction: FrictionStage, most_left: float
+) -> list[Verdict]:
+    """Judge the joints at which one gravity for all postures leaves more than noise."""
+    verdicts = []
+    for j, fit in rows.fits.items():
+        joint = rows.robot.joints[j]
+        left = fit.left(solution.theta)
+        alone = friction.joints[joint.name].rmse
+        if left <= most_left * alone:
+            continue
+        unit = joint.unit("N m")
+        reason = (
+            f"one gravity for all postures leaves {left:.3g} {unit}, {left / alone:.2g} times what "
+            f"a gravity of its own in each does ({alone:.3g} {unit}): geometry, zeros or gravity's "
+            "direction in the robot file are not the arm's, or the load was another in some trials"
+        )
+        verdicts.append(Verdict(joint=joint.name, good=False, level="usable", reason=reason))
+    return verdicts
 
 
 def _with_even_parts(

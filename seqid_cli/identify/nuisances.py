@@ -4,12 +4,15 @@ A logged torque is late against the logged positions, has an offset, and frictio
 than the other. With the torque `tau` that acts at joint j, its friction f for motion forward, and
 s the direction of motion,
 
-    tau_logged(t) = tau(t - d_j) + o_j + a_j |f_j(q, slow)| + b_j (|f_j| - |f_j(q, slow)|),
+    tau_logged(t) = tau(t - d_j) + o_j + a_j |f_j(q, slow)| + b_j (|f_j| - |f_j(q, slow)|)
+                    + e_j (T_j - T_0) f_j,
 
     d_j  delay [s]: a part common to all joints, of one logger's clock, and one of each joint's own,
     o_j  offset [N m],
     a_j  asymmetry, the share by which dry friction is larger forward than on the mean of both ways,
-    b_j  viscous asymmetry, the same share of what friction has more at higher speeds.
+    b_j  viscous asymmetry, the same share of what friction has more at higher speeds,
+    e_j  thermal change, the share by which friction grows per kelvin of the joint's temperature T_j
+         above that of the trials, T_0, where temperatures are logged.
 
 To first order a delay adds -d_j dtau/dt. All are unknowns of every stage, Gaussian about zero with
 the standard deviations of `NuisancePriors`. Where logs do not show them they are marginalised:
@@ -21,7 +24,8 @@ parameters that they resemble.
   over the position tells them apart (`friction_surface.gravity_separation`, `rigid.gravity`). A
   delay turns with the direction, as friction does: -|v| d dG/dq (`friction_surface.reduction`).
 - Moves of many joints: d is seen by dtau/dt (`rigid.inertia_equations`). What it says of friction
-  goes back into the friction stage, whose entries are linear in it (`with_delay`).
+  goes back into the friction stage, whose entries are linear in it (`with_term`). So is friction
+  per kelvin, by trials and moves at different temperatures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -41,12 +45,13 @@ from seqid_cli.typing import Array
 # A joint's terms that do not turn with its direction, in their order.
 EVEN_NAMES = ("offset", "asymmetry", "viscous_asymmetry")
 EVEN_TERMS = len(EVEN_NAMES)
-DRIVE_NAMES = ("delay", *EVEN_NAMES)
-DELAY_UNIT = "s"
+DRIVE_NAMES = ("delay", *EVEN_NAMES, "thermal")
+TERM_UNITS = {"delay": "s", "thermal": "1/K"}  # of those that move the entries of a surface
 # From which a nuisance is worth a line to a user: known to be there, and large enough to matter.
 SHOWN_SIGMA = 3.0
 SHOWN_SHARE = 0.03  # of the friction's RMS
 SHOWN_DELAY_S = 1e-3
+SHOWN_PER_KELVIN = 2e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +67,7 @@ class NuisancePriors:
     own_delay_s: float = 0.6e-3
     offset_share: float = 0.1  # of the friction's RMS
     asymmetry: float = 0.1
+    per_kelvin: float = 0.02
     session_share: float = 0.02
 
     @property
@@ -173,49 +179,52 @@ def with_even_part(joint: FrictionJoint, name: str, even: EvenPart) -> FrictionJ
         positive=(forward + moved[:size].reshape(forward.shape)).tolist(),
         negative=(backward + moved[size:].reshape(forward.shape)).tolist(),
         covariance=((covariance + covariance.T) / 2.0).tolist(),
-        delay_moves=_of_both_directions(joint),
+        term_moves=_of_both_directions(joint),
         nuisances=[
-            *(term for term in joint.nuisances if term.name == "delay"),
+            *(term for term in joint.nuisances if term.name in TERM_UNITS),
             *even.terms(name, joint.unit),
         ],
         nuisance_covariance=even.covariance.tolist(),
     )
 
 
-def _of_both_directions(joint: FrictionJoint) -> list[float]:
-    moves = list(joint.delay_moves)
-    return moves if joint.directional else 2 * moves
+def _of_both_directions(joint: FrictionJoint) -> dict[str, list[float]]:
+    if joint.directional:
+        return joint.term_moves
+    return {name: 2 * moves for name, moves in joint.term_moves.items()}
 
 
-def delay_of(joint: FrictionJoint) -> Nuisance | None:
-    """Return the delay that a joint's friction was identified with, None where it has none."""
-    return next((term for term in joint.nuisances if term.name == "delay"), None)
+def term_of(joint: FrictionJoint, name: str) -> Nuisance | None:
+    """Return a term that a joint's friction was identified with, None where it has none."""
+    return next((term for term in joint.nuisances if term.name == name), None)
 
 
-def with_delay(joint: FrictionJoint, delay_s: float, std_error_s: float) -> FrictionJoint:
-    """Return a joint's friction for a delay that moves of many joints have shown.
+def with_term(joint: FrictionJoint, name: str, value: float, std_error: float) -> FrictionJoint:
+    """Return a joint's friction for a delay, or a thermal change, that other logs have shown.
 
     Parameters
     ----------
     joint : FrictionJoint
-        Friction whose entries move by `delay_moves` per second of delay.
-    delay_s, std_error_s : float
-        The delay and its standard error [s].
+        Friction whose entries move by `term_moves` per unit of the term.
+    name : str
+        "delay" or "thermal".
+    value, std_error : float
+        The term and its standard error [s, or 1/K].
     """
-    stated = delay_of(joint)
-    if stated is None or not joint.delay_moves:
+    stated = term_of(joint, name)
+    if stated is None or name not in joint.term_moves:
         return joint
 
-    moves = np.array(joint.delay_moves)
+    moves = np.array(joint.term_moves[name])
     shape = np.shape(joint.positive)
     size = shape[0] * shape[1]
-    change = moves * (delay_s - stated.value)
+    change = moves * (value - stated.value)
     forward = np.array(joint.positive) + change[:size].reshape(shape)
     backward = forward
     if joint.directional:
         backward = np.array(joint.negative) + change[size:].reshape(shape)
 
-    variance = std_error_s**2 - stated.std_error**2
+    variance = std_error**2 - stated.std_error**2
     covariance = np.array(joint.covariance) + variance * np.outer(moves, moves)
     if joint.nuisance_covariance:
         # Asymmetries are shares of the mean of both directions, which has moved as well.
@@ -224,13 +233,13 @@ def with_delay(joint: FrictionJoint, delay_s: float, std_error_s: float) -> Fric
         before = even_jacobian(mean)
         after = even_jacobian((forward + backward) / 2.0)
         covariance += after @ even @ after.T - before @ even @ before.T
-    term = replace(stated, value=delay_s, std_error=std_error_s)
+    term = replace(stated, value=value, std_error=std_error)
     return replace(
         joint,
         positive=forward.tolist(),
         negative=backward.tolist(),
         covariance=covariance.tolist(),
-        nuisances=[term, *(x for x in joint.nuisances if x.name != "delay")],
+        nuisances=[term if x.name == name else x for x in joint.nuisances],
     )
 
 
@@ -301,7 +310,7 @@ def later_prior(
     -------
     Prior
         Rows over [parameters (b,), delays (n,) s, changes of offsets (n,) N m, of asymmetries (n,),
-        of viscous asymmetries (n,)]: the order of `NuisanceColumns`.
+        of viscous asymmetries (n,), of thermal terms (n,) 1/K]: the order of `NuisanceColumns`.
     """
     columns = NuisanceColumns(basis.size, len(names))
     gravity = stages.gravity if stages.gravity and stages.gravity.parameters else None
@@ -346,6 +355,14 @@ def later_prior(
         wide[:, [columns.of(term, j) for term in EVEN_NAMES]] = rows
         blocks.append(wide)
         values.append(np.zeros(len(rows)))
+
+    for j, name in enumerate(names):
+        identified = stages.friction.joints.get(name) if stages.friction else None
+        thermal = term_of(identified, "thermal") if identified else None
+        wide = np.zeros((1, columns.size))
+        wide[0, columns.of("thermal", j)] = 1.0 / (thermal.std_error if thermal else 1.0)
+        blocks.append(wide)
+        values.append(np.zeros(1))
 
     rows = whitened(PRIORS.delay_covariance(len(names)))
     wide = np.zeros((len(rows), columns.size))
@@ -417,6 +434,8 @@ def shown(terms: Sequence[Nuisance], friction: Mapping[str, float]) -> list[Nuis
             least = SHOWN_SHARE * friction.get(term.joint, 0.0)
         if term.name == "delay":
             least = SHOWN_DELAY_S
+        if term.name == "thermal":
+            least = SHOWN_PER_KELVIN
         if abs(term.value) > max(SHOWN_SIGMA * term.std_error, least):
             found.append(term)
     return found
@@ -428,6 +447,9 @@ def described(term: Nuisance) -> str:
         way = "late" if term.value > 0.0 else "early"
         size = f"{1e3 * abs(term.value):.2g} +- {1e3 * term.std_error:.1g} ms"
         return f"{term.joint}: torque is {size} {way} against the positions"
+    if term.name == "thermal":
+        size = f"{100.0 * term.value:.2g} +- {100.0 * term.std_error:.1g} %"
+        return f"{term.joint}: friction changes by {size} per kelvin"
     if term.name == "offset":
         size = f"{term.value:.3g} +- {term.std_error:.1g} {term.unit}"
         return f"{term.joint}: torque has an offset of {size}"

@@ -49,7 +49,8 @@ class FrictionSurface:
 
     `positive`, `negative` (size, l + 1) N m for either direction; `entry_covariance` of their
     entries, row-major, stacked where `directional`; `temperature` degC, `speeds` (K,) rad/s
-    and `postures` (n,) rad of the arm at which it was identified.
+    and `postures` (n,) rad of the arm at which it was identified. Friction changes by a share of
+    `per_kelvin` above that temperature.
     """
 
     scaling: Scaling
@@ -62,6 +63,7 @@ class FrictionSurface:
     torque_constant_error: float = 0.0
     speeds: Array = field(default_factory=lambda: np.zeros(0))
     postures: tuple[list[float], ...] = ()
+    per_kelvin: float = 0.0
 
     @classmethod
     def from_stage(cls, joint: FrictionJoint) -> Self:
@@ -79,7 +81,18 @@ class FrictionSurface:
             torque_constant_error=joint.torque_constant_error,
             speeds=np.array([level.speed for level in joint.speeds]),
             postures=tuple(trial.configuration for trial in joint.gravity),
+            per_kelvin=sum(t.value for t in joint.nuisances if t.name == "thermal"),
         )
+
+    def kelvin(self, celsius: Array) -> Array:
+        """Return temperatures (N,) above that of the surface, 0 where one is not known."""
+        if self.temperature is None:
+            return np.zeros(len(celsius))
+        return np.where(np.isfinite(celsius), celsius - self.temperature, 0.0)
+
+    def warmed(self, celsius: Array) -> Array:
+        """Return the factor (N,) that temperatures make of the surface's friction."""
+        return np.asarray(1.0 + self.per_kelvin * self.kelvin(celsius))
 
     @property
     def orders(self) -> tuple[int, int]:

@@ -220,13 +220,23 @@ def sampled_friction(
     """
     torque = friction_torque(surfaces, motion.q, motion.dq)
     if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
-        return torque
+        return _warmed(torque, surfaces, motion)
     inside = shrink(motion.valid, HALF + len(KNOTS) // 2)
     for j, surface in enumerate(surfaces):
         if surface is not None:
             near = np.flatnonzero(inside & _near_reversals(motion, j, surface.sign_width))
             if near.size:
                 torque[near, j] = _band_limited(surface, motion.q[:, j], motion.dq[:, j], near)
+    return _warmed(torque, surfaces, motion)
+
+
+def _warmed(torque: Array, surfaces: list[FrictionSurface | None], motion: Motion) -> Array:
+    """Friction torque (N, n) N m at the temperatures of the joints, where they were logged."""
+    if motion.celsius is None:
+        return torque
+    for j, surface in enumerate(surfaces):
+        if surface is not None and surface.per_kelvin:
+            torque[:, j] *= surface.warmed(motion.celsius[:, j])
     return torque
 
 

@@ -44,6 +44,7 @@ class Motion:
     error: Array | None = None  # (n,) rad/s^2, standard deviation of `ddq` that they leave
     encoder_error: Array | None = None  # that of the encoders alone
     warnings: tuple[str, ...] = ()  # what was not as it should be
+    celsius: Array | None = None  # (N, n) the joints' temperatures, NaN where none was logged
 
     PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")
 
@@ -61,7 +62,8 @@ class Motion:
         """Some samples; the filter stays."""
         values = {name: getattr(self, name) for name in self.PER_SAMPLE}
         own: dict[str, Any] = {n: None if v is None else v[where] for n, v in values.items()}
-        return replace(self, **own)
+        celsius = None if self.celsius is None else self.celsius[where]
+        return replace(self, celsius=celsius, **own)
 
     def filtered(self, values: Array, times: int = 1, *, every: int = 1) -> Array:
         """Send computed terms (N, ...) through the motion's own low-pass; see its call."""
@@ -81,7 +83,13 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
     moving = moving_mask(recording.q, rate, survey.noise_step(resolution))
     motion = filtered_motion(recording.t, recording.q, recording.valid, rate, cutoff, moving)
     tau, usable = filtered_torque(recording, motion.lowpass)
-    return replace(motion, tau=tau, usable=usable, warnings=recording.health.mended)
+    return replace(
+        motion,
+        tau=tau,
+        usable=usable,
+        warnings=recording.health.mended,
+        celsius=recording.temperature,
+    )
 
 
 def filtered_motion(

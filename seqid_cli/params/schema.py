@@ -114,11 +114,13 @@ class SpeedLevel(Struct, kw_only=True):
 
 
 class Nuisance(Struct, kw_only=True):
-    """What a joint's drive adds to its torque whatever the arm: `delay`, `offset`, `asymmetry`.
+    """What a joint's drive adds to its torque whatever the arm.
 
     A positive `delay` (s): torque is logged late against the positions. `offset`: torque that is
-    always there. `asymmetry`: the share of friction that is added forward and taken off backward.
-    Where the logs do not show one its value is near zero and its standard error that of the prior.
+    always there. `asymmetry`: the share of dry friction that is added forward and taken off
+    backward; `viscous_asymmetry`: the same of what friction has more at higher speeds. `thermal`
+    (1/K): the share by which friction changes per kelvin of the joint's logged temperature. Where
+    the logs do not show one its value is near zero and its standard error that of the prior.
     """
 
     name: str
@@ -151,9 +153,10 @@ class FrictionJoint(Struct, kw_only=True):
     `max_abs_error` (N m) and `max_error` (of the friction) are of the same averages at speeds that
     were left out, and of the surface itself at the slowest and the fastest.
 
-    `nuisances` are the delay, offset and asymmetry that the surface was identified with; offset and
-    asymmetry are in `positive`, `negative` and `covariance`, and `nuisance_covariance` is theirs.
-    All entries of the surface move by `delay_moves` per second by which the delay is another.
+    `nuisances` are the terms of the drive that the surface was identified with; offset and
+    asymmetries are in `positive`, `negative` and `covariance`, and `nuisance_covariance` is theirs.
+    All entries of the surface move by `term_moves` per unit by which the delay, or the thermal
+    term, is another.
 
     `torque_constant_error` is the relative error that the torque constant adds to every torque: all
     entries move together. `covariance` is without it, the standard errors of `speeds` are with it.
@@ -182,7 +185,7 @@ class FrictionJoint(Struct, kw_only=True):
     gravity: list[GravityOfTrial] = []
     nuisances: list[Nuisance] = []
     nuisance_covariance: Matrix = []  # of offset and asymmetry
-    delay_moves: list[float] = []  # N m/s, of the entries of `covariance`
+    term_moves: dict[str, list[float]] = {}  # by the term's name, of the entries of `covariance`
     speeds: list[SpeedLevel] = []
     parameters: list[Parameter] = []  # Coulomb, viscous, offset of a simultaneous fit
     unit: str = "N m"

@@ -24,11 +24,11 @@ Asked = tuple[int | None, int | None]  # orders over position and velocity that 
 
 
 @dataclass(frozen=True)
-class DelayShare:
-    """A delay beside a surface, in standard deviations of its prior.
+class SharedTerm:
+    """An error of all trials beside a surface, in standard deviations of its prior.
 
     `moves` (k,) N m: change of the surface's entries, row-major, per standard deviation by which
-    the delay is larger.
+    the error is larger.
     """
 
     value: float
@@ -72,15 +72,22 @@ class SurfaceFit:
         own = np.einsum("nk,kl,nl->", columns[:, kept], found, columns[:, kept], optimize=True)
         return np.asarray(found * max(float(np.sum(error**2)) / max(float(own), 1e-300), 1.0))
 
-    def delay_share(self, orders: Orders) -> "DelayShare":
-        """Return the delay that the trials show, and how the entries of a surface go with it."""
-        order = self.highest.velocity
-        place = (self.reduced.size + reduction.LATE) * (order + 1)
+    def shared_term(self, orders: Orders, place: int) -> "SharedTerm":
+        """Return an error that all trials share, and how the entries of a surface go with it.
+
+        Parameters
+        ----------
+        orders : Orders
+            Of the surface.
+        place : int
+            Of the term behind the functions of position, `reduction.LATE` or `reduction.WARM`.
+        """
+        row = (self.reduced.size + place) * (self.highest.velocity + 1)
         mean, covariance = self.whole
-        variance = float(covariance[place, place])
+        variance = float(covariance[row, row])
         kept = np.flatnonzero(self._kept(orders))
-        moves = covariance[kept, place] / max(variance, 1e-300)
-        return DelayShare(float(mean[place]), float(np.sqrt(variance)), moves)
+        moves = covariance[kept, row] / max(variance, 1e-300)
+        return SharedTerm(float(mean[row]), float(np.sqrt(variance)), moves)
 
     def leaving_out(self, orders: Orders) -> Iterator[tuple[float, Array]]:
         """Each inner speed u, with the entries of a surface fitted to the others."""

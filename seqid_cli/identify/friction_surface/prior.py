@@ -10,10 +10,10 @@ s_s^2 / j, which is how 1/f noise over the length of a trial spreads over polyno
 speed that changes by a share of itself along its way, I dv/dt ~ v^2, of variance
 s_a^2 (v / v_max)^4 / max(j, 1); and at its ends what is left of acceleration, of variance s_e^2
 (R_k has columns for it). All trials share the error of the inertia whose torque was taken off them,
-that of how far held joints gave way, and the delay of the torque: entries of D beside the surface,
-of variance 1, whose columns are the torque of one standard error. The other entries of D are
-Gaussian too. Coulomb and viscous friction, d_00 and d_01, are as large as they like; others have
-variances that fall with their degrees,
+that of how far held joints gave way, the delay of the torque and the change of friction per kelvin:
+entries of D beside the surface, of variance 1, whose columns are the torque of one standard error.
+The other entries of D are Gaussian too. Coulomb and viscous friction, d_00 and d_01, are as large
+as they like; others have variances that fall with their degrees,
 
     var d_j0 = s_q^2 / j^a,   var d_0r = s_v^2 / r^b,   var d_jr = s_qv^2 / (j^a r^b).
 
@@ -60,9 +60,9 @@ class Sizes:
     broad: float
 
     def prior(self, scaling: Scaling, size: int, orders: Orders) -> Array:
-        """Standard deviations (size + 5, l + 1) of a surface's entries."""
+        """Standard deviations (size + 6, l + 1) of a surface's entries."""
         # They are 0 above position order m, and for the ends of a trial, which the surface has not.
-        # The last three are those of errors that are one and the same in all trials.
+        # The last four are those of errors that are one and the same in all trials.
         over_position = scaling.over_position
         j = over_position.degrees(over_position.order(size))[:, None]
         r = np.arange(orders.velocity + 1.0)[None, :]
@@ -75,7 +75,7 @@ class Sizes:
         return np.vstack([found, np.zeros((EDGES, found.shape[1])), shared])
 
     def own(self, scaling: Scaling, size: int, speeds: Array) -> Array:
-        """Variances (4, T, size + 5) of own terms of trials at speeds (T,), by their causes."""
+        """Variances (4, T, size + 6) of own terms of trials at speeds (T,), by their causes."""
         degree = scaling.over_position.degrees(scaling.over_position.order(size))
         found = np.zeros((4, len(speeds), size + EXTRA))
         found[0, :, :size] = self.trial**2 * (degree == 0)

@@ -4,10 +4,11 @@ With A (K, p) the functions of position at the slices of one trial, W their weig
 friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest hold as much of the
 surface as the slices do, so speeds and orders can be left out without going back to them. Two
 columns more have what is left of speeding up and of slowing down at the ends of a trial,
-exp(-s / `edge_s`), s the time from the end. The last three have the torque that one standard error
-of the joint's inertia makes of its acceleration, that of how far held joints gave way, and that of
-the delay of the torque (gravity is read off where the joint is no more, which turns with the
-direction as friction does); their coefficients are the same in all trials.
+exp(-s / `edge_s`), s the time from the end. The last four have the torque that one standard error
+of the joint's inertia makes of its acceleration, that of how far held joints gave way, that of the
+delay of the torque (gravity is read off where the joint is no more, which turns with the direction
+as friction does), and that of the joint's temperature; their coefficients are the same in all
+trials.
 
 A joint is still speeding up, or slows already, in the first and last slices of some trials: their
 torque is not friction alone. Slices are judged by Tukey's biweight (J. W. Tukey, in Beaton and
@@ -26,8 +27,9 @@ from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array, Mask
 
 EDGES = 2  # ends of a trial
-SHARED = 3  # errors that all trials have in common: inertia, where others gave way, delay
-LATE = EDGES + 2  # the delay's place behind the functions of position
+# Errors that all trials have in common: inertia, where others gave way, delay, temperature.
+SHARED = 4
+LATE, WARM = EDGES + 2, EDGES + 3  # places of the last two behind the functions of position
 EXTRA = EDGES + SHARED  # columns beside those of position
 COUNTS = 0.1  # of a trial's largest weight, from which a slice counts as one
 MAX_POSITION_ORDER, MAX_VELOCITY_ORDER = 10, 11
@@ -54,6 +56,7 @@ class SpeedData:
     push: Array  # (K,) N m that friction is wrong by if the inertia is by one standard error
     doubt: Array  # (K,) N m likewise if it is how far other joints gave way
     late: Array  # (K,) N m likewise if the torque is late by one standard deviation
+    warm: Array  # (K,) N m likewise if friction falls by one standard deviation per kelvin
 
     @property
     def belongs(self) -> Mask:
@@ -97,13 +100,13 @@ def weighted(
 
 @dataclass(frozen=True)
 class Reduced:
-    """Trials after step 1: T of them, p functions of position and five columns more each."""
+    """Trials after step 1: T of them, p functions of position and six columns more each."""
 
     scaling: Scaling
     speeds: Array  # (T,) rad/s
     u: Array  # (T,) scaled
-    R: Array  # (T, p + 5, p + 5)
-    z: Array  # (T, p + 5)
+    R: Array  # (T, p + 6, p + 6)
+    z: Array  # (T, p + 6)
     rest: Array  # (T,) squares that no such function takes
     total: Array  # (T,) sums of weights
     slices: Array  # (T,) how many
@@ -135,7 +138,8 @@ def reduce_trials(
     parts = []
     for item in data:
         over_position = scaling.over_position.values(item.q, MAX_POSITION_ORDER)
-        columns = [over_position, item.edges, item.push, item.doubt, item.late, item.friction]
+        shared = [item.push, item.doubt, item.late, item.warm]
+        columns = [over_position, item.edges, *shared, item.friction]
         rows = np.column_stack(columns) * np.sqrt(item.weight)[:, None]
         size = rows.shape[1] - 1
         few = np.zeros((max(size + 1 - len(rows), 0), size + 1))  # filled up with rows of zeros

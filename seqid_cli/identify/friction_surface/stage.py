@@ -11,7 +11,12 @@ from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_
 from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
 from seqid_cli.identify.friction_surface.prior import Sizes
-from seqid_cli.identify.friction_surface.trials import collect_trials, speed_levels
+from seqid_cli.identify.friction_surface.trials import (
+    Trial,
+    collect_trials,
+    kelvin_of,
+    speed_levels,
+)
 from seqid_cli.identify.nuisances import PRIORS
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.recording import Recording
@@ -19,6 +24,7 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import FrictionStage, Verdict
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
 
 UNPAIRED = "no pair of forward and backward trials at one speed in one configuration"
 
@@ -102,7 +108,8 @@ def _fit(
     chosen = choose_orders(fits, asked, accept=accept if beta else None)
     entries = fits[0].entries(chosen)
     scaling = fits[0].reduced.scaling
-    share = fits[0].delay_share(chosen)
+    units = {"delay": PRIORS.delay_s, "thermal": PRIORS.per_kelvin}
+    places = {"delay": reduction.LATE, "thermal": reduction.WARM}
     surface = FrictionSurface(
         scaling=scaling,
         sign_width=scaling.speed[0] / narrow_sign,
@@ -111,12 +118,15 @@ def _fit(
         entry_covariance=fits[0].covariance(chosen),
         directional=False,
     )
-    delay = summary.Delay(
-        value_s=PRIORS.delay_s * share.value,
-        std_error_s=PRIORS.delay_s * share.std_error,
-        moves=share.moves / PRIORS.delay_s,
-    )
-    return summary.Fit(gravity, parts, chosen, surface, delay)
+    terms = {}
+    for name, unit in units.items():
+        shared = fits[0].shared_term(chosen, places[name])
+        terms[name] = summary.Term(
+            value=unit * shared.value,
+            std_error=unit * shared.std_error,
+            moves=shared.moves / unit,
+        )
+    return summary.Fit(gravity, parts, chosen, surface, terms)
 
 
 def _fitted(
@@ -151,6 +161,7 @@ def _scalings(data: list[reduction.SpeedData], *, wide_range: float = 4.0) -> li
 def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reduction.SpeedData]:
     """Friction by Eq. 16, one entry per trial, all trials of a level at the level's mean speed."""
     data = []
+    celsius = summary.mean_celsius(gravity)
     for group in gravity.groups:
         doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
         for trial, doubt in zip(group.trials, doubts, strict=True):
@@ -166,6 +177,7 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reducti
                 push=way * trial.inertia_error * trial.ddq,
                 doubt=doubt,
                 late=-PRIORS.delay_s * trial.speed * group.slope(trial.q),
+                warm=PRIORS.per_kelvin * _warmth(trial, gravity) * kelvin_of(trial, celsius),
             )
             data.append(item)
     return [
@@ -173,3 +185,10 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reducti
         for level in speed_levels(data)
         for item in level
     ]
+
+
+def _warmth(trial: Trial, gravity: GravityFit) -> Array:
+    """Return the friction (K,) N m of a trial that goes with the temperature."""
+    if gravity.friction is None:
+        return np.full(len(trial.q), float(np.median(np.abs(trial.tau))))
+    return gravity.friction.torque(trial.q, trial.speed)

@@ -15,7 +15,7 @@ from numpy.polynomial import Chebyshev
 from seqid_cli.identify.friction_surface.fit import SurfaceFit
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
 from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData
-from seqid_cli.identify.nuisances import DELAY_UNIT, shown, with_even_part
+from seqid_cli.identify.nuisances import TERM_UNITS, shown, with_even_part
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
@@ -88,11 +88,11 @@ def errors_of(parts: list[Part], orders: Orders, *, unseen: bool, group_size: in
 
 
 @dataclass(frozen=True)
-class Delay:
-    """The delay of a joint's torque [s], and the change `moves` (k,) N m/s of entries with it."""
+class Term:
+    """A term of a joint's drive, and the change `moves` (k,) N m of entries per unit of it."""
 
-    value_s: float
-    std_error_s: float
+    value: float
+    std_error: float
     moves: Array
 
 
@@ -104,7 +104,7 @@ class Fit:
     parts: list[Part]
     orders: Orders
     surface: FrictionSurface
-    delay: Delay
+    terms: dict[str, Term]  # "delay" [s], "thermal" [1/K]
 
 
 def summarise(
@@ -116,9 +116,7 @@ def summarise(
     unseen = errors_of(fit.parts, fit.orders, unseen=True)
     beta = options.beta or DEFAULT_BETA
     levels = _levels(fit, fitted, unseen)
-    trials = [trial for group in gravity.groups for trial in group.trials]
-    samples = [trial.weight * len(trial.q) for trial in trials]  # NaN where one has no temperature
-    celsius = float(np.average([trial.celsius for trial in trials], weights=samples))
+    celsius = mean_celsius(gravity)
     joint = FrictionJoint(
         position_order=fit.orders.position,
         velocity_order=fit.orders.velocity,
@@ -135,7 +133,7 @@ def summarise(
         sign_width=surface.sign_width,
         directional=surface.directional,
         asymmetry=gravity.asymmetry,
-        temperature=celsius if np.isfinite(celsius) else None,
+        temperature=celsius,
         positive=surface.positive.tolist(),
         negative=surface.negative.tolist(),
         covariance=surface.entry_covariance.tolist(),
@@ -160,18 +158,30 @@ def summarise(
 
 
 def _with_nuisances(joint: FrictionJoint, name: str, fit: Fit) -> FrictionJoint:
-    """Return the joint's entry with its delay, offset and asymmetry, known or not."""
-    delay = Nuisance(
-        name="delay",
-        joint=name,
-        value=fit.delay.value_s,
-        std_error=fit.delay.std_error_s,
-        unit=DELAY_UNIT,
-    )
-    joint = replace(joint, nuisances=[delay], delay_moves=fit.delay.moves.tolist())
+    """Return the joint's entry with the terms of its drive, known or not."""
+    terms = [
+        Nuisance(
+            name=term_name,
+            joint=name,
+            value=term.value,
+            std_error=term.std_error,
+            unit=TERM_UNITS[term_name],
+        )
+        for term_name, term in fit.terms.items()
+    ]
+    moves = {term_name: term.moves.tolist() for term_name, term in fit.terms.items()}
+    joint = replace(joint, nuisances=terms, term_moves=moves)
     if fit.gravity.friction is None:
         return joint
     return with_even_part(joint, name, fit.gravity.even)
+
+
+def mean_celsius(gravity: GravityFit) -> float | None:
+    """Return the mean temperature of a joint's trials; None where one of them has none."""
+    trials = [trial for group in gravity.groups for trial in group.trials]
+    samples = [trial.weight * len(trial.q) for trial in trials]
+    celsius = float(np.average([trial.celsius for trial in trials], weights=samples))
+    return celsius if np.isfinite(celsius) else None
 
 
 def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:

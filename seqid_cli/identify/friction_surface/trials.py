@@ -213,6 +213,13 @@ def _ramps(
     return Ramps(positions @ window, off @ first, off @ second, tau[pieces] @ window, length / 2)
 
 
+def kelvin_of(trial: Trial, celsius: float | None) -> float:
+    """Return how much warmer a joint was in a trial than `celsius`; 0 where one is not known."""
+    if celsius is None or not np.isfinite(trial.celsius - celsius):
+        return 0.0
+    return float(trial.celsius - celsius)
+
+
 S = TypeVar("S", bound=Any)  # what was measured at a `speed`, rad/s
 
 

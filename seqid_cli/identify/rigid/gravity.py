@@ -184,7 +184,8 @@ class GravityRows:
             # What friction's surfaces have alike both ways is an unknown here, of which they hold
             # a first estimate; its error is not friction's.
             F = surface.odd_columns(trial.q, v)
-            y = trial.tau - surface.torque(trial.q, v)
+            warmed = surface.warmed(np.full(len(v), trial.celsius))
+            y = trial.tau - warmed * surface.torque(trial.q, v)
             even = even_columns(surface, trial.q, v)
             still = np.zeros_like(trial.places)
             torques = deviation_torques(self.robot, self.standard, trial.places, still, still)

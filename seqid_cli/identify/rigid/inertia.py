@@ -5,7 +5,7 @@ asked whether the gyroscopic coupling to the link that carries one is there too 
 """
 
 import contextlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import NamedTuple, cast
@@ -16,14 +16,16 @@ import numpy as np
 from seqid_cli.errors import InputError, QualityError, UsageError
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.nuisances import (
-    DELAY_UNIT,
+    DRIVE_NAMES,
+    EVEN_NAMES,
     EvenPart,
     described,
     friction_rms,
     robot_friction_rms,
     shown,
-    with_delay,
+    term_of,
     with_even_part,
+    with_term,
 )
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import cutoff_note, open_if_long, source_text, streams
@@ -136,7 +138,8 @@ def _stage(
     stage = _described(
         equations, rows, solution.first(basis.size), posterior.first(basis.size)
     )
-    drives = _drive_terms(equations, rows, solution, posterior)
+    noisy = {verdict.joint for verdict in stage.verdicts if verdict.joint and verdict.good}
+    drives = _drive_terms(equations, rows, solution, posterior, noisy)
     stage = msgspec.structs.replace(
         stage,
         nuisances=drives.terms,
@@ -161,9 +164,18 @@ class DriveTerms(NamedTuple):
 
 
 def _drive_terms(
-    equations: InertiaEquations, rows: InertiaRows, solution: Solution, posterior: Posterior
+    equations: InertiaEquations,
+    rows: InertiaRows,
+    solution: Solution,
+    posterior: Posterior,
+    believed: Collection[str],
 ) -> DriveTerms:
-    """Describe delays, offsets and asymmetries, and put them into the friction stage."""
+    """Describe the terms of the drives, and put them into the friction stage.
+
+    They are `believed` at joints of which noise alone is left: elsewhere they take what else the
+    model lacks, a friction that has changed reads as a delay of ten milliseconds. There they are
+    marginalised, and friction stays as it came.
+    """
     robot, basis, columns = equations.robot, equations.basis, equations.nuisances
     friction = equations.stages.friction
     assert friction is not None
@@ -180,29 +192,37 @@ def _drive_terms(
         surface = equations.surfaces[j]
         if surface is None or not rows.joints[j].samples:
             continue
-        delay, *even_places = range(*columns.of_joint(j).indices(columns.size))
+        delay = columns.of("delay", j)
+        thermal = columns.of("thermal", j)
+        even_places = [columns.of(term, j) for term in EVEN_NAMES]
         before = EvenPart.of_joint(joints[name], friction_rms(surface))
         even = EvenPart(
             values=before.values + solution.theta[even_places],
             covariance=posterior.covariance[np.ix_(even_places, even_places)],
         )
-        delay_s = float(solution.theta[delay])
-        delay_error = float(np.sqrt(posterior.covariance[delay, delay]))
-        joint = with_delay(joints[name], delay_s, delay_error)
+        joint = joints[name]
+        stated = term_of(joint, "thermal")
+        values = {
+            "delay": float(solution.theta[delay]),
+            "thermal": float(solution.theta[thermal]) + (stated.value if stated else 0.0),
+        }
+        for place, (term, value) in zip((delay, thermal), values.items(), strict=True):
+            std_error = float(np.sqrt(posterior.covariance[place, place]))
+            joint = with_term(joint, term, value, std_error)
         joints[name] = with_even_part(joint, name, even)
-        terms.append(
-            Nuisance(
-                name="delay", joint=name, value=delay_s, std_error=delay_error, unit=DELAY_UNIT
-            )
-        )
-        terms += even.terms(name, joint.unit)
-        places += [delay, *even_places]
+        if name not in believed:
+            joints[name] = friction.joints[name]
+        by_name = {term.name: term for term in joints[name].nuisances}
+        terms += [by_name[term] for term in DRIVE_NAMES if term in by_name]
+        places += [columns.of(term, j) for term in DRIVE_NAMES if term in by_name]
 
     sizes = robot_friction_rms(equations.surfaces, robot)
     return DriveTerms(
         terms=terms,
         covariance=posterior.covariance[np.ix_(places, places)],
-        notes=[described(term) for term in shown(terms, sizes)],
+        notes=[
+            described(term) for term in shown(terms, sizes) if term.joint in believed
+        ],
         friction=msgspec.structs.replace(friction, joints=joints),
     )
 

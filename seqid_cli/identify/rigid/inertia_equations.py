@@ -8,7 +8,7 @@ of each joint (`identify.nuisances`), which are unknowns beside the parameters. 
 slide contribute rows: the torque of a locked joint lies anywhere within its stiction.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import msgspec
@@ -16,9 +16,9 @@ import numpy as np
 
 from seqid_cli.identify.nuisances import (
     NuisanceColumns,
-    delay_of,
     even_surfaces,
     later_prior,
+    term_of,
 )
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
@@ -89,11 +89,11 @@ class InertiaRows:
 
 
 @dataclass(frozen=True)
-class FrictionDelay:
-    """The delay [s] in a joint's friction, and friction's change per second of another delay."""
+class FrictionChange:
+    """A term that a joint's friction was identified with, and friction's change per unit of it."""
 
-    value_s: float
-    per_second: FrictionSurface
+    value: float
+    per_unit: FrictionSurface
 
 
 @dataclass(frozen=True)
@@ -102,13 +102,14 @@ class DriveColumns:
 
     `delay` [N m/s] is per second by which the torque is late, `friction_per_second` the part of it
     by which friction was identified differently; `dry_size` and `viscous_size` [N m] are per
-    asymmetry of either part of friction.
+    asymmetry of either part of friction, `per_kelvin` [N m K] is per friction's change per kelvin.
     """
 
     delay: Array
     friction_per_second: Array
     dry_size: Array
     viscous_size: Array
+    per_kelvin: Array
 
     def part(self, where: slice) -> "DriveColumns":
         """Return the columns of some samples."""
@@ -117,6 +118,7 @@ class DriveColumns:
             friction_per_second=self.friction_per_second[where],
             dry_size=self.dry_size[where],
             viscous_size=self.viscous_size[where],
+            per_kelvin=self.per_kelvin[where],
         )
 
 
@@ -136,7 +138,8 @@ class InertiaEquations:
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
         self.reflected = gear_ratios(robot) ** 2 * self.rotors
-        self._delays = [self._delay_of(name) for name in robot.joint_names]
+        self._delays = [self._change_of(name, "delay") for name in robot.joint_names]
+        self._thermal = [self._change_of(name, "thermal") for name in robot.joint_names]
         self._scaled = (robot.torque_constant_errors > 0.0) & (self.reflected > 0.0)
 
     def rows_of(self, log: Recording | SurveyedLog, *, forgotten: float = 0.8) -> InertiaRows:
@@ -214,28 +217,27 @@ class InertiaEquations:
             own -= motion.filtered(self.reflected * motion.ddq)
         return own
 
-    def _delay_of(self, name: str) -> FrictionDelay | None:
-        """Return the delay in a joint's friction, and how friction goes with it."""
+    def _change_of(self, name: str, term: str) -> FrictionChange | None:
+        """Return a term of a joint's friction, and how friction goes with it."""
         friction = self.stages.friction
         joint = friction.joints.get(name) if friction else None
-        stated = delay_of(joint) if joint else None
-        if joint is None or stated is None or not joint.delay_moves:
+        stated = term_of(joint, term) if joint else None
+        if joint is None or stated is None or term not in joint.term_moves:
             return None
-        moves = np.array(joint.delay_moves)
-        size = np.size(joint.positive)
+        moves = np.array(joint.term_moves[term])
         shape = np.shape(joint.positive)
+        size = np.size(joint.positive)
         ahead = moves[:size].reshape(shape)
         back = moves[size:].reshape(shape) if joint.directional else ahead
         surface = FrictionSurface.from_stage(
             msgspec.structs.replace(joint, positive=ahead.tolist(), negative=back.tolist())
         )
-        return FrictionDelay(stated.value, surface)
+        return FrictionChange(stated.value, surface)
 
     def drive_columns(self, motion: Motion) -> DriveColumns:
         """Return what delay and asymmetry of each joint's drive add to its torque."""
         assert motion.tau is not None
-        changes = [None if delay is None else delay.per_second for delay in self._delays]
-        by_friction = motion.filtered(sampled_friction(changes, motion), times=2)
+        by_friction = self._friction_of(motion, self._delays)
         none: list[FrictionSurface | None] = [None, None]
         sizes = [none if surface is None else even_surfaces(surface) for surface in self.surfaces]
         dry, viscous = (
@@ -248,11 +250,29 @@ class InertiaEquations:
             friction_per_second=by_friction,
             dry_size=dry,
             viscous_size=viscous,
+            per_kelvin=self._per_kelvin(motion),
         )
+
+    def _friction_of(self, motion: Motion, terms: Sequence[FrictionChange | None]) -> Array:
+        """Return what one unit of each joint's term changes of its friction (N, n) N m."""
+        changes = [None if term is None else term.per_unit for term in terms]
+        return motion.filtered(sampled_friction(changes, motion), times=2)
+
+    def _per_kelvin(self, motion: Motion) -> Array:
+        """Return the torque (N, n) N m of one unit of friction's change per kelvin."""
+        if motion.celsius is None:
+            return np.zeros_like(motion.q)
+        warm = self._friction_of(motion, self._thermal)
+        kelvin = np.zeros_like(motion.q)
+        for j, surface in enumerate(self.surfaces):
+            if surface is not None:
+                kelvin[:, j] = surface.kelvin(motion.celsius[:, j])
+        friction = motion.filtered(sampled_friction(self.surfaces, motion), times=2)
+        return np.asarray(warm + kelvin * friction)
 
     def _reference(self, drive: DriveColumns) -> Array:
         """Return what friction has of the delay that it was identified with (N, n) N m."""
-        values = [0.0 if delay is None else delay.value_s for delay in self._delays]
+        values = [0.0 if delay is None else delay.value for delay in self._delays]
         return np.asarray(drive.friction_per_second * np.array(values))
 
     def _joined(self, rigid: Array, drive: DriveColumns) -> Array:
@@ -263,7 +283,13 @@ class InertiaEquations:
         columns[:, :, :size] = rigid[:, :, :size]
         columns[:, :, -1] = rigid[:, :, size]
         for j in range(n):
-            of_drive = [drive.delay, np.ones_like(drive.delay), drive.dry_size, drive.viscous_size]
+            of_drive = [
+                drive.delay,
+                np.ones_like(drive.delay),
+                drive.dry_size,
+                drive.viscous_size,
+                drive.per_kelvin,
+            ]
             places = self.nuisances.of_joint(j)
             columns[:, j, places] = np.stack([values[:, j] for values in of_drive], axis=1)
         return columns

@@ -65,9 +65,13 @@ def _excess(d: Array, V: Array, *, flat: float = 1e-09) -> float:
 
 
 def with_cutoff_check(
-    stage: RigidStage, differences: Differences, basis: Basis, *, poor_sigma: float = 3.0
+    stage: RigidStage, differences: Differences, basis: Basis, *, clear_sigma: float = 3.0
 ) -> RigidStage:
-    """Note the parameters that depend on the cut-off; poor where one does by `poor_sigma`."""
+    """Note the parameters that depend on the cut-off; usable where one does by `clear_sigma`.
+
+    Their standard errors have the difference in them: the torque is predicted, but something that
+    the model lacks shows.
+    """
     stated = {p.name for p in stage.parameters}
     of_parameters = [one for one in differences if one[0] < basis.size]  # the rest: nuisances
     named = [
@@ -79,6 +83,10 @@ def with_cutoff_check(
         f"{note}. Noise of the encoders' acceleration or something that the model lacks; use "
         "accelerometers, a finer encoder or slower moves, or look for effects (seqid diagnose)"
     )
-    poor = [Verdict(good=False, reason=reason)] * any(abs(by) >= poor_sigma for *_, by in named)
-    notes, verdicts = [*stage.notes, *[note] * bool(named)], [*stage.verdicts, *poor]
+    notes = list(stage.notes)
+    verdicts = list(stage.verdicts)
+    if named:
+        notes.append(note)
+    if any(abs(by) >= clear_sigma for *_, by in named):
+        verdicts.append(Verdict(good=False, level="usable", reason=reason))
     return replace(stage, notes=notes, verdicts=verdicts)

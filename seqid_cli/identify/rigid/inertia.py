@@ -121,10 +121,11 @@ def _stage(
 ) -> InertiaResult:
     """Solve, decide on the rotor coupling, and describe; `near` by multiples of the cut-off."""
     robot, basis, stages = equations.robot, equations.basis, equations.stages
-    coupled, by_coupling, notes = decide(equations, [rows, *near.values()])
-    solution, posterior = equations.solved(rows, float(coupled))
-    posterior = posterior.with_error(by_coupling)
-    there = {factor: equations.solved(other, float(coupled)) for factor, other in near.items()}
+    coupling = decide(equations, [rows, *near.values()])
+    share = float(coupling.used)
+    solution, posterior = equations.solved(rows, share)
+    posterior = posterior.with_error(coupling.directions)
+    there = {factor: equations.solved(other, share) for factor, other in near.items()}
     by_cutoff, differences = cutoff_check((solution, posterior), there, equations.surfaces)
     imus = stages.imu.imus if stages.imu else {}
     used = {name for use in rows.uses for name in use.imus}
@@ -146,8 +147,15 @@ def _stage(
         nuisance_covariance=drives.covariance.tolist(),
         notes=[*stage.notes, *drives.notes],
     )
-    kind, notes = "gyroscopic" if coupled else "diagonal", [*stage.notes, *notes]
-    stage = msgspec.structs.replace(stage, rotor_coupling=kind, notes=notes)
+    verdicts = list(stage.verdicts)
+    if coupling.contradicted:
+        verdicts.append(Verdict(good=False, level="usable", reason=coupling.contradicted))
+    stage = msgspec.structs.replace(
+        stage,
+        rotor_coupling="gyroscopic" if coupling.used else "diagonal",
+        verdicts=verdicts,
+        notes=[*stage.notes, *coupling.notes],
+    )
     return InertiaResult(with_cutoff_check(stage, differences, basis), drives.friction)
 
 

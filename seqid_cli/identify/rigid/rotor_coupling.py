@@ -14,11 +14,44 @@ likely as not, or more where the logs favour it.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
 from seqid_cli.typing import Array
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """What the logs say of the coupling of rotors to the links that carry them.
+
+    `directions` (p, d): along which the other hypothesis would move the parameters, in standard
+    deviations. `contradicted`: why neither hypothesis agrees with the logs, empty where one does.
+    """
+
+    used: bool
+    directions: Array
+    notes: tuple[str, ...] = ()
+    contradicted: str = ""
+
+
+@dataclass(frozen=True)
+class FreeShare:
+    """The share of the coupling that logs ask for when it is left free."""
+
+    value: float
+    std_error: float
+
+    @property
+    def log_odds(self) -> float:
+        """Log odds of a share of 1 against one of 0."""
+        return (2.0 * self.value - 1.0) / (2.0 * max(self.std_error, 1e-150) ** 2)
+
+    @property
+    def sigma(self) -> float:
+        """Standard errors from the nearer hypothesis."""
+        return min(abs(self.value), abs(self.value - 1.0)) / max(self.std_error, 1e-150)
 
 
 def decide(
@@ -27,42 +60,62 @@ def decide(
     *,
     max_sigma: float = 3.0,
     min_log_odds: float = 5.0,
-) -> tuple[bool, Array, list[str]]:
-    """Compare the two hypotheses by the logs; `rows` as used first, then at other cut-offs.
+) -> Coupling:
+    """Compare the two hypotheses by the logs.
 
-    The free share agrees with 0 or 1 within `max_sigma` standard errors; log odds of 5: 150 to 1.
-    Returns whether the coupling is used, directions (p, d) along which the other hypothesis would
-    move the parameters, in standard deviations, and notes.
+    Parameters
+    ----------
+    equations : InertiaEquations
+    rows : sequence of InertiaRows
+        As used first, then at other cut-offs.
+    max_sigma : float
+        Standard errors within which the free share agrees with 0 or 1.
+    min_log_odds : float
+        From which a hypothesis is decided upon; 5 is 150 to 1.
     """
-    kappa = equations.coupling_place
-    nothing = np.zeros((kappa, 0))
-    known = []  # value, standard error and log odds of the free share
-    for own in rows if equations.rotors.any() else ():
-        free, posterior = equations.solved(own, None)
-        if free.determined[kappa]:
-            k, error = float(free.theta[kappa]), float(np.sqrt(posterior.stated[kappa, kappa]))
-            known.append((k, error, (2.0 * k - 1.0) / (2.0 * max(error, 1e-150) ** 2)))
-        elif own is rows[0]:
-            break
-    if not known:  # both are the same
-        return False, nothing, []
-    share, error, odds = known[0]
-    near = [min(abs(k), abs(k - 1.0)) < max_sigma * s for k, s, _ in known]
-    sure = all(near) and all(abs(each) > min_log_odds for *_, each in known)
-    if sure and len(known) == len(rows) and len({each > 0 for *_, each in known}) == 1:
+    nothing = np.zeros((equations.coupling_place, 0))
+    shares = _free_shares(equations, rows) if equations.rotors.any() else []
+    if not shares:  # both are the same
+        return Coupling(used=False, directions=nothing)
+
+    used = shares[0]
+    near = [share.sigma < max_sigma for share in shares]
+    sure = all(near) and all(abs(share.log_odds) > min_log_odds for share in shares)
+    alike = len({share.log_odds > 0.0 for share in shares}) == 1
+    if sure and alike and len(shares) == len(rows):
+        coupled = used.log_odds > 0.0
         text = "the data show rotors coupled to the links that carry them; used as such"
-        return odds > 0, nothing, [text] if odds > 0 else []
+        return Coupling(used=coupled, directions=nothing, notes=(text,) if coupled else ())
+
     # What does not decide does not count against the other hypothesis either.
-    likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(odds, -min_log_odds, min_log_odds))))
-    without, coupled = (equations.solved(rows[0], each)[0].theta for each in (0.0, 1.0))
-    left = f"{share:.2f} +- {error:.2f} of it when left free"
-    note = (
-        f"coupling of rotors to the links that carry them: {left}, neither 0 nor 1; something "
-        "else is missing in the model, and the rotors act on their own joints alone"
-    )
+    odds = float(np.clip(used.log_odds, -min_log_odds, min_log_odds))
+    likely = max(0.5, 1.0 / (1.0 + np.exp(-odds)))
+    without = equations.solved(rows[0], 0.0)[0].theta
+    coupled_theta = equations.solved(rows[0], 1.0)[0].theta
+    directions = np.sqrt(likely) * (coupled_theta - without)[:, None]
+    left = f"{used.value:.2f} +- {used.std_error:.2f} of it when left free"
     if near[0]:
         note = (
             f"these logs do not tell whether rotors are coupled to the links that carry them "
             f"({left}); they act on their own joints alone, and the standard errors allow for it"
         )
-    return False, np.sqrt(likely) * (coupled - without)[:, None], [note]
+        return Coupling(used=False, directions=directions, notes=(note,))
+    note = (
+        f"coupling of rotors to the links that carry them: {left}, neither 0 nor 1; something "
+        "else is missing in the model, and the rotors act on their own joints alone"
+    )
+    return Coupling(used=False, directions=directions, contradicted=note)
+
+
+def _free_shares(equations: InertiaEquations, rows: Sequence[InertiaRows]) -> list[FreeShare]:
+    """Return the free share at each cut-off at which it is determined; none unless at the first."""
+    place = equations.coupling_place
+    shares = []
+    for own_rows in rows:
+        free, posterior = equations.solved(own_rows, None)
+        if free.determined[place]:
+            std_error = float(np.sqrt(posterior.stated[place, place]))
+            shares.append(FreeShare(float(free.theta[place]), std_error))
+        elif own_rows is rows[0]:
+            return []
+    return shares

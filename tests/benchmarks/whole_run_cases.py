@@ -36,7 +36,7 @@ def seqid(robot_path: Path, log: Path, samples_per_cutoff: float = 10.0) -> Call
         opened = open_surveyed(log, robot)
         if opened is None:
             raise RuntimeError(f"{log} cannot be passed over")
-        stage = identify_inertia([opened], robot, known_friction(), options=options)
+        stage = identify_inertia([opened], robot, known_friction(), options=options).inertia
         settings = {"cutoff_hz": stage.cutoff_hz, "sigma": list(stage.rmse.values())}
         log.with_suffix(".json").write_text(json.dumps(settings), encoding="utf-8")
         return {p.name: (p.value, p.std_error) for p in stage.parameters}

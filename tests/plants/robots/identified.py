@@ -33,17 +33,17 @@ def sequential(logs: Logs, robot: Robot) -> Stages:
 def before_inertia(logs: Logs, robot: Robot) -> Stages:
     surface = identify_friction(logs["friction"], robot, options=FrictionOptions())
     slow = [*logs["friction"], *logs.get("gravity", ())]
+    result = identify_gravity(slow, robot, Stages(friction=surface))
     return Stages(
-        friction=surface,
-        gravity=identify_gravity(slow, robot, Stages(friction=surface)),
+        friction=result.friction,
+        gravity=result.gravity,
         imu=calibrate_imus(logs["imu"], robot, options=MotionOptions()) if "imu" in logs else None,
     )
 
 
 def with_inertia(logs: Logs, robot: Robot, stages: Stages, options: InertiaOptions) -> Stages:
-    return replace(
-        stages, inertia=identify_inertia(logs["inertia"], robot, stages, options=options)
-    )
+    result = identify_inertia(logs["inertia"], robot, stages, options=options)
+    return replace(stages, inertia=result.inertia, friction=result.friction)
 
 
 def simultaneous(

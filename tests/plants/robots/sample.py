@@ -15,8 +15,8 @@ from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, predict
-from seqid_cli.identify.rigid.gravity import identify_gravity
-from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.rigid.gravity import GravityResult, identify_gravity
+from seqid_cli.identify.rigid.inertia import InertiaResult, identify_inertia
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
@@ -75,9 +75,14 @@ class Rig:
         return identify_friction(self.logs("friction"), self.robot, options=FrictionOptions())
 
     @cached_property
-    def gravity(self) -> RigidStage:
+    def gravity_result(self) -> GravityResult:
+        """The gravity stage, and friction with what its trials show of the drives."""
         logs = self.logs("gravity") + self.logs("friction")
         return identify_gravity(logs, self.robot, Stages(friction=self.friction))
+
+    @cached_property
+    def gravity(self) -> RigidStage:
+        return self.gravity_result.gravity
 
     @cached_property
     def imu(self) -> ImuStage:
@@ -90,15 +95,21 @@ class Rig:
     @cached_property
     def known(self) -> Stages:
         """What the inertia stage starts from."""
-        return Stages(friction=self.friction, gravity=self.gravity, imu=self.imu)
+        friction = self.gravity_result.friction
+        return Stages(friction=friction, gravity=self.gravity, imu=self.imu)
 
     def inertia_of(self, logs: list[Recording], source: str = "auto") -> RigidStage:
         """The inertia stage from some of the logs, or with another source of motion."""
+        return self.inertia_result(logs, source).inertia
+
+    def inertia_result(self, logs: list[Recording], source: str = "auto") -> InertiaResult:
+        """The inertia stage, and friction with what its logs show of the drives."""
         return identify_inertia(logs, self.robot, self.known, options=InertiaOptions(source=source))
 
     @cached_property
     def stages(self) -> Stages:
-        return replace(self.known, inertia=self.inertia)
+        result = self.inertia_result(self.logs("inertia"))
+        return replace(self.known, inertia=result.inertia, friction=result.friction)
 
     @cached_property
     def simultaneous(self) -> Stages:

@@ -74,7 +74,8 @@ def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(name: st
 
 def stages_of(trial: Recording, other: Recording, robot: Robot) -> Stages:
     stages = Stages(friction=identify_friction([trial], robot, options=ORDERS))
-    stages.gravity = identify_gravity([other, trial], robot, stages)
+    result = identify_gravity([other, trial], robot, stages)
+    stages.gravity, stages.friction = result.gravity, result.friction
     return stages
 
 

@@ -78,8 +78,10 @@ def identified() -> Stages:
     both = record(join([hold(motion.q[0], 0.5, RATE), motion]), 2)
     found, robot = Stages(), slider()
     found.friction = identify_friction(drills, robot, options=FrictionOptions())
-    found.gravity = identify_gravity(drills, robot, found)
-    found.inertia = identify_inertia([both], robot, found, options=InertiaOptions())
+    by_gravity = identify_gravity(drills, robot, found)
+    found.gravity, found.friction = by_gravity.gravity, by_gravity.friction
+    by_inertia = identify_inertia([both], robot, found, options=InertiaOptions())
+    found.inertia, found.friction = by_inertia.inertia, by_inertia.friction
     return found
 
 

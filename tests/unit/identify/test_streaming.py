@@ -39,13 +39,14 @@ def robot(folder: Path) -> Robot:
 
 
 def inertia_of(path: Path, robot: Robot, options: InertiaOptions = OPTIONS) -> RigidStage:
-    return identify_inertia([open_surveyed(path, robot)], robot, known_friction(), options=options)
+    opened = [open_surveyed(path, robot)]
+    return identify_inertia(opened, robot, known_friction(), options=options).inertia
 
 
 @pytest.fixture(scope="module")
 def held(folder: Path, robot: Robot) -> RigidStage:
     recording = read_recording(folder / "log.parquet", robot)
-    return identify_inertia([recording], robot, known_friction(), options=OPTIONS)
+    return identify_inertia([recording], robot, known_friction(), options=OPTIONS).inertia
 
 
 @pytest.mark.parametrize("least", [1_000, 32_768])

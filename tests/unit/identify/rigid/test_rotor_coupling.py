@@ -60,7 +60,8 @@ def identified(plant: Plant, robot: Robot, seed: int = 0, logs: int | None = Non
     none = friction_joint([[0.0]], speed_range=[0.05, 5.0], sign_width=0.005, covariance=[[1e-12]])
     friction = FrictionStage(joints=dict.fromkeys(robot.joint_names, none))
     options = InertiaOptions()
-    return identify_inertia(recordings, robot, Stages(friction=friction), options=options)
+    stages = Stages(friction=friction)
+    return identify_inertia(recordings, robot, stages, options=options).inertia
 
 
 def off(plant: Plant, stage: RigidStage) -> float:

@@ -39,9 +39,10 @@ def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
     folders = ("friction", "gravity", "inertia")
     drills, slow, pairs = (scaled(rig.logs(name), step) for name in folders)
     stages = Stages(friction=identify_friction(drills, robot, options=FrictionOptions()))
-    stages.gravity = identify_gravity(slow + drills, robot, stages)
+    result = identify_gravity(slow + drills, robot, stages)
+    stages.gravity, stages.friction = result.gravity, result.friction
     options = InertiaOptions(source="encoder")
-    stages.inertia = identify_inertia(pairs, robot, stages, options=options)
+    stages.inertia = identify_inertia(pairs, robot, stages, options=options).inertia
     return stages
 
 

@@ -46,7 +46,10 @@ from seqid_cli.typing import Array
 EVEN_NAMES = ("offset", "asymmetry", "viscous_asymmetry")
 EVEN_TERMS = len(EVEN_NAMES)
 DRIVE_NAMES = ("delay", *EVEN_NAMES, "thermal")
-TERM_UNITS = {"delay": "s", "thermal": "1/K"}  # of those that move the entries of a surface
+TERM_UNITS = {
+    "delay": "s",
+    "thermal": "1/K",
+}  # of those that move the entries of a surface
 # From which a nuisance is worth a line to a user: known to be there, and large enough to matter.
 SHOWN_SIGMA = 3.0
 SHOWN_SHARE = 0.03  # of the friction's RMS
@@ -82,7 +85,9 @@ class NuisancePriors:
 
     def even_std(self, friction_rms: float) -> Array:
         """Standard deviations (3,) of offset [N m] and asymmetries beside a friction's RMS."""
-        return np.array([self.offset_share * friction_rms, self.asymmetry, self.asymmetry])
+        return np.array(
+            [self.offset_share * friction_rms, self.asymmetry, self.asymmetry]
+        )
 
     def session_std(self, friction_rms: float) -> Array:
         """Standard deviations (3,) of what these change by from one session to the next."""
@@ -120,7 +125,9 @@ class EvenPart:
                 std_error=float(std_error),
                 unit=unit if name == "offset" else "",
             )
-            for name, value, std_error in zip(EVEN_NAMES, self.values, std_errors, strict=True)
+            for name, value, std_error in zip(
+                EVEN_NAMES, self.values, std_errors, strict=True
+            )
         ]
 
 
@@ -199,7 +206,9 @@ def term_of(joint: FrictionJoint, name: str) -> Nuisance | None:
     return next((term for term in joint.nuisances if term.name == name), None)
 
 
-def with_term(joint: FrictionJoint, name: str, value: float, std_error: float) -> FrictionJoint:
+def with_term(
+    joint: FrictionJoint, name: str, value: float, std_error: float
+) -> FrictionJoint:
     """Return a joint's friction for a delay, or a thermal change, that other logs have shown.
 
     Parameters
@@ -247,7 +256,9 @@ def friction_rms(surface: FrictionSurface, *, cells: int = 9) -> float:
     """Return the RMS friction [N m] over the identified positions and speeds, both ways."""
     low, high = surface.scaling.position
     slow, fast = surface.scaling.speed
-    places, speeds = np.meshgrid(np.linspace(low, high, cells), np.linspace(slow, fast, cells))
+    places, speeds = np.meshgrid(
+        np.linspace(low, high, cells), np.linspace(slow, fast, cells)
+    )
     odd = surface.odd_torque(places.ravel(), speeds.ravel())
     return float(np.sqrt(np.mean(odd**2)))
 
@@ -266,7 +277,9 @@ def even_columns(surface: FrictionSurface, q: Array, v: Array) -> Array:
 
 
 def even_prior(
-    surfaces: Sequence[FrictionSurface | None], friction: FrictionStage, names: Sequence[str]
+    surfaces: Sequence[FrictionSurface | None],
+    friction: FrictionStage,
+    names: Sequence[str],
 ) -> Prior:
     """Return the prior of offsets and asymmetries as rows of unit variance.
 
@@ -335,12 +348,18 @@ def later_prior(
         wide = np.zeros((len(rows), columns.size))
         wide[:, places] = rows
         # Changes are against what the surfaces hold, which gravity's trials have put there.
-        center = np.linalg.pinv(known.A[:, places[:size]]) @ known.b if size else np.zeros(0)
+        center = (
+            np.linalg.pinv(known.A[:, places[:size]]) @ known.b if size else np.zeros(0)
+        )
         blocks, values = [wide], [rows[:, :size] @ center]
         inverse = np.linalg.pinv(known.A[:, places[:size]])
         friction = {j: rows[:, :size] @ inverse @ T for j, T in known.friction.items()}
-        constants = {j: rows[:, :size] @ inverse @ T for j, T in known.constants.items()}
-        tolerances = {k: rows[:, :size] @ inverse @ T for k, T in known.tolerances.items()}
+        constants = {
+            j: rows[:, :size] @ inverse @ T for j, T in known.constants.items()
+        }
+        tolerances = {
+            k: rows[:, :size] @ inverse @ T for k, T in known.tolerances.items()
+        }
 
     for j, (name, surface) in enumerate(zip(names, surfaces, strict=True)):
         if ("offset", name) in stated:
@@ -360,7 +379,9 @@ def later_prior(
         identified = stages.friction.joints.get(name) if stages.friction else None
         thermal = term_of(identified, "thermal") if identified else None
         wide = np.zeros((1, columns.size))
-        wide[0, columns.of("thermal", j)] = 1.0 / (thermal.std_error if thermal else 1.0)
+        wide[0, columns.of("thermal", j)] = 1.0 / (
+            thermal.std_error if thermal else 1.0
+        )
         blocks.append(wide)
         values.append(np.zeros(1))
 
@@ -377,8 +398,12 @@ def later_prior(
         A=np.vstack(blocks),
         b=np.concatenate(values),
         friction={j: np.pad(T, padding) for j, T in friction.items()},
-        constants={j: np.pad(move, (0, count - first)) for j, move in constants.items()},
-        tolerances={k: np.pad(move, (0, count - first)) for k, move in tolerances.items()},
+        constants={
+            j: np.pad(move, (0, count - first)) for j, move in constants.items()
+        },
+        tolerances={
+            k: np.pad(move, (0, count - first)) for k, move in tolerances.items()
+        },
     )
 
 

@@ -65,7 +65,9 @@ def deviation_torques(
     found = {}
     for deviation in deviations(robot):
         chain, gravity = deviation.robot.chain, deviation.robot.gravity
-        torque = inverse_dynamics(chain, gravity, standard, q + deviation.shift, dq, ddq)
+        torque = inverse_dynamics(
+            chain, gravity, standard, q + deviation.shift, dq, ddq
+        )
         found[deviation.name] = torque - usual
     return found
 

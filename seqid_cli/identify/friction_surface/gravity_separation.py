@@ -250,10 +250,7 @@ def fit_gravity(
     even_columns = friction.even_columns(table.q, table.speed)
     size = friction.torque(table.q, table.speed)
     prior_std = PRIORS.even_std(float(np.sqrt(np.mean(size**2))))
-    fit, beyond = table.both_ways(gravity, even_columns, prior_std)
-
-    first = gravity.shape[1]
-    even = EvenPart(values=fit.theta[first:], covariance=fit.covariance[first:, first:])
+    fit, even, beyond = table.both_ways(gravity, even_columns, prior_std)
     std_error = fit.std_error
     ends = pairwise(np.cumsum([0, *(columns.shape[1] for columns in by_group)]))
     separated = [
@@ -286,7 +283,7 @@ class _Pairs:
 
     def both_ways(
         self, gravity: Array, even: Array, even_std: Array, *, enough_pairs: int = 8
-    ) -> tuple[Clustered, Chebyshev | None]:
+    ) -> tuple[Clustered, EvenPart, Chebyshev | None]:
         """Fit what both ways have.
 
         Parameters
@@ -302,6 +299,7 @@ class _Pairs:
         -------
         fit : Clustered
             Of [gravity, even].
+        even : EvenPart
         beyond : Chebyshev or None
             Torque over the position that half-sums have beyond all of it.
         """
@@ -313,11 +311,24 @@ class _Pairs:
         weighted = columns * root[:, None]
 
         fit = Clustered.of(weighted, self.tau * root, block, prior_std)
+        first = gravity.shape[1]
+        even_part = EvenPart(values=fit.theta[first:], covariance=fit.covariance[first:, first:])
         beyond = self._beyond(fit.left / root)
-        if beyond is not None:
-            rest = self.tau - beyond(self.q)
-            fit = Clustered.of(weighted, rest * root, block, prior_std)
-        return fit, beyond
+        if beyond is None:
+            return fit, even_part, None
+
+        # A polynomial of the position beside offset and asymmetries, these held by their prior:
+        # a spring is none of them.
+        place = np.interp(self.q, beyond.domain, [-1.0, 1.0])
+        terms = np.column_stack([even, chebyshev.chebvander(place, self.degree)])
+        terms_std = np.concatenate([even_std, np.full(self.degree + 1, np.inf)])
+        rest = (self.tau - gravity @ fit.theta[:first]) * root
+        split = Clustered.of(terms * root[:, None], rest, block, terms_std)
+        count = len(even_std)
+        even_part = EvenPart(
+            values=split.theta[:count], covariance=split.covariance[:count, :count]
+        )
+        return fit, even_part, Chebyshev(split.theta[count:], domain=beyond.domain)
 
     def _beyond(self, left: Array) -> Chebyshev | None:
         """Return the torque over the position that is in what is `left` (N,) N m, or None."""

@@ -24,11 +24,15 @@ from seqid_cli.motion.torque_noise import DETAIL, Spectrum, level_of, stretches
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
-STRETCH_PERIODS = 4.0  # of the cut-off: of a rest, at least, and of a spectrum while joints move
+STRETCH_PERIODS = (
+    4.0  # of the cut-off: of a rest, at least, and of a spectrum while joints move
+)
 ABOVE, UP_TO = 1.5, 10.0  # times the cut-off, between which moving joints show noise
 # Twice low-passed noise of the acceleration over that below the cut-off: 5 times the integral of
 # x^4 / (1 + x^8)^4.
 PASSED = math.sqrt(0.625 * beta(0.625, 3.375))
+# One surface has one error, of a size between none and twice its standard error.
+FRICTION_DOUBT = 2.0
 ENCODER_DOUBT = 1.5  # the motion's noise is known to half of itself
 
 
@@ -82,7 +86,9 @@ def noise_of_log(recording: Recording, motion: Motion, slides: Mask) -> LogNoise
     period = rate / cutoff_hz
     still = unmoved(recording.q, np.zeros(n), round(STRETCH_PERIODS * period))
     quiet = shrink(still & recording.valid, round(period))
-    lengths = [b - a for a, b in runs(quiet, len(quiet)) if b - a >= STRETCH_PERIODS * period]
+    lengths = [
+        b - a for a, b in runs(quiet, len(quiet)) if b - a >= STRETCH_PERIODS * period
+    ]
     rest_length = int(np.median(lengths)) if lengths else 0
     rests = stretches(quiet, rest_length) if rest_length else []
 
@@ -106,7 +112,12 @@ def noise_of_log(recording: Recording, motion: Motion, slides: Mask) -> LogNoise
     )
 
 
-def noise_level(logs: Sequence[LogNoise], encoder: Array, torque: Array) -> NoiseLevel:
+def noise_level(
+    logs: Sequence[LogNoise],
+    encoder: Array,
+    torque: Array,
+    friction: Array | None = None,
+) -> NoiseLevel:
     """Return the noise that some logs together show of each joint.
 
     Parameters
@@ -116,20 +127,31 @@ def noise_level(logs: Sequence[LogNoise], encoder: Array, torque: Array) -> Nois
         RMS torque that the noise of the motion makes [N m].
     torque : (n,) array
         RMS of the joints' torques [N m].
+    friction : (n,) array, optional
+        RMS error that friction, identified before, is known to have [N m]. It is there as
+        noise is.
     """
+    stated = np.zeros(len(torque)) if friction is None else friction
     n = len(torque)
     middle, low, high = np.zeros((3, n))
     for j in range(n):
-        slid = [(log.motion, float(log.seconds[j])) for log in logs if log.seconds[j] > 0.0]
+        slid = [
+            (log.motion, float(log.seconds[j])) for log in logs if log.seconds[j] > 0.0
+        ]
         resting = [log.resting[j] for log in logs if len(log.resting[j].frequency)]
-        spectra = resting + [log.sliding[j] for log in logs if len(log.sliding[j].frequency)]
+        spectra = resting + [
+            log.sliding[j] for log in logs if len(log.sliding[j].frequency)
+        ]
         if not spectra or not slid:
             continue
         level = level_of(spectra, slid[0][0].lowpass.cutoff_hz).rms(slid)
-        middle[j] = np.hypot(level[0], encoder[j])
+        middle[j] = np.linalg.norm([level[0], encoder[j], stated[j]])
         low[j] = level[1]
         detail = DETAIL * torque[j]
-        high[j] = np.linalg.norm([level[2], ENCODER_DOUBT * encoder[j], detail])
+        of_motion = ENCODER_DOUBT * encoder[j]
+        high[j] = np.linalg.norm(
+            [level[2], of_motion, FRICTION_DOUBT * stated[j], detail]
+        )
     return NoiseLevel(rms=middle, low=low, high=high)
 
 
@@ -159,7 +181,9 @@ def torque_of_noise(
 
 def postures(robot: Robot, *, count: int = 20) -> Array:
     """Return postures (count, n) within the joints' limits, always the same."""
-    default = [(-0.5, 0.5) if joint.prismatic else (-np.pi, np.pi) for joint in robot.joints]
+    default = [
+        (-0.5, 0.5) if joint.prismatic else (-np.pi, np.pi) for joint in robot.joints
+    ]
     ranges = [
         joint.position_limits or limits
         for joint, limits in zip(robot.joints, default, strict=True)

@@ -298,4 +298,23 @@ def _noise_level(equations: InertiaEquations, rows: InertiaRows, stage: RigidSta
         torque_of_noise(model, robot, use.acceleration_error) ** 2 for use in rows.uses
     ]
     encoder = np.sqrt(np.mean(squares, axis=0)) if squares else np.zeros(robot.n)
-    return noise_level(rows.noise, encoder, torque)
+    return noise_level(rows.noise, encoder, torque, _friction_error(equations, rows))
+
+
+def _friction_error(equations: InertiaEquations, rows: InertiaRows) -> Array:
+    """Return the RMS error (n,) N m that friction is known to have in the used rows."""
+    errors = np.zeros(equations.robot.n)
+    friction = equations.stages.friction
+    assert friction is not None
+    for j, surface in enumerate(equations.surfaces):
+        if surface is None or not rows.states:
+            continue
+        q = np.concatenate([states.q[states.used[:, j], j] for states in rows.states])
+        v = np.concatenate([states.dq[states.used[:, j], j] for states in rows.states])
+        if not len(q):
+            continue
+        # By its standard error, or by what it leaves of speeds that it was not fitted to.
+        stated = float(np.sqrt(np.mean(surface.std_error(q, v) ** 2)))
+        held_out = friction.joints[equations.robot.joint_names[j]].held_out_rmse
+        errors[j] = max(stated, held_out or 0.0)
+    return errors

@@ -11,16 +11,17 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.nuisances import term_of
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import FrictionJoint, Stages
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests import ROOT
+from tests import ROOT, Array
 from tests.unit.discover.arms import arm_scenes, at_joint, drag, selected
 
 SAMPLES = ROOT / "sample_logs"
@@ -31,8 +32,6 @@ EFFECTS = {  # stage; sample robot and joint; settings; coefficients; how well i
     "stribeck": ("friction", ONE, {"stribeck_speed": 0.6, "exponent": 2.0}, (0.01,), 0.05),
     "nonlinear_viscous": ("friction", ONE, {"exponent": 0.5}, (0.01,), 0.05),
     "load_dependent_friction": ("friction", ONE, {}, (0.1,), 0.05),
-    "actuator_lag": ("friction", LIFT, {}, (0.005,), 0.15),
-    "time_skew": ("friction", LIFT, {"around": 0.005}, (0.005,), 0.15),
     "gear_efficiency": ("gravity", LIFT, {}, (0.02, 0.06), 0.15),
 }
 
@@ -58,7 +57,7 @@ def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(name: st
     if stage == "friction":
         speed = np.abs(scene.motion.dq[:, j])
         columns = surface_columns(scene, j)[(speed > SLOWEST) & (speed < FASTEST)]
-        old, new = (np.ravel(x.friction.joints[own].positive) for x in (without, with_it))
+        old, new = (entries_of(x.friction.joints[own]) for x in (without, with_it))
         said, more = taken[1 + j] @ size, new - old
     else:
         basis, q = free_basis(robot), changed[0].q
@@ -70,6 +69,32 @@ def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(name: st
     found = columns @ more
     assert np.std(found) > 0.0
     assert np.linalg.norm(columns @ said - found) < known * np.linalg.norm(found)
+
+
+def test_a_skew_is_in_the_delay_of_the_stage() -> None:
+    """Torque that comes late is no friction: the drive's delay takes it."""
+    seconds = 0.005
+    sample, own = LIFT
+    robot = load_robot(SAMPLES / sample / "robot.toml")
+    j = robot.joint_names.index(own)
+    paths = (SAMPLES / sample / f"{folder}/{own}.parquet" for folder in ("friction", "gravity"))
+    logs = [read_recording(path, robot) for path in paths]
+    late = []
+    for log in logs:
+        torque = log.tau.copy()
+        torque[:, j] = np.interp(log.t - seconds, log.t, log.tau[:, j])
+        late.append(replace(log, tau=torque))
+    before, after = (
+        term_of(stages_of(*given, robot).friction.joints[own], "delay") for given in (logs, late)
+    )
+    found = after.value - before.value
+    assert found > 0.4 * seconds
+    assert abs(seconds - found) < 2.0 * after.std_error
+
+
+def entries_of(joint: FrictionJoint) -> Array:
+    """Entries of the surfaces of both directions, one after the other."""
+    return np.concatenate([np.ravel(joint.positive), np.ravel(joint.negative)])
 
 
 def stages_of(trial: Recording, other: Recording, robot: Robot) -> Stages:

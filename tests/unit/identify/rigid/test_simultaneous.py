@@ -123,8 +123,10 @@ def test_a_joint_that_slides_has_units_of_its_own() -> None:
     assert [p.unit for p in turns.parameters] == ["N m", "N m s/rad", "N m"]
     assert [p.unit for p in slides.parameters] == ["N", "N s/m", "N"]
     told = {verdict.joint: verdict.reason for verdict in found.inertia.verdicts}
-    assert told["joint_1"].endswith(" N m)")
-    assert told["joint_2"].endswith(" N)")
+    assert " N m), noise up to " in told["joint_1"]
+    assert " N), noise up to " in told["joint_2"]
+    assert told["joint_1"].endswith(" N m")
+    assert told["joint_2"].endswith(" N")
 
 
 def test_friction_that_drives_is_not_good() -> None:

@@ -9,11 +9,18 @@ from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
+from scipy.spatial.transform import Rotation
 
 from seqid_cli import identify
 from seqid_cli.errors import SeqidError, SeqidWarning
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.params.schema import FrictionStage, Parameter, ParameterFile, Verdict
+from seqid_cli.params.schema import (
+    FrictionStage,
+    ImuStage,
+    Parameter,
+    ParameterFile,
+    Verdict,
+)
 from tests import Array
 from tests.studies.truth.plan import Case
 from tests.studies.truth.session import Session, paths, session_of
@@ -21,12 +28,11 @@ from tests.studies.truth.truths import true_friction, true_offset, true_standard
 
 Row = dict[str, Any]
 POINTS = 10  # of each friction surface, in each direction
-LEVELS = {
-    0.9: 1.645,
-    0.95: 1.960,
-}  # bands, and how many standard deviations they are wide
+# Bands, and how many standard deviations they are wide.
+LEVELS = {0.9: 1.645, 0.95: 1.960}
 WORST_FIRST = ("poor", "usable", "good")
 COLD = 25.0  # degC
+VAGUE_DEG = 20.0  # a turn with a larger stated error is not known, and no estimate
 
 
 def scored(case: Case, cache: Path) -> Row:
@@ -95,6 +101,7 @@ class _Stages:
         self, name: str, function: Callable[[Path], ParameterFile]
     ) -> Path | None:
         path = self.folder / f"{name}.json"
+        started = time.process_time()
         try:
             file = function(path)
         except SeqidError as error:
@@ -103,7 +110,8 @@ class _Stages:
         except Exception as error:  # a case that fails is an answer too
             self.row["failed"][name] = f"{type(error).__name__}: {error}"
             return None
-        self.row["stages"][name] = self._of_stage(name, file)
+        seconds = time.process_time() - started
+        self.row["stages"][name] = self._of_stage(name, file) | {"seconds": seconds}
         return path
 
     def _of_stage(self, name: str, file: ParameterFile) -> Row:
@@ -116,6 +124,8 @@ class _Stages:
             verdicts, parameters = stage.verdicts, getattr(stage, "parameters", [])
         row: Row = verdict_row(verdicts)
         row["parameters"] = [self._of_parameter(p) for p in parameters]
+        if name == "imu":
+            row["parameters"] = imu_rows(self.case, stages.imu)
         if name in ("friction", "simultaneous"):
             row["friction"] = friction_rows(self.case, self.session, stages.friction)
         if name in ("inertia", "simultaneous"):
@@ -138,8 +148,8 @@ class _Stages:
         logs = paths(self.session, ["held_out"])
         try:
             found = identify.predict(logs, self.session.robot, file, torques=torques)
-        except SeqidError as error:
-            self.row["failed"]["predict"] = error.message
+        except SeqidError as problem:
+            self.row["failed"]["predict"] = problem.message
             return
         table = pq.read_table(torques)
         noise = dict(zip(self.case.arm.names, self.session.noise, strict=True))
@@ -183,8 +193,9 @@ def friction_rows(case: Case, session: Session, stage: FrictionStage) -> list[Ro
     for name, joint in stage.joints.items():
         j = names.index(name)
         rng = np.random.default_rng([case.seed, 623, j])
-        q = np.tile(rng.uniform(*joint.position_range, POINTS), 2)
-        speed = rng.uniform(*joint.speed_range, POINTS)
+        (low, high), (slow, fast) = joint.position_range, joint.speed_range
+        q = np.tile(rng.uniform(low, high, POINTS), 2)
+        speed = rng.uniform(slow, fast, POINTS)
         v = np.concatenate([speed, -speed])
         surface = FrictionSurface.from_stage(joint)
         warmth = (
@@ -204,6 +215,36 @@ def friction_rows(case: Case, session: Session, stage: FrictionStage) -> list[Ro
             }
         )
     return rows
+
+
+def imu_rows(case: Case, stage: ImuStage) -> list[Row]:
+    """Compare where IMUs sit: turns about the link's axes in deg, origins in m."""
+    rows = []
+    for k, imu in enumerate(case.arm.imus):
+        if (found := stage.imus.get(f"imu{k}")) is None:
+            continue
+        w, *v = imu.quaternion
+        true_rotation = Rotation.from_quat([*v, w]).as_matrix()
+        off = Rotation.from_matrix(
+            np.array(found.rotation) @ true_rotation.T
+        ).as_rotvec()
+        turns = zip("xyz", np.degrees(off), found.std_errors_deg, strict=False)
+        for axis, angle, error in turns:
+            if error < VAGUE_DEG:
+                rows.append(_imu_row(f"imu{k} turn {axis}", float(angle), error, 0.0))
+        places = zip(
+            "xyz", found.lever, found.lever_std_errors, imu.place, strict=False
+        )
+        for axis, place, place_error, truth in places:
+            if place is not None and place_error is not None:
+                rows.append(
+                    _imu_row(f"imu{k} {axis}", place, place_error, float(truth))
+                )
+    return rows
+
+
+def _imu_row(name: str, value: float, std_error: float, truth: float) -> Row:
+    return {"name": name, "value": value, "std_error": std_error, "truth": truth}
 
 
 def _z(error: Array, std_error: Array) -> list[float]:

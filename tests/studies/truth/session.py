@@ -21,7 +21,7 @@ from tests.studies.outside.simulate import Log, logged
 from tests.studies.records import sources_of
 from tests.studies.truth.follow import Followed, follow
 from tests.studies.truth.plan import Case
-from tests.studies.truth.tolerances import OF_JOINT, OF_ROBOT
+from tests.studies.truth.tolerances import TOLERANCES
 from tests.unit.logs.writers import (
     arm_messages,
     joint_messages,
@@ -38,7 +38,6 @@ INERTIA = ("multisine", "spline", "points")
 HELD_OUT = ("spline", "multisine")
 MOVES = {"inertia": INERTIA, "held_out": HELD_OUT}
 SLOW = 0.3  # of the joint's limit, below which a coarse encoder's joint hunts
-SOURCES = ("plan.py", "follow.py", "session.py", "tolerances.py")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,12 +133,9 @@ def noise_of(case: Case) -> Array:
 def write_robot(case: Case, folder: Path) -> None:
     """Write the robot file and the URDF as the user believes them."""
     arm = case.arm
-    of_robot: list[str] = []
-    of_joints: list[str] = []
-    for item in case.imperfections:
-        if item.declared:
-            of_joints += [f"{OF_JOINT[x]} = 0.05" for x in [item.kind] if x in OF_JOINT]
-            of_robot += [OF_ROBOT[x] for x in [item.kind] if x in OF_ROBOT]
+    declared = [TOLERANCES[x.kind] for x in case.imperfections if x.declared]
+    of_robot = [x.entry for x in declared if not x.of_joint]
+    of_joints = [x.entry for x in declared if x.of_joint]
     if off := case.sizes("geometry"):
         places, turns = np.array(off["places"]), np.array(off["turns"])
         links = [

@@ -33,7 +33,9 @@ def case_with(kind: str = "", n: int = 2, **sizes: Any) -> Case:
 def test_every_kind_comes_and_three_arms_in_ten_are_clean() -> None:
     counts = [len(kinds_of(seed)) for seed in range(200)]
     assert (counts.count(0), counts.count(1), counts.count(3)) == (60, 60, 80)
-    assert {kind for seed in range(15) for kind in kinds_of(seed, alone=True)} == set(KINDS)
+    assert {kind for seed in range(15) for kind in kinds_of(seed, alone=True)} == set(
+        KINDS
+    )
     assert kinds_of(0, [CLEAN], alone=True) == ()
     assert set(kinds_of(9, ["delay", "tool"])) == {"delay", "tool"}
     assert all(len(set(kinds_of(seed))) == len(kinds_of(seed)) for seed in range(50))
@@ -106,13 +108,19 @@ def test_friction_is_larger_on_the_way_up_and_smaller_when_warm() -> None:
             added = (some.torque - none.torque)[at, 0].mean()
             q, v = some.q[at, 0], np.full(400, side * speed)
             warmth = float(some.warmth[at, 0].mean())
-            truth = true_friction(case, 0, q, v, warmth) - true_friction(flat, 0, q, v, warmth)
+            truth = true_friction(case, 0, q, v, warmth) - true_friction(
+                flat, 0, q, v, warmth
+            )
             assert abs(truth.mean()) > 0.0 or (kind == "asymmetry" and side < 0.0)
-            assert added == pytest.approx(truth.mean(), abs=2e-3 * flat.arm.drives[0].coulomb)
+            assert added == pytest.approx(
+                truth.mean(), abs=2e-3 * flat.arm.drives[0].coulomb
+            )
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])
-def test_bodies_behind_a_joint_that_is_left_out_are_added(joint: int, tmp_path: Path) -> None:
+def test_bodies_behind_a_joint_that_is_left_out_are_added(
+    joint: int, tmp_path: Path
+) -> None:
     """Against Pinocchio, which locks the same joint of the same URDF."""
     case = case_with("left_out", n=3, joint=joint, moves=False, radians=0.7)
     write_robot(case, tmp_path)
@@ -123,7 +131,9 @@ def test_bodies_behind_a_joint_that_is_left_out_are_added(joint: int, tmp_path: 
     truth = true_standard(case)
     for k, inertia in enumerate(list(reduced.inertias)[1:], start=1):
         found = [truth[f"{name}_{k}"] for name in STANDARD]
-        np.testing.assert_allclose(found, inertia.toDynamicParameters(), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            found, inertia.toDynamicParameters(), rtol=1e-9, atol=1e-9
+        )
     assert f'name = "j{joint + 1}"' not in (tmp_path / "robot.toml").read_text()
 
 
@@ -136,8 +146,12 @@ def row_of(level: str, z: float, friction: float = 0.0) -> Row:
 
 def test_silent_wrongs_are_those_under_good() -> None:
     assert [x.name for x in silent_wrongs([row_of("good", 5.0)])] == ["mx_1"]
-    assert [x.name for x in silent_wrongs([row_of("good", 1.0, friction=-6.0)])] == ["j1"]
-    assert not silent_wrongs([row_of("usable", 50.0), row_of("poor", 9.0), row_of("good", 3.9)])
+    assert [x.name for x in silent_wrongs([row_of("good", 1.0, friction=-6.0)])] == [
+        "j1"
+    ]
+    assert not silent_wrongs(
+        [row_of("usable", 50.0), row_of("poor", 9.0), row_of("good", 3.9)]
+    )
     assert level_of(row_of("usable", 0.0)) == "usable"
     assert level_of(row_of("good", 0.0) | {"failed": {"gravity": "no"}}) == "poor"
 

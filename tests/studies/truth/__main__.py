@@ -11,6 +11,7 @@ from tests.studies.tables import show
 from tests.studies.truth import tabulate
 from tests.studies.truth.fixed import ROWS, fixed_case
 from tests.studies.truth.plan import CLEAN, KINDS, RESERVED, Case, drawn
+from tests.studies.truth.rigs import COUNTS, RIGS, label_of, rig_row, rig_tables
 from tests.studies.truth.score import Row, scored
 
 PAGE = "truth_study.md"
@@ -36,6 +37,11 @@ def parser() -> argparse.ArgumentParser:
         "--fixed",
         action="store_true",
         help="one two-joint arm instead, sizes always the same",
+    )
+    made.add_argument(
+        "--rigs",
+        action="store_true",
+        help="the paper's two rigs instead, the paper's encoders",
     )
     made.add_argument("--cache", type=Path, default=Path("out") / "truth")
     made.add_argument("--processes", type=int, default=1)
@@ -66,6 +72,25 @@ def main() -> None:
         rows = rows_of(cases, chosen)
         show(PAGE, "truth_fixed", tabulate.fixed(rows), kept=chosen.write)
         return
+    if chosen.rigs:
+        rigs = [
+            (rig, counts, seed)
+            for rig in RIGS
+            for counts in COUNTS
+            for seed in chosen.seeds
+        ]
+        found = results(
+            {label_of(*rig): rig for rig in rigs},
+            _rig,
+            dict[str, Any],
+            chosen.cache / "rigs.jsonl",
+            sources=package_sources(),
+            run=not chosen.tables,
+            processes=chosen.processes,
+            told=_told_of_rig,
+        )
+        show(PAGE, "truth_rigs", rig_tables([*found.values()]), kept=chosen.write)
+        return
     cases = [drawn(seed, chosen.only, alone=chosen.alone) for seed in chosen.seeds]
     rows = rows_of(cases, chosen)
     alone = "_alone" * chosen.alone
@@ -74,7 +99,7 @@ def main() -> None:
 
 def rows_of(cases: Sequence[Case], chosen: argparse.Namespace) -> list[Row]:
     """Return the rows of cases, from the cache where package and study are the same."""
-    sources = f"{package_sources()} {sources_of(Path(__file__).parent, but=('__', 'tabulate'))}"
+    sources = f"{package_sources()} {sources_of(Path(__file__).parent, but=('__', 'tabulate', 'rigs'))}"
     work = partial(scored, cache=chosen.cache)
     found = results(
         {case.label: case for case in cases},
@@ -87,6 +112,15 @@ def rows_of(cases: Sequence[Case], chosen: argparse.Namespace) -> list[Row]:
         told=_told,
     )
     return [*found.values()]
+
+
+def _rig(rig: tuple[str, int, int]) -> Row:
+    return rig_row(*rig)
+
+
+def _told_of_rig(row: Row) -> str:
+    worst = max((abs(p["error"]) for p in row.get("parameters", ())), default=0.0)
+    return f"{row['seconds']:.0f} s; largest error {100 * worst:.1f} % {row['failed']}"
 
 
 def _told(row: Row) -> str:

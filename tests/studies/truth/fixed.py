@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.studies.outside.arms import drawn_arm
-from tests.studies.truth.plan import STREAM, Case, Imperfection, fitted
+from tests.studies.truth.plan import STREAM, Case, Imperfection, fitted, rubbing
 
 COUNTS = 2**18  # of the fine encoder, a turn of the joint
 ROWS: Mapping[str, tuple[Imperfection, ...]] = {
@@ -61,7 +61,9 @@ ROWS: Mapping[str, tuple[Imperfection, ...]] = {
 
 def fixed_case(name: str, seed: int = 0) -> Case:
     """Return a row's case; another seed has other motions and noise on the same arm."""
-    arm = drawn_arm(np.random.default_rng([STREAM, 4]), "drawn", 2, imus=False)
+    arm = rubbing(
+        drawn_arm(np.random.default_rng([STREAM, 4]), "drawn", 2, imus=False), 2.0
+    )
     step = 2.0 * np.pi / COUNTS
     drives = tuple(replace(drive, count=step) for drive in arm.drives)
     arm = replace(arm, drives=drives, rate_hz=250.0, noise=0.05, currents=True)

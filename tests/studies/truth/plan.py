@@ -17,6 +17,7 @@ Sizes = dict[str, Any]
 Generator = np.random.Generator
 STREAM = 610
 HUNTING_COUNTS = 600  # of the encoder, a turn of the joint
+MOST_FRICTION = 3.0  # times that of the other study's arms
 COARSE_COUNTS = (2000, 4096, 8192)
 
 
@@ -230,7 +231,9 @@ def drawn(seed: int, kinds: Sequence[str] = (), *, alone: bool = False) -> Case:
     if "left_out" in chosen:
         n, imus = max(n, 2), False
     label = "ur5" if n == 6 and rng.random() < 0.5 else "drawn"
-    arm = drawn_arm(rng, label, n, imus)
+    arm = rubbing(
+        drawn_arm(rng, label, n, imus), float(rng.uniform(1.0, MOST_FRICTION))
+    )
     if coarse:
         step = 2.0 * np.pi / counts
         arm = replace(
@@ -249,6 +252,15 @@ def drawn(seed: int, kinds: Sequence[str] = (), *, alone: bool = False) -> Case:
         arm=fitted(arm, imperfections),
         imperfections=tuple(imperfections),
     )
+
+
+def rubbing(arm: Arm, times: float) -> Arm:
+    """Return the arm with more friction: strain wave gears rub by a quarter of the weight."""
+    drives = [
+        replace(x, coulomb=times * x.coulomb, viscous=times * x.viscous)
+        for x in arm.drives
+    ]
+    return replace(arm, drives=tuple(drives))
 
 
 def fitted(arm: Arm, imperfections: Sequence[Imperfection]) -> Arm:

@@ -34,9 +34,7 @@ GRAVITY_SPEEDS = np.array([0.2, 0.4])
 POSTURES = 3  # of gravity trials beside the friction trials' own
 PAUSE_S = 5.0  # between two logs
 INERTIA_S = 12.0
-INERTIA = ("multisine", "spline", "points")
-HELD_OUT = ("spline", "multisine")
-MOVES = {"inertia": INERTIA, "held_out": HELD_OUT}
+MOVES = {"inertia": ("lively", "spline", "points"), "held_out": ("spline", "lively")}
 SLOW = 0.3  # of the joint's limit, below which a coarse encoder's joint hunts
 
 
@@ -111,12 +109,28 @@ def record(case: Case, folder: Path) -> None:
         stage_of_logs[stage] = []
         for number, name in enumerate(names):
             carries = tool is not None and stage == "inertia" and number == tool["log"]
-            motion = motions.MOTIONS[name](arm, rng, INERTIA_S)
+            motion = MOTIONS[name](arm, rng, INERTIA_S)
             path, _ = recorder.add(motion, with_tool=carries, all_joints=True)
             stage_of_logs[stage].append(path.name)
 
     about = {"logs": stage_of_logs, "warmth": warmth, "noise": noise_of(case).tolist()}
     (folder / "session.json").write_text(json.dumps(about), encoding="utf-8")
+
+
+def lively(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
+    """Harmonics of a quarter of a hertz that reach the joints' speeds, faded in and out."""
+    t = np.arange(0.0, seconds, STEP_S)
+    order = np.arange(1, 7)
+    phases = rng.uniform(0.0, 2.0 * np.pi, (arm.n, len(order), 1))
+    sizes = rng.uniform(0.3, 1.0, (arm.n, len(order))) / order
+    waves = np.sin(2.0 * np.pi * 0.25 * order[:, None] * t + phases)
+    q = np.einsum("jk,jkt->tj", sizes, waves)
+    fade = np.clip(np.minimum(t, t[-1] - t) / 1.5, 0.0, 1.0)
+    fade = fade**3 * (10.0 - 15.0 * fade + 6.0 * fade**2)
+    return motions.fitted(arm, q / np.abs(q).max(axis=0) * fade[:, None])
+
+
+MOTIONS = {**motions.MOTIONS, "lively": lively}
 
 
 def _postures(n: int, rng: np.random.Generator) -> Array:

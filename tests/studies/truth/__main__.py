@@ -13,6 +13,7 @@ from tests.studies.truth.fixed import ROWS, fixed_case
 from tests.studies.truth.plan import CLEAN, KINDS, RESERVED, Case, drawn
 from tests.studies.truth.rigs import COUNTS, RIGS, label_of, rig_row, rig_tables
 from tests.studies.truth.score import Row, scored
+from tests.studies.truth.session import sources
 
 PAGE = "truth_study.md"
 
@@ -99,14 +100,15 @@ def main() -> None:
 
 def rows_of(cases: Sequence[Case], chosen: argparse.Namespace) -> list[Row]:
     """Return the rows of cases, from the cache where package and study are the same."""
-    sources = f"{package_sources()} {sources_of(Path(__file__).parent, but=('__', 'tabulate', 'rigs'))}"
+    compared = sources_of(Path(__file__).parent, but=("__", "tabulate", "rigs"))
+    versions = f"{package_sources()} {sources()} {compared}"
     work = partial(scored, cache=chosen.cache)
     found = results(
         {case.label: case for case in cases},
         work,
         dict[str, Any],
         chosen.cache / "truth.jsonl",
-        sources=sources,
+        sources=versions,
         run=not chosen.tables,
         processes=chosen.processes,
         told=_told,

@@ -56,12 +56,18 @@ class Session:
         return self.folder / "robot.toml"
 
 
+def sources() -> str:
+    """Return the hash of everything that the logs depend on."""
+    return sources_of(Path(outside.__file__).parent, Path(__file__).parent, but=_OTHERS)
+
+
+# Files of these folders that the logs do not depend on.
+_OTHERS = ("__", "score", "tabulate", "truths", "rigs", "cases", "numbers", "refined")
+
+
 def session_of(case: Case, cache: Path) -> Session:
     """Return the case's files, made where the cache does not hold them."""
-    sources = sources_of(
-        Path(outside.__file__).parent, Path(__file__).parent, but=_OTHERS
-    )
-    folder = cache / sources / case.label.replace(":", "-").replace(", ", "_")
+    folder = cache / sources() / case.label.replace(":", "-").replace(", ", "_")
     if not folder.is_dir():
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as name:
@@ -75,10 +81,6 @@ def session_of(case: Case, cache: Path) -> Session:
         stage: [folder / x for x in names] for stage, names in about.pop("logs").items()
     }
     return Session(folder=folder, logs=logs, **about)
-
-
-# Files of these folders that the logs do not depend on.
-_OTHERS = ("__", "score", "tabulate", "truths", "rigs", "cases", "numbers", "refined")
 
 
 def record(case: Case, folder: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from tests.studies.outside.arms import drawn_arm
 from tests.studies.truth.plan import STREAM, Case, Imperfection, fitted, rubbing
 
+SPEED = 4.0  # rad/s, limit of both joints
 COUNTS = 2**18  # of the fine encoder, a turn of the joint
 ROWS: Mapping[str, tuple[Imperfection, ...]] = {
     "none": (),
@@ -61,12 +62,14 @@ ROWS: Mapping[str, tuple[Imperfection, ...]] = {
 
 def fixed_case(name: str, seed: int = 0) -> Case:
     """Return a row's case; another seed has other motions and noise on the same arm."""
-    arm = rubbing(
-        drawn_arm(np.random.default_rng([STREAM, 4]), "drawn", 2, imus=False), 2.0
-    )
+    arm = drawn_arm(np.random.default_rng([STREAM, 4]), "drawn", 2, imus=False)
+    # Two parallel axes across gravity, as fast as small arms are: inertia shows well.
+    across = np.array([0.0, 1.0, 0.0])
+    links = tuple(replace(link, axis=across, speed=SPEED) for link in arm.links)
     step = 2.0 * np.pi / COUNTS
     drives = tuple(replace(drive, count=step) for drive in arm.drives)
-    arm = replace(arm, drives=drives, rate_hz=250.0, noise=0.05, currents=True)
+    arm = rubbing(replace(arm, links=links, drives=drives), 2.0)
+    arm = replace(arm, rate_hz=250.0, noise=0.05, currents=True)
     items = ROWS[name]
     return Case(
         label=f"fixed {seed}:{name}",

@@ -147,7 +147,7 @@ def _levels(stages: Stages) -> dict[str, str]:
     for name in ("friction", "gravity", "imu", "inertia"):
         stage = getattr(stages, name)
         if stage is not None:
-            found[name] = str(verdict_row(stage.verdicts)["level"])
+            found[name] = str(verdict_row(stage.verdicts, Path())["level"])
     return found
 
 

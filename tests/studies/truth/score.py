@@ -105,7 +105,7 @@ class _Stages:
         try:
             file = function(path)
         except SeqidError as error:
-            self.row["failed"][name] = error.message
+            self.row["failed"][name] = self._short(error.message)
             return None
         except Exception as error:  # a case that fails is an answer too
             self.row["failed"][name] = f"{type(error).__name__}: {error}"
@@ -113,6 +113,9 @@ class _Stages:
         seconds = time.process_time() - started
         self.row["stages"][name] = self._of_stage(name, file) | {"seconds": seconds}
         return path
+
+    def _short(self, text: str) -> str:
+        return text.replace(f"{self.session.folder}/", "")
 
     def _of_stage(self, name: str, file: ParameterFile) -> Row:
         stages = file.stages
@@ -122,7 +125,7 @@ class _Stages:
         else:
             stage = getattr(stages, name)
             verdicts, parameters = stage.verdicts, getattr(stage, "parameters", [])
-        row: Row = verdict_row(verdicts)
+        row: Row = verdict_row(verdicts, self.session.folder)
         row["parameters"] = [self._of_parameter(p) for p in parameters]
         if name == "imu":
             row["parameters"] = imu_rows(self.case, stages.imu)
@@ -149,7 +152,7 @@ class _Stages:
         try:
             found = identify.predict(logs, self.session.robot, file, torques=torques)
         except SeqidError as problem:
-            self.row["failed"]["predict"] = problem.message
+            self.row["failed"]["predict"] = self._short(problem.message)
             return
         table = pq.read_table(torques)
         noise = dict(zip(self.case.arm.names, self.session.noise, strict=True))
@@ -165,21 +168,24 @@ class _Stages:
                 "noise": left,
                 "bands": bands(table, name),
             }
-        self.row["prediction"] = verdict_row(found.verdicts) | {"joints": joints}
+        self.row["prediction"] = verdict_row(found.verdicts, self.session.folder) | {
+            "joints": joints
+        }
 
 
-def verdict_row(verdicts: Sequence[Verdict]) -> Row:
-    """Return the worst level of some verdicts, and the reasons of all that are not good."""
-    levels = [
-        getattr(x, "level", None) or ("good" if x.good else "poor") for x in verdicts
-    ]
+def verdict_row(verdicts: Sequence[Verdict], folder: Path) -> Row:
+    """Return the worst level of some verdicts, and the reasons of all that are not good.
+
+    Logs are named without their `folder`, which says nothing about them.
+    """
+    levels = [x.level for x in verdicts]
     worst = min(levels, key=WORST_FIRST.index, default="good")
     reasons = [
         f"{x.joint}: {x.reason}" if x.joint else x.reason
-        for x, level in zip(verdicts, levels, strict=True)
-        if level != "good"
+        for x in verdicts
+        if x.level != "good"
     ]
-    return {"level": worst, "reasons": reasons}
+    return {"level": worst, "reasons": [x.replace(f"{folder}/", "") for x in reasons]}
 
 
 def friction_rows(case: Case, session: Session, stage: FrictionStage) -> list[Row]:

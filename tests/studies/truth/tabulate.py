@@ -202,7 +202,7 @@ def fixed(rows: Sequence[Row]) -> str:
         silent = len(silent_wrongs([row]))
         cells.append(
             [
-                kind_of(row),
+                row["label"].partition(":")[2],
                 _share([row], "friction"),
                 _worst([row], "gravity"),
                 _worst([row], "inertia"),

@@ -16,7 +16,7 @@ from tests.studies.truth import __main__ as program
 from tests.studies.truth.follow import Followed, follow
 from tests.studies.truth.plan import CLEAN, KINDS, Case, Imperfection, drawn, kinds_of
 from tests.studies.truth.score import Row, scored
-from tests.studies.truth.session import as_logged, write_robot
+from tests.studies.truth.session import as_logged, session_of, write_robot
 from tests.studies.truth.tabulate import level_of, silent_wrongs, tables
 from tests.studies.truth.truths import true_friction, true_standard
 
@@ -161,7 +161,7 @@ def small(arm: Arm) -> Arm:
 
 
 def test_a_clean_arm_is_told_truly(tmp_path: Path) -> None:
-    """The whole way of one small arm; another time its logs come from the cache."""
+    """The whole way of one small arm."""
     case = drawn(11, [CLEAN], alone=True)
     arm = small(drawn_arm(np.random.default_rng(8), "drawn", 1, imus=False))
     case = replace(case, arm=arm)
@@ -172,8 +172,9 @@ def test_a_clean_arm_is_told_truly(tmp_path: Path) -> None:
     assert level_of(row) == "good"
     assert row["prediction"]["joints"]["j1"]["relative"] < 0.02
     assert "| clean | 1 | 1, 0, 0 |" in tables([row])
-    again = scored(case, tmp_path)
-    assert (
-        again["stages"]["inertia"]["parameters"]
-        == row["stages"]["inertia"]["parameters"]
-    )
+    # Another time its logs come from the cache.
+    session = session_of(case, tmp_path / "logs")
+    made = session.robot.stat().st_mtime_ns
+    assert session_of(case, tmp_path / "logs").robot.stat().st_mtime_ns == made
+    assert len(session.logs["friction"]) == 1
+    assert all(path.is_file() for logs in session.logs.values() for path in logs)

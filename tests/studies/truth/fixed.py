@@ -10,6 +10,17 @@ from tests.studies.truth.plan import STREAM, Case, Imperfection, fitted, rubbing
 
 SPEED = 4.0  # rad/s, limit of both joints
 COUNTS = 2**18  # of the fine encoder, a turn of the joint
+GEOMETRY = Imperfection(
+    "geometry",
+    {
+        "metres": 5e-3,
+        "degrees": 1.0,
+        "places": [[0.0, 3e-3, 4e-3], [3e-3, 0.0, 4e-3]],
+        "turns": [[0.0, 0.0105, 0.0140], [0.0105, 0.0140, 0.0]],
+    },
+)
+GRAVITY = Imperfection("gravity", {"degrees": 2.0, "azimuth": 0.6})
+ZERO = Imperfection("zero", {"joint": 1, "radians": 0.1})
 ROWS: Mapping[str, tuple[Imperfection, ...]] = {
     "none": (),
     "early 1 ms": (Imperfection("delay", {"seconds": [-1e-3, -1e-3]}),),
@@ -27,19 +38,12 @@ ROWS: Mapping[str, tuple[Imperfection, ...]] = {
             "warmth", {"per_kelvin": [-0.025] * 2, "rise": [6.0] * 2, "logged": False}
         ),
     ),
-    "geometry 5 mm, 1 deg": (
-        Imperfection(
-            "geometry",
-            {
-                "metres": 5e-3,
-                "degrees": 1.0,
-                "places": [[0.0, 3e-3, 4e-3], [3e-3, 0.0, 4e-3]],
-                "turns": [[0.0, 0.0105, 0.0140], [0.0105, 0.0140, 0.0]],
-            },
-        ),
-    ),
-    "gravity 2 deg": (Imperfection("gravity", {"degrees": 2.0, "azimuth": 0.6}),),
-    "zero 0.1 rad": (Imperfection("zero", {"joint": 1, "radians": 0.1}),),
+    "geometry 5 mm, 1 deg": (GEOMETRY,),
+    "geometry 5 mm, 1 deg, declared": (replace(GEOMETRY, declared=True),),
+    "gravity 2 deg": (GRAVITY,),
+    "gravity 2 deg, declared": (replace(GRAVITY, declared=True),),
+    "zero 0.1 rad": (ZERO,),
+    "zero 0.1 rad, declared": (replace(ZERO, declared=True),),
     "constant 5 %": (Imperfection("constant", {"shares": [0.05, -0.05]}),),
     "constant 5 %, declared": (
         Imperfection("constant", {"shares": [0.05, -0.05]}, declared=True),

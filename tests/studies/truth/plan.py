@@ -11,7 +11,7 @@ import numpy as np
 
 from tests.studies.outside.arms import Arm, drawn_arm
 from tests.studies.outside.plan import RESERVED as RESERVED
-from tests.studies.truth.tolerances import DECLARABLE
+from tests.studies.truth.tolerances import TOLERANCES
 
 Sizes = dict[str, Any]
 Generator = np.random.Generator
@@ -243,7 +243,7 @@ def drawn(seed: int, kinds: Sequence[str] = (), *, alone: bool = False) -> Case:
     imperfections = []
     for number, kind in enumerate(chosen):
         sizes = KINDS[kind](arm, np.random.default_rng([STREAM, seed, 3, number]))
-        declared = kind in DECLARABLE and bool(rng.random() < 0.5)
+        declared = kind in TOLERANCES and bool(rng.random() < 0.5)
         imperfections.append(Imperfection(kind, sizes, declared))
     label = ":".join([str(seed), "+".join(x.label for x in imperfections) or CLEAN])
     return Case(

@@ -24,7 +24,12 @@ from seqid_cli.params.schema import (
 from tests import Array
 from tests.studies.truth.plan import Case
 from tests.studies.truth.session import Session, paths, session_of
-from tests.studies.truth.truths import true_friction, true_offset, true_standard
+from tests.studies.truth.truths import (
+    true_friction,
+    true_nuisances,
+    true_offset,
+    true_standard,
+)
 
 Row = dict[str, Any]
 POINTS = 10  # of each friction surface, in each direction
@@ -134,6 +139,7 @@ class _Stages:
         if name in ("inertia", "simultaneous"):
             row["rotor_coupling"] = stages.inertia.rotor_coupling
             row["cutoff_hz"] = stages.inertia.cutoff_hz
+        row["nuisances"] = nuisance_rows(self.case, file, name)
         noted = stages.inertia if name == "simultaneous" else getattr(stages, name)
         return row | {"notes": list(noted.notes)}
 
@@ -220,6 +226,23 @@ def friction_rows(case: Case, session: Session, stage: FrictionStage) -> list[Ro
                 "stated": float(np.sqrt(np.mean(error**2) / np.mean(truth**2))),
             }
         )
+    return rows
+
+
+def nuisance_rows(case: Case, file: ParameterFile, name: str) -> list[Row]:
+    """Compare the delays, offsets and asymmetries that a stage states."""
+    stages = file.stages
+    rigid = stages.inertia if name == "simultaneous" else getattr(stages, name)
+    found = list(getattr(rigid, "nuisances", ()))
+    if name in ("friction", "simultaneous"):
+        found += [
+            x for joint in stages.friction.joints.values() for x in joint.nuisances
+        ]
+    rows = []
+    for x in found:
+        truth = true_nuisances(case, case.arm.names.index(x.joint))
+        row = {"name": x.name, "joint": x.joint, "value": x.value}
+        rows.append(row | {"std_error": x.std_error, "truth": truth[x.name]})
     return rows
 
 

@@ -137,6 +137,38 @@ def by_stage(rows: Sequence[Row]) -> str:
     return table([*header, "intervals that hold, good", "usable", "poor"], cells)
 
 
+NUISANCES = ("delay", "offset", "asymmetry")
+
+
+def nuisances(rows: Sequence[Row]) -> str:
+    """A row per nuisance that a stage states: how many of its intervals hold, and how wrong.
+
+    Arms with a filter are left out: it is no pure delay.
+    """
+    cells = []
+    plain = [r for r in rows if all(x["kind"] != "filter" for x in r["imperfections"])]
+    for stage in STAGES:
+        for name in NUISANCES:
+            some = [
+                x
+                for row in plain
+                for x in row["stages"].get(stage, {}).get("nuisances", ())
+                if x["name"] == name
+            ]
+            if not some:
+                continue
+            z = np.array(
+                [(x["value"] - x["truth"]) / max(x["std_error"], 1e-12) for x in some]
+            )
+            sizes = [rms(z), float(np.abs(z).max())]
+            share = f"{100 * share_within(z, INSIDE):.0f} %"
+            cells.append(
+                [f"{stage}: {name}", str(len(some)), share, *map(number, sizes)]
+            )
+    header = ["nuisance", "stated", "intervals that hold", "rms z", "worst z"]
+    return table(header, cells) if cells else ""
+
+
 def kind_of(row: Row) -> str:
     if not row["imperfections"]:
         return "none"
@@ -221,4 +253,5 @@ def fixed(rows: Sequence[Row]) -> str:
 
 
 def tables(rows: Sequence[Row]) -> str:
-    return "\n\n".join([summary(rows), by_stage(rows), by_kind(rows)])
+    parts = [summary(rows), by_stage(rows), by_kind(rows), nuisances(rows)]
+    return "\n\n".join(part for part in parts if part)

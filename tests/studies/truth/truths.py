@@ -102,3 +102,20 @@ def true_offset(case: Case, joint: int) -> float:
     return (
         float(sizes["shares"][joint] * case.arm.drives[joint].coulomb) if sizes else 0.0
     )
+
+
+def true_nuisances(case: Case, joint: int) -> dict[str, float]:
+    """Return delay s, offset N m and asymmetry of a joint's drive as parameter files state them.
+
+    A filter counts as the delay of what is slow. `asymmetry` is the share of the friction, as a
+    mean of both directions, that is added on the way up.
+    """
+    seconds = case.sizes("delay")
+    delay = float(seconds["seconds"][joint]) if seconds else 0.0
+    if lowpass := case.sizes("filter"):
+        delay += [1.0, 2.0**0.5][lowpass["order"] - 1] / (
+            2.0 * np.pi * lowpass["hertz"]
+        )
+    share = shares_up(case)[joint]
+    offset = true_offset(case, joint)
+    return {"delay": delay, "offset": offset, "asymmetry": share / (2.0 + share)}

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 
 from seqid_cli.robot.base_parameters import STANDARD
+from seqid_cli.robot.file import load_robot
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm, drawn_arm
 from tests.studies.outside.simulate import simulate
@@ -18,7 +19,8 @@ from tests.studies.truth.plan import CLEAN, KINDS, Case, Imperfection, drawn, ki
 from tests.studies.truth.score import Row, scored
 from tests.studies.truth.session import as_logged, session_of, write_robot
 from tests.studies.truth.tabulate import level_of, silent_wrongs, tables
-from tests.studies.truth.truths import true_friction, true_standard
+from tests.studies.truth.tolerances import TOLERANCES
+from tests.studies.truth.truths import true_friction, true_nuisances, true_standard
 
 
 def case_with(kind: str = "", n: int = 2, **sizes: Any) -> Case:
@@ -135,6 +137,27 @@ def test_bodies_behind_a_joint_that_is_left_out_are_added(
             found, inertia.toDynamicParameters(), rtol=1e-9, atol=1e-9
         )
     assert f'name = "j{joint + 1}"' not in (tmp_path / "robot.toml").read_text()
+
+
+@pytest.mark.parametrize("kind", list(TOLERANCES))
+def test_declared_tolerances_are_read(kind: str, tmp_path: Path) -> None:
+    arm = drawn_arm(np.random.default_rng(5), "drawn", 2, imus=False)
+    sizes = KINDS[kind](arm, np.random.default_rng(1))
+    items = (Imperfection(kind, sizes, declared=True),)
+    write_robot(Case(label="test", seed=1, arm=arm, imperfections=items), tmp_path)
+    text = (tmp_path / "robot.toml").read_text()
+    assert text.count(TOLERANCES[kind].entry) == (2 if TOLERANCES[kind].of_joint else 1)
+    assert load_robot(tmp_path / "robot.toml").joint_names == ("j1", "j2")
+
+
+def test_what_files_state_of_drives() -> None:
+    late = true_nuisances(case_with("delay", seconds=[2e-3, -1e-3]), 1)
+    assert late == {"delay": -1e-3, "offset": 0.0, "asymmetry": 0.0}
+    slow = true_nuisances(case_with("filter", hertz=30.0, order=1), 0)
+    assert slow["delay"] == pytest.approx(5.3e-3, rel=0.01)
+    # f_+ = 1.1 and f_- = 1: the mean 1.05, and 0.05 of it to either side.
+    uneven = true_nuisances(case_with("asymmetry", shares=[0.1, 0.0]), 0)
+    assert uneven["asymmetry"] == pytest.approx(0.05 / 1.05)
 
 
 def row_of(level: str, z: float, friction: float = 0.0) -> Row:

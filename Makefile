@@ -116,6 +116,13 @@ study-plan: $(DEV) ## predicted errors and pairs told apart against plants, into
 study-outside: $(DEV) ## cases of the second simulator, into docs/outside.md (20 s a case)
 	$(BIN)/python -m tests.studies.outside --set tuning --seeds 0:110 --cache $(OUT)/outside --write
 
+.PHONY: study-truth
+study-truth: $(DEV) ## does `good` mean good: drawn arms with imperfections, into docs/truth_study.md (10 s an arm)
+	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:40 --cache $(OUT)/truth --processes $(WORKERS) --write
+	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:64 --alone --cache $(OUT)/truth --processes $(WORKERS) --write
+	$(BIN)/python -m tests.studies.truth --fixed --seeds 0 --cache $(OUT)/truth --processes $(WORKERS) --write
+	$(BIN)/python -m tests.studies.truth --rigs --seeds 0:10 --cache $(OUT)/truth --processes $(WORKERS) --write
+
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)
 	$(BIN)/python -m tests.studies --only ingestion kernels whole_run smoother discovery

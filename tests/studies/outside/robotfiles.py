@@ -1,6 +1,7 @@
 """An arm as MJCF for the simulator, and as URDF and robot file for the user."""
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -77,12 +78,21 @@ def urdf(arm: Arm) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def robot_toml(arm: Arm) -> str:
+def robot_toml(
+    arm: Arm,
+    *,
+    joints: Sequence[int] | None = None,
+    of_robot: Sequence[str] = (),
+    of_joints: Sequence[str] = (),
+) -> str:
+    """Robot file of all joints or of some; more lines for the robot and for every joint."""
     lines = ['schema = "seqid/robot@1"', 'name = "outside"', 'urdf = "arm.urdf"']
-    lines += [f"gravity = [0.0, 0.0, {-GRAVITY}]"]
-    for name, drive in zip(arm.names, arm.drives, strict=True):
-        lines += ["[[joint]]", f'name = "{name}"', f"gear_ratio = {drive.ratio!r}"]
+    lines += [f"gravity = [0.0, 0.0, {-GRAVITY}]", *of_robot]
+    for j in range(arm.n) if joints is None else joints:
+        drive = arm.drives[j]
+        lines += ["[[joint]]", f'name = "{arm.names[j]}"', f"gear_ratio = {drive.ratio!r}"]
         lines += [f"torque_constant = {drive.constant!r}", f"encoder_resolution = {drive.count!r}"]
+        lines += of_joints
     for k, imu in enumerate(arm.imus):
         lines += ["[[imu]]", f'name = "imu{k}"', f'after_joint = "{arm.names[imu.link]}"']
         lines += [f"gyro = {str(imu.gyro).lower()}", "accelerometers = ["]

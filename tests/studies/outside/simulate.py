@@ -85,7 +85,7 @@ def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
     return dof[moved].tolist(), dof[links].tolist()
 
 
-def _controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
+def controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
     """Inertia (n,) that the loops are tuned to, and what is fed forward (N, n)."""
     model = built(arm)
     model.dof_frictionloss[:] = 0.0
@@ -112,7 +112,7 @@ def simulate(
         data.qpos[dofs] = reference[0]
     mujoco.mj_forward(model, data)
     rate = np.gradient(reference, STEP_S, axis=0)
-    felt, forward = _controller(arm, reference, rate)
+    felt, forward = controller(arm, reference, rate)
     kp, kd = felt * arm.bandwidth**2, felt * 2.0 * DAMPING * arm.bandwidth
     times = start + np.arange(len(reference)) * STEP_S
     warmth = np.array([d.rise * -np.expm1(-times / d.warm_s) for d in arm.drives]).T
@@ -146,10 +146,10 @@ def simulate(
         sensed[k] = data.sensordata
         passed = data.qfrc_applied + data.qfrc_constraint + data.qfrc_passive
         state.load = (passed - model.dof_armature * data.qacc)[motor]  # what the gears pass on
-    return _logged(arm, times, (q, tau, warmth, sensed), seed, effects)
+    return logged(arm, times, (q, tau, warmth, sensed), seed, effects)
 
 
-def _logged(
+def logged(
     arm: Arm, times: Array, truth: Sequence[Array], seed: int, effects: Sequence[Effect]
 ) -> Log:
     rng, (q, tau, warmth, sensed) = np.random.default_rng([seed, 5]), truth

@@ -211,20 +211,21 @@ def test_an_unsorted_folder_is_sorted_and_some_logs_are_held_out(
         for log in (lab / "logs" / stage).iterdir():
             shutil.copy(log, folder / f"{stage}_{log.name}")
     shutil.copy(lab / "logs" / "robot.toml", folder)
-    # The results lie among the logs, and are none of them.
     words = ["run", str(folder), "-o", str(folder / "results"), "--keep-going"]
-    for _ in range(2):
-        main(words)
-        shown = capsys.readouterr()
-        lines = dict(
-            line.split(": ", 1) for line in shown.err.splitlines() if line.count(": ") == 1
-        )
-        assert "friction_joint_1.parquet" in lines["friction"]
-        assert "validation" not in lines["friction"]
-        held_out = lines["held out, for predict, diagnose and refine"]
-        assert held_out.split(", ")[0] not in lines["inertia"]
-        assert "torques.parquet" not in shown.err.split("--- friction")[0]
-        assert shown.out.splitlines()[-1].startswith("run: ")
+    main(words)
+    shown = capsys.readouterr()
+    lines = dict(line.split(": ", 1) for line in shown.err.splitlines() if line.count(": ") == 1)
+    assert "friction_joint_1.parquet" in lines["friction"]
+    assert "validation" not in lines["friction"]
+    held_out = lines["held out, for predict, diagnose and refine"].split(", ")
+    assert held_out
+    assert not any(log in lines["inertia"] for log in held_out)
+    assert shown.out.splitlines()[-1].startswith("run: ")
+
+    # The results lie among the logs, and are none of them.
+    assert (folder / "results" / "torques.parquet").is_file()
+    main([*words, "--json"])
+    assert all(step["kept"] for step in json.loads(capsys.readouterr().out)["steps"])
 
 
 def test_it_stops_at_the_first_poor_stage_also_when_resumed(

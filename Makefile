@@ -179,7 +179,7 @@ demo: $(REPORTS) $(filter $(OUT)/two_joint/%,$(REFINED)) ## identify the sample 
 demo-refine: $(REFINED) ## refine all sample robots, each of which has changed (minutes)
 
 $(OUT)/%/report.html: sample_logs/%/robot.toml $(call logs,$(RUN_LOGS)) | $(RUN)
-	$(SEQID) run sample_logs/$* -r $< -o $(@D)
+	$(SEQID) run sample_logs/$* -r $< -o $(@D) --no-refine
 
 $(OUT)/%/inertia.json: $(OUT)/%/report.html ;
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED, called
-from seqid_cli.commands.options import LOGS, OUTPUT, SIX, command, option
+from seqid_cli.commands.options import LOGS, OUTPUT, SIX, command, found_robot, option
 from seqid_cli.commands.screen.layout import visible
 from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.screen.show_inspection import show_inspection
@@ -26,7 +26,11 @@ EXIT_UNREADABLE = 2
 )
 def inspect(
     context: typer.Context,
-    robot: Path | None = option(None, "-r --robot FILE", "Robot file; guessed when left out."),
+    robot: Path | None = option(
+        None,
+        "-r --robot FILE",
+        "Robot file; ./robot.toml or one beside the logs when left out, else joints are guessed.",
+    ),
     plan: Path | None = option(
         None, "--plan FILE", "A plan: say which of its moves these logs hold."
     ),
@@ -40,6 +44,9 @@ def inspect(
     With a robot file, torque and IMUs are compared with its geometry as well. The exit code is 1
     when an error is found, 2 when a log cannot be read, 3 when one was read in part.
     """
+    if robot is None:
+        screen, logs = screen_of(context), context.params["logs"]
+        context.params["robot"] = found_robot(screen, logs, required=False)
     told, report = called(context, "inspect.inspect")
     show_inspection(told.screen, report)
     if output is not None:

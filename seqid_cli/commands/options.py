@@ -3,11 +3,14 @@
 import functools
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import typer
+
+from seqid_cli.commands.screen.render import Screen, screen_of
+from seqid_cli.errors import UsageError
 
 Run = Callable[..., int]
 SIX = "sample_logs/six_joint"  # in examples
@@ -26,9 +29,13 @@ def command(names: str, *examples: str) -> Callable[[Run], Run]:
         asked = [known[name].replace(kind=inspect.Parameter.KEYWORD_ONLY) for name in names.split()]
         screen = inspect.signature(_of_the_screen).parameters.values()
 
+        needs_robot = "robot" in known and known["robot"].default is ROBOT
+
         @functools.wraps(run)
         def decorated(context: typer.Context, **given: Any) -> int:
             context.params = given
+            if needs_robot and given.get("robot", "") is None:
+                given["robot"] = found_robot(screen_of(context), given.get("logs") or [])
             return run(context, **{name: given[name] for name in given if name in own})
 
         signature = inspect.Signature([own["context"], *asked, *screen])
@@ -36,6 +43,60 @@ def command(names: str, *examples: str) -> Callable[[Run], Run]:
         return decorated
 
     return decorate
+
+
+ROBOT_NAME = "robot.toml"
+
+
+@overload
+def found_robot(screen: Screen, logs: Sequence[str]) -> Path: ...
+
+
+@overload
+def found_robot(
+    screen: Screen, logs: Sequence[str], *, required: bool
+) -> Path | None: ...
+
+
+def found_robot(
+    screen: Screen, logs: Sequence[str], *, required: bool = True
+) -> Path | None:
+    """Return the robot file of the working folder, or else the one beside the logs.
+
+    The screen says which it is. Beside a log is its folder, a folder of logs itself, and the
+    one above, in which the folders of the stages lie.
+
+    Raises
+    ------
+    UsageError
+        There are several beside the logs, or there is none and one is `required`.
+    """
+    here = Path(ROBOT_NAME)
+    if here.is_file():
+        screen.note(f"robot file: {here} (-r names another)")
+        return here
+    beside = list(dict.fromkeys(filter(None, map(_robot_beside, logs))))
+    if len(beside) == 1:
+        screen.note(f"robot file: {beside[0]} (beside the logs; -r names another)")
+        return beside[0]
+    if beside:
+        names = ", ".join(map(str, beside))
+        message = f"-r is left out, and several robot files lie beside the logs: {names}"
+        raise UsageError(message, hint="Choose one with -r.")
+    if not required:
+        return None
+    message = f"-r is left out, and there is no {ROBOT_NAME} here or beside the logs"
+    raise UsageError(message, hint="Name the robot file with -r, or make one: seqid init LOG.")
+
+
+def _robot_beside(log: str) -> Path | None:
+    """Return the robot file in a folder of logs, beside a log, or one folder above."""
+    if "://" in log:  # on object storage
+        return None
+    place = Path(log)
+    folder = place if place.is_dir() else place.parent
+    candidates = (folder / ROBOT_NAME, folder.parent / ROBOT_NAME)
+    return next((path for path in candidates if path.is_file()), None)
 
 
 def only(
@@ -67,7 +128,9 @@ def option(
 LOGS = typer.Argument(
     ..., metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."
 )
-ROBOT = option(..., "-r --robot FILE", "Robot file (robot.toml).")
+ROBOT = option(
+    None, "-r --robot FILE", "Robot file; ./robot.toml or one beside the logs when left out."
+)
 MODEL = option(
     ..., "-p --parameters FILE", "Parameter file of the stages before; repeat it to join several."
 )

@@ -34,7 +34,7 @@ def friction(
     beta: float | None = option(
         None,
         "--beta SHARE",
-        "End the search for orders as soon as Eq. 11 holds at this threshold.",
+        "Take the fewest orders at which Eq. 11 holds with this threshold, if any do.",
         min=0.0,
         max=1.0,
     ),

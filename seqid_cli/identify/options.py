@@ -32,8 +32,8 @@ class LogOptions:
 class FrictionOptions(LogOptions):
     """Orders m and l of Eq. 8 and 10, and the threshold beta of Eq. 11.
 
-    Orders left None are raised while speeds that were left out are predicted better; with a `beta`
-    the raising stops as soon as Eq. 11 holds at it.
+    Orders left None are the fewest with which the surface is that of the highest orders, within its
+    errors; with a `beta` the fewest at which Eq. 11 holds, if any do.
     """
 
     position_order: int | None = None

@@ -149,9 +149,11 @@ class FrictionJoint(Struct, kw_only=True):
     Coulomb and viscous friction, below the slowest it holds; beyond the positions it fades to its
     mean over them.
 
-    `rmse` is that of the surface's averages over a quarter of a trial. `held_out_rmse`,
-    `max_abs_error` (N m) and `max_error` (of the friction) are of the same averages at speeds that
-    were left out, and of the surface itself at the slowest and the fastest.
+    Errors are of averages of the data over a quarter of a trial. `rmse` and `max_error` (Eq. 11)
+    are those of the surface. `held_out_rmse`, `max_abs_error` (N m) and `max_error_left_out` (of
+    the friction) are those of surfaces without the speed, and of the surface itself at the slowest
+    and the fastest. `max_error_beyond_noise` is `max_error` after two standard errors of each
+    average were taken off, `max_error_of_noise` what noise alone, white and of trials, makes of it.
 
     `nuisances` are the terms of the drive that the surface was identified with; offset and
     asymmetries are in `positive`, `negative` and `covariance`, and `nuisance_covariance` is theirs.
@@ -178,6 +180,9 @@ class FrictionJoint(Struct, kw_only=True):
     torque_constant_error: float = 0.0
     held_out_rmse: float | None = None
     max_abs_error: float | None = None
+    max_error_beyond_noise: float | None = None
+    max_error_of_noise: float | None = None
+    max_error_left_out: float | None = None
     beta: float | None = None
     criterion_met: bool | None = None
     asymmetry: float | None = None  # share of friction that depends on direction

@@ -63,7 +63,11 @@ def value_row(name: str, value: float | None, error: float | None, unit: str) ->
 
 @dataclass(frozen=True)
 class Figure:
-    """A drawing with its title, legend and the table of its values."""
+    """A drawing with its title, legend and the table of its values.
+
+    `joint` names the joint that it is about, where it stands in a group about several: the page
+    hides it when another joint is chosen.
+    """
 
     title: str
     drawing: Markup
@@ -71,6 +75,7 @@ class Figure:
     table: Table | None = None
     note: str = ""
     wide: bool = False
+    joint: str = ""
 
 
 class Absent(NamedTuple):

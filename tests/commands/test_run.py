@@ -3,6 +3,7 @@
 It opens no connection and starts no other program.
 """
 
+import hashlib
 import json
 import os
 import shutil
@@ -16,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
+from seqid_cli.commands.run_logs import FOLDERS
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
@@ -24,7 +26,7 @@ from tests import ROOT
 from tests.commands.conftest import ONE_JOINT
 from tests.unit.params.generate import json_schema
 
-NAMES = ("friction", "gravity", "imu", "inertia", "prediction", "diagnosis")
+NAMES = ("friction", "gravity", "imu", "inertia", "prediction", "diagnosis", "refined")
 WATCH = """
 import sys
 
@@ -35,6 +37,11 @@ def watch(event, arguments):
         sys.stderr.write(f"FORBIDDEN {event} {arguments}\\n")
 
 sys.addaudithook(watch)
+"""
+URDF = """
+<robot name="one_joint"><link name="base"/><link name="arm"/>
+<joint name="joint_1" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-2.6" upper="2.6" velocity="8" effort="1"/></joint></robot>
 """
 MAIN = """
 from seqid_cli.__main__ import main
@@ -82,7 +89,7 @@ def written(folder: Path) -> dict[str, int]:
 
 def test_the_files_are_those_of_the_single_commands(lab: Path) -> None:
     out = lab / "out"
-    files = {*(f"{name}.json" for name in NAMES), "torques.parquet", "report.html"}
+    files = {*(f"{name}.json" for name in NAMES), "torques.parquet", "report.html", ".run.json"}
     assert {path.name for path in out.iterdir()} == files
     alone = out.parent / "alone.json"
     command = ["friction", str(lab / "logs" / "friction"), "-r", str(lab / "logs" / "robot.toml")]
@@ -108,20 +115,117 @@ def test_every_file_keeps_to_its_schema_and_says_what_was_found(lab: Path) -> No
     assert diagnosis["verdict"] == "nothing_missing"
 
 
-def test_only_old_files_are_made_again(
+@pytest.fixture
+def copied(lab: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """The lab in the working folder, where all paths of a run are relative to it."""
+    shutil.copytree(lab / "logs", tmp_path / "logs")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def kept_steps(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[list[str], list[str]]:
+    """Run a command with --json; return the commands whose results were kept, and made."""
+    capsys.readouterr()
+    assert main([*words, "--json", "-q"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["verdict"] == "good"
+    kept = [step["command"] for step in document["steps"] if step["kept"]]
+    return kept, [step["command"] for step in document["steps"] if not step["kept"]]
+
+
+ON_VALIDATION = ["predict", "diagnose", "refine", "report"]
+ALL_STEPS = ["friction", "gravity", "imu-calib", "inertia", *ON_VALIDATION]
+
+
+def test_a_result_is_kept_while_content_options_and_version_are_the_same(
+    copied: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["run", "logs", "-o", "out"]
+    assert kept_steps(capsys, *words) == ([], ALL_STEPS)
+    before = written(copied)
+
+    # Neither times nor the number of processes count.
+    for path in (copied / "logs").rglob("*"):
+        os.utime(path)
+    assert kept_steps(capsys, *words, "--jobs", "1") == (ALL_STEPS, [])
+    assert written(copied) == before
+
+    # A log of the same size and time with another byte counts; so does one more, or one less.
+    log = next((copied / "logs" / "validation").iterdir())
+    times = log.stat().st_atime_ns, log.stat().st_mtime_ns
+    content = log.read_bytes()
+    other = content.replace(b"parquet-cpp", b"parquet-cpq", 1)
+    assert len(other) == len(content)
+    assert other != content
+    log.write_bytes(other)
+    os.utime(log, ns=times)
+    assert kept_steps(capsys, *words) == (ALL_STEPS[:4], ON_VALIDATION)
+    log.unlink()
+    assert kept_steps(capsys, *words) == (ALL_STEPS[:4], ON_VALIDATION)
+
+    # A result that somebody edited is none of the run's.
+    diagnosis = copied / "out" / "diagnosis.json"
+    diagnosis.write_text(diagnosis.read_text() + "\n")
+    assert kept_steps(capsys, *words)[1] == ["diagnose", "report"]
+
+    # Without refine its file stays, but is not part of the run.
+    assert kept_steps(capsys, *words, "--no-refine")[1] == ["report"]
+    monkeypatch.setattr("seqid_cli.commands.run_record.__version__", "0.0.0")
+    assert kept_steps(capsys, *words)[0] == []
+
+
+def test_it_ends_with_the_worst_verdict(
+    lab: Path, copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The last line on the screen; --strict counts what is only usable."""
+    shutil.copytree(lab / "out", copied / "out")
+    command = ["run", "logs", "-o", "out", "--no-refine"]
+    assert main([*command, "--strict"]) == 0
+    shown = capsys.readouterr()
+    assert shown.out.splitlines()[-1] == "run: good"
+    assert "robot file: logs/robot.toml" in shown.err
+
+    # As if the stage had found so, and the run had kept it.
+    prediction = copied / "out" / "prediction.json"
+    document = json.loads(prediction.read_text())
+    document["verdicts"][0] |= {"good": False, "level": "usable", "reason": "leaves 4 %"}
+    prediction.write_text(json.dumps(document))
+    record = json.loads((copied / "out" / ".run.json").read_text())
+    content = record["steps"]["prediction.json"]["outputs"][0]
+    content["size"] = prediction.stat().st_size
+    content["sha256"] = hashlib.sha256(prediction.read_bytes()).hexdigest()
+    (copied / "out" / ".run.json").write_text(json.dumps(record))
+    for strict, code in (([], 0), (["--strict"], 1)):
+        assert main([*command, *strict]) == code
+        shown = capsys.readouterr()
+        assert shown.out.splitlines()[-1] == "run: usable: predict"
+        assert "predict: usable: joint_1: leaves 4 %" in shown.err or strict
+
+
+def test_an_unsorted_folder_is_sorted_and_some_logs_are_held_out(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = Path(shutil.copytree(lab, tmp_path / "lab"))  # with the times of all files
-    before = written(folder)
-    assert run(folder, "--json") == 0
-    steps = json.loads(capsys.readouterr().out)["steps"]
-    assert all(step["kept"] and step["good"] for step in steps)
-    assert written(folder) == before
-    os.utime(next((folder / "logs" / "validation").iterdir()))
-    assert run(folder) == 0
-    after = written(folder)
-    again = {name for name in after if after[name] != before[name]}
-    assert again == {"prediction.json", "torques.parquet", "diagnosis.json", "report.html"}
+    folder = tmp_path / "mixed"
+    folder.mkdir()
+    for stage in FOLDERS:
+        for log in (lab / "logs" / stage).iterdir():
+            shutil.copy(log, folder / f"{stage}_{log.name}")
+    shutil.copy(lab / "logs" / "robot.toml", folder)
+    words = ["run", str(folder), "-o", str(folder / "results"), "--keep-going"]
+    main(words)
+    shown = capsys.readouterr()
+    lines = dict(line.split(": ", 1) for line in shown.err.splitlines() if line.count(": ") == 1)
+    assert "friction_joint_1.parquet" in lines["friction"]
+    assert "validation" not in lines["friction"]
+    held_out = lines["held out, for predict, diagnose and refine"].split(", ")
+    assert held_out
+    assert not any(log in lines["inertia"] for log in held_out)
+    assert shown.out.splitlines()[-1].startswith("run: ")
+
+    # The results lie among the logs, and are none of them.
+    assert (folder / "results" / "torques.parquet").is_file()
+    main([*words, "--json"])
+    assert all(step["kept"] for step in json.loads(capsys.readouterr().out)["steps"])
 
 
 def test_it_stops_at_the_first_poor_stage_also_when_resumed(
@@ -136,8 +240,31 @@ def test_it_stops_at_the_first_poor_stage_also_when_resumed(
         assert run(folder, robot="turned.toml") == 1
         shown = capsys.readouterr()
         assert "stopped at friction" in shown.err
+        assert shown.out.splitlines()[-1] == "run: poor: friction"
         assert "it would drive the joint" in shown.out + shown.err
-        assert [path.name for path in (folder / "out").iterdir()] == ["friction.json"]
+        made = {path.name for path in (folder / "out").iterdir()}
+        assert made == {"friction.json", ".run.json"}
+
+
+def test_a_robot_file_is_made_of_a_urdf_and_then_kept(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = copied / "logs" / "robot.toml"
+    urdf = copied / "arm.urdf"
+    urdf.write_text(URDF)
+    text = robot.read_text()
+    robot.unlink()
+    words = ["run", "logs", "--urdf", str(urdf), "-o", "out"]
+    assert main(words) == 2  # the drive's constants are not in a URDF
+    assert "torque_constant and gear_ratio" in capsys.readouterr().err
+    made = copied / "out" / "robot.toml"
+    assert made.is_file()
+    made.write_text(text)
+    main(words)
+    assert "robot.toml, made by an earlier run, kept" in capsys.readouterr().err
+    assert made.read_text() == text
+    assert main([*words, "-r", str(made)]) == 2
+    assert "either -r or --urdf" in capsys.readouterr().err
 
 
 OF_THE_RUN = ("created", "parameters")  # when a file and the models that it used were made
@@ -174,7 +301,7 @@ def test_threads_processes_and_the_order_of_logs_change_no_bit(lab: Path, tmp_pa
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "2"}
     command = [sys.executable, "-c", commands, json.dumps(list(lines(lab, tmp_path)))]
     subprocess.run(command, env=environment, check=True, capture_output=True)
-    for name in NAMES:
+    for name in NAMES[:-1]:
         assert told(tmp_path / f"{name}.json") == told(lab / "out" / f"{name}.json"), name
 
 

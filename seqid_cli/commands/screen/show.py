@@ -54,11 +54,13 @@ def show_verdicts(
 def _friction(screen: Screen, stage: schema.FrictionStage, robot: schema.RobotId) -> None:
     rows = []
     for name, x in stage.joints.items():
-        errors = (x.rmse, x.held_out_rmse, x.max_abs_error)
+        # The classical fit has no measured friction to ask Eq. 11 of.
+        largest = None if x.criterion_met is None else x.max_error
+        errors = (x.rmse, x.held_out_rmse, largest)
         orders, verdict = (x.position_order, x.velocity_order), verdict_text(stage.verdicts, name)
         rows.append((name, orders, *errors, verdict))
-    titles = "joint | orders | RMS error [{unit}] | held-out [{unit}] | largest [{unit}] | verdict"
-    screen.values(of_joints(titles, "text text number number number text", rows, robot))
+    titles = "joint | orders | RMS error [{unit}] | held-out [{unit}] | Eq. 11 | verdict"
+    screen.values(of_joints(titles, "text text number number share text", rows, robot))
     show_verdicts(screen, stage.verdicts, "friction", stage.notes, shown=stage.joints)
 
 

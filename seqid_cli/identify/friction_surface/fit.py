@@ -115,6 +115,19 @@ class SurfaceFit:
         ]
         return [each - np.median(each) for each in off]
 
+    def trial_columns(self, item: SpeedData) -> Array:
+        """Functions (K, size + 2) of what a trial has for itself, at its slices."""
+        over_position = self.reduced.scaling.over_position
+        values = over_position.values(item.q, over_position.order(self.reduced.size))
+        return np.hstack([values, item.edges])
+
+    def trial_variances(self, k: int) -> Array:
+        """Variances (size + 2,) of the coefficients of `trial_columns` of trial k."""
+        variances = self.sizes.own(
+            self.reduced.scaling, self.reduced.size, self.reduced.speeds[[k]]
+        )
+        return np.asarray(variances.sum(axis=0)[0, : self.reduced.size + reduction.EDGES])
+
     @cached_property
     def _grid(self) -> tuple[Array, Array]:
         """Basis (CELLS^2, k) over both ranges, and the whole surface's standard errors there."""
@@ -167,9 +180,19 @@ def fit_surfaces(
 def choose_orders(
     fits: Sequence[SurfaceFit], asked: Asked, *, accept: Callable[[Orders], bool] | None = None
 ) -> Orders:
-    """Choose the fewest orders that do as well as the highest, by `accept` or to `DEVIATION`."""
+    """Choose the fewest orders that `accept`, else the fewest that do as well as the highest.
+
+    Parameters
+    ----------
+    fits : sequence of SurfaceFit
+        One surface for both directions, or one for each.
+    asked : tuple of int or None
+        Orders over position and velocity that the user fixes.
+    accept : callable, optional
+        Whether orders are enough, such as Eq. 11. Where none are, as noise may have it, the data
+        decide as they do without it: within `DEVIATION` of the surface of the highest orders.
+    """
     highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
-    good = accept or (lambda orders: all(fit.deviation(orders) <= DEVIATION for fit in fits))
     position, velocity = asked
     lowest = min(1, highest.velocity) if velocity is None else velocity
     steps = [
@@ -178,4 +201,12 @@ def choose_orders(
         for l in range(lowest, highest.velocity + 1)
     ]
     steps.sort(key=lambda orders: size(orders.position) * (orders.velocity + 1))
-    return next((orders for orders in steps[:-1] if good(orders)), steps[-1])
+    if accept is not None:
+        accepted = next((orders for orders in steps if accept(orders)), None)
+        if accepted is not None:
+            return accepted
+
+    def supported(orders: Orders) -> bool:
+        return all(fit.deviation(orders) <= DEVIATION for fit in fits)
+
+    return next((orders for orders in steps[:-1] if supported(orders)), steps[-1])

@@ -100,12 +100,14 @@ def _fit(
         where = f"joint {robot.joints[j].name}"
         raise QualityError(f"{needed}, these logs hold {levels}", hint=hint, where=where)
     parts = _fitted([data], _scalings(data) if near else _scalings(data)[:1], asked, near)
-    fits, beta = [fit for _, fit in parts], options.beta or 0.0
+    fits, beta = [fit for _, fit in parts], options.beta
 
-    def accept(orders: reduction.Orders) -> bool:
-        return summary.errors_of(parts, orders, unseen=True).relative <= beta
+    def meets_criterion(orders: reduction.Orders) -> bool:
+        """Return whether Eq. 11 holds, where there is a beta that it may hold at."""
+        errors = summary.errors_of(parts, orders, unseen=False)
+        return beta is not None and errors.relative <= beta
 
-    chosen = choose_orders(fits, asked, accept=accept if beta else None)
+    chosen = choose_orders(fits, asked, accept=None if beta is None else meets_criterion)
     entries = fits[0].entries(chosen)
     scaling = fits[0].reduced.scaling
     units = {"delay": PRIORS.delay_s, "thermal": PRIORS.per_kelvin}

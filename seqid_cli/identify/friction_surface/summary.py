@@ -1,8 +1,10 @@
 """One joint of the friction stage: the file's entry, a verdict and notes.
 
-Errors (Eq. 11) are of averages over `group_size` neighbouring slices that belong to their trial: of
-inner speeds by a surface that was fitted to the others, of the slowest and the fastest, beyond
-which nothing was seen, by the surface itself.
+Errors are of averages over `group_size` neighbouring slices that belong to their trial.
+Eq. 11 is the largest of them by the surface itself, relative to the measured friction.
+Errors at left-out speeds are at inner speeds those of a surface that was fitted to the
+others, at the slowest and the fastest, beyond which nothing was seen, those of the
+surface itself.
 """
 
 from collections.abc import Iterator
@@ -11,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec.structs import replace
 from numpy.polynomial import Chebyshev
+from scipy.optimize import brentq
+from scipy.special import erf
 
 from seqid_cli.identify.friction_surface.fit import SurfaceFit
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
@@ -36,14 +40,20 @@ DEFAULT_BETA = 0.05
 FEWEST_SPEEDS = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Errors (E,) N m of averages at scaled speeds `u`, their friction and noise."""
+    """Errors (E,) N m of averages at scaled speeds `u`, with the friction measured there.
+
+    `friction` is tau_d of Eq. 11. `noise` is the standard error that the white noise of its
+    slices gives an average, `trial_error` the standard deviation of what its trial has for
+    itself: an offset, slow changes, an unsteady speed (`prior.Sizes`).
+    """
 
     u: Array
     error: Array
     friction: Array
     noise: Array
+    trial_error: Array
 
     @property
     def missed(self) -> Array:
@@ -52,39 +62,103 @@ class Errors:
 
     @property
     def relative(self) -> float:
-        """Largest error beyond noise over friction; over 0.2 of its RMS where it is near zero."""
-        friction = np.maximum(np.abs(self.friction), NEAR_ZERO * _rms(self.friction))
-        return float((self.missed / np.maximum(friction, 1e-300)).max())
+        """The left side of Eq. 11: the largest error over the measured friction."""
+        return float((np.abs(self.error) / self._denominator).max())
+
+    @property
+    def relative_beyond_noise(self) -> float:
+        """The same after two standard errors of each average were taken off its error."""
+        return float((self.missed / self._denominator).max())
+
+    @property
+    def relative_of_noise(self) -> float:
+        """What noise alone would make of Eq. 11, that of slices and of trials: the median.
+
+        Of E independent normal errors the largest is below x with the probability
+        prod erf(x / (sqrt(2) s_i)), s_i the standard deviation of average i over its
+        friction.
+        """
+        spreads = np.hypot(self.noise, self.trial_error) / self._denominator
+        largest = float(spreads.max())
+        if largest <= 0.0:
+            return 0.0
+        spreads = spreads[spreads > 1e-6 * largest]
+
+        def probability_over_half(x: float) -> float:
+            return float(np.prod(erf(x / (np.sqrt(2.0) * spreads)))) - 0.5
+
+        # Not below half the largest spread: a single such error is so with 38 %.
+        return float(brentq(probability_over_half, 0.5 * largest, 10.0 * largest))
+
+    @property
+    def _denominator(self) -> Array:
+        """Measured friction (E,); where it approaches zero Eq. 11 asks for another form."""
+        floor = max(NEAR_ZERO * _rms(self.friction), 1e-300)
+        return np.maximum(np.abs(self.friction), floor)
 
     def at(self, u: float) -> "Errors":
         """Those of one speed."""
         own = self.u == u
-        return Errors(self.u[own], self.error[own], self.friction[own], self.noise[own])
+        return Errors(
+            u=self.u[own],
+            error=self.error[own],
+            friction=self.friction[own],
+            noise=self.noise[own],
+            trial_error=self.trial_error[own],
+        )
 
 
 Part = tuple[list[SpeedData], SurfaceFit]  # of both directions, or of one
 
 
-def errors_of(parts: list[Part], orders: Orders, *, unseen: bool, group_size: int = 16) -> Errors:
-    """Errors of surfaces of some orders that have seen everything, over groups of slices."""
-    # If `unseen`, those at inner speeds, of four speeds or more, are of surfaces without them.
+def errors_of(
+    parts: list[Part], orders: Orders, *, unseen: bool, group_size: int = 16
+) -> Errors:
+    """Return the errors of surfaces of some orders, over groups of slices.
+
+    Parameters
+    ----------
+    parts : list of Part
+        Trials and the surface fitted to them: of both directions, or of one each.
+    orders : Orders
+        Orders of the surfaces.
+    unseen : bool
+        Whether the errors at inner speeds, of four speeds or more, are those of surfaces
+        that were fitted without the speed.
+    group_size : int
+        Neighbouring slices that are averaged.
+    """
     rows = []
     for data, fit in parts:
-        whole, leave = fit.entries(orders), unseen and len(fit.reduced.levels) >= FEWEST_SPEEDS
-        left_out = dict(fit.leaving_out(orders)) if leave else {}
-        phi = fit.reduced.over_speed(orders.velocity)
-        for item, u, own in zip(data, fit.reduced.u, phi, strict=True):
-            A = fit.reduced.scaling.over_position.values(item.q, orders.position)
-            off = item.friction - A @ (left_out.get(float(u), whole) @ own)
+        whole = fit.entries(orders)
+        leave_out = unseen and len(fit.reduced.levels) >= FEWEST_SPEEDS
+        left_out = dict(fit.leaving_out(orders)) if leave_out else {}
+        over_position = fit.reduced.scaling.over_position
+        over_speed = fit.reduced.over_speed(orders.velocity)
+        for k, item in enumerate(data):
+            u = float(fit.reduced.u[k])
+            entries = left_out.get(u, whole)
+            columns = over_position.values(item.q, orders.position)
+            error = item.friction - columns @ (entries @ over_speed[k])
+            variances = fit.trial_variances(k)
+            trial_columns = fit.trial_columns(item)
+
             belongs = np.flatnonzero(item.belongs)
             groups = np.array_split(belongs, max(len(belongs) // group_size, 1))
-            steps = np.concatenate([np.diff(off[group]) for group in groups])
+            # Differences of neighbours have the white noise of two slices and little else.
+            steps = np.concatenate([np.diff(error[group]) for group in groups])
             scatter = _rms(steps) / np.sqrt(2.0) if len(steps) else 0.0
-            rows += [
-                (u, off[g].mean(), item.friction[g].mean(), scatter / np.sqrt(len(g)))
-                for g in groups
-            ]
-    return Errors(*np.array(rows).T)
+            for group in groups:
+                of_trial = trial_columns[group].mean(axis=0) ** 2 @ variances
+                noise = scatter / np.sqrt(len(group))
+                friction = item.friction[group].mean()
+                rows.append(
+                    (u, error[group].mean(), friction, noise, np.sqrt(of_trial))
+                )
+    u, error, friction, noise, trial_error = np.array(rows).T
+    return Errors(
+        u=u, error=error, friction=friction, noise=noise, trial_error=trial_error
+    )
 
 
 @dataclass(frozen=True)
@@ -114,18 +188,21 @@ def summarise(
     surface, gravity, described = fit.surface, fit.gravity, robot.joints[j]
     fitted = errors_of(fit.parts, fit.orders, unseen=False)
     unseen = errors_of(fit.parts, fit.orders, unseen=True)
-    beta = options.beta or DEFAULT_BETA
+    beta = DEFAULT_BETA if options.beta is None else options.beta
     levels = _levels(fit, fitted, unseen)
     celsius = mean_celsius(gravity)
     joint = FrictionJoint(
         position_order=fit.orders.position,
         velocity_order=fit.orders.velocity,
-        max_error=unseen.relative,
+        max_error=fitted.relative,
+        max_error_beyond_noise=fitted.relative_beyond_noise,
+        max_error_of_noise=fitted.relative_of_noise,
+        max_error_left_out=unseen.relative if len(levels) >= FEWEST_SPEEDS else None,
         max_abs_error=float(np.abs(unseen.error).max()),
         rmse=_rms(fitted.error),
         held_out_rmse=_rms(unseen.error) if len(levels) >= FEWEST_SPEEDS else None,
         beta=beta,
-        criterion_met=unseen.relative <= beta,
+        criterion_met=fitted.relative <= beta,
         position_range=list(surface.scaling.position),
         position_basis="fourier" if surface.scaling.periodic else "chebyshev",
         speed_range=list(surface.scaling.speed),
@@ -154,7 +231,12 @@ def summarise(
     for level in joint.speeds:
         scaled = described.torque_constant_error * level.friction
         level.std_error = float(np.hypot(level.std_error, scaled))
-    return joint, verdict, [*_notes(described.name, joint, gravity.groups[0].beyond, unpaired)]
+    notes = [*_notes(described.name, joint, gravity.groups[0].beyond, unpaired)]
+    if not joint.criterion_met:
+        free = options.position_order is None or options.velocity_order is None
+        searched = free and options.beta is not None
+        notes.append(_criterion_note(described.name, joint, searched=searched))
+    return joint, verdict, notes
 
 
 def _with_nuisances(joint: FrictionJoint, name: str, fit: Fit) -> FrictionJoint:
@@ -251,11 +333,6 @@ def _notes(
             f"{name}: friction depends on direction by {percent(joint.asymmetry or 0.0)}, against "
             "the assumption of Eq. 15; offset and asymmetry are part of the surfaces"
         )
-    if not joint.criterion_met:
-        yield (
-            f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the "
-            f"largest error is {percent(joint.max_error)} ({joint.max_abs_error:.3g} {joint.unit})"
-        )
     if beyond is not None:
         size = float(np.std(beyond(np.linspace(*beyond.domain))))
         yield (
@@ -263,6 +340,22 @@ def _notes(
             f"{joint.unit} RMS and the same both ways, as of a spring or a cable, is taken off the "
             "trials; seqid diagnose tells what it is"
         )
+
+
+def _criterion_note(name: str, joint: FrictionJoint, *, searched: bool) -> str:
+    """Say by how much Eq. 11 is missed, what noise makes of that, and what was done.
+
+    `searched` is whether orders were raised to meet it, up to the highest, and in vain.
+    """
+    said = (
+        f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}: the largest error is "
+        f"{percent(joint.max_error)} of the friction; the noise of its averages alone makes "
+        f"{percent(joint.max_error_of_noise or 0.0)}"
+    )
+    if not searched:
+        return said
+    orders = f"({joint.position_order}, {joint.velocity_order})"
+    return f"{said}; no orders meet it, and the data support none beyond {orders}"
 
 
 def _rms(values: Array) -> float:

@@ -1,6 +1,7 @@
 """Effects that the model lacks, with their evidence, and the error before and after refinement."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -198,4 +199,5 @@ def evidence_figure(
     heads = "{quantity} [{x}] | samples | before [{y}] | spread [{y}] | after [{y}] | spread [{y}]"
     kinds, names = "number count number number number number", {"x": shown.unit, "y": unit}
     bins = table(title, heads, kinds, rows, quantity=quantity, **names)
-    return figure([panel], title, text, legend, bins, note=text)
+    drawn = figure([panel], title, text, legend, bins, note=text)
+    return replace(drawn, joint=shown.joint)

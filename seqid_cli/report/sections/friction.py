@@ -47,6 +47,10 @@ def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Gro
     ]
     if joint.held_out_rmse is not None:
         facts.append(("at left-out speeds", f"{number(joint.held_out_rmse)} {place.unit}"))
+    if joint.criterion_met is not None:
+        facts.append(("largest error (Eq. 11)", percent(joint.max_error)))
+    if joint.max_error_of_noise is not None:
+        facts.append(("noise alone makes", percent(joint.max_error_of_noise)))
     if joint.asymmetry is not None:
         facts.append(("depends on direction", percent(joint.asymmetry)))
     terms = [views.value_row(x.name, x.value, x.std_error, x.unit) for x in joint.parameters]

@@ -217,8 +217,9 @@
   document.querySelectorAll("svg.readable").forEach(listen);
 
   // ---- the joint to look at
-  const groups = Array.from(document.querySelectorAll("[data-joint]"));
-  const names = Array.from(new Set(groups.map((group) => group.dataset.joint)));
+  // Groups about one joint, and figures about one joint in groups about several.
+  const parts = Array.from(document.querySelectorAll("[data-joint]"));
+  const names = Array.from(new Set(parts.map((part) => part.dataset.joint)));
   if (names.length < 2) return;
   const item = document.createElement("li"), label = document.createElement("label");
   const select = document.createElement("select");
@@ -228,7 +229,7 @@
   item.append(label);
   document.querySelector(".nav ul").append(item);
   const choose = () => {
-    for (const group of groups) group.hidden = Boolean(select.value) && group.dataset.joint !== select.value;
+    for (const part of parts) part.hidden = Boolean(select.value) && part.dataset.joint !== select.value;
   };
   select.addEventListener("change", choose);
   addEventListener("hashchange", () => {

@@ -80,7 +80,9 @@ class Tab:
             self._note(event)
 
     def run(self, script: str) -> Any:
-        found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        found = self.call(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
@@ -106,10 +108,17 @@ class Tab:
 
 @contextmanager
 def browsing(profile: Path) -> Iterator[Tab]:
-    """Run a browser with a fresh profile; the test is skipped where there is none."""
+    """Run a browser with a fresh profile.
+
+    Where there is none the test is skipped, or fails if SEQID_BROWSER is set: who knows that a
+    browser is installed does not want its tests to be passed over.
+    """
     program = next(filter(None, map(shutil.which, NAMES)), None)
     if program is None:
-        pytest.skip(f"no browser on the PATH: {', '.join(NAMES)}")
+        missing = f"no browser on the PATH: {', '.join(NAMES)}"
+        if os.environ.get("SEQID_BROWSER"):
+            pytest.fail(f"{missing}, though SEQID_BROWSER says that one is installed")
+        pytest.skip(missing)
     theirs, to = os.pipe()
     back, ours = os.pipe()
     # The browser reads commands from descriptor 3 and answers on 4.

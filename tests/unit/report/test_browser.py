@@ -143,22 +143,54 @@ def test_a_plot_zooms_by_keys_and_buttons(tab: Tab, page: Path) -> None:
     assert tab.complaints == []
 
 
-def test_one_joint_can_be_chosen(tab: Tab, page: Path) -> None:
-    tab.open(page, width=1280)
-    shown = (
-        "Array.from(document.querySelectorAll('[data-joint]')).filter((item) =>"
-        " item.checkVisibility()).map((item) => item.id)"
-    )
-    every = tab.run(shown)
-    assert every == ["torque-1", "torque-2", "friction-1", "friction-2"]
+def choose_joint(tab: Tab, name: str) -> None:
+    """Choose a joint in the list of the navigation, as a user does."""
     tab.run(
         "(() => { const choice = document.querySelector('.choice select');"
-        " choice.value = 'elbow'; choice.dispatchEvent(new Event('change')); })()"
+        f" choice.value = '{name}'; choice.dispatchEvent(new Event('change')); }})()"
     )
-    assert tab.run(shown) == ["torque-2", "friction-2"]
-    tab.run("document.querySelector('.glance a[href=\"#torque-1\"]').click()")
+
+
+def shown_parts(tab: Tab) -> list[str]:
+    """Return the visible parts about one joint: groups by id, other figures by title."""
+    return list(
+        tab.run(
+            "Array.from(document.querySelectorAll('[data-joint]')).filter((item) =>"
+            " item.checkVisibility()).map((item) => item.id ||"
+            " item.querySelector('svg title').textContent)"
+        )
+    )
+
+
+def test_one_joint_can_be_chosen(tab: Tab, page: Path) -> None:
+    shoulder = ["torque-1", "friction-1", "Unexplained torque of shoulder over position"]
+    elbow = ["torque-2", "friction-2", "finding-1-1"]
+    elbow += ["stribeck at elbow: residual of elbow over speed"]
+    tab.open(page, width=1280)
+    all_parts = shown_parts(tab)
+    assert sorted(all_parts) == sorted(shoulder + elbow)
+
+    choose_joint(tab, "elbow")
+    assert sorted(shown_parts(tab)) == sorted(elbow)
+    choose_joint(tab, "shoulder")
+    assert sorted(shown_parts(tab)) == sorted(shoulder)
+
+    # A link to something that is hidden shows all joints again.
+    tab.run("document.querySelector('.glance a[href=\"#torque-2\"]').click()")
     tab.run("new Promise((done) => setTimeout(done, 100))")
-    assert tab.run(shown) == every
+    assert shown_parts(tab) == all_parts
+
+
+def test_what_is_about_several_joints_stays(tab: Tab, page: Path) -> None:
+    tab.open(page, width=1280)
+    about_all = (
+        "Array.from(document.querySelectorAll('figure')).filter((item) =>"
+        " item.checkVisibility() && !item.closest('[data-joint]')).length"
+    )
+    count = tab.run(about_all)
+    assert count >= 2  # errors over the noise floor, of the diagnosis and of the refinement
+    choose_joint(tab, "elbow")
+    assert tab.run(about_all) == count
 
 
 def test_all_is_there_without_a_script(tab: Tab, page: Path) -> None:

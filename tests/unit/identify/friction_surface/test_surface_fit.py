@@ -12,7 +12,7 @@ from seqid_cli.identify.friction_surface.fit import SurfaceFit, choose_orders, f
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.reduction import MAX_POSITION_ORDER as HIGHEST
 from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData, edges_of, reduce_trials
-from seqid_cli.identify.friction_surface.summary import errors_of
+from seqid_cli.identify.friction_surface.summary import Errors, errors_of
 from seqid_cli.model.friction_basis import Scaling
 from tests import Array
 
@@ -44,7 +44,8 @@ def data_of(
         error = own @ (spread[: own.shape[1]] * rng.standard_normal(own.shape[1]))
         error += sizes.noise / np.sqrt(weight) * rng.standard_normal(SLICES)
         given = q, A @ D.ravel() + error, weight, edges, push, doubt * np.cos(q)
-        result.append(SpeedData(float(speed), direction, *given))
+        late = doubt * speed * np.sin(q)
+        result.append(SpeedData(float(speed), direction, *given, late))
     return result
 
 
@@ -64,12 +65,12 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
         speed = np.full(len(item.q), item.speed)
         columns.append(SCALING.basis(item.q, speed, orders.position, orders.velocity))
         values = SCALING.over_position.values(item.q, HIGHEST)
-        own = np.column_stack([values, item.edges, item.push, item.doubt])
+        own = np.column_stack([values, item.edges, item.push, item.doubt, item.late])
         variance = sizes.own(SCALING, HIGHEST + 1, np.array([item.speed])).sum(axis=0)
         shared = own * np.sqrt(variance)
         blocks.append(shared @ shared.T + np.diag(sizes.noise**2 / item.weight))
     A, V = np.vstack(columns), block_diag(*blocks)
-    for name in ("push", "doubt"):  # each one and the same error in all trials
+    for name in ("push", "doubt", "late"):  # each one and the same error in all trials
         error = np.concatenate([getattr(item, name) for item in data])
         V += np.outer(error, error)
     prior = sizes.prior(SCALING, orders.position + 1, orders)[: orders.position + 1].ravel()
@@ -158,8 +159,75 @@ def test_orders_that_the_user_fixes_are_kept() -> None:
 def test_eq_11_holds_for_the_right_orders_and_fails_for_too_low_ones() -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(7), replace(WHITE, noise=0.05))
     parts = [(data, surface_fit(data))]
-    good, poor = (errors_of(parts, Orders(m, l), unseen=True) for m, l in ((3, 2), (0, 1)))
-    assert good.relative <= 0.01
-    assert poor.relative > 0.1
-    assert np.sqrt(np.mean(good.error**2)) < 0.01
-    assert np.abs(poor.error).max() > 0.5
+    for unseen in (True, False):
+        good, poor = (errors_of(parts, Orders(m, l), unseen=unseen) for m, l in ((3, 2), (0, 1)))
+        assert good.relative <= 0.01
+        assert poor.relative > 0.1
+        assert np.sqrt(np.mean(good.error**2)) < 0.01
+        assert np.abs(poor.error).max() > 0.5
+
+
+def test_eq_11_is_the_largest_relative_error_and_nothing_is_taken_off() -> None:
+    """Of averages over sixteen slices, by a surface evaluated here."""
+    data = data_of(COEFFICIENTS, np.random.default_rng(11), TRUE)
+    fit, orders = surface_fit(data), Orders(3, 2)
+    D = fit.entries(orders)
+    largest = 0.0
+    for item in data:
+        columns = SCALING.basis(item.q, np.full(SLICES, item.speed), 3, 2)
+        error = columns @ D.ravel() - item.friction
+        for group in np.array_split(np.arange(SLICES), 2):
+            largest = max(largest, abs(error[group].mean() / item.friction[group].mean()))
+    errors = errors_of([(data, fit)], orders, unseen=False)
+    assert errors.relative == pytest.approx(largest, rel=1e-9)
+    assert 0.0 < errors.relative_beyond_noise < errors.relative
+
+
+def test_where_friction_approaches_zero_the_error_is_over_a_fifth_of_its_rms() -> None:
+    one = np.ones(4)
+    friction = np.array([1.0, -1.0, 1e-9, 0.5])
+    error = np.array([0.01, 0.02, 0.03, 0.0])
+    errors = Errors(u=one, error=error, friction=friction, noise=0.0 * one, trial_error=0.0 * one)
+    rms = np.sqrt(np.mean(friction**2))
+    assert errors.relative == pytest.approx(0.03 / (0.2 * rms))
+    assert errors.relative_of_noise == 0.0
+
+
+def test_what_noise_alone_makes_is_the_median_of_the_largest() -> None:
+    rng = np.random.default_rng(12)
+    friction = rng.uniform(1.0, 3.0, 80)
+    noise, trial_error = rng.uniform(0.01, 0.1, (2, 80))
+    one = np.ones(80)
+    errors = Errors(u=one, error=one, friction=friction, noise=noise, trial_error=trial_error)
+    drawn_errors = np.hypot(noise, trial_error) * rng.standard_normal((20000, 80))
+    largest = np.abs(drawn_errors / friction).max(axis=1)
+    assert errors.relative_of_noise == pytest.approx(np.median(largest), rel=0.01)
+
+
+def test_noise_of_the_right_size_explains_eq_11() -> None:
+    """The surface is the true one: what is left is what trials have for themselves."""
+    data = data_of(COEFFICIENTS, np.random.default_rng(13), TRUE)
+    errors = errors_of([(data, surface_fit(data))], Orders(3, 2), unseen=False)
+    assert 0.6 < errors.relative / errors.relative_of_noise < 1.6
+    assert np.sqrt(np.mean(errors.trial_error**2)) > 2.0 * np.sqrt(np.mean(errors.noise**2))
+
+
+def test_orders_are_raised_until_eq_11_holds_or_no_orders_meet_it() -> None:
+    data = data_of(COEFFICIENTS, np.random.default_rng(14), TRUE)
+    fit = surface_fit(data)
+
+    def raised_to(beta: float) -> Orders:
+        def accept(orders: Orders) -> bool:
+            return errors_of([(data, fit)], orders, unseen=False).relative <= beta
+
+        return choose_orders([fit], (None, None), accept=accept)
+
+    unasked = chosen(fit)
+    at_unasked = errors_of([(data, fit)], unasked, unseen=False).relative
+    loose = raised_to(2.0 * at_unasked)
+    assert (loose.position + 1) * (loose.velocity + 1) < (unasked.position + 1) * (
+        unasked.velocity + 1
+    )
+    met = errors_of([(data, fit)], loose, unseen=False)
+    assert met.relative <= 2.0 * at_unasked
+    assert raised_to(1e-6) == unasked

@@ -136,7 +136,7 @@ class Survey:
         highest = min(highest_hz, self.rate_hz / 8)
         floors = step**2 / 12 * 2 / self.rate_hz
         if len(joints):
-            own = bandwidth.highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
+            own = bandwidth.highest_of(self._widest(joints, step), len(joints), self._seen / self.rate_hz)
             highest = min(highest, own)
         candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
         best = len(candidates) // 2  # where nothing moves
@@ -150,28 +150,60 @@ class Survey:
         step, joints = self._steps(resolution)
         if not len(joints):
             return None
-        values, _ = self._scored(joints, step, np.minimum(cutoffs, self.rate_hz / 2))
+        below = np.minimum(cutoffs, self.rate_hz / 2)
+        values, floors = self._scored(joints, step, below)
         seconds = self._seen / self.rate_hz
-        return bandwidth.Score(values, self._widest(joints), len(joints), seconds)
+        return bandwidth.Score(
+            values=values,
+            bandwidth_hz=self._widest(joints, step),
+            joints=len(joints),
+            seconds=seconds,
+            shares=self._shares(joints, floors, below, seconds),
+        )
 
-    def _steps(self, resolution: Array) -> tuple[Array, Index]:
-        """Encoder steps (n,) rad and the joints that move."""
-        return self.count(resolution), np.flatnonzero(self.moving(self.noise_step(resolution)))
+    def _shares(
+        self, joints: Index, floors: Array, cutoffs: Array, seconds: float
+    ) -> bandwidth.NoiseShares:
+        """Return how much of the joints' motion is noise; `floors` as `_scored` returns them."""
+        frequency, density = self._acceleration()
+        moves = np.zeros((len(density), 1))
+        moves[joints] = 1.0
+        noise = np.zeros(len(density))
+        noise[joints] = floors
+        error = np.array([bandwidth.differentiated_error(noise, hz) for hz in cutoffs]).T
+        return bandwidth.noise_shares(frequency, moves * density, error, cutoffs, seconds)
 
-    def _widest(self, joints: Index) -> float:
-        """Bandwidth of the motion, Hz: the largest of some joints."""
-        frequency, density = self._velocity.density(self.rate_hz)
-        density *= self.rate_hz**2
-        return max(bandwidth.bandwidth_of(frequency, density[j], self.rate_hz) for j in joints)
-
-    def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array]:
-        """Score of each cut-off (C,) by some joints, and these joints' noise densities."""
+    def _acceleration(self) -> tuple[Array, Array]:
+        """Return frequencies (F,) [Hz] and densities (n, F) of the acceleration."""
         # Spectra of the second difference of the position: it whitens the steep spectrum of the
         # position before the window smears it.
         rate = self.rate_hz
         frequency, density = self._second.density(rate)
         density *= rate**4
         density /= np.maximum(np.sinc(frequency / rate) ** 4, 0.05)
+        return frequency, density
+
+    def _steps(self, resolution: Array) -> tuple[Array, Index]:
+        """Encoder steps (n,) rad and the joints that move."""
+        return self.count(resolution), np.flatnonzero(self.moving(self.noise_step(resolution)))
+
+    def _widest(self, joints: Index, step: Array) -> float:
+        """Return the bandwidth of the motion [Hz], the largest of some joints.
+
+        `step` (n,): steps of the encoders [rad].
+        """
+        rate = self.rate_hz
+        frequency, density = self._velocity.density(rate)
+        density *= rate**2
+        return max(
+            bandwidth.bandwidth_of(frequency, density[j], rate, step=float(step[j]))
+            for j in joints
+        )
+
+    def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array]:
+        """Score of each cut-off (C,) by some joints, and these joints' noise densities."""
+        rate = self.rate_hz
+        frequency, density = self._acceleration()
         top = (frequency > 0.2 * rate) & (frequency < 0.4 * rate)
         score, floors = np.zeros(len(cutoffs)), np.zeros(len(joints))
         for k, j in enumerate(joints):

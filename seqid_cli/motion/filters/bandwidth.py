@@ -31,7 +31,7 @@ import numpy as np
 from scipy.signal import welch
 
 from seqid_cli.robot.regressor import PER_LINK
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
@@ -129,6 +129,21 @@ class NoiseShares:
             jerk_noise=self.jerk_noise + other.jerk_noise,
         )
 
+    def of_joints(self, which: Mask) -> "NoiseShares":
+        """Return these of `which` (n,) joints as those of all n, zero of the others."""
+
+        def wide(values: Array) -> Array:
+            result = np.zeros((len(which), values.shape[1]))
+            result[which] = values
+            return result
+
+        return NoiseShares(
+            acceleration=wide(self.acceleration),
+            acceleration_noise=wide(self.acceleration_noise),
+            jerk=wide(self.jerk),
+            jerk_noise=wide(self.jerk_noise),
+        )
+
     def of_acceleration(self) -> Array:
         """Return noise over true motion (C,) of the joint whose acceleration is known worst."""
         return _worst_share(self.acceleration, self.acceleration_noise)
@@ -224,7 +239,7 @@ def smoothed_score(dq: Array, ddq: Array, error: Array, rate_hz: float, cutoffs:
         values += np.log(signal) - KAPPA * own / signal
     frequency, densities = spectra(dq, 20)
     widest = max((bandwidth_of(frequency, one, rate_hz) for one in densities), default=0.0)
-    return Score(values, widest, len(densities), len(ddq) / rate_hz, shares)
+    return Score(values, widest, len(densities), shares=shares)
 
 
 def lowest_as_good(score: Array, joints: int, *, worth: float = 0.01) -> int:

@@ -113,6 +113,16 @@ def _spread(length_s: float, wanted_s: float, *, piece_s: float = 16.0) -> list[
     return [(float(m - piece_s / 2), float(m + piece_s / 2)) for m in middles]
 
 
+def _fewer(pieces: list[Recording], share: float) -> list[Recording]:
+    """Return about a share of the pieces of one log, spread evenly; at least one."""
+    if len(pieces) == 1:
+        length = float(pieces[0].t[-1])
+        ranges = _spread(length, share * length)
+        return cut(pieces[0], ranges) if ranges else pieces
+    count = max(1, round(share * len(pieces)))
+    return [pieces[int((k + 0.5) * len(pieces) / count)] for k in range(count)]
+
+
 def _summed(scores: Sequence[bandwidth.Score], allowed_hz: float) -> tuple[Array, int]:
     """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
     ordered = sorted(tuple(one.values) for one in scores)  # sums to the last bit
@@ -188,12 +198,11 @@ def _by_posterior(
     """
     most_s = most_rows / (2.0 * SAMPLES_PER_CUTOFF * start_hz)
     have_s = sum(float(piece.t[-1]) for one in found for piece in one.pieces)
-    pieces: list[Recording] = []
+    share = min(1.0, most_s / max(have_s, 1e-9))
     # In an order of their own, so that sums are the same to the last bit.
-    for piece in sorted((p for one in found for p in one.pieces), key=lambda p: p.sha256):
-        length = float(piece.t[-1])
-        ranges = _spread(length, length * most_s / have_s)
-        pieces += cut(piece, ranges) if ranges else [piece]
+    pieces = sorted(
+        (piece for one in found for piece in _fewer(one.pieces, share)), key=lambda p: p.sha256
+    )
 
     shares = [(one.smoothed or one.score).shares for one in found]
     noise = reduce(add, [share for share in shares if share is not None]).of_acceleration()

@@ -40,6 +40,7 @@ from seqid_cli.identify.rigid.inertia_equations import InertiaEquations
 from seqid_cli.identify.rigid.simultaneous import SimultaneousEquations
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
+from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot
@@ -57,7 +58,7 @@ class CutoffLimits:
     min_samples_per_rank: float = 3.0  # independent samples of all joints per excited direction
     max_disagreement: float = 0.02  # of the torque's RMS, between neighbouring cut-offs
     nearly_best: float = 1.1  # times the least error
-    hopeless: float = 2.0  # times the least error: no further in this direction
+    hopeless: float = 1.2  # times the least error: no further in this direction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,9 +176,11 @@ def choose_cutoff(
             errors=nothing,
             admissible=nothing.astype(bool),
         )
-    best = _best(chosen())
-    for factor in (np.sqrt(0.5), np.sqrt(2.0)):
-        reach(float(factor * best))
+    octaves = chosen()
+    best = _best(octaves)
+    for factor in (0.5, 2.0):
+        if best in tried and _promises(octaves, best, factor):
+            reach(float(np.sqrt(factor) * best))
     return chosen()
 
 
@@ -187,6 +190,31 @@ def _best(choice: CutoffChoice) -> float:
         return choice.start_hz
     errors = np.where(choice.admissible, choice.errors, np.inf)
     return choice.tried[int(np.argmin(errors))].cutoff_hz
+
+
+def _promises(choice: CutoffChoice, best_hz: float, factor: float) -> bool:
+    """Return whether half an octave beside the best may be better than the best.
+
+    By the parabola of the error's logarithm through the best, the octave beside it (`factor` times
+    the best), and the one on its other side or the next one. True where these were not tried.
+    """
+    log_errors = {
+        one.cutoff_hz: float(np.log(max(error, 1e-300)))
+        for one, error in zip(choice.tried, choice.errors, strict=True)
+    }
+    best = log_errors[best_hz]
+    beside = log_errors.get(factor * best_hz)
+    behind = log_errors.get(best_hz / factor)
+    beyond = log_errors.get(factor**2 * best_hz)
+    if beside is None:
+        return True
+    if behind is not None:
+        curvature = behind - 2.0 * best + beside
+    elif beyond is not None:
+        curvature = best - 2.0 * beside + beyond
+    else:
+        return True
+    return (best + beside) / 2.0 - curvature / 8.0 < best
 
 
 def _chosen(
@@ -304,16 +332,23 @@ def candidate_of(
     )
 
 
+class _Uncoupled(InertiaEquations):
+    """Equations without the column of gyroscopic coupling, whose share is held at zero anyway."""
+
+    def coupling_column(self, motion: Motion) -> Array:
+        return np.zeros_like(motion.q)
+
+
 class InertiaTrial:
     """Tries cut-offs for the inertia stage, with rotors on their own joints alone."""
 
     def __init__(self, robot: Robot, stages: Stages, source: str) -> None:
-        motion = MotionOptions(samples_per_cutoff=SAMPLES_PER_CUTOFF)
-        self._equations = InertiaEquations(robot, stages, InertiaOptions(motion, source))
+        self._robot, self._stages, self._source = robot, stages, source
 
     def __call__(self, recordings: Sequence[Recording], cutoff_hz: float) -> Candidate | None:
         """Return what recordings tell below a cut-off; see `Trial`."""
-        own = self._equations.at_cutoff(cutoff_hz)
+        motion = MotionOptions(cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF)
+        own = _Uncoupled(self._robot, self._stages, InertiaOptions(motion, self._source))
         parts = []
         for recording in recordings:
             try:

@@ -5,6 +5,10 @@ come; which joints move follows from the largest travel over each time scale; an
 from the levels it was seen at. A short log is one block.
 """
 
+import weakref
+from dataclasses import dataclass
+from functools import partial
+
 import numpy as np
 from scipy.fft import rfft
 from scipy.signal import get_window
@@ -217,6 +221,32 @@ class Survey:
             signal = np.maximum.accumulate(np.maximum(signal, 1e-12))
             score += np.log(signal) - bandwidth.KAPPA * noise / signal
         return score, floors
+
+
+def survey_of_positions(q: Array, rate_hz: float) -> Survey:
+    """Return the survey of positions (N, n) that are held; made once while the array lives.
+
+    A log is filtered at several cut-offs, and what they are chosen from is the same for all.
+    """
+    number = id(q)
+    known = _KEPT.get(number)
+    if known is not None and known.q() is q and known.survey.rate_hz == rate_hz:
+        return known.survey
+    survey = Survey.of(q, rate_hz)
+    forget = partial(_KEPT.pop, number, None)
+    _KEPT[number] = _Kept(weakref.ref(q, lambda _: forget()), survey)
+    return survey
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A survey and the positions that it is of."""
+
+    q: weakref.ref[Array]
+    survey: Survey
+
+
+_KEPT: dict[int, _Kept] = {}
 
 
 def _lengths(

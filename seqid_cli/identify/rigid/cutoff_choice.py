@@ -21,8 +21,9 @@ cut-off is *admissible* only where
   sharp: with enough samples every model differs somewhere.
 
 Cut-offs are tried an octave apart, from a starting one outward as long as the error falls, then
-half an octave to either side of the best. Of those that are nearly the best the one nearest to the
-start is taken. Where a delay is estimated the jerk must be known as well, N_jerk / S_jerk.
+half an octave to either side of the best. Of those that are nearly the best, or worse by no more
+than the scatter over the blocks explains, the one nearest to the start is taken: few blocks say
+little of many parameters. Where a delay is estimated the jerk must be known as well, N_jerk / S_jerk.
 """
 
 from collections.abc import Callable, Sequence
@@ -58,6 +59,7 @@ class CutoffLimits:
     min_samples_per_rank: float = 3.0  # independent samples of all joints per excited direction
     max_disagreement: float = 0.02  # of the torque's RMS, between neighbouring cut-offs
     nearly_best: float = 1.1  # times the least error
+    clear_sigma: float = 1.0  # standard errors of the difference, within which two are as good
     hopeless: float = 1.2  # times the least error: no further in this direction
 
 
@@ -244,14 +246,28 @@ def _chosen(
     )
     if not admissible.any():
         return choice
-    least = errors[admissible].min()
-    good = [
-        one.cutoff_hz
-        for one, error, allowed in zip(tried, errors, admissible, strict=True)
-        if allowed and error <= limits.nearly_best * least
-    ]
+    best = int(np.argmin(np.where(admissible, errors, np.inf)))
+    good = []
+    for k in np.flatnonzero(admissible):
+        chance = _standard_error(tried[k], tried[best], W)
+        least = errors[best]
+        if errors[k] <= max(limits.nearly_best * least, least + limits.clear_sigma * chance):
+            good.append(tried[k].cutoff_hz)
     nearest = min(good, key=lambda hz: abs(np.log(hz / start_hz)))
     return replace(choice, cutoff_hz=nearest)
+
+
+def _standard_error(first: Candidate, second: Candidate, W: Array) -> float:
+    """Return the standard error of the difference of two errors, zero where blocks differ.
+
+    Each block of time adds m' W m to an error, m its move of the estimate. Both candidates have the
+    same blocks, so that the scatter of the differences says how sure their sum is.
+    """
+    if first.moves.shape != second.moves.shape or len(first.moves) < 2:
+        return 0.0
+    parts = [np.einsum("gp,pq,gq->g", one.moves, W, one.moves) for one in (first, second)]
+    differences = parts[0] - parts[1]
+    return float(np.sqrt(len(differences)) * differences.std(ddof=1))
 
 
 def _judged(tried: Sequence[Candidate], start_hz: float) -> tuple[Array, Array]:

@@ -105,20 +105,17 @@ def _survey(
 
 
 def _spread(length_s: float, wanted_s: float, *, piece_s: float = 16.0) -> list[Range]:
-    """Return pieces of `piece_s` spread evenly over a log; none where all of it is wanted."""
-    if length_s <= max(wanted_s, piece_s):
+    """Return pieces of `piece_s` spread evenly over a log; none of one that is short itself."""
+    # Longer pieces would be reduced in chunks, whose blocks of time differ with the cut-off.
+    if length_s <= 1.5 * piece_s:
         return []
-    count = max(1, int(wanted_s / piece_s))
+    count = max(1, int(min(wanted_s, length_s) / piece_s))
     middles = (np.arange(count) + 0.5) * length_s / count
     return [(float(m - piece_s / 2), float(m + piece_s / 2)) for m in middles]
 
 
 def _fewer(pieces: list[Recording], share: float) -> list[Recording]:
     """Return about a share of the pieces of one log, spread evenly; at least one."""
-    if len(pieces) == 1:
-        length = float(pieces[0].t[-1])
-        ranges = _spread(length, share * length)
-        return cut(pieces[0], ranges) if ranges else pieces
     count = max(1, round(share * len(pieces)))
     return [pieces[int((k + 0.5) * len(pieces) / count)] for k in range(count)]
 

@@ -131,7 +131,8 @@ def filtered_regressor(
 
 def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[slice]:
     """Blocks of about a second: longer than the memory of the residual, shorter than a log."""
-    length = max(8, round(block_s * rate_hz))
+    # By time, so that the same stretch has the same blocks at any rate, and cut-offs can be paired.
+    length = max(4.0, block_s * rate_hz)
     edges = np.linspace(0, samples, max(1, round(samples / length)) + 1).astype(int)
     for a, b in pairwise(edges):
         yield slice(int(a), int(b))

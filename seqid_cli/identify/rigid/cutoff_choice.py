@@ -5,7 +5,7 @@ what quick motion says, and the samples around every reversal; a high one lets t
 differentiated encoder into the regressor, and what the model lacks. With C(f) the covariance of the
 parameters below a cut-off f, by the jackknife over the log's own blocks and by friction's errors,
 and W the mean of H' D H over the logs' motion (D: one over the torque's noise, squared) below one
-fixed cut-off, the same for all,
+fixed cut-off, the same for all, of the nuisance terms nothing,
 
     E(f) = tr(W C(f))
 
@@ -13,7 +13,8 @@ is the mean square of the predicted torque's error in units of its noise, as a p
 (`plan.stages.goal`). A jackknife does not see a bias that is the same in all blocks. Hence a
 cut-off is *admissible* only where
 
-- the excited directions are as many as anywhere, and independent samples several times as many,
+- the excited directions are as many as anywhere, and independent samples several times as many
+  (blocks of a slow signal are not independent: what is left out is known from both sides),
 - noise makes up a small share N / S of the acceleration of every joint that moves,
 - the parameters agree with those at a neighbouring cut-off, by size of effect: what their
   difference d makes of the torque beyond its own noise, d' W d - tr(W V) with V the covariance of
@@ -36,11 +37,10 @@ import numpy as np
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
-from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve, spread_of
+from seqid_cli.identify.regression.least_squares import Accumulator, Solution, spread_of
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations
 from seqid_cli.identify.rigid.simultaneous import SimultaneousEquations
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage, Stages
@@ -56,7 +56,7 @@ class CutoffLimits:
 
     max_acceleration_noise: float = 5e-3  # N / S, which shrinks an inertia by as much
     max_jerk_noise: float = 2e-2  # of the jerk, which a delay is estimated by
-    min_samples_per_rank: float = 3.0  # independent samples of all joints per excited direction
+    min_samples_per_rank: float = 3.0  # independent samples per excited direction
     max_disagreement: float = 0.02  # of the torque's RMS, between neighbouring cut-offs
     nearly_best: float = 1.1  # times the least error
     clear_sigma: float = 1.0  # standard errors of the difference, within which two are as good
@@ -82,7 +82,7 @@ class Candidate:
     rank : int
         Number of excited directions.
     independent : float
-        Samples of all joints that count as independent.
+        Samples of the logs that count as independent, whatever number of joints they tell of.
     """
 
     cutoff_hz: float
@@ -313,18 +313,23 @@ def candidate_of(
     covariance: Array,
     joints: Sequence[Accumulator],
     torque_squares: Array,
-    share: float,
+    independent: float,
+    nuisances: slice,
 ) -> Candidate:
     """Describe a solution.
 
     Parameters
     ----------
+    covariance : Array, shape (p, p)
+        Of its parameters.
     joints : sequence of Accumulator
         The rows of each joint.
     torque_squares : Array, shape (n,)
         Sum of the squared torque over these rows [(N m)^2].
-    share : float
-        Share of the rows that counts as independent [-].
+    independent : float
+        Samples of the logs that count as independent.
+    nuisances : slice
+        Places of the nuisance terms, whose errors no prediction is judged by.
     """
     size = len(solution.theta)
     information = np.zeros((size, size))
@@ -335,6 +340,8 @@ def candidate_of(
         rows = joint.total[:, :-1] / sigma
         information += rows.T @ rows / joint.samples
         torque_square += float(square) / sigma**2 / joint.samples
+    information[nuisances] = 0.0
+    information[:, nuisances] = 0.0
     return Candidate(
         cutoff_hz=cutoff_hz,
         theta=solution.theta,
@@ -344,19 +351,24 @@ def candidate_of(
         information=information,
         torque_square=torque_square,
         rank=solution.rank,
-        independent=share * sum(joint.samples for joint in joints),
+        independent=independent,
     )
 
 
-class _Uncoupled(InertiaEquations):
-    """Equations without the column of gyroscopic coupling, whose share is held at zero anyway."""
+class _TrialEquations(InertiaEquations):
+    """Equations without what a trial does not need.
+
+    Rotors act on their own joints alone, and the torque's noise is not measured.
+    """
+
+    measures_noise = False
 
     def coupling_column(self, motion: Motion) -> Array:
         return np.zeros_like(motion.q)
 
 
 class InertiaTrial:
-    """Tries cut-offs for the inertia stage, with rotors on their own joints alone."""
+    """Tries cut-offs for the inertia stage."""
 
     def __init__(self, robot: Robot, stages: Stages, source: str) -> None:
         self._robot, self._stages, self._source = robot, stages, source
@@ -364,7 +376,7 @@ class InertiaTrial:
     def __call__(self, recordings: Sequence[Recording], cutoff_hz: float) -> Candidate | None:
         """Return what recordings tell below a cut-off; see `Trial`."""
         motion = MotionOptions(cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF)
-        own = _Uncoupled(self._robot, self._stages, InertiaOptions(motion, self._source))
+        own = _TrialEquations(self._robot, self._stages, InertiaOptions(motion, self._source))
         parts = []
         for recording in recordings:
             try:
@@ -375,10 +387,14 @@ class InertiaTrial:
             return None
         rows = reduce(lambda a, b: a + b, parts)
         solution, posterior = own.solved(rows, 0.0, rounds=3)
-        share = float(rows.counts[0] / max(rows.counts[1], 1.0))
-        held = [joint.with_fixed(joint.size - 1, 0.0) for joint in rows.joints]
         return candidate_of(
-            cutoff_hz, solution, posterior.covariance, held, rows.torque_squares, share
+            cutoff_hz=cutoff_hz,
+            solution=solution,
+            covariance=posterior.covariance,
+            joints=[joint.with_fixed(joint.size - 1, 0.0) for joint in rows.joints],
+            torque_squares=rows.torque_squares,
+            independent=float(rows.counts[0]),
+            nuisances=own.nuisances.all,
         )
 
 
@@ -405,11 +421,13 @@ class SimultaneousTrial:
         rows = SimultaneousEquations(self._robot, motions, offset=self._offset)
         if not any(joint.samples for joint in rows.joints):
             return None
-        solution = solve(rows.joints)
-        samples = np.array([motion.samples for motion in motions])
-        rates = np.array([motion.rate_hz for motion in motions])
-        shares = np.minimum(1.0, 2.0 * NOISE_BANDWIDTH * cutoff_hz / rates)
-        share = float(np.average(shares, weights=samples))
+        solution = rows.solved(rows.prior())
         return candidate_of(
-            cutoff_hz, solution, solution.covariance, rows.joints, rows.torque_squares, share
+            cutoff_hz=cutoff_hz,
+            solution=solution,
+            covariance=solution.covariance,
+            joints=rows.joints,
+            torque_squares=rows.torque_squares,
+            independent=rows.independent * sum(motion.samples for motion in motions),
+            nuisances=rows.delays,
         )

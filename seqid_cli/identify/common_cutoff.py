@@ -9,6 +9,9 @@ cut-off and later stages take it (`inherited`), unless the user gives another.
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +19,13 @@ import numpy as np
 from seqid_cli.errors import SeqidError
 from seqid_cli.identify.options import RigidOptions
 from seqid_cli.identify.regression.equations import open_if_long, survey_of
+from seqid_cli.identify.rigid.cutoff_choice import (
+    SAMPLES_PER_CUTOFF,
+    CutoffChoice,
+    Trial,
+    choose_cutoff,
+)
+from seqid_cli.logs.pieces import Range, cut, read_pieces, whole_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy
@@ -32,14 +42,28 @@ from seqid_cli.typing import Array
 GRID: Array = np.geomspace(bandwidth.LOWEST_HZ, bandwidth.HIGHEST_HZ, 200)
 
 
-# A log's score of `GRID`, and that by its smoothed motion; the highest Hz that it allows.
-LogScore = tuple[bandwidth.Score, bandwidth.Score | None, float]
+@dataclass(frozen=True, kw_only=True)
+class _Surveyed:
+    """What one log says of cut-offs before anything is identified."""
+
+    score: bandwidth.Score
+    smoothed: bandwidth.Score | None  # by its smoothed motion
+    highest_hz: float  # that it allows
+    seconds: float
+    pieces: list[Recording]  # to try cut-offs on; the whole log where it is short
 
 
-def _score_of(
-    given: Path | Recording, robot: Robot, options: RigidOptions, imu: ImuStage | None
-) -> LogScore | None:
-    """Score the cut-offs of one log; None where no joint moves."""
+def _survey(
+    given: Path | Recording,
+    robot: Robot,
+    options: RigidOptions,
+    imu: ImuStage | None,
+    most_values: float,
+) -> _Surveyed | None:
+    """Score the cut-offs of one log, and keep pieces of it; None where no joint moves.
+
+    `most_values`: samples times joints of the pieces.
+    """
     source, time_source = options.source, options.time_source
     fuses = imu is not None and bool(imu.imus) and source != "encoder"
     with contextlib.ExitStack() as stack:
@@ -50,16 +74,50 @@ def _score_of(
             file = Path(stack.enter_context(local_copy(given)))
             long = None if fuses else open_if_long(file, robot, time_source=time_source)
             log = long or read_recording(file, robot, time_source=time_source)
-        found, highest = survey_of(log).score(encoder_resolution(robot), GRID), log.rate_hz / 8
-        if found is None:
+
+        score = survey_of(log).score(encoder_resolution(robot), GRID)
+        if score is None:
             return None
+        highest = log.rate_hz / 8
         smoothed = None
         if isinstance(log, Recording):
             highest = min(highest, highest_bridged(log))
             encoder = estimate_motion(log, robot, MotionOptions()) if fuses else None
             if encoder and best_motion(log, robot, imu, encoder, source=source).source == "fused":
                 smoothed = score_of_smoothed(log, robot, imu, encoder, GRID)
-        return found, smoothed, min(bandwidth.HIGHEST_HZ, highest)
+
+        seconds = whole_of(log).length
+        ranges = _spread(seconds, most_values / robot.n / log.rate_hz)
+        if isinstance(log, SurveyedLog):
+            whole = whole_of(log)
+            pieces = read_pieces(
+                log.file, robot, whole, ranges, time_source=time_source, kind=log.format
+            )
+        else:
+            pieces = cut(log, ranges) if ranges else [log]
+        return _Surveyed(
+            score=score,
+            smoothed=smoothed,
+            highest_hz=min(bandwidth.HIGHEST_HZ, highest),
+            seconds=seconds,
+            pieces=pieces,
+        )
+
+
+def _spread(length_s: float, wanted_s: float, *, piece_s: float = 16.0) -> list[Range]:
+    """Return pieces of `piece_s` spread evenly over a log; none of one that is short itself."""
+    # Longer pieces would be reduced in chunks, whose blocks of time differ with the cut-off.
+    if length_s <= 1.5 * piece_s:
+        return []
+    count = max(1, int(min(wanted_s, length_s) / piece_s))
+    middles = (np.arange(count) + 0.5) * length_s / count
+    return [(float(m - piece_s / 2), float(m + piece_s / 2)) for m in middles]
+
+
+def _fewer(pieces: list[Recording], share: float) -> list[Recording]:
+    """Return about a share of the pieces of one log, spread evenly; at least one."""
+    count = max(1, round(share * len(pieces)))
+    return [pieces[int((k + 0.5) * len(pieces) / count)] for k in range(count)]
 
 
 def _summed(scores: Sequence[bandwidth.Score], allowed_hz: float) -> tuple[Array, int]:
@@ -72,30 +130,92 @@ def _summed(scores: Sequence[bandwidth.Score], allowed_hz: float) -> tuple[Array
 
 
 def identification_options(
-    logs: Sequence[Path | Recording], robot: Robot, options: RigidOptions, imu: ImuStage | None
+    logs: Sequence[Path | Recording],
+    robot: Robot,
+    options: RigidOptions,
+    imu: ImuStage | None,
+    trial: Trial | None = None,
+    *,
+    most_values: float = 1e6,
 ) -> MotionOptions:
-    """How all logs of an identification are filtered, whatever their order."""
-    # A single log chooses for itself as it is read. Several are looked at first, and read again.
+    """Return how all logs of an identification are filtered, whatever their order.
+
+    Parameters
+    ----------
+    logs : sequence of Path or Recording
+        All logs of the identification; they are looked at first, and read again.
+    imu : ImuStage, optional
+        Calibrated IMUs, whose motion counts where they can be used.
+    trial : Trial, optional
+        Whoever identifies, to find the cut-off with the smallest error of the predicted torque.
+        Without one the motion alone decides.
+    most_values : float
+        Samples times joints that cut-offs are tried on: pieces of logs that have more.
+    """
     if options.cutoff_hz is not None:
         return MotionOptions(options.cutoff_hz, origin="as given")
-    found: list[LogScore] = []
-    for given in logs if len(logs) > 1 else ():
+    found: list[_Surveyed] = []
+    for given in logs if trial is not None or len(logs) > 1 else ():
         # Errors are reported when the log is read to be identified from.
         with contextlib.suppress(SeqidError):
-            own = _score_of(given, robot, options, imu)
+            own = _survey(given, robot, options, imu, most_values / len(logs))
             found += [own] if own is not None else []
     if not found:
         return MotionOptions()
-    highest = min(hz for *_, hz in found)
-    total, allowed = _summed([score for score, *_ in found], highest)
+
+    # By the motion: what all logs allow, and the sum of their scores.
+    highest = min(one.highest_hz for one in found)
+    total, allowed = _summed([one.score for one in found], highest)
     best = alone = bandwidth.first_maximum(total[:allowed])
-    if any(smoothed for _, smoothed, _ in found):
+    if any(one.smoothed for one in found):
         # The lowest that scores nearly as well by the smoothed motion, from the encoders' best on.
-        total, allowed = _summed([smoothed or score for score, smoothed, _ in found], highest)
-        joints = sum(score.joints for score, *_ in found)
+        total, allowed = _summed([one.smoothed or one.score for one in found], highest)
+        joints = sum(one.score.joints for one in found)
         best += bandwidth.lowest_as_good(total[best : max(allowed, best + 1)], joints)
-    origin = f"chosen from all {len(logs)} logs together"
-    return MotionOptions(float(GRID[best]), origin=origin, encoder_hz=float(GRID[alone]))
+    hz, encoder_hz = float(GRID[best]), float(GRID[alone])
+    origin = f"chosen from all {len(logs)} logs together" if len(logs) > 1 else "chosen from the log"
+    if trial is not None:
+        hz = _by_posterior(trial, found, hz, highest_hz=float(GRID[allowed - 1])).cutoff_hz
+        encoder_hz = min(encoder_hz, hz)
+        origin += ": the smallest error of the predicted torque"
+    return MotionOptions(hz, origin=origin, encoder_hz=encoder_hz)
+
+
+def _by_posterior(
+    trial: Trial,
+    found: Sequence[_Surveyed],
+    start_hz: float,
+    *,
+    highest_hz: float,
+    most_rows: float = 2e4,
+) -> CutoffChoice:
+    """Choose the cut-off by what is identified from pieces of the logs.
+
+    `most_rows`: samples of the pieces that stay an octave above the start.
+    """
+    most_s = most_rows / (2.0 * SAMPLES_PER_CUTOFF * start_hz)
+    have_s = sum(float(piece.t[-1]) for one in found for piece in one.pieces)
+    share = min(1.0, most_s / max(have_s, 1e-9))
+    # In an order of their own, so that sums are the same to the last bit.
+    pieces = sorted(
+        (piece for one in found for piece in _fewer(one.pieces, share)), key=lambda p: p.sha256
+    )
+
+    shares = [(one.smoothed or one.score).shares for one in found]
+    noise = reduce(add, [share for share in shares if share is not None]).of_acceleration()
+
+    def acceleration_noise(hz: float) -> float:
+        return float(np.interp(np.log(hz), np.log(GRID), noise))
+
+    tried_s = sum(float(piece.t[-1]) for piece in pieces)
+    return choose_cutoff(
+        lambda hz: trial(pieces, hz),
+        start_hz,
+        lowest_hz=bandwidth.LOWEST_HZ,
+        highest_hz=highest_hz,
+        acceleration_noise=acceleration_noise,
+        represented=sum(one.seconds for one in found) / max(tried_s, 1e-9),
+    )
 
 
 def inherited(stages: Stages, cutoff_hz: float | None) -> MotionOptions:

@@ -141,12 +141,14 @@ def inertia(
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.identify.common_cutoff import identification_options
     from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.identify.rigid.cutoff_choice import InertiaTrial
     from seqid_cli.identify.rigid.inertia import identify_inertia
     from seqid_cli.identify.rigid.parameters import made_consistent
 
     def find(given: LogSet) -> Identified:
         arm, known = inputs.robot, inputs.stages
-        motion = identification_options(inputs.logs, arm, options, known.imu)
+        trial = InertiaTrial(arm, known, options.source)
+        motion = identification_options(inputs.logs, arm, options, known.imu, trial)
         rigid = InertiaOptions(motion, options.source)
         result = identify_inertia(given, arm, known, options=rigid, compare=True)
         stage = result.inertia
@@ -177,12 +179,14 @@ def simultaneous(
     needs = imu_stage_for(options.source)
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.identify.common_cutoff import identification_options
+    from seqid_cli.identify.rigid.cutoff_choice import SimultaneousTrial
     from seqid_cli.identify.rigid.parameters import made_consistent
     from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
     def find(given: LogSet) -> Identified:
         arm, imu = inputs.robot, inputs.stages.imu
-        motion = identification_options(inputs.logs, arm, options, imu)
+        trial = SimultaneousTrial(arm, imu, options.source, offset=options.offset)
+        motion = identification_options(inputs.logs, arm, options, imu, trial)
         friction, inertia = identify_simultaneous(
             given, arm, options=motion, imu=imu, source=options.source, offset=options.offset
         )

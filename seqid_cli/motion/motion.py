@@ -11,7 +11,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import HIGHEST_HZ, Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
-from seqid_cli.motion.filters.survey import Survey
+from seqid_cli.motion.filters.survey import survey_of_positions
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segmentation import moving_mask
 from seqid_cli.robot.types import Robot
@@ -76,7 +76,7 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
     Returns: at the log's own rate. Raises InputError: no stretch is long enough to filter.
     """
     rate, resolution = recording.rate_hz, encoder_resolution(robot)
-    survey = Survey.of(recording.q, rate)
+    survey = survey_of_positions(recording.q, rate)
     cutoff = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
     if recording.sha256 not in options.own:
         cutoff = as_asked(cutoff, recording.path, rate, options)

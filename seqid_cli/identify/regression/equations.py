@@ -20,7 +20,7 @@ from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, open_surveyed
-from seqid_cli.motion.filters.survey import Survey
+from seqid_cli.motion.filters.survey import Survey, survey_of_positions
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion, as_asked, decimated, encoder_resolution
 from seqid_cli.motion.options import MotionOptions
@@ -53,7 +53,7 @@ def open_if_long(
 def survey_of(log: Recording | SurveyedLog) -> Survey:
     """Noise steps and cut-off by a log's positions."""
     if isinstance(log, Recording):
-        return Survey.of(log.q, log.rate_hz)
+        return survey_of_positions(log.q, log.rate_hz)
     assert log.survey is not None
     return log.survey
 
@@ -131,7 +131,8 @@ def filtered_regressor(
 
 def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[slice]:
     """Blocks of about a second: longer than the memory of the residual, shorter than a log."""
-    length = max(8, round(block_s * rate_hz))
+    # By time, so that the same stretch has the same blocks at any rate, and cut-offs can be paired.
+    length = max(4.0, block_s * rate_hz)
     edges = np.linspace(0, samples, max(1, round(samples / length)) + 1).astype(int)
     for a, b in pairwise(edges):
         yield slice(int(a), int(b))

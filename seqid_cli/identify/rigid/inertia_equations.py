@@ -129,6 +129,8 @@ class InertiaEquations:
     and last the share of gyroscopic coupling.
     """
 
+    measures_noise = True
+
     def __init__(self, robot: Robot, stages: Stages, options: InertiaOptions) -> None:
         self.robot, self.stages, self.options = robot, stages, options
         self.basis = free_basis(robot)
@@ -192,7 +194,7 @@ class InertiaEquations:
             usable |= bool(motion.usable.any())
         if not usable:
             raise too_short(log.path, lowpass.cutoff_hz)
-        if isinstance(log, Recording):
+        if isinstance(log, Recording) and self.measures_noise:
             slides = sliding(motion, self.slowest, reach_periods=SETTLED_PERIODS)
             rows.noise.append(noise_of_log(log, motion, slides))
             some = np.flatnonzero(slides.any(axis=1))

@@ -133,6 +133,18 @@ class SimultaneousEquations:
                     self._rotor_sums[j] += wide.T @ rotors[part][block, j][kept]
         self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
 
+    def prior(self) -> Prior:
+        """Return what is known of the delays before."""
+        delays = whitened(PRIORS.delay_covariance(self.robot.n))
+        rows = np.pad(delays, ((0, 0), (self.delays.start, 0)))
+        return Prior(rows, np.zeros(len(rows)))
+
+    def solved(self, prior: Prior) -> Solution:
+        """Solve for the base parameters, friction and delays."""
+        return solve(
+            self.joints, prior=prior, nuisances=self.delays, independent=self.independent
+        )
+
     def stages(
         self,
         uses: list[schema.MotionUse],
@@ -141,12 +153,8 @@ class SimultaneousEquations:
     ) -> tuple[schema.FrictionStage, schema.RigidStage]:
         """Solve and describe the result; `uses` and `noise` are of the logs."""
         robot = self.robot
-        delays = whitened(PRIORS.delay_covariance(robot.n))
-        rows = np.pad(delays, ((0, 0), (self.delays.start, 0)))
-        prior = Prior(rows, np.zeros(len(rows)))
-        solution = solve(
-            self.joints, prior=prior, nuisances=self.delays, independent=self.independent
-        )
+        prior = self.prior()
+        solution = self.solved(prior)
         known = {
             j: -self.independent * solution.bread @ sums / solution.sigma[j] ** 2
             for j, sums in enumerate(self._rotor_sums)

@@ -31,7 +31,7 @@ import numpy as np
 from scipy.signal import welch
 
 from seqid_cli.robot.regressor import PER_LINK
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
@@ -102,6 +102,103 @@ def step_of(position: Array) -> float:
     return smallest if quantised else 0.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class NoiseShares:
+    """How much of each joint's acceleration and jerk is noise below each of some cut-offs.
+
+    Energies of logs add up. They are zero of joints that do not move.
+
+    Attributes
+    ----------
+    acceleration, jerk : Array, shape (n, C)
+        Energy of the measured motion, noise included [(rad/s^2)^2 s], [(rad/s^3)^2 s].
+    acceleration_noise, jerk_noise : Array, shape (n, C)
+        Energy of its error.
+    """
+
+    acceleration: Array
+    acceleration_noise: Array
+    jerk: Array
+    jerk_noise: Array
+
+    def __add__(self, other: "NoiseShares") -> "NoiseShares":
+        return NoiseShares(
+            acceleration=self.acceleration + other.acceleration,
+            acceleration_noise=self.acceleration_noise + other.acceleration_noise,
+            jerk=self.jerk + other.jerk,
+            jerk_noise=self.jerk_noise + other.jerk_noise,
+        )
+
+    def of_joints(self, which: Mask) -> "NoiseShares":
+        """Return these of `which` (n,) joints as those of all n, zero of the others."""
+
+        def wide(values: Array) -> Array:
+            result = np.zeros((len(which), values.shape[1]))
+            result[which] = values
+            return result
+
+        return NoiseShares(
+            acceleration=wide(self.acceleration),
+            acceleration_noise=wide(self.acceleration_noise),
+            jerk=wide(self.jerk),
+            jerk_noise=wide(self.jerk_noise),
+        )
+
+    def of_acceleration(self) -> Array:
+        """Return noise over true motion (C,) of the joint whose acceleration is known worst."""
+        return _worst_share(self.acceleration, self.acceleration_noise)
+
+    def of_jerk(self) -> Array:
+        """Return noise over true motion (C,) of the joint whose jerk is known worst."""
+        return _worst_share(self.jerk, self.jerk_noise)
+
+
+def _worst_share(measured: Array, noise: Array) -> Array:
+    """Return the largest ratio (C,) of noise to true motion, of joints (n, C) that move."""
+    moves = measured[:, -1] > 0.0
+    true = np.maximum(measured[moves] - noise[moves], 1e-12 * measured[moves, -1:])
+    # Power beyond the first point where noise takes over is noise, whatever its level.
+    true = np.maximum.accumulate(true, axis=1)
+    return np.asarray(np.max(noise[moves] / true, axis=0, initial=0.0))
+
+
+def noise_shares(
+    frequency: Array,
+    acceleration: Array,
+    error: Array,
+    cutoffs: Array,
+    seconds: float,
+) -> NoiseShares:
+    """Return the energies of a motion and of its error below some cut-offs.
+
+    Parameters
+    ----------
+    frequency : Array, shape (F,)
+        Frequencies of the spectra [Hz].
+    acceleration : Array, shape (n, F)
+        One-sided spectral density of the measured acceleration [(rad/s^2)^2/Hz].
+    error : Array, shape (n, C)
+        Power of the acceleration's error below each cut-off [(rad/s^2)^2].
+    cutoffs : Array, shape (C,)
+        Cut-offs [Hz].
+    seconds : float
+        Length of the log [s].
+    """
+    jerk = (2.0 * np.pi * frequency) ** 2 * acceleration
+    powers = [
+        np.array([power_below(frequency, density, cutoffs) for density in densities])
+        for densities in (acceleration, jerk)
+    ]
+    # Of noise whose power grows with f^5, n (2 pi)^4 f^5 / 5, the jerk has n (2 pi)^6 f^7 / 7.
+    jerk_error = error * (2.0 * np.pi * cutoffs) ** 2 * 5.0 / 7.0
+    return NoiseShares(
+        acceleration=seconds * powers[0],
+        acceleration_noise=seconds * error,
+        jerk=seconds * powers[1],
+        jerk_noise=seconds * jerk_error,
+    )
+
+
 @dataclass(frozen=True)
 class Score:
     """J of the module's text for each of some cut-offs, summed over joints."""
@@ -110,6 +207,7 @@ class Score:
     bandwidth_hz: float  # of their motion
     joints: int  # that move
     seconds: float = math.inf
+    shares: NoiseShares | None = None  # of all joints of the robot, or of those that were given
 
 
 def highest_of(
@@ -133,13 +231,15 @@ def smoothed_score(dq: Array, ddq: Array, error: Array, rate_hz: float, cutoffs:
         return frequency, density.T
 
     values, (frequency, densities) = np.zeros(len(cutoffs)), spectra(ddq, 8)
+    below = np.minimum(cutoffs, rate_hz / 2)
+    shares = noise_shares(frequency, densities, error.T, below, len(ddq) / rate_hz)
     for density, own in zip(densities, error.T, strict=True):
-        power = power_below(frequency, density, np.minimum(cutoffs, rate_hz / 2))
+        power = power_below(frequency, density, below)
         signal = np.maximum(power - own, 1e-12)
         values += np.log(signal) - KAPPA * own / signal
     frequency, densities = spectra(dq, 20)
     widest = max((bandwidth_of(frequency, one, rate_hz) for one in densities), default=0.0)
-    return Score(values, widest, len(densities))
+    return Score(values, widest, len(densities), shares=shares)
 
 
 def lowest_as_good(score: Array, joints: int, *, worth: float = 0.01) -> int:
@@ -161,9 +261,56 @@ def first_maximum(score: Array, *, clear_fall: float = 0.05) -> int:
     return int(np.argmax(score[: fallen[0]] if len(fallen) else score))
 
 
-def bandwidth_of(frequency: Array, density: Array, rate_hz: float) -> float:
-    """Frequency, Hz, below which 99 percent of the velocity's power lies, by its spectrum (F,)."""
-    # Twice the floor at the top of the spectrum comes off: a coarse encoder is not a fast motion.
-    floor = float(np.median(density[frequency > 0.25 * rate_hz]))
-    power = np.cumsum(np.maximum(density - 2 * floor, 0.0))
-    return float(frequency[np.searchsorted(power, 0.99 * power[-1])])
+def bandwidth_of(
+    frequency: Array,
+    density: Array,
+    rate_hz: float,
+    *,
+    step: float = 0.0,
+    min_signal_to_noise: float = 10.0,
+) -> float:
+    """Return the bandwidth of a motion by the spectrum of its measured velocity.
+
+    A position's white noise has, differentiated, a spectrum that rises with f^2. Its level is read
+    off the top of the spectrum. The noise of a coarse encoder is not white but tones at the rate at
+    which counts pass; all of them together have no more than the power of quantisation. The motion
+    ends where an octave to either side holds hardly more than such noise can make: what lies above
+    the first such place is noise, whatever its level.
+
+    Parameters
+    ----------
+    frequency : Array, shape (F,)
+        Evenly spaced frequencies from zero on [Hz].
+    density : Array, shape (F,)
+        One-sided spectral density of the velocity [(rad/s)^2/Hz].
+    rate_hz : float
+        Rate of the samples that the spectrum is of [Hz].
+    step : float
+        Step of the encoder [rad]; zero where the position is not quantised.
+    min_signal_to_noise : float
+        Power of such a band over that of the floor, from which on it holds motion [-].
+
+    Returns
+    -------
+    float
+        Frequency below which 99 percent of the motion's power lies [Hz].
+    """
+    shape = frequency**2
+    top = frequency > 0.25 * rate_hz
+    level = float(np.median(density[top] / shape[top]))
+    floor = level * shape
+
+    # An octave to either side: a line spectrum is empty between two of its lines.
+    low = np.searchsorted(frequency, frequency / 2.0, side="left")
+    high = np.searchsorted(frequency, frequency * 2.0, side="right")
+    power = np.concatenate(([0.0], np.cumsum(density)))
+    noise = np.concatenate(([0.0], np.cumsum(floor)))
+    tones = (2.0 * np.pi * frequency) ** 2 * step**2 / 12.0 / frequency[1]
+    most = np.maximum(min_signal_to_noise * (noise[high] - noise[low]), tones)
+    shows = power[high] - power[low] > most
+
+    peak = int(np.argmax(np.where(shows, density, -1.0)))
+    silent = np.flatnonzero(~shows[peak:])
+    end = max(1, peak + int(silent[0]) if len(silent) else len(frequency))
+    motion = np.cumsum(np.maximum(density[:end] - floor[:end], 0.0))
+    return float(frequency[np.searchsorted(motion, 0.99 * motion[-1])])

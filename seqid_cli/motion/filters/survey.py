@@ -5,6 +5,10 @@ come; which joints move follows from the largest travel over each time scale; an
 from the levels it was seen at. A short log is one block.
 """
 
+import weakref
+from dataclasses import dataclass
+from functools import partial
+
 import numpy as np
 from scipy.fft import rfft
 from scipy.signal import get_window
@@ -136,7 +140,7 @@ class Survey:
         highest = min(highest_hz, self.rate_hz / 8)
         floors = step**2 / 12 * 2 / self.rate_hz
         if len(joints):
-            own = bandwidth.highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
+            own = bandwidth.highest_of(self._widest(joints, step), len(joints), self._seen / self.rate_hz)
             highest = min(highest, own)
         candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
         best = len(candidates) // 2  # where nothing moves
@@ -150,28 +154,60 @@ class Survey:
         step, joints = self._steps(resolution)
         if not len(joints):
             return None
-        values, _ = self._scored(joints, step, np.minimum(cutoffs, self.rate_hz / 2))
+        below = np.minimum(cutoffs, self.rate_hz / 2)
+        values, floors = self._scored(joints, step, below)
         seconds = self._seen / self.rate_hz
-        return bandwidth.Score(values, self._widest(joints), len(joints), seconds)
+        return bandwidth.Score(
+            values=values,
+            bandwidth_hz=self._widest(joints, step),
+            joints=len(joints),
+            seconds=seconds,
+            shares=self._shares(joints, floors, below, seconds),
+        )
 
-    def _steps(self, resolution: Array) -> tuple[Array, Index]:
-        """Encoder steps (n,) rad and the joints that move."""
-        return self.count(resolution), np.flatnonzero(self.moving(self.noise_step(resolution)))
+    def _shares(
+        self, joints: Index, floors: Array, cutoffs: Array, seconds: float
+    ) -> bandwidth.NoiseShares:
+        """Return how much of the joints' motion is noise; `floors` as `_scored` returns them."""
+        frequency, density = self._acceleration()
+        moves = np.zeros((len(density), 1))
+        moves[joints] = 1.0
+        noise = np.zeros(len(density))
+        noise[joints] = floors
+        error = np.array([bandwidth.differentiated_error(noise, hz) for hz in cutoffs]).T
+        return bandwidth.noise_shares(frequency, moves * density, error, cutoffs, seconds)
 
-    def _widest(self, joints: Index) -> float:
-        """Bandwidth of the motion, Hz: the largest of some joints."""
-        frequency, density = self._velocity.density(self.rate_hz)
-        density *= self.rate_hz**2
-        return max(bandwidth.bandwidth_of(frequency, density[j], self.rate_hz) for j in joints)
-
-    def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array]:
-        """Score of each cut-off (C,) by some joints, and these joints' noise densities."""
+    def _acceleration(self) -> tuple[Array, Array]:
+        """Return frequencies (F,) [Hz] and densities (n, F) of the acceleration."""
         # Spectra of the second difference of the position: it whitens the steep spectrum of the
         # position before the window smears it.
         rate = self.rate_hz
         frequency, density = self._second.density(rate)
         density *= rate**4
         density /= np.maximum(np.sinc(frequency / rate) ** 4, 0.05)
+        return frequency, density
+
+    def _steps(self, resolution: Array) -> tuple[Array, Index]:
+        """Encoder steps (n,) rad and the joints that move."""
+        return self.count(resolution), np.flatnonzero(self.moving(self.noise_step(resolution)))
+
+    def _widest(self, joints: Index, step: Array) -> float:
+        """Return the bandwidth of the motion [Hz], the largest of some joints.
+
+        `step` (n,): steps of the encoders [rad].
+        """
+        rate = self.rate_hz
+        frequency, density = self._velocity.density(rate)
+        density *= rate**2
+        return max(
+            bandwidth.bandwidth_of(frequency, density[j], rate, step=float(step[j]))
+            for j in joints
+        )
+
+    def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array]:
+        """Score of each cut-off (C,) by some joints, and these joints' noise densities."""
+        rate = self.rate_hz
+        frequency, density = self._acceleration()
         top = (frequency > 0.2 * rate) & (frequency < 0.4 * rate)
         score, floors = np.zeros(len(cutoffs)), np.zeros(len(joints))
         for k, j in enumerate(joints):
@@ -185,6 +221,32 @@ class Survey:
             signal = np.maximum.accumulate(np.maximum(signal, 1e-12))
             score += np.log(signal) - bandwidth.KAPPA * noise / signal
         return score, floors
+
+
+def survey_of_positions(q: Array, rate_hz: float) -> Survey:
+    """Return the survey of positions (N, n) that are held; made once while the array lives.
+
+    A log is filtered at several cut-offs, and what they are chosen from is the same for all.
+    """
+    number = id(q)
+    known = _KEPT.get(number)
+    if known is not None and known.q() is q and known.survey.rate_hz == rate_hz:
+        return known.survey
+    survey = Survey.of(q, rate_hz)
+    forget = partial(_KEPT.pop, number, None)
+    _KEPT[number] = _Kept(weakref.ref(q, lambda _: forget()), survey)
+    return survey
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A survey and the positions that it is of."""
+
+    q: weakref.ref[Array]
+    survey: Survey
+
+
+_KEPT: dict[int, _Kept] = {}
 
 
 def _lengths(

@@ -68,7 +68,9 @@ def _score(smoothed: Smoothed, encoder: Motion, cutoffs: Array) -> bandwidth.Sco
     moves = np.any(encoder.moving, axis=0)
     error = np.array([bandwidth.smoothed_error(variance, density, hz)[moves] for hz in cutoffs])
     motion = smoothed.dq[:, moves], smoothed.ddq[:, moves]
-    return bandwidth.smoothed_score(*motion, error, encoder.rate_hz, cutoffs)
+    score = bandwidth.smoothed_score(*motion, error, encoder.rate_hz, cutoffs)
+    assert score.shares is not None
+    return replace(score, shares=score.shares.of_joints(moves))
 
 
 def _cutoff(smoothed: Smoothed, encoder: Motion) -> bandwidth.Cutoff:

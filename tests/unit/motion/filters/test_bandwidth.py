@@ -79,3 +79,35 @@ def test_a_robot_file_overrules_the_step_seen() -> None:
     told = chosen(q, RATE, resolution=np.array([0.01, 0.0]))
     assert told.encoder_step[0] == 0.01
     assert told.hz < chosen(q, RATE).hz
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
+@pytest.mark.parametrize("counts", [200, 600, 2400, 2**20])
+def test_a_coarse_encoder_is_no_fast_motion(rate_hz: float, counts: int) -> None:
+    t = np.arange(round(20.0 * rate_hz)) / rate_hz
+    sine = 0.8 * np.sin(2 * np.pi * t)
+    # Back and forth at a constant speed, counts pass at a constant rate: tones, no white noise.
+    speed = np.clip(4.0 * np.abs((0.3 * t) % 1.0 - 0.5) - 1.0, -0.2, 0.2) * 3.0
+    q = np.column_stack([sine, np.cumsum(speed) / rate_hz])
+    rounded = quantise(q, 2 * np.pi / counts)
+    resolution = np.full(2, 2 * np.pi / counts)
+    for joint, hz in ((0, 1.0), (1, 1.5)):
+        survey = Survey.of(rounded[:, [joint]], rate_hz)
+        score = survey.score(resolution[:1], np.array([1.0, 2.0]))
+        assert score is not None
+        assert score.bandwidth_hz == pytest.approx(hz, abs=0.2)
+
+
+def test_noise_shares_are_those_of_the_worst_joint() -> None:
+    q = motion(np.random.default_rng(5))
+    q[:, 1] *= 0.1
+    rounded = quantise(q, 2 * np.pi / 2400)
+    cutoffs = np.array([2.0, 4.0, 8.0])
+    score = Survey.of(rounded, RATE).score(np.full(2, 2 * np.pi / 2400), cutoffs)
+    assert score is not None
+    assert score.shares is not None
+    worst = score.shares.of_acceleration()
+    own = score.shares.acceleration_noise / score.shares.acceleration
+    np.testing.assert_allclose(worst, own[1], rtol=0.2)
+    assert worst[2] == pytest.approx(32.0 * worst[1], rel=0.1)
+    assert (score.shares.of_jerk() > worst).all()

@@ -7,6 +7,7 @@ import numpy as np
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
+from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import extrapolated
@@ -21,7 +22,7 @@ from seqid_cli.typing import Array
 
 FITTED = 0.5  # of what the file leaves, below which its values are to blame
 DEFLECTING = ("joint_elasticity", "backlash")
-OFFSET_SHOWS = 0.7  # of what is left: torque of a time offset that is worth a note
+OFFSET_SHOWS = 0.7  # of what is left: torque of a delay that is worth a note
 
 
 def expected(found: Investigation) -> Array:
@@ -52,14 +53,14 @@ def notes_of(
     unexplained: Collection[str],
 ) -> list[str]:
     """All that a diagnosis says beside its findings and `unexplained` joints."""
-    offsets, names = shown_offsets(found), robot.joint_names
-    named = {*unexplained, *(names[j] for j in (*offsets, *excess))}
+    delays, names = shown_delays(found), robot.joint_names
+    named = {*unexplained, *(names[j] for j in (*delays, *excess))}
     return [
         *(
-            f"joint {names[j]}: torque is {1e3 * abs(offset):.1f} ms "
-            f"{'early' if offset > 0 else 'late'} against position, less than a sample, and taken "
+            f"joint {names[j]}: torque is {1e3 * abs(delay):.1f} ms "
+            f"{'late' if delay > 0 else 'early'} against position, less than a sample, and taken "
             "for the logger's own; logs at a higher rate would tell a skew or a lag"
-            for j, offset in offsets.items()
+            for j, delay in delays.items()
         ),
         *(
             f"joint {names[j]}: what is left is {times:.1f} times what torque noise and encoder "
@@ -155,9 +156,14 @@ def deflection_notes(stages: Stages, robot: Robot) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def shown_offsets(found: Investigation) -> dict[int, float]:
-    """Time offsets s of the base by joint, where they show."""
-    model, timing = found.model, found.ground.base.timing
-    size = [abs(offset) * rms(column) for offset, column in zip(model.offsets, timing, strict=True)]
-    shows = np.array(size) > OFFSET_SHOWS * model.noise.sigma[: len(size)]
-    return {j: offset for j, offset in enumerate(model.offsets) if model.timed[j] and shows[j]}
+def shown_delays(found: Investigation) -> dict[int, float]:
+    """Delay [s] of each joint's torque in the base, where it shows."""
+    model, joints = found.model, dict[int, float]()
+    for rows in found.ground.base.nuisances:
+        term = rows.term
+        if term.joint is None or term.joint not in model.delays or term.name != DELAY:
+            continue
+        size = abs(model.delays[term.joint]) * rms(rows.columns[term.joint])
+        if size > OFFSET_SHOWS * model.noise.sigma[term.joint]:
+            joints[term.joint] = model.delays[term.joint]
+    return joints

@@ -39,13 +39,13 @@ class Hold:
         """By how much friction of a joint may move."""
         return self.own[joint] if self.own else self.rigid
 
-    def others(self, number: int, joints: int, most: float = SCALES[-1]) -> Iterator[Hold]:
+    def others(self, number: int, joints: int, loosest: float = SCALES[-1]) -> Iterator[Hold]:
         """The same with the rigid body (0), or friction of a joint (from 1), held otherwise.
 
-        None by more than `most` of the file's errors.
+        None by more than `loosest` of the file's errors.
         """
         own = [self.of(j) for j in range(joints)]
-        for scale in (scale for scale in SCALES if scale <= most):
+        for scale in (scale for scale in SCALES if scale <= loosest):
             if scale != [self.rigid, *own][number]:
                 each = [*own[: number - 1], scale, *own[number:]] if number else own
                 yield replace(self, rigid=self.rigid if number else scale, own=tuple(each))
@@ -172,15 +172,15 @@ class Model:
         self.settle()
         return best is not first
 
-    def margin(self, without: Linear, most: float = SCALES[-1]) -> float:
+    def margin(self, without: Linear, loosest: float = SCALES[-1]) -> float:
         """Log evidence against the model without a term, its base held as explains it best.
 
-        It may leave the file by up to `most` of the file's errors.
+        It may leave the file by up to `loosest` of the file's errors.
         """
         own = self.linear.evidence - self.hold.doubt(self.ground.n)
-        return own - self._best_hold(without, most)[1]
+        return own - self._best_hold(without, loosest)[1]
 
-    def _best_hold(self, linear: Linear, most: float = SCALES[-1]) -> tuple[Hold, float]:
+    def _best_hold(self, linear: Linear, loosest: float = SCALES[-1]) -> tuple[Hold, float]:
         """The hold that the evidence prefers, part by part, and its evidence less its doubt."""
         n = self.ground.n
         best, most = self.hold, linear.evidence - self.hold.doubt(n)
@@ -188,7 +188,7 @@ class Model:
         for number, at in enumerate(linear.where[: 1 + n]):
             first = best
             held, gains = self.ground.precision(first, number), {first: 0.0}
-            for hold in first.others(number, n, most):
+            for hold in first.others(number, n, loosest):
                 gains[hold] = model.gained(at, held, self.ground.precision(hold, number))
                 if known + gains[hold] - hold.doubt(n) > most:
                     best, most = hold, known + gains[hold] - hold.doubt(n)
@@ -319,6 +319,11 @@ class Model:
     def coefficients(self, term: Term) -> Array:
         """A term's coefficients (k,), those below the cut-off where it has others above."""
         return self.linear.theta[self.where(term)][: term.what.size]
+
+    def variances(self, term: Term) -> Array:
+        """Variance (k,) of these coefficients given all rows, by the noise alone."""
+        first = self.where(term).start
+        return np.asarray(np.diag(self.linear.covariance)[first : first + term.what.size])
 
     def covariance(self, term: Term) -> Array:
         """Covariance (k, k) of these coefficients, no narrower than they scatter over blocks."""

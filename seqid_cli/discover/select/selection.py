@@ -17,7 +17,7 @@ from scipy.special import ndtri
 
 from seqid_cli.discover.base import has_trials
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.select.changes import value_changes
+from seqid_cli.discover.select.changes import MOST_ERRORS, value_changes
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
 from seqid_cli.discover.select.naming import TOLD, probable_names, reality
@@ -234,12 +234,17 @@ class Selection:
         model = self.model
         for change in found:
             term = change.taken.term
-            model.terms = [one for one in model.terms if one.key != term.key]
-            model.terms.append(term)
+            keys = [one.key for one in model.terms]
+            if term.key in keys:
+                model.terms[keys.index(term.key)] = term
+            else:
+                model.terms.append(term)
             self._value_changes[term] = change.taken
             self._stood_for |= {one.key for one in change.instead_of}
             self._search.changed(term)
+        model.hold = model.hold.capped(MOST_ERRORS)  # what made it leave the file is a term now
         model.settle()
+        model.rescale()
         return tuple(self._told_now(least).values())
 
     def alone_at(self, joint: int | None, bare: Model) -> list[Ranked]:

@@ -12,6 +12,8 @@ from seqid_cli.discover.select.rows import Channels, Part
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.typing import Array
 
+UNSHOWN = 1e-6  # of a term's largest column, in its own unit: no row shows a smaller one
+
 
 @dataclass(frozen=True, eq=False)
 class Term:
@@ -105,4 +107,4 @@ def _precision(columns: Channels, size: Array, first: Mapping[int, int] = {}) ->
         if len(X):
             own = result[first.get(c, 0) :][: X.shape[1]]
             np.maximum(own, np.mean(X**2, axis=0) / (LIKELY * size[c]) ** 2, out=own)
-    return result
+    return np.asarray(np.maximum(result, UNSHOWN**2 * result.max()))

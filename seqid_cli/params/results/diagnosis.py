@@ -222,7 +222,7 @@ def values_at(one: ChangedValues) -> str:
 def causes_in_words(one: ChangedValues) -> str:
     """Return the effects that compete for what has changed, with their probabilities."""
     causes = [
-        f"{cause.effect}{'' if cause.joint else ' of the whole arm'} ({percent(cause.probability)})"
+        f"{cause.effect}{'' if cause.joint else ' of the whole arm'} ({percent(cause.probability, 0)})"
         for cause in one.causes
     ]
     return ", ".join(causes) or "several values at once"

@@ -92,7 +92,8 @@ def diagnose(
     if file.verdict == "values_changed":
         told.screen.note("next: identify again, with logs that move the arm as these do")
     elif file.verdict in ("too_short", "nothing_seen"):
-        told.screen.note("next: record longer logs in which all joints move and rest, then diagnose again")
+        more = "longer logs in which all joints move and rest"
+        told.screen.note(f"next: record {more}, then diagnose again")
     elif file.verdict != "nothing_missing":
         smooth = "" if file.findings else " --with-unexplained"
         given = " ".join(f"-p {path}" for path in parameters) + smooth

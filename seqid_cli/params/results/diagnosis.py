@@ -221,10 +221,10 @@ def values_at(one: ChangedValues) -> str:
 
 def causes_in_words(one: ChangedValues) -> str:
     """Return the effects that compete for what has changed, with their probabilities."""
-    causes = [
-        f"{cause.effect}{'' if cause.joint else ' of the whole arm'} ({percent(cause.probability, 0)})"
-        for cause in one.causes
-    ]
+    causes = []
+    for cause in one.causes:
+        where = "" if cause.joint else " of the whole arm"
+        causes.append(f"{cause.effect}{where} ({percent(cause.probability, 0)})")
     return ", ".join(causes) or "several values at once"
 
 

@@ -32,7 +32,9 @@ class Left:
     fitted: float
     samples: int = BLOCKS * EACH
     touched: set[int] = field(default_factory=set)
-    floor: NoiseFloor = NoiseFloor(*(np.array([x]) for x in (FLOOR, 0.9, HIGH)))
+    floor: NoiseFloor = field(
+        default_factory=lambda: NoiseFloor(*(np.array([x]) for x in (FLOOR, 0.9, HIGH)))
+    )
 
     @property
     def start(self) -> Array:

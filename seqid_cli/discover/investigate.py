@@ -138,7 +138,6 @@ def investigate(
     whole = Ground.of(rows, stages)
     file = FileResidual.of(whole)
     found = select(whole)
-    del whole  # memory: not needed any more where samples are taken out
     step("looking for events", 8, 10)
     first = found.model
     gone = guessed(first)

@@ -89,11 +89,11 @@ def predicted_better(found: Investigation, joint: int) -> bool:
 def _squares(found: Investigation, joint: int) -> tuple[Array, Array]:
     """Squared errors (blocks,) of the model on blocks it was not fitted to, and of the file."""
     rows = found.ground.rows
-    by_block = [
-        np.bincount(rows.block[joint], residual**2, minlength=rows.blocks)
-        for residual in (found.model.linear.left_out[joint], found.ground.base.y[joint])
-    ]
-    return by_block[0], by_block[1]
+    block = rows.block[joint]
+    left_out, file = found.model.linear.left_out[joint], found.ground.base.y[joint]
+    fitted_squares = np.bincount(block, left_out**2, minlength=rows.blocks)
+    file_squares = np.bincount(block, file**2, minlength=rows.blocks)
+    return np.asarray(fitted_squares, dtype=float), np.asarray(file_squares, dtype=float)
 
 
 def verdict_of(

@@ -187,9 +187,10 @@ def base_of(rows: Rows, stages: Stages) -> Base:
 
 
 def residual_of(scene: Scene) -> Array:
-    """Torque (N, n) N m that the file's model leaves at all samples."""
+    """Torque (N, n) N m that the file's model leaves at all samples, its delays included."""
     assert scene.motion.tau is not None
-    return np.asarray(scene.motion.tau - scene.modelled_filtered)
+    logged = scene.model.late(scene.modelled_filtered, scene.motion)
+    return np.asarray(scene.motion.tau - logged)
 
 
 def has_trials(scene: Scene, joint: Joint) -> bool:

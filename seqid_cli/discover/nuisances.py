@@ -62,25 +62,34 @@ def nuisances_of(scenes: Sequence[Scene], stages: Stages) -> list[Nuisance]:
     scenes : sequence of Scene
         One per log, with the model's torque along its motion.
     stages : Stages
-        Those of the parameter file. They hold no nuisance terms yet.
+        Those of the parameter file.
 
     Returns
     -------
     list of Nuisance
-        A delay [s] of each joint's torque against its position. Within a sample a delay is the
-        logger's own; what is later or earlier is left to effects.
+        What the delay [s] of each joint's torque against its position is more than the file's.
+        Offset and asymmetry have no terms here: they are in the file's friction, which may move.
     """
+    # Within a sample a delay is the logger's own, another one in every session. Beyond that and
+    # the file's own error it is left to effects.
     sample_s = max(scene.period for scene in scenes)
+    stated = stages.friction.joints if stages.friction else {}
     slopes = [
         differentiate(scene.modelled_filtered, scene.motion.rate_hz, scene.motion.valid)[0]
         for scene in scenes
     ]
-    return [
-        Nuisance(
-            name=DELAY,
-            columns={joint: [-slope[:, joint] for slope in slopes]},
-            std=sample_s,
-            largest=sample_s,
+
+    found = []
+    for joint, name in enumerate(scenes[0].robot.joint_names):
+        terms = stated[name].nuisances if name in stated else []
+        std_error_s = next((term.std_error for term in terms if term.name == DELAY), 0.0)
+        std_s = float(np.hypot(sample_s, std_error_s))
+        found.append(
+            Nuisance(
+                name=DELAY,
+                columns={joint: [-slope[:, joint] for slope in slopes]},
+                std=std_s,
+                largest=std_s,
+            )
         )
-        for joint in range(scenes[0].robot.n)
-    ]
+    return found

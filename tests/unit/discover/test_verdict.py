@@ -129,6 +129,13 @@ def test_a_delay_that_the_file_knows_is_no_skew(monkeypatch: pytest.MonkeyPatch)
     assert selected(scenes, ["time_skew", "spring"]).taken == ()
 
 
+def test_a_delay_in_the_model_is_taken_off_before_anything_is_looked_for() -> None:
+    scenes = arm_scenes(late)
+    delays = np.full(2, LATE_S)
+    told = [replace(x, model=replace(x.model, delays_s=delays)) for x in scenes]
+    assert selected(told, ["time_skew", "spring"]).taken == ()
+
+
 def test_one_delay_may_be_that_of_all_joints(monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = arm_scenes(late)
 

@@ -89,7 +89,12 @@ def diagnose(
     show_diagnosis(told.screen, file, explain)
     show_motion(told.screen, file.motion, file.robot)
     told.tell_output()
-    if file.verdict != "nothing_missing":
+    if file.verdict == "values_changed":
+        told.screen.note("next: identify again, with logs that move the arm as these do")
+    elif file.verdict in ("too_short", "nothing_seen"):
+        more = "longer logs in which all joints move and rest"
+        told.screen.note(f"next: record {more}, then diagnose again")
+    elif file.verdict != "nothing_missing":
         smooth = "" if file.findings else " --with-unexplained"
         given = " ".join(f"-p {path}" for path in parameters) + smooth
         refine = f"seqid refine LOG... --holdout LOG... -r {robot} {given} -o refined.json"

@@ -2,33 +2,34 @@
 
 Per joint the rows are
 
-    tau - modelled = H dpi + F_j df_j + t_j d(modelled)/dt,
+    tau - modelled = H dpi + F_j df_j + X_j dc,
 
 deviations of the rigid base parameters (shared by all joints) and of the joint's own friction from
-their values in the parameter file, and a time offset between torque and position. The last is a
-nuisance: left out, clean logs show effects. So is what reversals leave of friction, which the rows
-are whitened for (see `reversals`).
+their values in the parameter file, and of the nuisance terms from what is known of them (see
+`nuisances`). Left out, these make clean logs show effects. So does what reversals leave of
+friction, which the rows are whitened for (see `reversals`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.discover.nuisances import Nuisance, nuisances_of
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.model.effects.scene import Joint, Scene
-from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, loaded_columns
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array
 
 LIKELY = 2.0  # of a column's torque beforehand, over what the file leaves
+UNSHOWN = 1e-3  # of a joint's largest bound, at least: friction that no row shows is not free
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Base:
     basis: Basis
     rigid: tuple[Array, ...]  # (M_j, b), of parameters that all joints share
     friction: tuple[Array, ...]  # (M_j, k_j)
-    timing: tuple[Array, ...]  # (M_j, 1)
+    nuisances: tuple[NuisanceRows, ...]
     y: tuple[Array, ...]  # (M_j,) N m, residual of the file's model
     prior: tuple[Array, ...]  # rows of unit variance by which the file knows deviations to be zero:
     # rigid body (m, b), then friction by joint (m_j, k_j)
@@ -47,31 +48,90 @@ class Base:
 
     @cached_property
     def bounds(self) -> list[Array]:
-        """Inverse standard deviations: rigid (b,), friction (k_j,), time offset (1,) by joint.
-
-        1 + 2 n of them, in this order.
+        """Inverse standard deviations: rigid (b,), then friction (k_j,) by joint.
 
         No column's torque is likely to be more than some times what the file leaves. That keeps
         directions harmless which the logs, or some of the folds, leave open.
         """
-        unit = [LIKELY * size if size > 0 else np.inf for size in self.start]
-        rows = sum(len(y) for y in self.y)
-        squares = [np.sum(H**2, axis=0) / u**2 for H, u in zip(self.rigid, unit, strict=True)]
-        every = zip((*self.friction, *self.timing), 2 * unit, strict=True)
-        own = [np.sqrt(np.sum(X**2, axis=0) / max(len(X), 1)) / u for X, u in every]
-        return [np.sqrt(sum(squares, np.zeros(self.basis.size)) / max(rows, 1)), *own]
+        rigid = self._likely(dict(enumerate(self.rigid)))
+        friction = []
+        for joint, columns in enumerate(self.friction):
+            likely = self._likely({joint: columns})
+            friction.append(np.maximum(likely, UNSHOWN * np.max(likely, initial=0.0)))
+        return [rigid, *friction]
 
-    def deviation(self, rigid: Array, friction: Sequence[Array]) -> list[Array]:
-        """Torque (N, n) N m of deviations (b,), (k_j,) at every sample of each data set."""
+    def nuisance_precision(self, nuisance: NuisanceRows) -> Array:
+        """Precision (1, 1) beforehand of a nuisance term's deviation."""
+        likely = self._likely(nuisance.columns)
+        return np.diag(likely**2 + nuisance.term.std**-2)
+
+    def _likely(self, columns: Mapping[int, Array]) -> Array:
+        """Inverse standard deviation (k,) of coefficients whose columns are (M_j, k) by joint."""
+        squares = np.zeros(next(iter(columns.values())).shape[1])
+        for joint, own in columns.items():
+            if self.start[joint] > 0.0:
+                squares += np.sum(own**2, axis=0) / (LIKELY * self.start[joint]) ** 2
+        samples = sum(len(own) for own in columns.values())
+        return np.asarray(np.sqrt(squares / max(samples, 1)))
+
+    def deviation(
+        self, rigid: Array, friction: Sequence[Array], nuisances: Sequence[float] = ()
+    ) -> list[Array]:
+        """Compute the torque of deviations from the file at every sample.
+
+        Parameters
+        ----------
+        rigid : (b,) array
+            Of the rigid base parameters.
+        friction : sequence of (k_j,) arrays
+            Of each joint's friction.
+        nuisances : sequence of float, optional
+            Of the nuisance terms; none by default.
+
+        Returns
+        -------
+        list of (N, n) arrays
+            N m (N where prismatic), one per data set.
+        """
         found = []
-        for whole in self.whole:
+        for number, whole in enumerate(self.whole):
             moved, torque = whole.H @ rigid.astype(np.float32), np.empty_like(whole.residual)
             for j, own in enumerate(friction):
                 for part in tiles(len(torque)):
                     torque[part, j] = friction_columns(whole.scene, whole.stage, j, part) @ own
             low = whole.scene.motion.filtered(torque, times=2)
+            own_terms = zip(nuisances, (rows.term for rows in self.nuisances), strict=False)
+            low += nuisance_torque(own_terms, number, low.shape)
             found.append(moved.astype(np.float64) + low)
         return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class NuisanceRows:
+    """A nuisance term and its columns (M_j, 1) on the rows of the joints that it touches."""
+
+    term: Nuisance
+    columns: Mapping[int, Array]
+
+    @classmethod
+    def of(cls, term: Nuisance, rows: Rows) -> NuisanceRows:
+        """Take a term's columns on rows."""
+        columns = {
+            joint: rows.torque(joint, [column[:, None] for column in per_scene])
+            for joint, per_scene in term.columns.items()
+        }
+        return cls(term=term, columns=columns)
+
+
+def nuisance_torque(
+    sizes: Iterable[tuple[float, Nuisance]], number: int, shape: tuple[int, ...]
+) -> Array:
+    """Compute the torque (N, n) of nuisance terms in data set `number`, each with its size."""
+    torque = np.zeros(shape)
+    for size, term in sizes:
+        for joint, per_scene in term.columns.items():
+            torque[:, joint] += size * per_scene[number]
+    return torque
 
 
 @dataclass(frozen=True)
@@ -93,9 +153,12 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         own_H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
         H.append(np.zeros_like(own_H))
         H[-1][:, loaded] = motion.filtered(own_H[:, loaded])
-    pairs = [(scene.modelled_filtered, scene.motion) for scene in rows.scenes]
-    timing = [differentiate(tau, motion.rate_hz, motion.valid)[0] for tau, motion in pairs]
-    left = [residual_of(scene) for scene in rows.scenes]
+    nuisances = nuisances_of(rows.scenes, stages)
+    left = []
+    for number, scene in enumerate(rows.scenes):
+        residual = residual_of(scene)
+        known = ((term.mean, term) for term in nuisances)
+        left.append(residual - nuisance_torque(known, number, residual.shape))
     law = stages.friction
     own = [
         rows.columns(({j: friction_columns(scene, law, j)} for scene in rows.scenes), 2)[j]
@@ -106,7 +169,7 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         basis=basis,
         rigid=tuple(rows.torque(j, [h[:, j] for h in H]) for j in range(robot.n)),
         friction=tuple(own),
-        timing=tuple(rows.torque(j, [t[:, j : j + 1] for t in timing]) for j in range(robot.n)),
+        nuisances=tuple(NuisanceRows.of(term, rows) for term in nuisances),
         y=y,
         prior=(
             _rigid_prior(basis, [stages.gravity, stages.inertia]),
@@ -124,9 +187,10 @@ def base_of(rows: Rows, stages: Stages) -> Base:
 
 
 def residual_of(scene: Scene) -> Array:
-    """Torque (N, n) N m that the file's model leaves at all samples."""
+    """Torque (N, n) N m that the file's model leaves at all samples, its delays included."""
     assert scene.motion.tau is not None
-    return np.asarray(scene.motion.tau - scene.modelled_filtered)
+    logged = scene.model.late(scene.modelled_filtered, scene.motion)
+    return np.asarray(scene.motion.tau - logged)
 
 
 def has_trials(scene: Scene, joint: Joint) -> bool:

@@ -157,6 +157,11 @@ class Stage:
         pairs = [(c, self._made[key]) for key, c in zip(keys, candidates, strict=True)]
         return [self.with_drive(own) if c.effect.drive else own for c, own in pairs]
 
+    def came_since(self, candidate: Candidate) -> bool:
+        """Whether friction trials would have shown a candidate that was not there in them."""
+        known = self.file is not None and has_trials(self.scenes[0], candidate.joint)
+        return known and candidate.effect.steady and not candidate.absorbed
+
     def with_drive(self, columns: Channels) -> dict[int, Array]:
         """The same columns on the rows of the drive as well, where there are some."""
         n = self.rows.n

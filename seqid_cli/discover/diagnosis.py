@@ -15,23 +15,33 @@ from seqid_cli.discover.evidence import evidence_of, left_over, pushed, rivals_o
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.whiteness import white
-from seqid_cli.discover.notes import deflection_notes, excess_residuals, expected, notes_of
+from seqid_cli.discover.notes import (
+    deflection_notes,
+    detail_of,
+    excess_residuals,
+    expected,
+    notes_of,
+)
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
+from seqid_cli.discover.verdict import changed_values, joint_states, verdict_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
+from seqid_cli.model.effects.units import UNTOLD, Value
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import diagnosis
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
 
+UNTOLD_SHARE = 0.9  # of a coefficient's variance beforehand, from which the logs tell nothing of it
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
@@ -56,15 +66,28 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
     sure = [taken for taken in found.found.effects if named(taken).confidence >= TOLD]
     findings = [_finding(found, robot, taken) for taken in sure]
+    if found.events and (contact := _contact(found, robot)).confidence >= TOLD:
+        findings.append(contact)
+        found = found.without_told_events()
+    findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
+
     functions = [_unexplained(found, robot, taken) for taken in found.found.smooth]
     first = {part.joint: part for part in sorted(functions, key=lambda part: part.share)}
     rest = sorted(first.values(), key=lambda part: -part.share)  # the largest of each joint
     ordinary = expected(found)
+    found = replace(found, floor=found.floor.with_detail(detail_of(found)))
+    states = joint_states(found, ordinary, found.floor.high)
     excess = excess_residuals(found, ordinary)
-    if found.events and (contact := _contact(found, robot)).confidence >= TOLD:
-        findings.append(contact)
-    findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
-    rest += [_excess(found, robot, j, x) for j, x in excess.items() if j not in found.touched]
+    for joint, state in enumerate(states):
+        if state == "unexplained":
+            excess.setdefault(joint, float(found.start[joint] / max(ordinary[joint], 1e-12)))
+    rest += [
+        _excess(found, robot, joint, times)
+        for joint, times in excess.items()
+        if joint not in found.touched and states[joint] != "too_short"
+    ]
+    changed = changed_values(found, robot, states)
+    named_joints = {*(part.joint for part in rest), *(one.joint for one in changed)}
     visible = sorted(found.found.visible.items(), key=lambda x: x[1])
     return diagnosis.DiagnosisFile(
         **head(diagnosis.DIAGNOSIS_SCHEMA),
@@ -72,9 +95,10 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
         inputs=[],
         parameters=[],
         stages=[],
-        verdict="effect_found" if findings else "unexplained" if rest else "nothing_missing",
+        verdict=verdict_of(findings, rest, states),
         findings=findings,
         unexplained=rest,
+        changed=changed,
         joints=_joints(found, robot),
         events=[
             diagnosis.EventEntry(
@@ -91,7 +115,7 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
             for (name, joint), share in visible
             if share < HIDDEN
         ],
-        notes=notes_of(found, robot, ordinary, excess, {part.joint for part in rest}),
+        notes=notes_of(found, robot, ordinary, excess, named_joints),
     )
 
 
@@ -127,7 +151,7 @@ def _contact(found: Investigation, robot: Robot) -> diagnosis.FindingEntry:
 
 def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.FindingEntry:
     """Describe one effect that was taken."""
-    what, model = taken.term.what, found.model
+    what, model = taken.term.what, taken.model
     assert isinstance(what, Candidate)
     effect, joints = what.effect, joints_below(taken.term.channels, found.ground.n)
     before = np.array([rms(taken.left[j]) for j in joints])
@@ -137,8 +161,8 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
     scale = np.maximum(after, 1e-12)
     above = float(np.sum((before**2 - floor**2) / scale**2))
     gone = float(np.sum((before**2 - after**2) / scale**2))
-    found_there = model.coefficients(taken.term), model.covariance(taken.term)
-    values = effect.reported(robot, what.joint, what.settings, *found_there)
+    coefficients, covariance = size_of(found, taken)
+    values = effect.reported(robot, what.joint, what.settings, coefficients, covariance)
     return diagnosis.FindingEntry(
         effect=effect.name,
         joint=robot.name_of(what.joint),
@@ -148,13 +172,44 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.Find
         confusable_with=list(name.others),
         separate_by=separate_by(effect, name.others, robot, what.joint),
         gain=taken.one.predicted.share,
-        parameters=[diagnosis.EffectParameter(**vars(value)) for value in values],
+        parameters=[_parameter(value) for value in values],
         settings=dict(what.settings),
         note=effect.lacking(robot, what.joint),
         log_gain=taken.one.predicted.total,
         evidence=evidence_of(found, robot, taken),
         rivals=rivals_of(robot, taken, name.others),
     )
+
+
+def _parameter(value: Value) -> diagnosis.EffectParameter:
+    """A physical parameter; null where the logs do not determine it."""
+    known = np.isfinite(value.std_error) and value.std_error < UNTOLD
+    return diagnosis.EffectParameter(
+        name=value.name,
+        value=value.value if known else None,
+        std_error=value.std_error if known else None,
+        unit=value.unit,
+    )
+
+
+def size_of(found: Investigation, taken: Taken) -> tuple[Array, Array]:
+    """Coefficients (k,) of an effect that was taken, and their covariance (k, k).
+
+    A change of the file's values is judged in place of what hides it. What these other terms make
+    of its size, beyond how unsure it is beside them, is an error of it as well.
+    """
+    coefficients = taken.model.coefficients(taken.term)
+    covariance = taken.model.covariance(taken.term)
+
+    # What the rows tell nothing of is as unsure as it was beforehand: it is not determined.
+    beforehand = 1.0 / np.diag(taken.term.part.precision)[: len(coefficients)]
+    untold = taken.model.variances(taken.term) > UNTOLD_SHARE * beforehand
+    covariance[untold, untold] = UNTOLD**2
+    if taken.model is found.model or taken.term not in found.model.terms:
+        return coefficients, covariance
+    moved = found.model.coefficients(taken.term) - coefficients
+    unsure = np.diag(found.model.covariance(taken.term))
+    return coefficients, covariance + np.diag(np.maximum(moved**2 - unsure, 0.0))
 
 
 def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int | None) -> str:
@@ -210,13 +265,14 @@ def _joints(found: Investigation, robot: Robot) -> dict[str, diagnosis.ResidualE
     rows, floor, entries = found.ground.stage.rows, found.floor, {}
     whites, left = white(rows, found.model.left()), found.model.rms()
     for j, name in enumerate(robot.joint_names):
-        samples = rows.count(j)
+        samples = found.file.samples[j]
+        known = samples > 0 and floor.rms[j] > 0.0
         entries[name] = diagnosis.ResidualEntry(
             rmse=float(found.start[j]) if samples else None,
-            noise_floor=float(floor.rms[j]) if samples else None,
-            noise_floor_interval=list(floor.interval(j)) if samples else [],
+            noise_floor=float(floor.rms[j]) if known else None,
+            noise_floor_interval=list(floor.interval(j)) if known else [],
             white=bool(whites[j]),
-            rmse_explained=float(left[j]) if samples else None,
+            rmse_explained=float(left[j]) if rows.count(j) else None,
             samples=samples,
             tried=tried_at(found, robot, j),
         )

@@ -64,7 +64,7 @@ class _Over:
 
 def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEntry:
     """Bin what is left without a term and with it, at its joint or the one that shows it most."""
-    term, model, stage, n = taken.term, found.model, found.ground.stage, found.ground.n
+    term, model, stage, n = taken.term, taken.model, found.ground.stage, found.ground.n
     theta = model.linear.theta[model.where(term)]
     weight, own = model.noise.weight, [c for c in term.channels if term.joint in (c % n, None)]
     channel = max(own, key=lambda c: float(weight[c] @ term.part.torque(c, theta) ** 2))

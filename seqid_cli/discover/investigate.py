@@ -6,6 +6,7 @@ and so are samples at which the torque of an effect is not known. Then the selec
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.survey.events import GATE, Interval, find_events
-from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import shrink
@@ -31,6 +32,60 @@ from seqid_cli.working import step
 AROUND_S = 0.5
 
 
+@dataclass(frozen=True, kw_only=True)
+class FileResidual:
+    """What the parameter file leaves on the rows that it sees, before anything is taken out.
+
+    `residual` (M_j,) N m (N where prismatic) is by joint, on the joint's rows; `counts` (M_j,) says
+    which of these count.
+    """
+
+    rows: Rows
+    residual: tuple[Array, ...]
+    counts: tuple[Mask, ...]
+
+    @classmethod
+    def of(cls, ground: Ground) -> "FileResidual":
+        """Take the residual of all rows."""
+        residual = ground.base.y
+        return cls(
+            rows=ground.stage.rows,
+            residual=residual,
+            counts=tuple(np.ones(len(values), dtype=bool) for values in residual),
+        )
+
+    def without(self, masks: Sequence[Mask]) -> "FileResidual":
+        """The same without some samples (N, n) of each log."""
+        counts = []
+        for joint, kept in enumerate(self.counts):
+            gone = self.rows.of(joint, [mask[:, joint].astype(np.float64) for mask in masks])
+            counts.append(kept & (gone == 0.0))
+        return replace(self, counts=tuple(counts))
+
+    @cached_property
+    def samples(self) -> list[int]:
+        """Number of each joint's rows."""
+        return [int(np.count_nonzero(kept)) for kept in self.counts]
+
+    @cached_property
+    def rms(self) -> Array:
+        """RMS (n,) N m; 0 of a joint without rows."""
+        pairs = zip(self.residual, self.counts, strict=True)
+        return np.array([rms(values[kept]) for values, kept in pairs])
+
+    @cached_property
+    def rms_by_log(self) -> Array:
+        """RMS (logs, n) N m; NaN where a log has no row of a joint."""
+        scenes = self.rows.scenes
+        numbers = [np.full(scene.samples, number) for number, scene in enumerate(scenes)]
+        found = np.full((len(scenes), self.rows.n), np.nan)
+        for joint, (values, kept) in enumerate(zip(self.residual, self.counts, strict=True)):
+            log = self.rows.of(joint, numbers)
+            for number in np.unique(log[kept]):
+                found[number, joint] = rms(values[kept & (log == number)])
+        return found
+
+
 @dataclass(frozen=True)
 class Investigation:
     """Everything that a diagnosis is made from."""
@@ -39,6 +94,7 @@ class Investigation:
     found: Selected
     floor: NoiseFloor
     events: tuple[Interval, ...]
+    file: FileResidual
 
     @property
     def model(self) -> Model:
@@ -52,8 +108,14 @@ class Investigation:
 
     @property
     def start(self) -> Array:
-        """RMS (n,) N m of the file's own residual."""
-        return self.ground.base.start
+        """RMS (n,) N m of the file's own residual, on all rows that it sees."""
+        return self.file.rms
+
+    def without_told_events(self) -> "Investigation":
+        """The same where samples of events do not count for the file: a finding stands for them."""
+        masks = [np.zeros_like(scene.slides) for scene in self.file.rows.scenes]
+        _mark(self.events, self.file.rows.scenes, masks)
+        return replace(self, file=self.file.without(masks))
 
     @property
     def touched(self) -> set[int]:
@@ -73,14 +135,14 @@ def investigate(
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     step("choosing effects", 4, 10)
-    found = select(Ground.of(rows, stages))
+    whole = Ground.of(rows, stages)
+    file = FileResidual.of(whole)
+    found = select(whole)
     step("looking for events", 8, 10)
     first = found.model
     gone = guessed(first)
     events = events_of(first, gone)
-    for event in events:  # and what feels them through the low-pass
-        scene = rows.scenes[event.scene]
-        gone[event.scene][event.inside(scene, 0.5 / scene.motion.lowpass.cutoff_hz)] = True
+    _mark(events, rows.scenes, gone)
     sure = rows.without(gone)
     step("choosing effects again", 8, 10)
     if not all(map(np.array_equal, sure.used, rows.used)):
@@ -91,7 +153,15 @@ def investigate(
     rows = told.model.ground.stage.rows
     echo = encoder_residuals(logs, rows.scenes)
     floor = noise_floor(logs, rows.scenes, told.model.left(), echo, rows=rows)
-    return Investigation(tuple(logs), told, floor, tuple(events))
+    return Investigation(tuple(logs), told, floor, tuple(events), file)
+
+
+def _mark(events: Sequence[Interval], scenes: Sequence[Scene], masks: Sequence[Mask]) -> None:
+    """Mark samples of events in masks (N, n), and those that feel them through the low-pass."""
+    for event in events:
+        scene = scenes[event.scene]
+        reach_s = 0.5 / scene.motion.lowpass.cutoff_hz
+        masks[event.scene][event.inside(scene, reach_s)] = True
 
 
 def investigate_beside(
@@ -110,13 +180,15 @@ def investigate_beside(
     all was looked for. Events are those of before.
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
-    found = select_among(Ground.of(rows, stages), HELD, candidates)
+    ground = Ground.of(rows, stages)
+    found = select_among(ground, HELD, candidates)
     told = found.largest()
     look = all(one.one.predicted.share <= Options.improvement for one in told.taken)
     if look:
         found.finish()
         told = found.told(0.0)
-    return replace(before, logs=tuple(logs), found=told), look
+    file = FileResidual.of(ground)
+    return replace(before, logs=tuple(logs), found=told, file=file), look
 
 
 def guessed(model: Model) -> list[Mask]:

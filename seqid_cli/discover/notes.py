@@ -7,9 +7,9 @@ import numpy as np
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
-from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.rows import doubt_of
+from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.survey.rows import extrapolated
+from seqid_cli.discover.verdict import predicted_worse
 from seqid_cli.identify.imu_calibration.calibrate import deflecting
 from seqid_cli.identify.prediction.predict import OUTSIDE_NOTE
 from seqid_cli.motion.torque_noise import DETAIL
@@ -19,17 +19,21 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
-FITTED = 0.5  # of what the file leaves, below which its values are to blame
 DEFLECTING = ("joint_elasticity", "backlash")
-OFFSET_SHOWS = 0.7  # of what is left: torque of a time offset that is worth a note
+OFFSET_SHOWS = 0.7  # of what is left: torque of a delay that is worth a note
+
+
+def detail_of(found: Investigation) -> Array:
+    """RMS (n,) N m of the detail of the torque that no model is held to have."""
+    rows = found.ground.stage.rows
+    torque = [scene.modelled_filtered for scene in rows.scenes]
+    own = [rows.torque(j, [tau[:, j] for tau in torque]) for j in range(rows.n)]
+    return np.array([DETAIL * rms(values) for values in own])
 
 
 def expected(found: Investigation) -> Array:
     """RMS (n,) N m that a right model leaves: the noise floor and a detail of the torque."""
-    rows = found.ground.stage.rows
-    torque = [scene.modelled_filtered for scene in rows.scenes]
-    detail = [DETAIL * rms(rows.torque(j, [tau[:, j] for tau in torque])) for j in range(rows.n)]
-    return np.hypot(found.floor.rms, detail)
+    return np.hypot(found.floor.rms, detail_of(found))
 
 
 def excess_residuals(found: Investigation, ordinary: Array) -> dict[int, float]:
@@ -52,14 +56,14 @@ def notes_of(
     unexplained: Collection[str],
 ) -> list[str]:
     """All that a diagnosis says beside its findings and `unexplained` joints."""
-    offsets, names = shown_offsets(found), robot.joint_names
-    named = {*unexplained, *(names[j] for j in (*offsets, *excess))}
+    delays, names = shown_delays(found), robot.joint_names
+    named = {*unexplained, *(names[j] for j in (*delays, *excess))}
     return [
         *(
-            f"joint {names[j]}: torque is {1e3 * abs(offset):.1f} ms "
-            f"{'early' if offset > 0 else 'late'} against position, less than a sample, and taken "
+            f"joint {names[j]}: torque is {1e3 * abs(delay):.1f} ms "
+            f"{'late' if delay > 0 else 'early'} against position, less than a sample, and taken "
             "for the logger's own; logs at a higher rate would tell a skew or a lag"
-            for j, offset in offsets.items()
+            for j, delay in delays.items()
         ),
         *(
             f"joint {names[j]}: what is left is {times:.1f} times what torque noise and encoder "
@@ -75,6 +79,7 @@ def notes_of(
             if isinstance(one.term.what, Candidate) and one.term.what.absorbed
         ),
         *outside_notes(found, robot, ordinary),
+        *unseen_note(found, robot),
         *_free_base_notes(found, robot),
         *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joints),
     ]
@@ -85,28 +90,34 @@ def file_notes(
 ) -> tuple[str, ...]:
     """Joints at which the file leaves more than `ordinary` though nothing is found or `named`."""
     notes, usual = [], np.maximum(ordinary, 1e-12)
-    for j, left in enumerate(np.minimum(found.model.rms(), found.start)):
-        name, times, anew = robot.joint_names[j], found.start[j] / usual[j], left / usual[j]
+    for j, name in enumerate(robot.joint_names):
+        times = found.start[j] / usual[j]
         if times <= MORE_THAN_NOISE or j in found.touched or name in named:
             continue
-        many = f"joint {name}: the file leaves {times:.1f} times what torque noise and encoder do"
-        if left < FITTED * found.start[j]:
-            notes.append(
-                f"{many}, its model fitted to these logs {anew:.1f} times: the form is right, the "
-                "values are not; identify with logs that move the arm as these do"
-            )
-        else:
-            notes.append(f"{many}, but that does not go with the motion, as slow noise does not")
+        notes.append(
+            f"joint {name}: the file leaves {times:.1f} times what torque noise and encoder do, "
+            "but that does not go with the motion, as slow noise does not"
+        )
     return tuple(notes)
+
+
+def unseen_note(found: Investigation, robot: Robot) -> tuple[str, ...]:
+    """Joints of which no sample could be looked at."""
+    names = [joint.name for joint, n in zip(robot.joints, found.file.samples, strict=True) if not n]
+    if not names:
+        return ()
+    return (
+        f"no sample of {', '.join(names)} could be looked at: samples count where a joint surely "
+        "slides, at speeds and positions at which friction was identified, in at least three parts "
+        "of the logs; record motions of some ten seconds in which it does",
+    )
 
 
 def _free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Joints without a finding that a model fitted to these logs surely predicts worse."""
-    rows, left, worse = found.ground.rows, found.model.rms(), list[str]()
+    left, worse = found.model.rms(), list[str]()
     for j, joint in ((j, x) for j, x in enumerate(robot.joints) if j not in found.touched):
-        both = found.model.linear.left_out[j], found.ground.base.y[j]
-        free, file = (np.bincount(rows.block[j], r**2, minlength=rows.blocks) for r in both)
-        if doubt_of(free - (1.0 + Options.improvement) * file) <= Options.doubt:
+        if predicted_worse(found, j):
             sizes = f"{left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')}"
             worse.append(f"{joint.name} ({sizes})")
     note = (
@@ -155,9 +166,14 @@ def deflection_notes(stages: Stages, robot: Robot) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def shown_offsets(found: Investigation) -> dict[int, float]:
-    """Time offsets s of the base by joint, where they show."""
-    model, timing = found.model, found.ground.base.timing
-    size = [abs(offset) * rms(column) for offset, column in zip(model.offsets, timing, strict=True)]
-    shows = np.array(size) > OFFSET_SHOWS * model.noise.sigma[: len(size)]
-    return {j: offset for j, offset in enumerate(model.offsets) if model.timed[j] and shows[j]}
+def shown_delays(found: Investigation) -> dict[int, float]:
+    """Delay [s] of each joint's torque in the base, where it shows."""
+    model, joints = found.model, dict[int, float]()
+    for rows in found.ground.base.nuisances:
+        term = rows.term
+        if term.joint is None or term.joint not in model.delays or term.name != DELAY:
+            continue
+        size = abs(model.delays[term.joint]) * rms(rows.columns[term.joint])
+        if size > OFFSET_SHOWS * model.noise.sigma[term.joint]:
+            joints[term.joint] = model.delays[term.joint]
+    return joints

@@ -4,7 +4,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from seqid_cli.params.results.diagnosis import UnexplainedPart, nothing_found, times_noise
+from seqid_cli.params.results.diagnosis import (
+    UnexplainedPart,
+    nothing_found,
+    times_noise,
+    values_at,
+)
 from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.schema import ClosedLoop, ParameterFile, Stages, Verdict
 from seqid_cli.report.collection import Collection, Prediction, of_kind
@@ -215,8 +220,11 @@ def _diagnosis_points(collection: Collection) -> Iterator[Point]:
                     f"explains {percent(finding.explains, 0)} of the residual above the noise)"
                 )
                 yield Point("open", text, item.path, command=refine)
-        if file.verdict == "nothing_missing" and file.leaves_more:
+        silent = file.verdict in ("too_short", "nothing_seen")
+        if silent or (file.verdict == "nothing_missing" and file.leaves_more):
             yield Point("open", nothing_found(file), item.path)
+        for one in file.changed:
+            yield Point("open", f"the file's values do not hold: {values_at(one)}", item.path)
         for part in file.unexplained:
             yield Point("open", f"{unexplained(part)}, but fits no known effect", item.path)
 

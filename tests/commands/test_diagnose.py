@@ -17,6 +17,8 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.results.diagnosis import (
     DIAGNOSIS_SCHEMA,
+    ChangeCause,
+    ChangedValues,
     DiagnosisFile,
     FindingEntry,
     UnexplainedPart,
@@ -50,6 +52,27 @@ FOUND = structs.replace(
 )
 REST = structs.replace(FOUND, findings=[], unexplained=[], events=[], hidden=[])
 NOTHING = structs.replace(REST, verdict="nothing_missing")
+CHANGED = structs.replace(
+    REST,
+    verdict="values_changed",
+    changed=[
+        ChangedValues(
+            joint="elbow",
+            rmse=0.3,
+            floors=3.0,
+            rmse_refitted=0.12,
+            since="b.parquet",
+            causes=[
+                ChangeCause(
+                    effect="friction_change", joint="elbow", probability=0.55, log_gain=461.0
+                ),
+                ChangeCause(effect="payload", joint=None, probability=0.45, log_gain=458.0),
+            ],
+        )
+    ],
+)
+SHORT = structs.replace(REST, verdict="too_short")
+UNSEEN = structs.replace(REST, verdict="nothing_seen", joints={"shoulder": FILE.joints["shoulder"]})
 PART = UnexplainedPart(joint="elbow", depends_on=[], share=0.3)
 OPEN = structs.replace(REST, verdict="unexplained", unexplained=[OTHER, PART])
 
@@ -100,7 +123,15 @@ def test_the_document(rig: Rig, library: Library) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "result", "calls"), [("found", FOUND, 4), ("nothing", NOTHING, 2), ("open", OPEN, 2)]
+    ("name", "result", "calls"),
+    [
+        ("found", FOUND, 4),
+        ("nothing", NOTHING, 2),
+        ("open", OPEN, 2),
+        ("changed", CHANGED, 2),
+        ("short", SHORT, 1),
+        ("unseen", UNSEEN, 1),
+    ],
 )
 def test_what_the_user_sees(
     rig: Rig, library: Library, name: str, result: DiagnosisFile, calls: int

@@ -23,10 +23,12 @@ def show_diagnosis(screen: Screen, file: diagnosis.DiagnosisFile, joint: str | N
     if joint is None:
         screen.result(verdict_sentence(file))
     elif not findings and not parts:
-        screen.result(f"{joint}: nothing was found.")
+        screen.result(nothing_found_at(file, joint))
     show_poor(screen, file.verdicts, "diagnosis")
     _findings(screen, findings, file.robot, why=why)
     _unexplained(screen, parts, file.robot, why=why)
+    changed = [one for one in file.changed if one.joint == (joint or one.joint)]
+    screen.values(tables.changed_values(changed, file.robot))
     screen.values(tables.joint_residuals(joints, file.robot))
     if joint is not None:
         screen.values(tables.rivals(joints[joint].tried, "tried beside that"))
@@ -54,15 +56,29 @@ def _places(item: diagnosis.FindingEntry, file: diagnosis.DiagnosisFile) -> Coll
 
 def verdict_sentence(file: diagnosis.DiagnosisFile) -> str:
     """Return the verdict in one sentence."""
-    if file.verdict == "nothing_missing":
+    if file.verdict in ("nothing_missing", "too_short", "nothing_seen"):
         return diagnosis.nothing_found(file)
+    if file.verdict == "values_changed":
+        return diagnosis.values_sentence(file)
     rest = "; ".join(f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained)
     if file.verdict == "unexplained":
         where = f" ({rest})" if rest else ""
         return f"Something is missing that no known effect explains{where}."
     found = ", ".join(effect_at(item.effect, item.joint) for item in file.findings)
     more = f"; a part stays unexplained ({rest})" if rest else ""
-    return f"The model lacks {found}{more}."
+    changed = ", ".join(one.joint for one in file.changed)
+    values = f"; its values do not hold at {changed}" if changed else ""
+    return f"The model lacks {found}{more}{values}."
+
+
+def nothing_found_at(file: diagnosis.DiagnosisFile, joint: str) -> str:
+    """Return the sentence of a joint at which no effect was found."""
+    changed = [one for one in file.changed if one.joint == joint]
+    if changed:
+        return diagnosis.values_at(changed[0])
+    if file.joints[joint].samples == 0:
+        return f"{joint}: no sample could be looked at."
+    return f"{joint}: nothing was found."
 
 
 def effect_at(effect: str, joint: str | None) -> str:
@@ -106,14 +122,14 @@ def parameters_text(item: diagnosis.FindingEntry | EffectOfJoint) -> str:
         return "not determined by these logs"
     if item.effect == UNEXPLAINED:
         return smooth_in_words(item.parameters, item.settings)
-    told = [x for x in item.parameters if x.std_error < UNTOLD]
+    told = [x for x in item.parameters if x.std_error is not None and x.std_error < UNTOLD]
     texts = [f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}" for x in told]
     named, units = {x.name for x in item.parameters}, setting_units(item.effect)
     for name, value in item.settings.items():
         if name not in named:
             text = value if isinstance(value, str) else number(value)
             texts.append(f"{name} {text}{_unit(units.get(name, ''))}")
-    untold = [x.name for x in item.parameters if x.std_error >= UNTOLD]
+    untold = [x.name for x in item.parameters if x not in told]
     texts += [f"not determined: {', '.join(untold)}"] if untold else []
     return ", ".join(texts)
 

@@ -57,6 +57,10 @@ class NoiseFloor:
     low: Array
     high: Array
 
+    def with_detail(self, detail: Array) -> "NoiseFloor":
+        """The same where a right model may leave a detail, RMS (n,) N m, beside the noise."""
+        return replace(self, high=np.hypot(self.high, detail))
+
     def interval(self, joint: int) -> tuple[float, float]:
         """95 % interval of one joint's floor, N m."""
         return float(self.low[joint]), float(self.high[joint])

@@ -12,6 +12,7 @@ from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import Base, base_of
 from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
 from seqid_cli.discover.noise.floor import rms
+from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.noise import Noise, settled
@@ -38,13 +39,21 @@ class Hold:
         """By how much friction of a joint may move."""
         return self.own[joint] if self.own else self.rigid
 
-    def others(self, number: int, joints: int) -> Iterator[Hold]:
-        """The same with the rigid body (0), or friction of a joint (from 1), held otherwise."""
+    def others(self, number: int, joints: int, loosest: float = SCALES[-1]) -> Iterator[Hold]:
+        """The same with the rigid body (0), or friction of a joint (from 1), held otherwise.
+
+        None by more than `loosest` of the file's errors.
+        """
         own = [self.of(j) for j in range(joints)]
-        for scale in SCALES:
+        for scale in (scale for scale in SCALES if scale <= loosest):
             if scale != [self.rigid, *own][number]:
                 each = [*own[: number - 1], scale, *own[number:]] if number else own
                 yield replace(self, rigid=self.rigid if number else scale, own=tuple(each))
+
+    def capped(self, most: float) -> Hold:
+        """The same where nothing may move by more than so many of the file's errors."""
+        own = tuple(min(scale, most) for scale in self.own)
+        return replace(self, rigid=min(self.rigid, most), own=own)
 
     def doubt(self, joints: int, *, spread: float = 0.8) -> float:
         """Log odds against standard errors that are so many times too small, part by part.
@@ -95,11 +104,6 @@ class Ground:
         every = [scene.modelled_filtered for scene in rows.scenes]
         return tuple(rows.torque(j, [tau[:, j] for tau in every]) for j in range(rows.n))
 
-    @property
-    def own_offset(self) -> float:
-        """Time [s] by which torque may be early or late at any drive: one sample."""
-        return max(scene.period for scene in self.stage.scenes)
-
     def smooth_terms(self, joint: int, *, products: bool = False) -> list[Term]:
         """Smooth functions of everything measured, or of two quantities, for one joint."""
         key, make = (joint, products), smooth_products if products else smooth_functions
@@ -114,17 +118,20 @@ class Ground:
         rows = np.vstack([self.base.prior[number] / scale, np.diag(self.base.bounds[number])])
         return rows.T @ rows
 
-    def parts(self, hold: Hold, timed: Sequence[bool]) -> list[Part]:
-        """The base: rigid body, friction by joint, time offset by joint where it has its own."""
+    def parts(self, hold: Hold, free: Sequence[bool]) -> list[Part]:
+        """The base: rigid body, friction by joint, nuisance terms where they are `free`."""
         base, stage, joints, n = self.base, self.stage, range(self.n), self.n
         drives = [j for j in joints if stage.drive.of(j)]
         rigid, *friction = [self.precision(hold, number) for number in range(1 + n)]
-        timing = [np.diag(bound**2 + self.own_offset**-2) for bound in base.bounds[1 + n :]]
-        bare, *own = [np.diag(bound**2) for bound in base.bounds[: 1 + n]]
+        bare, *own = [np.diag(bound**2) for bound in base.bounds]
+        nuisances = [
+            Part(dict(rows.columns) if shown else {}, base.nuisance_precision(rows))
+            for rows, shown in zip(base.nuisances, free, strict=True)
+        ]
         return [
             Part(dict(enumerate(base.rigid)), rigid, bare),
             *(Part(stage.with_drive({j: base.friction[j]}), friction[j], own[j]) for j in joints),
-            *(Part({j: base.timing[j]} if timed[j] else {}, timing[j]) for j in joints),
+            *nuisances,
             *(stage.drive.part(j, 2 * n + j, self.size[2 * n + j]) for j in drives),
         ]
 
@@ -135,23 +142,27 @@ class Model:
     def __init__(self, ground: Ground, hold: Hold, candidates: Sequence[Candidate] = ()) -> None:
         self.ground, self.hold = ground, hold
         self.terms: list[Term] = []
-        self.timed = (True,) * ground.n
+        self.free = (True,) * len(ground.base.nuisances)
         self.settle()
         if candidates:
             self.add(candidates)
 
     def settle(self) -> None:
-        """Fit all anew; an offset that is more than every drive has is left to effects."""
+        """Fit all anew; a nuisance that is larger than any drive has it is left to effects."""
         g = self.ground
-        self._base = g.parts(self.hold, self.timed)
+        self._base = g.parts(self.hold, self.free)
         parts = [*self._base, *(term.part for term in self.terms)]
         self.linear, self.noise = settled(g.stage, g.rows, g.size, parts)
         self._fitted = tuple(self.terms)
         self.__dict__.pop("deviation", None)  # of the model before
-        pairs = zip(self.timed, self.offsets, strict=True)
-        timed = tuple(own and abs(offset) <= g.own_offset for own, offset in pairs)
-        if timed != self.timed:
-            self.timed = timed
+        free = tuple(
+            shown and abs(size) <= rows.term.largest
+            for shown, size, rows in zip(
+                self.free, self.nuisance_sizes, g.base.nuisances, strict=True
+            )
+        )
+        if free != self.free:
+            self.free = free
             self.settle()
 
     def rescale(self) -> bool:
@@ -161,12 +172,15 @@ class Model:
         self.settle()
         return best is not first
 
-    def margin(self, without: Linear) -> float:
-        """Log evidence against the model without a term, its base held as explains it best."""
-        own = self.linear.evidence - self.hold.doubt(self.ground.n)
-        return own - self._best_hold(without)[1]
+    def margin(self, without: Linear, loosest: float = SCALES[-1]) -> float:
+        """Log evidence against the model without a term, its base held as explains it best.
 
-    def _best_hold(self, linear: Linear) -> tuple[Hold, float]:
+        It may leave the file by up to `loosest` of the file's errors.
+        """
+        own = self.linear.evidence - self.hold.doubt(self.ground.n)
+        return own - self._best_hold(without, loosest)[1]
+
+    def _best_hold(self, linear: Linear, loosest: float = SCALES[-1]) -> tuple[Hold, float]:
         """The hold that the evidence prefers, part by part, and its evidence less its doubt."""
         n = self.ground.n
         best, most = self.hold, linear.evidence - self.hold.doubt(n)
@@ -174,7 +188,7 @@ class Model:
         for number, at in enumerate(linear.where[: 1 + n]):
             first = best
             held, gains = self.ground.precision(first, number), {first: 0.0}
-            for hold in first.others(number, n):
+            for hold in first.others(number, n, loosest):
                 gains[hold] = model.gained(at, held, self.ground.precision(hold, number))
                 if known + gains[hold] - hold.doubt(n) > most:
                     best, most = hold, known + gains[hold] - hold.doubt(n)
@@ -184,10 +198,23 @@ class Model:
         return best, most
 
     @property
-    def offsets(self) -> list[float]:
-        """Time [s] by which each joint's torque is early against its position."""
-        n = self.ground.n
-        return [float(self.linear.theta[at][0]) for at in self.linear.where[1 + n : 1 + 2 * n]]
+    def nuisance_sizes(self) -> list[float]:
+        """Deviation of each nuisance term from what was known of it, in its own unit."""
+        first = 1 + self.ground.n
+        where = self.linear.where[first : first + len(self.free)]
+        return [float(self.linear.theta[at][0]) for at in where]
+
+    @property
+    def delays(self) -> dict[int, float]:
+        """Time [s] by which each joint's torque is late, where that is the joint's own nuisance."""
+        found = dict[int, float]()
+        for size, shown, rows in zip(
+            self.nuisance_sizes, self.free, self.ground.base.nuisances, strict=True
+        ):
+            term = rows.term
+            if shown and term.name == DELAY and term.joint is not None:
+                found[term.joint] = size
+        return found
 
     def where(self, term: Term) -> slice:
         """Where a term's coefficients stand in the solution."""
@@ -257,7 +284,9 @@ class Model:
 
     def _deviation(self, theta: Array) -> list[Array]:
         rigid, *friction = [theta[at] for at in self.linear.where[: 1 + self.ground.n]]
-        return self.ground.base.deviation(rigid, friction)
+        first = 1 + self.ground.n
+        where = self.linear.where[first : first + len(self.free)]
+        return self.ground.base.deviation(rigid, friction, [float(theta[at][0]) for at in where])
 
     @property
     def candidates(self) -> list[Candidate]:
@@ -290,6 +319,11 @@ class Model:
     def coefficients(self, term: Term) -> Array:
         """A term's coefficients (k,), those below the cut-off where it has others above."""
         return self.linear.theta[self.where(term)][: term.what.size]
+
+    def variances(self, term: Term) -> Array:
+        """Variance (k,) of these coefficients given all rows, by the noise alone."""
+        first = self.where(term).start
+        return np.asarray(np.diag(self.linear.covariance)[first : first + term.what.size])
 
     def covariance(self, term: Term) -> Array:
         """Covariance (k, k) of these coefficients, no narrower than they scatter over blocks."""

@@ -14,6 +14,7 @@ Effects of `Taken.instead` count by their evidence.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +74,18 @@ def named(taken: Taken, left: float = 1.0) -> Named:
     return Named(there * (own + sum(others.values())), by_itself, every)
 
 
+def probable_names(taken: Taken, *, of_most: float = 0.5) -> set[str]:
+    """Names that are at least `of_most` as probable as the most probable one.
+
+    Only these head a finding: a law with fewer parameters is no better name where it fits less.
+    """
+    if taken.term.smooth:
+        return {rival.term.name for rival in taken.rivals}
+    shares = _shares(taken)
+    most = max(shares.values())
+    return {name for name, share in shares.items() if share >= of_most * most}
+
+
 def _shares(taken: Taken) -> dict[str, float]:
     """Probability of each name."""
     scale, gains = tempered(taken.one.predicted.total), dict[str, Array]()
@@ -83,6 +96,11 @@ def _shares(taken: Taken) -> dict[str, float]:
         for name, behind in taken.instead.items():
             own = gains[taken.term.name] - behind / scale
             gains[name] = np.maximum(gains.get(name, own), own)
+    return shares_of(gains)
+
+
+def shares_of(gains: Mapping[str, Array]) -> dict[str, float]:
+    """Probability of each name, from tempered gains (DRAWS,) over drawn weights of the blocks."""
     best = np.stack(list(gains.values()), axis=1)
     odds = np.exp(best - best.max(axis=1, keepdims=True))
     shares = np.mean(odds / odds.sum(axis=1, keepdims=True), axis=0)

@@ -74,6 +74,7 @@ class Taken:
     left: Sequence[Array]  # (M_c,) N m by channel: left-out blocks by the model without it
     evidence: float
     share: float
+    model: Model  # that it is judged in
     instead: Mapping[str, float]  # effects that may stand in its place, log evidence they lack
     varied: float  # log evidence that its size is another one in every block
     untried: tuple[str, ...] = ()  # look alike, but these logs lack the channels to look for them

@@ -55,11 +55,27 @@ class Search:
 
     def near(self, term: Term, linear: Linear) -> list[Tried]:
         """What may be at the place of a term, beside a model without it."""
-        tuner = self._tuner(linear)
         candidates = self._candidates(self._joints_of(term), but=term)
+        return [*self._best_of(candidates, linear), *self._first_functions(linear, term.channels)]
+
+    def at(self, joint: int | None, bare: Model) -> list[Tried]:
+        """What may be at a joint (None: of the whole arm) beside a model that has nothing there."""
+        joints = range(bare.ground.n) if joint is None else (joint,)
+        functions = self._first_functions(bare.linear, frozenset(joints))
+        return [*self.effects_at(joint, bare), *functions]
+
+    def effects_at(self, joint: int | None, bare: Model) -> list[Tried]:
+        """The effects among these."""
+        scenes = bare.ground.stage.scenes
+        candidates = list(candidates_of(scenes, self.catalogue, bare.left(), {joint}))
+        return self._best_of(candidates, bare.linear)
+
+    def _best_of(self, candidates: Sequence[Candidate], linear: Linear) -> list[Tried]:
+        """Effects at their best settings beside a model."""
+        tuner = self._tuner(linear)
         first, reach = _shortlist(best_of(tuner.tried(candidates), shape_of))
         found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
-        return [*_best_settings(found), *self._first_functions(linear, term.channels)]
+        return _best_settings(found)
 
     def _effects(self, had: Collection[Key]) -> list[Tried]:
         """Effects, each at its best settings."""

@@ -17,9 +17,10 @@ from scipy.special import ndtri
 
 from seqid_cli.discover.base import has_trials
 from seqid_cli.discover.candidates import Candidate
+from seqid_cli.discover.select.changes import MOST_ERRORS, value_changes
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
-from seqid_cli.discover.select.naming import TOLD, reality
+from seqid_cli.discover.select.naming import TOLD, probable_names, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Key, Ranked, Selected, Taken, Weighed, again
@@ -100,6 +101,8 @@ class Selection:
         self._tied: dict[Key, list[Term]] = {}
         # Terms of other finished models, and the log evidence by which these are behind.
         self.others: list[tuple[float, tuple[Term, ...]]] = []
+        self._value_changes: dict[Term, Taken] = {}  # terms that are told whatever stands beside
+        self._stood_for: set[Key] = set()  # what they are told in place of
 
     def worth(self, noise: Noise) -> float:
         """Evidence under a noise, less what simpler models are granted.
@@ -169,13 +172,13 @@ class Selection:
         best = self._simplest(able)
         if best is None:
             return None
-        tied = [one.term for one in able if self._as_good(one, able[0])]
+        tied = [one.term for one in able if self.as_good(one, able[0])]
         self._tied[best.term.key] = [term for term in tied if not term.smooth]
         return best.term
 
     def _simplest(self, ranked: Sequence[Ranked]) -> Ranked | None:
         """Of the best and those that are as good the one with the fewest parameters."""
-        near = [one for one in ranked if self._as_good(one, ranked[0])]
+        near = [one for one in ranked if self.as_good(one, ranked[0])]
         return min(near, key=lambda one: (one.term.freedom, -one.gained.evidence), default=None)
 
     def _passes(self, one: Ranked) -> bool:
@@ -184,7 +187,7 @@ class Selection:
         sure = one.gained.evidence > options.chance and told.doubt < options.doubt
         return sure and told.share > options.improvement
 
-    def _as_good(self, one: Ranked, best: Ranked) -> bool:
+    def as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
         options, first, own = self.options, best.predicted, one.predicted
         errors = -float(ndtri(options.doubt))  # standard ones, by which doubt is no more than that
@@ -212,28 +215,58 @@ class Selection:
 
         Without what is less likely than `least` to be there. What may be the error of another
         term's law stays in the model, for that term's sake, and is not told. A simpler rival that
-        does as well takes a term's place.
+        does as well takes a term's place. A change of the file's values stands for what hides it.
         """
-        tried, told = _ranked(self.model.linear, self._tried), self._all_taken(least)
+        tried = _ranked(self.model.linear, self._tried)
+        told = self._with_value_changes(self._all_taken(least), least)
         hidden = {k: share for k, share in self._search.visible.items() if k not in self.keys}
         left = tuple(one for one in tried if one.term.key not in self.keys)
         return Selected(self.model, told, hidden, left)
 
+    def _with_value_changes(self, told: tuple[Taken, ...], least: float) -> tuple[Taken, ...]:
+        """Tell changes of the file's values in place of the terms that hide them.
+
+        These stay in the model, for the sake of the other terms.
+        """
+        found = value_changes(self, told, least)
+        if not found:
+            return told
+        model = self.model
+        for change in found:
+            term = change.taken.term
+            keys = [one.key for one in model.terms]
+            if term.key in keys:
+                model.terms[keys.index(term.key)] = term
+            else:
+                model.terms.append(term)
+            self._value_changes[term] = change.taken
+            self._stood_for |= {one.key for one in change.instead_of}
+            self._search.changed(term)
+        model.hold = model.hold.capped(MOST_ERRORS)  # what made it leave the file is a term now
+        model.settle()
+        model.rescale()
+        return tuple(self._told_now(least).values())
+
+    def alone_at(self, joint: int | None, bare: Model) -> list[Ranked]:
+        """What may be at a joint (None: the whole arm) beside a model, the largest gain first."""
+        return _ranked(bare.linear, self._search.at(joint, bare))
+
     def largest(self) -> Selected:
         """Of the effects that were taken the one of the largest gain, with its rivals."""
         weighed = [Weighed(term, self.model) for term in self.model.terms if not term.smooth]
-        told = [own for own in weighed if self._is_told(own, 0.0)]
+        told = [own for own in weighed if self.is_told(own, 0.0)]
         first = sorted(told, key=lambda own: _by_gain(own.one))[:1]
-        return Selected(self.model, tuple(map(self._taken, first)), {})
+        return Selected(self.model, tuple(map(self.taken_of, first)), {})
 
-    def _is_told(self, own: Weighed, least: float) -> bool:
+    def is_told(self, own: Weighed, least: float) -> bool:
         """Whether a term is worth it beside all others, likely, and by itself."""
-        model, one = self.model, own.one
+        model, one = own.model, own.one
         worth = self._passes(one) and own.share > self.options.improvement
         if not (worth and reality(own.share, own.evidence) >= least):
             return False
         # Not the error of a law either: the model's, or a term's that gains more.
-        return not (model.is_detail(one.term) or any(self._hides(x, one) for x in model.terms))
+        hidden = any(self._hides(other, one, model) for other in model.terms)
+        return not (hidden or model.is_detail(one.term))
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
         """Terms that are told, with their rivals; they give way to simpler ones."""
@@ -250,8 +283,15 @@ class Selection:
         return tuple(self._told_now(least).values())
 
     def _told_now(self, least: float) -> dict[Term, Taken]:
-        weighed = (Weighed(term, self.model) for term in self.model.terms)  # one at a time: memory
-        return {own.term: self._taken(own) for own in weighed if self._is_told(own, least)}
+        told = dict[Term, Taken]()
+        for term in self.model.terms:  # one at a time: memory
+            if term in self._value_changes:
+                told[term] = self._value_changes[term]
+                continue
+            weighed = Weighed(term, self.model)
+            if term.key not in self._stood_for and self.is_told(weighed, least):
+                told[term] = self.taken_of(weighed)
+        return told
 
     def _law_of(self, smooth: Term, told: Collection[Term]) -> Term | None:
         """An effect that a function hides, though it alone explains as much: its law errs."""
@@ -270,19 +310,34 @@ class Selection:
         """The simplest of a term and of its rivals that do as well."""
         terms = self.model.terms
         keys = gone | {one.key for one in terms if one is not taken.term and not is_wide(one)}
-        free = [r for r in taken.rivals if r.term.key not in keys and self._passes(r)]
+        probable = probable_names(taken)
+        free = [
+            rival
+            for rival in taken.rivals
+            if rival.term.key not in keys
+            and self._passes(rival)
+            and (rival.term.smooth or rival.term.name in probable)
+        ]
         return (self._simplest(free) or taken.one).term
 
-    def _taken(self, own: Weighed) -> Taken:
+    def taken_of(self, own: Weighed) -> Taken:
         """A term and its rivals."""
         term, linear, one = own.term, own.linear, own.one
         near = [x for x in self._search.near(term, linear) if x.term.channels & term.channels]
         rivals = [x for x in near if x.evidence > 0.0 and x.term.key != term.key]
         ranked = tuple(sorted([one, *_ranked(linear, rivals)], key=_by_gain))
         instead = self._instead_of(term) | self._as_share(own)
-        told = one, ranked, linear.left_out, own.evidence, own.share, instead
-        varied = self.model.linear.varied(term.part)
-        return Taken(*told, varied=varied, untried=self._untried(term))
+        return Taken(
+            one=one,
+            rivals=ranked,
+            left=linear.left_out,
+            evidence=own.evidence,
+            share=own.share,
+            model=own.model,
+            instead=instead,
+            varied=own.model.linear.varied(term.part),
+            untried=self._untried(term, own.model),
+        )
 
     def _instead_of(self, term: Term) -> dict[str, float]:
         """Effects that other finished models have instead; how far these are behind, by name."""
@@ -300,17 +355,17 @@ class Selection:
         In log evidence, by name. What differs between the directions goes with friction over the
         position, which a file without friction trials does not have.
         """
-        model, j, found = self.model, own.term.joint, dict[str, float]()
+        model, j, found = own.model, own.term.joint, dict[str, float]()
         for effect in (one for one in self.catalogue if own.term.name in one.alike):
             whole = [one for one in model.terms if one.key == (effect.share_of, j)]
             if whole and j is not None:
-                share = own.linear.predicted([self._share_of(whole[0], effect, j)])[0]
+                share = own.linear.predicted([self._share_of(whole[0], effect, j, model)])[0]
                 found[effect.name] = own.one.predicted.total - share.total
         return found
 
-    def _share_of(self, whole: Term, effect: Effect, j: int) -> Part:
+    def _share_of(self, whole: Term, effect: Effect, j: int, model: Model) -> Part:
         """An effect of a joint as shares of a term, of the file's friction, and of the speed."""
-        model, what = self.model, whole.what
+        what = whole.what
         assert isinstance(what, Candidate)
 
         def columns(scene: Scene) -> dict[int, Array]:
@@ -322,19 +377,19 @@ class Selection:
         rows = model.ground.stage.rows
         return Part(rows.columns(map(columns, rows.scenes), effect.passes), np.eye(3))
 
-    def _untried(self, term: Term) -> tuple[str, ...]:
+    def _untried(self, term: Term, model: Model) -> tuple[str, ...]:
         """Effects like a term that cannot be looked for there, or stand beside it as its error."""
-        model, scenes = self.model, self.model.ground.stage.scenes
+        scenes = model.ground.stage.scenes
         alike = term.what.effect.alike if isinstance(term.what, Candidate) else ()
         likely = (one for one in self.catalogue if one.name in alike)
         names = [one.name for one in likely if one.possible(scenes, term.joint)]
         beside = [one for one in model.terms if one.name in alike and one.joint == term.joint]
-        names += [one.name for one in beside if self._hides(term, again(one, model))]
+        names += [one.name for one in beside if self._hides(term, again(one, model), model)]
         return tuple(dict.fromkeys(names))
 
-    def _hides(self, term: Term, one: Ranked) -> bool:
-        """Whether a smaller one may be the error of a term's law."""
-        model, channels, gain = self.model, one.term.channels, one.predicted.total
+    def _hides(self, term: Term, one: Ranked, model: Model) -> bool:
+        """Whether a smaller one may be the error of the law of a model's term."""
+        channels, gain = one.term.channels, one.predicted.total
         if term is one.term or not term.channels & channels:
             return False
         law = self._known_to(term, one.term) ** 2 * model.squares(term, channels)

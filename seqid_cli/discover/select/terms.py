@@ -12,13 +12,19 @@ from seqid_cli.discover.select.rows import Channels, Part
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.typing import Array
 
+UNSHOWN = 1e-6  # of a term's largest column, in its own unit: no row shows a smaller one
+
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """An effect at a joint (None: the whole arm) or a smooth function, and its columns."""
+    """An effect at a joint (None: the whole arm) or a smooth function, and its columns.
+
+    `came_since` says that friction trials of the file would have shown it, and did not.
+    """
 
     what: Candidate | SmoothFunction
     part: Part
+    came_since: bool = False
 
     @property
     def joint(self) -> int | None:
@@ -37,9 +43,20 @@ class Term:
 
     @property
     def freedom(self) -> int:
-        """Number of parameters: coefficients and settings that are searched."""
-        what, size = self.what, self.part.size
-        return size + what.effect.searched(what.settings) if isinstance(what, Candidate) else size
+        """Number of parameters: coefficients and settings that are searched.
+
+        When an effect came is one as well: no channel tells it. Else a law of friction that came
+        since would go before a change of friction, which counts when it happened.
+        """
+        if isinstance(self.what, SmoothFunction):
+            return self.part.size
+        searched = self.what.effect.searched(self.what.settings)
+        return self.part.size + searched + self.came_since
+
+    @property
+    def change(self) -> bool:
+        """Whether it says that the file's values do not hold: the form of the model has it."""
+        return isinstance(self.what, Candidate) and self.what.effect.change
 
     @property
     def key(self) -> tuple[str, int | None]:
@@ -62,7 +79,8 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
                 in_file, beside = stage.in_file(candidate, columns)
                 known[candidate.address] = np.diag(_precision(beside, size, first)), in_file
             precision, in_file = known[candidate.address]
-            found.append(Term(candidate, Part(columns, precision, first=first, in_file=in_file)))
+            part = Part(columns, precision, first=first, in_file=in_file)
+            found.append(Term(candidate, part, came_since=stage.came_since(candidate)))
     return found
 
 
@@ -89,4 +107,4 @@ def _precision(columns: Channels, size: Array, first: Mapping[int, int] = {}) ->
         if len(X):
             own = result[first.get(c, 0) :][: X.shape[1]]
             np.maximum(own, np.mean(X**2, axis=0) / (LIKELY * size[c]) ** 2, out=own)
-    return result
+    return np.asarray(np.maximum(result, UNSHOWN**2 * result.max()))

@@ -6,19 +6,23 @@ from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import ClosedLoop, InputLog, MotionUse, OfRobot, Verdict
+from seqid_cli.shares import percent
 
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
+DiagnosisVerdict = Literal[
+    "effect_found", "values_changed", "nothing_missing", "unexplained", "too_short", "nothing_seen"
+]
 _NOT_WHITE = "not white"
 _MEASURES = {"driving_load": "load times direction"}
 MORE_THAN_NOISE = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
 
 
 class EffectParameter(Struct, kw_only=True):
-    """One physical parameter of an effect."""
+    """One physical parameter of an effect; numbers are null where the logs do not determine it."""
 
     name: str
-    value: float
-    std_error: float
+    value: float | None
+    std_error: float | None
     unit: str
 
 
@@ -84,11 +88,43 @@ class UnexplainedPart(Struct, kw_only=True):
     rivals: list[RivalEntry] = []
 
 
+class ChangeCause(Struct, kw_only=True):
+    """An effect that may be what has changed; `joint` is null for one of the whole arm.
+
+    `probability` is its share among the causes, `log_gain` its gain in log predictive density where
+    it is all that has changed.
+    """
+
+    effect: str
+    joint: str | None
+    probability: float
+    log_gain: float
+
+
+class ChangedValues(Struct, kw_only=True):
+    """A joint at which the form of the model is right and the file's values are not.
+
+    `rmse` is what the file leaves, N m (N where prismatic), `floors` the same in noise floors,
+    `rmse_refitted` what the model leaves on left-out blocks when it is fitted to the others.
+    `since` is the first log in which more than noise is left, null where it is in all. `causes`
+    compete for what has changed, the most probable first; empty where no single one is enough.
+    """
+
+    joint: str
+    rmse: float
+    floors: float
+    rmse_refitted: float
+    since: str | None = None
+    causes: list[ChangeCause] = []
+
+
 class ResidualEntry(Struct, kw_only=True):
     """Residual of one joint, N m: with the model as it is (`rmse`) and with the findings in it.
 
+    `rmse` counts all samples that the file sees, but for those of pushes that are found.
     `noise_floor` is the residual by torque noise and encoder alone, estimated by itself, and
-    `noise_floor_interval` its 95 % interval. Numbers are null where no sample counts. `white` says
+    `noise_floor_interval` its 95 % interval. Numbers are null where no sample counts, or where
+    these logs do not determine them. `white` says
     that nothing but noise is left. `tried` is what was not taken beside the findings.
     """
 
@@ -131,9 +167,10 @@ class DiagnosisFile(OfRobot, kw_only=True):
     inputs: list[InputLog]
     parameters: list[FileId]
     stages: list[str]  # names of the stages that took part
-    verdict: Literal["effect_found", "nothing_missing", "unexplained"]
+    verdict: DiagnosisVerdict
     findings: list[FindingEntry]
     unexplained: list[UnexplainedPart]
+    changed: list[ChangedValues] = []
     joints: dict[str, ResidualEntry]
     events: list[EventEntry] = []
     hidden: list[HiddenEntry] = []
@@ -149,16 +186,46 @@ class DiagnosisFile(OfRobot, kw_only=True):
 
 def nothing_found(file: DiagnosisFile) -> str:
     """Return the sentence of a diagnosis without findings."""
+    if file.verdict == "nothing_seen":
+        return "Nothing was seen: no sample of these logs could be looked at."
     rest = {name: text for name, joint in file.joints.items() if (text := beyond_noise(joint))}
-    if not rest:
+    if not rest and file.verdict != "too_short":
         return "Nothing is missing: what these logs leave of the torque is noise."
-    if set(rest.values()) == {_NOT_WHITE}:
+    if set(rest.values()) == {_NOT_WHITE} and file.verdict != "too_short":
         return (
             "No effect was found. What is left is no larger than slow noise may be, but it is "
             f"{_NOT_WHITE} ({', '.join(rest)})."
         )
     each = "; ".join(f"{name}: {text}" for name, text in rest.items())
+    if file.verdict == "too_short":
+        why = f" ({each})" if each else ""
+        return f"These logs are too short to tell whether anything is missing{why}."
     return f"No effect was found, but not all that is left is noise ({each})."
+
+
+def values_sentence(file: DiagnosisFile) -> str:
+    """Return the sentence of a file whose values do not hold."""
+    each = " ".join(values_at(one) for one in file.changed)
+    return f"The form of the model is right, its values do not hold. {each}"
+
+
+def values_at(one: ChangedValues) -> str:
+    """Return the sentence of a joint at which the file's values do not hold."""
+    since = f" since {one.since}" if one.since else ""
+    return (
+        f"{one.joint}: the file leaves {one.floors:.3g} times the noise floor{since}, identified "
+        f"anew it would leave {one.rmse_refitted / one.rmse * one.floors:.3g} times; it may be "
+        f"{causes_in_words(one)}."
+    )
+
+
+def causes_in_words(one: ChangedValues) -> str:
+    """Return the effects that compete for what has changed, with their probabilities."""
+    causes = []
+    for cause in one.causes:
+        where = "" if cause.joint else " of the whole arm"
+        causes.append(f"{cause.effect}{where} ({percent(cause.probability, 0)})")
+    return ", ".join(causes) or "several values at once"
 
 
 def nothing_added(loop: ClosedLoop) -> str:

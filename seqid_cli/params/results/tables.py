@@ -5,7 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from seqid_cli.params.evidence_schema import RivalEntry
-from seqid_cli.params.results.diagnosis import EventEntry, HiddenEntry, ResidualEntry
+from seqid_cli.params.results.diagnosis import (
+    ChangedValues,
+    EventEntry,
+    HiddenEntry,
+    ResidualEntry,
+    causes_in_words,
+)
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.params.results.trend import ChangeEntry
@@ -150,6 +156,24 @@ def joint_residuals(joints: Mapping[str, ResidualEntry], robot: RobotId) -> Valu
     titles = "joint | RMSE [{unit}] | noise floor [{unit}] | 95 % interval | ratio"
     titles += " | with findings [{unit}] | white"
     return of_joints(titles, "text number number limits number number text", rows, robot)
+
+
+def changed_values(changed: Sequence[ChangedValues], robot: RobotId) -> Values:
+    """Joints at which the file's values do not hold, and what may be the cause."""
+    rows = [
+        (
+            one.joint,
+            one.rmse,
+            one.floors,
+            one.rmse_refitted,
+            one.since or "the first log on",
+            causes_in_words(one),
+        )
+        for one in changed
+    ]
+    titles = "values do not hold at | RMSE [{unit}] | noise floors | refitted [{unit}] | since"
+    titles += " | may be"
+    return of_joints(titles, "text number number number path text", rows, robot)
 
 
 def events(pushed: Sequence[EventEntry]) -> Values:

@@ -14,6 +14,7 @@ from seqid_cli.params.results.diagnosis import (
     FindingEntry,
     nothing_added,
     over_words,
+    values_at,
 )
 from seqid_cli.params.results.tables import Values
 from seqid_cli.report import words
@@ -28,6 +29,9 @@ _VERDICTS = {
     "nothing_missing": ("good", "nothing is missing"),
     "effect_found": ("open", "the model lacks an effect"),
     "unexplained": ("open", "a part fits no known effect"),
+    "values_changed": ("open", "the file's values do not hold"),
+    "too_short": ("open", "the logs are too short to tell"),
+    "nothing_seen": ("poor", "no sample could be looked at"),
 }
 
 
@@ -78,11 +82,19 @@ def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Gro
         figures=[*shown, _over_floor("Residual without and with the findings", errors, floors)],
         tables=[
             Table("Residual per joint", tables.joint_residuals(file.joints, collection.robot)),
+            Table(
+                "Joints at which the file's values do not hold",
+                tables.changed_values(file.changed, collection.robot),
+            ),
             *(_tried(f"for {what}", terms) for what, terms in tried.items()),
             Table("Events", tables.events(file.events[:_MOST_EVENTS]), more),
             Table("Effects that these motions cannot show", tables.hidden(file.hidden)),
         ],
-        notes=[*(f"{unexplained(part)}." for part in file.unexplained), *file.notes],
+        notes=[
+            *(f"{unexplained(part)}." for part in file.unexplained),
+            *(values_at(one) for one in file.changed),
+            *file.notes,
+        ],
     )
 
 

@@ -289,13 +289,19 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     found, robot = investigated(), given().robot
     ordinary = expected(found)
     assert file_notes(found, robot, ordinary, ()) == ()
-    start = found.start * np.array([1.0, 10.0])
-    off = on(found, replace(found.ground, base=replace(found.ground.base, start=start)))
-    (note,) = file_notes(off, robot, ordinary, ())
-    assert re.search("elbow.*identify", note)
-    assert file_notes(off, robot, ordinary, ("elbow",)) == ()
     (slow,) = file_notes(found, robot, ordinary * np.array([0.2, 1.0]), ())
     assert re.search("shoulder.*go with the motion", slow)
+
+    shoulder, elbow = found.file.residual
+    off = replace(found, file=replace(found.file, residual=(shoulder, 10.0 * elbow)))
+    said = described(off, robot)
+    (changed,) = said.changed
+    assert (said.verdict, changed.joint, changed.since) == ("values_changed", "elbow", None)
+    assert changed.rmse == pytest.approx(10.0 * found.start[1])
+    assert changed.floors == pytest.approx(changed.rmse / found.floor.rms[1])
+    assert changed.rmse_refitted == pytest.approx(found.model.rms()[1])
+    assert said.joints["elbow"].rmse == changed.rmse
+    assert not any("go with the motion" in note for note in said.notes)
 
 
 def on(found: Investigation, ground: Ground) -> Investigation:

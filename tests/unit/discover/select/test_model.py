@@ -53,9 +53,9 @@ def late(share: float) -> Extra:
 def test_an_ordinary_time_offset_belongs_to_the_base() -> None:
     """Half a sample is every drive's; five samples are an effect and not absorbed."""
     model = model_of(arm_scenes(late(0.5)))
-    assert model.timed == (True, True)
-    assert all(offset < 0.0 for offset in model.offsets)
-    assert model_of(arm_scenes(late(5.0))).timed == (False, False)
+    assert model.free == (True, True)
+    assert all(model.delays[joint] > 0.0 for joint in (0, 1))
+    assert model_of(arm_scenes(late(5.0))).delays == {}
 
 
 def test_a_lines_frequency_is_sharpened_beside_all_else() -> None:

@@ -1,0 +1,152 @@
+"""The verdict: what the file leaves, against its noise and a model that is fitted to the logs."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from seqid_cli.discover import base
+from seqid_cli.discover.investigate import FileResidual
+from seqid_cli.discover.noise.floor import NoiseFloor
+from seqid_cli.discover.nuisances import DELAY, Nuisance, nuisances_of
+from seqid_cli.discover.select.model import Ground
+from seqid_cli.discover.verdict import _since, joint_states, verdict_of
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.params.results.diagnosis import UnexplainedPart
+from seqid_cli.params.schema import Stages
+from tests import Array
+from tests.unit.discover.arms import arm_scenes, at_joint, ground_of, selected
+
+BLOCKS, EACH = 10, 40
+FLOOR, HIGH = 1.0, 1.4  # N m
+
+
+@dataclass
+class Left:
+    """An investigation of one joint, as far as a verdict looks at it."""
+
+    by_file: float
+    fitted: float
+    samples: int = BLOCKS * EACH
+    touched: set[int] = field(default_factory=set)
+    floor: NoiseFloor = field(
+        default_factory=lambda: NoiseFloor(*(np.array([x]) for x in (FLOOR, 0.9, HIGH)))
+    )
+
+    @property
+    def start(self) -> Array:
+        return np.array([self.by_file])
+
+    @property
+    def file(self) -> SimpleNamespace:
+        return SimpleNamespace(samples=[self.samples])
+
+    @property
+    def model(self) -> SimpleNamespace:
+        linear = SimpleNamespace(left_out=[np.full(BLOCKS * EACH, self.fitted)])
+        return SimpleNamespace(linear=linear, rms=lambda: np.array([self.fitted]))
+
+    @property
+    def ground(self) -> SimpleNamespace:
+        rows = SimpleNamespace(block=[np.repeat(np.arange(BLOCKS), EACH)], blocks=BLOCKS)
+        base = SimpleNamespace(y=[np.full(BLOCKS * EACH, self.by_file)])
+        return SimpleNamespace(n=1, rows=rows, base=base)
+
+
+@pytest.mark.parametrize(
+    ("left", "verdict"),
+    [
+        (Left(1.2, 1.2), "nothing_missing"),
+        (Left(35.0, 1.1), "values_changed"),
+        (Left(2.0, 1.1), "values_changed"),  # less than 2.5 floors, but surely the file's values
+        (Left(2.0, 2.0), "too_short"),  # noise may be larger than it seems
+        (Left(35.0, 80.0), "too_short"),  # a part of the logs does not tell the rest
+        (Left(1.2, 1.2, samples=0), "nothing_seen"),
+        (replace(Left(1.2, 1.2), floor=NoiseFloor(*np.zeros((3, 1)))), "too_short"),
+    ],
+)
+def test_nothing_is_missing_within_the_noise_alone(left: Left, verdict: str) -> None:
+    states = joint_states(left, np.array([FLOOR]), left.floor.high)
+    assert verdict_of([], [], states) == verdict
+
+
+def test_what_a_fitted_model_leaves_as_well_is_unexplained() -> None:
+    (state,) = joint_states(Left(35.0, 30.0), np.array([FLOOR]), np.array([HIGH]))
+    part = UnexplainedPart(joint="elbow", depends_on=[], share=0.9)
+    assert (state, verdict_of([], [part], [state])) == ("unexplained", "unexplained")
+
+
+def worn_since(first: int) -> list[Scene]:
+    """Three logs; from one of them on the first joint rubs more."""
+    return arm_scenes(at_joint(0, lambda scene: 2.0 * scene.sign[:, 0] * (scene.log >= first)))
+
+
+@pytest.mark.parametrize(("first", "path"), [(0, None), (1, "1"), (2, "2")])
+def test_the_first_log_in_which_values_do_not_hold_is_told(first: int, path: str | None) -> None:
+    ground = ground_of(worn_since(first))
+    found = SimpleNamespace(
+        file=FileResidual.of(ground),
+        floor=NoiseFloor(*(np.full(2, x) for x in (0.2, 0.1, 0.4))),
+        ground=ground,
+        logs=[SimpleNamespace(path=Path(str(number))) for number in range(3)],
+    )
+    assert _since(found, 0) == path
+
+
+def test_the_file_is_judged_on_all_rows_that_count() -> None:
+    scenes = worn_since(0)
+    whole = FileResidual.of(ground_of(scenes))
+    masks = [np.zeros_like(scene.slides) for scene in scenes]
+    masks[0][:] = True
+    rest = whole.without(masks)
+    assert whole.rms[0] == pytest.approx(2.0, rel=0.2)
+    assert rest.samples[0] < whole.samples[0]
+    assert np.isnan(rest.rms_by_log[0]).all()
+    np.testing.assert_array_equal(rest.rms_by_log[1:], whole.rms_by_log[1:])
+
+
+LATE_S = 0.02
+
+
+def late(scene: Scene) -> Array:
+    """Torque (N, n) that is late by more than a sample, to first order."""
+    motion = scene.motion
+    return np.asarray(-LATE_S * differentiate(scene.modelled, motion.rate_hz, motion.valid)[0])
+
+
+def test_a_delay_that_the_file_knows_is_no_skew(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = arm_scenes(late)
+    keys = {taken.term.name for taken in selected(scenes, ["time_skew", "spring"]).taken}
+    assert keys == {"time_skew"}
+
+    def known(scenes: list[Scene], stages: Stages) -> list[Nuisance]:
+        return [replace(one, mean=LATE_S) for one in nuisances_of(scenes, stages)]
+
+    monkeypatch.setattr(base, "nuisances_of", known)
+    assert selected(scenes, ["time_skew", "spring"]).taken == ()
+
+
+def test_a_delay_in_the_model_is_taken_off_before_anything_is_looked_for() -> None:
+    scenes = arm_scenes(late)
+    delays = np.full(2, LATE_S)
+    told = [replace(x, model=replace(x.model, delays_s=delays)) for x in scenes]
+    assert selected(told, ["time_skew", "spring"]).taken == ()
+
+
+def test_one_delay_may_be_that_of_all_joints(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = arm_scenes(late)
+
+    def common(scenes: list[Scene], stages: Stages) -> list[Nuisance]:
+        own = nuisances_of(scenes, stages)
+        columns = {joint: one.columns[joint] for joint, one in enumerate(own)}
+        return [Nuisance(name=DELAY, columns=columns, std=1.0)]
+
+    monkeypatch.setattr(base, "nuisances_of", common)
+    ground: Ground = ground_of(scenes)
+    (rows,) = ground.base.nuisances
+    assert rows.term.joint is None
+    assert sorted(rows.columns) == [0, 1]
+    assert selected(scenes, ["time_skew", "spring"]).taken == ()

@@ -1,4 +1,4 @@
-"""How far predicted torques were off on left-out logs, as a stage of the parameter file holds it."""
+"""How far predicted torques were off on left-out logs, as the parameter file holds it."""
 
 from seqid_cli.params.base import Struct
 

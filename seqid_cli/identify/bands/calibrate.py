@@ -11,8 +11,8 @@ Random World", 2005). Neighbouring samples are not exchangeable, so what is left
 or stretches of time.
 
 Errors are larger at some speeds and loads than at others. Factors are therefore those of four
-cells, slow or fast and lightly or heavily loaded, as far as this predicts left-out folds better
-than one factor for all. What counts there is the interval score of T. Gneiting and A. Raftery,
+cells, slow or fast and lightly or heavily loaded, as far as this predicts left-out logs better than
+one factor for all. What counts there is the interval score of T. Gneiting and A. Raftery,
 "Strictly proper scoring rules", J. Am. Stat. Assoc. 102, 2007: narrow bands that hold.
 """
 
@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from seqid_cli.identify.bands.left_out import Fit, left_out_residuals
+from seqid_cli.identify.bands.left_out import FEWEST_LOGS, Fit, left_out_residuals
 from seqid_cli.identify.bands.rows import BandRows, BandRowsCollector
 from seqid_cli.identify.bands.variance import ParameterVariance
 from seqid_cli.model.torque import TorqueModel
@@ -44,13 +44,13 @@ class Scores:
     """Left-out errors of one joint, K samples: scores, and what tells the samples apart.
 
     `score` (K,) is |residual| over the modelled standard deviation, `std` (K,) N m the latter;
-    `cell` (K,) from 0 to 3, `fold` and `block` (K,) are numbers.
+    `cell` (K,) from 0 to 3, `group` and `block` (K,) are numbers.
     """
 
     score: Array
     std: Array
     cell: Index
-    fold: Index
+    group: Index
     block: Index
 
 
@@ -83,6 +83,8 @@ def calibrate(
     left_out = left_out_residuals(rows, fit)
     variance = ParameterVariance.from_stages(stages, robot).of(rows.q, rows.dq, rows.ddq)
     load = load_of(robot, stages, rows.q, rows.dq, rows.ddq)
+    # Cells must do for a motion of another kind: where there are logs enough, whole ones decide.
+    group = rows.log if rows.log.max() + 1 >= FEWEST_LOGS else left_out.fold
 
     joints = {}
     for j, name in enumerate(robot.joint_names):
@@ -94,7 +96,7 @@ def calibrate(
             variance=variance[used, j],
             speed=np.abs(rows.dq[used, j]),
             load=load[used, j],
-            fold=left_out.fold[used],
+            group=group[used],
             block=_blocks(rows)[used],
         )
     if not joints:
@@ -114,7 +116,7 @@ def load_of(robot: Robot, stages: Stages, q: Array, dq: Array, ddq: Array) -> Ar
 
 
 def joint_band(
-    *, residual: Array, variance: Array, speed: Array, load: Array, fold: Index, block: Index
+    *, residual: Array, variance: Array, speed: Array, load: Array, group: Index, block: Index
 ) -> JointBand:
     """Calibrate one joint on K left-out samples.
 
@@ -126,8 +128,9 @@ def joint_band(
         Its variance by the errors of the parameters [(N m)^2].
     speed, load : array (K,)
         Speed [rad/s] and torque without friction [N m], without sign.
-    fold, block : array (K,)
-        Which part was left out with a sample, and the block of time that it is of.
+    group, block : array (K,)
+        The part of the logs, and the block of time, that a sample is of. Groups are as unlike each
+        other as new logs are unlike all of them.
     """
     mean_square = float(np.mean(residual**2))
     # Where parameters seem to explain all of it, their errors are overstated.
@@ -139,7 +142,7 @@ def joint_band(
         score=np.abs(residual) / std,
         std=std,
         cell=cell_of(speed >= speed_edge, load >= load_edge),
-        fold=fold,
+        group=group,
         block=block,
     )
 
@@ -197,21 +200,32 @@ def _factors(scores: Scores, share: float) -> Array:
     return factors
 
 
-def _best_share(scores: Scores, *, shares: Sequence[float] = (0.0, 0.5, 1.0)) -> float:
-    """Return the share with which factors of the other folds predict a fold best."""
-    numbers = np.unique(scores.fold)
-    if len(numbers) < 2:
-        return 0.0
-    totals = np.zeros(len(shares))
-    for number in numbers:
-        own = scores.fold == number
+def _best_share(
+    scores: Scores, *, shares: Sequence[float] = (0.0, 0.5), sigmas: float = 2.0
+) -> float:
+    """Return the share with which factors of the other groups predict a group best.
+
+    Cells count only where the gain over a common factor is `sigmas` standard errors, over the
+    groups. What is large in one log alone looks like a matter of speed or load as well, and bands
+    of 0.2 standard deviations were stated for logs that had errors as large as any.
+    """
+    numbers = np.unique(scores.group)
+    losses = np.zeros((len(numbers), len(shares)))
+    for row, number in enumerate(numbers):
+        own = scores.group == number
         others = _part(scores, ~own)
         if len(others.score) < FEWEST_SAMPLES:
             return 0.0
         for k, share in enumerate(shares):
             factor = _factors(others, share)[scores.cell[own]]
-            totals[k] += _interval_score(scores.score[own], scores.std[own], factor)
-    return float(shares[int(np.argmin(totals))])
+            losses[row, k] = _interval_score(scores.score[own], scores.std[own], factor)
+
+    best = int(np.argmin(losses.sum(axis=0)))
+    gain = losses[:, 0] - losses[:, best]
+    count = len(numbers)
+    if count < 2 or gain.sum() <= sigmas * float(np.std(gain, ddof=1)) * np.sqrt(count):
+        return 0.0
+    return float(shares[best])
 
 
 def _interval_score(score: Array, std: Array, factor: Array) -> float:

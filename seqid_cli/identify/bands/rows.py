@@ -105,9 +105,7 @@ class BandRowsCollector:
         if not self.parts:
             return None
         names = vars(self.parts[0])
-        return BandRows(
-            **{n: np.concatenate([getattr(p, n) for p in self.parts]) for n in names}
-        )
+        return BandRows(**{n: np.concatenate([getattr(p, n) for p in self.parts]) for n in names})
 
     def _thin(self) -> None:
         """Keep every second sample, as often as there are too many."""

@@ -24,7 +24,7 @@ from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Index
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,14 +100,14 @@ class ParameterVariance:
         return np.asarray(np.maximum(variance, 0.0))
 
 
-def _places(stage: RigidStage | None, basis: Basis) -> Array:
+def _places(stage: RigidStage | None, basis: Basis) -> Index:
     """Return the places of a stage's parameters among the base parameters; none if unknown."""
     if stage is None:
-        return np.zeros(0, dtype=int)
+        return np.zeros(0, dtype=np.intp)
     names = {name: k for k, name in enumerate(basis.names)}
     if any(p.name not in names for p in stage.parameters):
-        return np.zeros(0, dtype=int)
-    return np.array([names[p.name] for p in stage.parameters], dtype=int)
+        return np.zeros(0, dtype=np.intp)
+    return np.array([names[p.name] for p in stage.parameters], dtype=np.intp)
 
 
 def _quadratic(left: Array, matrix: Array, right: Array) -> Array:

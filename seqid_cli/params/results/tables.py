@@ -8,8 +8,9 @@ from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.params.results.diagnosis import EventEntry, HiddenEntry, ResidualEntry
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
+from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.results.trend import ChangeEntry
-from seqid_cli.params.schema import ClosedLoop, RobotId
+from seqid_cli.params.schema import ClosedLoop, RobotId, Verdict
 
 _WORDS = ("text", "effect", "path", "unit")
 
@@ -98,6 +99,33 @@ def of_joints(titles: str, kinds: str, rows: Iterable[Sequence[Any]], robot: Rob
     titles = f"{joint} | unit | {others}".replace(" [{unit}]", "")
     told = [(row[0], unit, *row[1:]) for row, unit in zip(found, units, strict=True)]
     return values(titles, f"{first} unit {more}", told)
+
+
+def prediction_errors(
+    file: PredictionFile, verdict_text: Callable[[Sequence[Verdict], str], str]
+) -> Values:
+    """Return the error of each joint, its parts, how often the bands held, and the verdict."""
+    rows = []
+    for name, error in file.joints.items():
+        coverage = error.coverage
+        rows.append(
+            (
+                name,
+                error.rmse,
+                error.relative_rmse,
+                error.rmse_inside,
+                error.rmse_outside,
+                error.rmse_rest,
+                error.share_sliding,
+                None if coverage is None else coverage.overall.band_90,
+                None if coverage is None else coverage.overall.band_95,
+                verdict_text(file.verdicts, name) if error.samples else "not judged",
+            )
+        )
+    titles = "joint | RMSE [{unit}] | relative | inside [{unit}] | outside [{unit}]"
+    titles += " | at rest [{unit}] | slides in | in 90 % | in 95 % | verdict"
+    kinds = "text number share number number number share share share text"
+    return of_joints(titles, kinds, rows, file.robot)
 
 
 def loop_errors(loop: ClosedLoop, robot: RobotId) -> Values:

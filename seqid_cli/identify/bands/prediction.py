@@ -113,12 +113,12 @@ class Bands:
         notes = []
         names = self.robot.joint_names
         missing = [name for name in names if self.joint(name) is None]
-        if missing:
+        # Where an earlier stage is predicted with, the missing inertia stage is told already.
+        if missing and self.stages.inertia is not None:
             which = "" if len(missing) == len(names) else f" of {', '.join(missing)}"
             notes.append(
-                f"bands{which} are not calibrated: the parameter file has no left-out errors, and "
-                "normal ones of its residual's size are assumed; identify it again for bands that "
-                "hold"
+                f"bands{which} are not calibrated: the file has no errors of left-out logs, normal "
+                "ones of its residual's size are taken; identify it again for bands that hold"
             )
         if self.calibration is not None and cutoffs_hz:
             calibrated_hz = self.calibration.cutoff_hz

@@ -116,15 +116,13 @@ def prediction_errors(
                 error.rmse_inside,
                 error.rmse_outside,
                 error.rmse_rest,
-                error.share_sliding,
                 None if coverage is None else coverage.overall.band_90,
-                None if coverage is None else coverage.overall.band_95,
                 verdict_text(file.verdicts, name) if error.samples else "not judged",
             )
         )
     titles = "joint | RMSE [{unit}] | relative | inside [{unit}] | outside [{unit}]"
-    titles += " | at rest [{unit}] | slides in | in 90 % | in 95 % | verdict"
-    kinds = "text number share number number number share share share text"
+    titles += " | rests [{unit}] | in 90 % | verdict"
+    kinds = "text number share number number number share text"
     return of_joints(titles, kinds, rows, file.robot)
 
 

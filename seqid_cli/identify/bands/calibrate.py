@@ -88,16 +88,16 @@ def calibrate(
 
     joints = {}
     for j, name in enumerate(robot.joint_names):
-        used = rows.used[:, j]
-        if np.count_nonzero(used) < FEWEST_SAMPLES:
+        judged = rows.judged[:, j]
+        if np.count_nonzero(judged) < FEWEST_SAMPLES:
             continue
         joints[name] = joint_band(
-            residual=left_out.residual[used, j],
-            variance=variance[used, j],
-            speed=np.abs(rows.dq[used, j]),
-            load=load[used, j],
-            group=group[used],
-            block=_blocks(rows)[used],
+            residual=left_out.residual[judged, j],
+            variance=variance[judged, j],
+            speed=np.abs(rows.dq[judged, j]),
+            load=load[judged, j],
+            group=group[judged],
+            block=_blocks(rows)[judged],
         )
     if not joints:
         return None

@@ -27,13 +27,21 @@ STRETCHES = 5  # of every log, else
 class Fit:
     """A weighted least-squares fit: `theta` (p,), `bread` (p, p), by joint `sigma` (n,) N m.
 
-    `independent` is the share of samples that count, as in `least_squares.solve`.
+    `independent` is the share of samples that count, as in `least_squares.solve`. Predictions use
+    the first `predicting` unknowns alone (all where it is None): what is marginalised, a delay that
+    the measured torque shows, is of no use to them.
     """
 
     theta: Array
     bread: Array
     sigma: Array
     independent: float = 1.0
+    predicting: int | None = None
+
+    @property
+    def predictors(self) -> slice:
+        """Places of the unknowns that predictions use."""
+        return slice(0, self.predicting)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,26 +87,29 @@ def _stretches(rows: BandRows) -> Index:
 
 def _without_folds(rows: BandRows, fit: Fit, fold: Index) -> tuple[Array, float]:
     """Return residuals (M, n) N m without each fold, and the largest share that one holds."""
-    residual = rows.y - rows.H @ fit.theta
+    fitted = rows.y - rows.H @ fit.theta
+    places = fit.predictors
+    residual = rows.y - rows.H[:, :, places] @ fit.theta[places]
     root = _root(fit.bread)
     left_out = residual.copy()
     largest_share = 0.0
 
     for number in np.unique(fold):
         own = rows.part(fold == number)
-        own_residual = residual[fold == number]
+        own_fitted = fitted[fold == number]
 
         # Columns in units in which the whole fit's normal matrix is the identity.
         scale = np.sqrt(own.weight * fit.independent)[:, None] / fit.sigma
         scale = np.where(own.used, scale, 0.0)
         columns = ((own.H * scale[..., None]) @ root).reshape(-1, root.shape[1])
-        score = columns.T @ (scale * own_residual).ravel()
+        score = columns.T @ (scale * own_fitted).ravel()
 
         share, directions = np.linalg.eigh(columns.T @ columns)
         largest_share = max(largest_share, float(share.max(initial=0.0)))
         share = np.clip(share, 0.0, LARGEST_SHARE)
         change = root @ (directions @ ((directions.T @ score) / (1.0 - share)))
-        left_out[fold == number] = own_residual + own.H @ change
+        by_change = own.H[:, :, places] @ change[places]
+        left_out[fold == number] = residual[fold == number] + by_change
     return left_out, largest_share
 
 

@@ -20,14 +20,16 @@ class BandRows:
     """Rows H theta = y of the equations at thinned samples, M of them, of all logs.
 
     `H` (M, n, p) and `y` (M, n) N m are filtered as in the stage's equations, `used` (M, n) marks
-    those that took part. `q`, `dq`, `ddq` (M, n) are the motion behind them. `weight` (M,) is the
-    number of the stage's rows that each stands for. `log` (M,) counts the logs from 0, and `t`
+    those that took part, `judged` (M, n) those by which predictions are judged: near reversals a
+    stage may leave out more. `q`, `dq`, `ddq` (M, n) are the motion behind them. `weight` (M,) is
+    the number of the stage's rows that each stands for. `log` (M,) counts the logs from 0, and `t`
     (M,) s is the time within the log.
     """
 
     H: Array
     y: Array
     used: Mask
+    judged: Mask
     q: Array
     dq: Array
     ddq: Array
@@ -56,16 +58,25 @@ class BandRowsCollector:
         """Begin a log: rows that follow are of it."""
         self.logs += 1
 
-    def pick(self, motion: Motion, used: Mask) -> Index:
+    def pick(self, motion: Motion, judged: Mask) -> Index:
         """Return which of consecutive samples to add: numbers (K,) within these N.
 
-        `used` (N, n) marks the rows that take part in the equations.
+        `judged` (N, n) marks the rows by which predictions are judged.
         """
         stride = _stride(motion)
         chosen = np.arange(0, motion.samples, stride)
-        return np.asarray(chosen[used[chosen].any(axis=1)])
+        return np.asarray(chosen[judged[chosen].any(axis=1)])
 
-    def add(self, motion: Motion, chosen: Index, H: Array, y: Array, used: Mask) -> None:
+    def add(
+        self,
+        motion: Motion,
+        chosen: Index,
+        *,
+        H: Array,
+        y: Array,
+        used: Mask,
+        judged: Mask,
+    ) -> None:
         """Add samples of the log that was begun last.
 
         Parameters
@@ -74,9 +85,10 @@ class BandRowsCollector:
             N consecutive samples, at the rate of the equations.
         chosen : array (K,)
             Those that are added, as `pick` names them.
-        H, y, used : array
-            Of the chosen ones: regressor (K, n, p), right side (K, n) N m, and which rows (K, n)
-            take part.
+        H, y : array
+            Of the chosen ones: regressor (K, n, p) and right side (K, n) N m.
+        used, judged : array (K, n)
+            Which rows take part in the equations, and by which predictions are judged.
         """
         if not len(chosen):
             return
@@ -84,6 +96,7 @@ class BandRowsCollector:
             H=np.array(H),
             y=np.array(y),
             used=np.array(used),
+            judged=np.array(judged),
             q=motion.q[chosen],
             dq=motion.dq[chosen],
             ddq=motion.ddq[chosen],

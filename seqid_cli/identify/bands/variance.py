@@ -58,8 +58,10 @@ class ParameterVariance:
                 covariance[np.ix_(places, places)] = own
             for j, name in enumerate(robot.joint_names):
                 surface = surfaces[j]
-                known = np.array(stage.friction_sensitivity.get(name) or np.zeros((0, 0)))
-                if surface is None or known.shape != (len(places), len(surface.covariance)):
+                if surface is None or not stage.friction_sensitivity.get(name):
+                    continue
+                known = _of_surface(np.array(stage.friction_sensitivity[name]), surface)
+                if known is None or len(known) != len(places):
                     continue
                 total = sensitivity.setdefault(j, np.zeros((basis.size, known.shape[1])))
                 total[places] = known
@@ -108,6 +110,23 @@ def _places(stage: RigidStage | None, basis: Basis) -> Index:
     if any(p.name not in names for p in stage.parameters):
         return np.zeros(0, dtype=np.intp)
     return np.array([names[p.name] for p in stage.parameters], dtype=np.intp)
+
+
+def _of_surface(sensitivity: Array, surface: FrictionSurface) -> Array | None:
+    """Return a sensitivity (p, k) for the surface as it is now; None where it is of another.
+
+    A stage that finds an offset or an asymmetry makes a surface directional. What it said of the
+    coefficients of both directions is then of their mean.
+    """
+    size = len(surface.covariance)
+    if sensitivity.ndim != 2 or not size:
+        return None
+    if sensitivity.shape[1] == size:
+        return sensitivity
+    if not surface.directional or 2 * sensitivity.shape[1] != size:
+        return None
+    of_entries, of_extension = np.split(sensitivity / 2.0, [surface.entries // 2], axis=1)
+    return np.hstack([of_entries, of_entries, of_extension, of_extension])
 
 
 def _quadratic(left: Array, matrix: Array, right: Array) -> Array:

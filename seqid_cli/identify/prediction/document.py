@@ -15,7 +15,7 @@ from seqid_cli.identify.judging import as_a_whole, physics_verdicts
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writer
-from seqid_cli.identify.prediction.verdicts import joint_verdicts
+from seqid_cli.identify.prediction.verdicts import joint_verdicts, noise_floors
 from seqid_cli.model.effects.fitted import effect_notes
 from seqid_cli.params.document import head, present, robot_id
 from seqid_cli.params.results import prediction
@@ -65,8 +65,13 @@ def prediction_file(
     still = ", ".join(name for name, error in joints.items() if not error.samples)
     notes = [f"never slides in these logs and is not judged: {still}"] if still else []
     bands = Bands.from_stages(stages, robot)
-    notes += bands.notes([error.cutoff_hz for error in errors])
-    verdicts = [*joint_verdicts(joints, stages, robot), *physics_verdicts(stages, robot)]
+    cutoffs_hz = [error.cutoff_hz for error in errors]
+    floors = noise_floors(stages, cutoffs_hz)
+    notes += bands.notes(cutoffs_hz)
+    verdicts = [
+        *joint_verdicts(joints, stages, robot, noise_floors=floors),
+        *physics_verdicts(stages, robot),
+    ]
     return PredictionFile(
         **head(prediction.PREDICTION_SCHEMA),
         robot=robot_id(robot),

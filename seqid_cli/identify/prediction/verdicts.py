@@ -4,7 +4,7 @@
 but more than noise is left of it, or errors are larger than the file states. `good`: neither.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from seqid_cli.identify.bands.coverage import clearly_below
 from seqid_cli.model.torque import friction_surfaces
@@ -15,12 +15,24 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
 
+def noise_floors(stages: Stages, cutoffs_hz: Sequence[float]) -> dict[str, float]:
+    """Return what noise leaves at most of each joint's torque [N m], by the inertia stage.
+
+    White noise grows with the cut-off: that of logs which are filtered otherwise is scaled.
+    """
+    stage = stages.inertia
+    if stage is None or not stage.cutoff_hz or not cutoffs_hz:
+        return {}
+    growth = max(1.0, max(cutoffs_hz) / stage.cutoff_hz) ** 0.5
+    return {name: growth * highest for name, highest in stage.noise_floor_high.items()}
+
+
 def joint_verdicts(
     joints: Mapping[str, JointError],
     stages: Stages,
     robot: Robot,
     *,
-    noise_floors: Mapping[str, tuple[float, float]] = {},
+    noise_floors: Mapping[str, float] = {},
     max_relative_rmse: float = 0.3,
 ) -> Iterator[Verdict]:
     """Yield the verdict on every joint that slides.
@@ -33,8 +45,8 @@ def joint_verdicts(
         The model.
     robot : Robot
         The robot.
-    noise_floors : mapping of str to (float, float)
-        Interval of what noise alone leaves [N m], of the joints of which it is known.
+    noise_floors : mapping of str to float
+        What noise alone leaves at most [N m], of the joints of which it is known.
     max_relative_rmse : float
         Share of the torque's RMS, from which an error is too large to rely on the prediction.
     """
@@ -65,7 +77,7 @@ def joint_verdicts(
 
         doubts = []
         if joint.name in noise_floors and error.rmse is not None:
-            highest_floor = noise_floors[joint.name][1]
+            highest_floor = noise_floors[joint.name]
             if error.rmse > highest_floor:
                 doubts.append(
                     f"predicted to {left} of the torque's RMS, but {error.rmse:.3g} {unit} are "

@@ -8,7 +8,6 @@ from scipy.signal import lfilter
 
 from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_floor, rms
-from seqid_cli.motion.torque_noise import Spectrum, level_of, power_gain
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
 from seqid_cli.discover.survey.rows import Rows
@@ -18,6 +17,7 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.torque_noise import Spectrum, level_of, power_gain
 from seqid_cli.robot.types import Joint
 from tests import Array
 from tests.plants.robots.sample import Rig, sample_rig

@@ -30,6 +30,7 @@ def rows_of(rng: np.random.Generator, logs: int, per_log: int) -> BandRows:
         H=H,
         y=H @ theta + noise,
         used=rng.random((count, 2)) < 0.8,
+        judged=np.ones((count, 2), dtype=bool),
         q=still,
         dq=still,
         ddq=still,
@@ -117,7 +118,8 @@ def test_rows_are_thinned_to_a_bounded_number() -> None:
         used = np.ones((20_000, 2), dtype=bool)
         chosen = collected.pick(motion, used)
         shape = (len(chosen), 2, 1)
-        collected.add(motion, chosen, np.ones(shape), np.ones(shape[:2]), used[chosen])
+        masks = {"used": used[chosen], "judged": used[chosen]}
+        collected.add(motion, chosen, H=np.ones(shape), y=np.ones(shape[:2]), **masks)
     rows = (collected + collected).joined()
     assert rows is not None
     assert rows.samples <= MOST_ROWS

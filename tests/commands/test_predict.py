@@ -160,7 +160,7 @@ def test_joints_that_stand_still_are_not_judged(rig: Rig, reader: Reader, model:
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
     elbow = document["joints"]["elbow"]
     assert elbow.pop("rmse_all") == elbow.pop("rmse_rest") > 0.0
-    parts = ("rmse_inside", "rmse_outside", "share_outside", "std", "coverage")
+    parts = ("rmse_inside", "rmse_outside", "share_outside", "std", "parameter_std", "coverage")
     none = dict.fromkeys(("rmse", "relative_rmse", "max_abs", *parts))
     assert elbow == {**none, "samples": 0, "samples_all": 2 * (SAMPLES - 1), "share_sliding": 0.0}
     assert document["verdicts"] == []

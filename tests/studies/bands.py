@@ -24,7 +24,7 @@ from tests.studies.records import seeds_of
 from tests.studies.tables import table
 
 DATA = ROOT / ".." / "shared" / "data"
-SEEDS = {"one": "0:12", "planar": "0:12", "six": "0:2"}  # of the document
+SEEDS = {"one": "0:8", "planar": "0:8", "six": "0:1"}  # of the document
 QUICK = "0:2"
 VALIDATION_STREAM = 96
 UR10E = "ur10e_innopolis/identification__ur-20_02_"

@@ -34,11 +34,13 @@ NODES_PER_CUTOFF = 8.0
 class Deviation:
     """Standard deviations `std` (N, n) N m of a log's predicted torques, the noise included.
 
-    `fast` and `loaded` (N, n) say on which side of the calibration's edges a sample is; None where
-    the file has no calibration. A joint of which nothing is known has NaN.
+    `parameter_std` (N, n) N m is the part that errors of parameters and effects make. `fast` and
+    `loaded` (N, n) say on which side of the calibration's edges a sample is; None where the file
+    has no calibration. A joint of which nothing is known has NaN.
     """
 
     std: Array
+    parameter_std: Array
     fast: Mask | None = None
     loaded: Mask | None = None
 
@@ -87,10 +89,12 @@ class Bands:
 
         cutoff_hz = motion.lowpass.cutoff_hz
         std = np.full(motion.q.shape, np.nan)
+        parameter_std = np.zeros(motion.q.shape)
         fast = np.zeros(motion.q.shape, dtype=bool)
         loaded = np.zeros(motion.q.shape, dtype=bool)
         for j, name in enumerate(self.robot.joint_names):
             parameters = _between(variance[:, j], nodes, motion.samples)
+            parameter_std[:, j] = np.sqrt(parameters)
             band = self.joint(name)
             if band is None or self.calibration is None:
                 std[:, j] = np.sqrt(parameters + self.residual_std[j] ** 2)
@@ -102,8 +106,8 @@ class Bands:
             factor = factors[cell_of(fast[:, j], loaded[:, j])]
             std[:, j] = factor * np.sqrt(parameters + noise_ratio * band.left_std**2)
         if self.calibration is None:
-            return Deviation(std=std)
-        return Deviation(std=std, fast=fast, loaded=loaded)
+            return Deviation(std=std, parameter_std=parameter_std)
+        return Deviation(std=std, parameter_std=parameter_std, fast=fast, loaded=loaded)
 
     def notes(self, cutoffs_hz: Sequence[float] = (), *, higher: float = 1.1) -> list[str]:
         """Say where bands rest on an assumption instead of a calibration.

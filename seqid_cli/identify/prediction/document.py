@@ -140,6 +140,7 @@ class ErrorSums:
     outside: Sums
     rest: Sums
     std_squares: Array  # (n,) (N m)^2, sums over the sliding samples
+    parameter_squares: Array  # likewise, of what errors of parameters make
     coverage: CoverageCounter
 
     @classmethod
@@ -149,6 +150,7 @@ class ErrorSums:
         return cls(
             **{name: Sums.none(n) for name in groups},
             std_squares=np.zeros(n),
+            parameter_squares=np.zeros(n),
             coverage=CoverageCounter(),
         )
 
@@ -162,6 +164,8 @@ class ErrorSums:
         self.outside.add(outside, log.residual, log.tau)
         self.rest.add(used & ~log.sliding, log.beyond, log.tau)
         self.std_squares += np.square(np.where(log.sliding, log.std, 0.0)).sum(axis=0)
+        by_parameters = np.where(log.sliding, log.parameter_std, 0.0)
+        self.parameter_squares += np.square(by_parameters).sum(axis=0)
         self.coverage.add(
             t=log.t,
             residual=log.residual,
@@ -193,6 +197,7 @@ class ErrorSums:
             share_outside=float(self.outside.samples[j] / count) if count else None,
             rmse_rest=self.rest.rmse(j),
             std=std if std is not None and math.isfinite(std) else None,
+            parameter_std=_root(self.parameter_squares[j], count),
             coverage=self.coverage.of_joint(j),
         )
 

@@ -41,8 +41,9 @@ class LogPrediction:
     (N, n) are the joint motion behind the prediction, `start` [s] is the first sample of the log
     on its own clock. `outside` (N, n) marks sliding samples beyond the identified friction.
     `std` (N, n) N m is the standard deviation of the prediction with the noise: of `predicted`
-    where a joint slides, at rest of both bounds; NaN where nothing says it. `fast` and `loaded`
-    (N, n) tell samples apart as the calibration of the bands does; None without one.
+    where a joint slides, at rest of both bounds; NaN where nothing says it. `parameter_std` (N, n)
+    N m is the part of it that errors of parameters and effects make. `fast` and `loaded` (N, n)
+    tell samples apart as the calibration of the bands does; None without one.
 
     A long log comes in several parts, one behind the other: `samples` are those of the whole log,
     `part` counts its parts from 0, and only the `last` one has `notes` and `motion`.
@@ -64,6 +65,7 @@ class LogPrediction:
     ddq: Array
     outside: Mask
     std: Array
+    parameter_std: Array
     fast: Mask | None = None
     loaded: Mask | None = None
     notes: tuple[str, ...] = ()
@@ -151,7 +153,8 @@ class Predictor:
         """Predict the inner samples of a motion."""
         model, slowest = self.model, slides_from(self.model, self.options)
         slides, added = sliding(motion, slowest), None
-        deviation = Deviation(std=np.full(motion.q.shape, np.nan))
+        unknown = np.full(motion.q.shape, np.nan)
+        deviation = Deviation(std=unknown, parameter_std=unknown)
         by_effects = None
         if self.effects:
             scene = scene_of_log(log, model.robot, model, motion)
@@ -187,6 +190,7 @@ class Predictor:
             start=log.start,
             outside=model.outside(own) & slides[inner],
             std=deviation.std[inner],
+            parameter_std=deviation.parameter_std[inner],
             fast=None if deviation.fast is None else deviation.fast[inner],
             loaded=None if deviation.loaded is None else deviation.loaded[inner],
         )

@@ -4,6 +4,7 @@
 but more than noise is left of it, or errors are larger than the file states. `good`: neither.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from seqid_cli.identify.bands.coverage import clearly_below
@@ -77,11 +78,12 @@ def joint_verdicts(
 
         doubts = []
         if joint.name in noise_floors and error.rmse is not None:
-            highest_floor = noise_floors[joint.name]
-            if error.rmse > highest_floor:
+            # A new motion shows errors of the parameters that those of the fit do not.
+            expected = math.hypot(noise_floors[joint.name], error.parameter_std or 0.0)
+            if error.rmse > expected:
                 doubts.append(
                     f"predicted to {left} of the torque's RMS, but {error.rmse:.3g} {unit} are "
-                    f"left where noise leaves at most {highest_floor:.3g}"
+                    f"left where noise and stated errors leave at most {expected:.3g}"
                 )
         overall = error.coverage.overall if error.coverage is not None else None
         if calibrated and overall is not None and clearly_below(overall):

@@ -53,7 +53,8 @@ class JointError(Struct, kw_only=True):
     positions and speeds at which friction was identified, `share_outside` is the share of the
     latter, and `rmse_rest` is over the samples that do not slide. With the parts' shares the
     squares add up. `std` is the RMS standard deviation that the model states of its prediction
-    where the joint slides, `coverage` how often its bands held.
+    where the joint slides, `parameter_std` the part of it that errors of parameters and effects
+    make, `coverage` how often its bands held.
     """
 
     rmse: float | None
@@ -68,6 +69,7 @@ class JointError(Struct, kw_only=True):
     share_outside: float | None = None
     rmse_rest: float | None = None
     std: float | None = None
+    parameter_std: float | None = None
     coverage: JointCoverage | None = None
 
 

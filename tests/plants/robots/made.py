@@ -56,6 +56,7 @@ def made_prediction(path: str, tau: Array, predicted: Array, **further: Any) -> 
         "sliding": np.ones(tau.shape, dtype=bool),
         "outside": np.zeros(tau.shape, dtype=bool),
         "std": np.full(tau.shape, np.nan),
+        "parameter_std": np.zeros(tau.shape),
         **dict.fromkeys(("q", "dq", "ddq"), np.full(tau.shape, np.nan)),
     }
     return LogPrediction(path=Path(path), tau=tau, predicted=predicted, **(usual | further))

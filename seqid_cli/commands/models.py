@@ -34,18 +34,13 @@ def predict(
     """Predict the joint torques of any logs and compare them with the measured ones.
 
     The error is given per joint over the samples in which it slides, in N m and relative to the RMS
-    of the measured torque there. At rest friction is an interval: the error over all samples counts
-    the distance to it.
+    of the measured torque there. Its parts are of samples inside and outside the positions and
+    speeds at which friction was identified. At rest friction is an interval, and the error is the
+    distance to it. `in 90 %` says how many sliding samples the 90 % band holds.
     """
     told, file = called(context, "identify.predict")
-    screen, rows = told.screen, []
-    for name, x in file.joints.items():
-        verdict = verdict_text(file.verdicts, name) if x.samples else "not judged"
-        errors = (x.rmse, x.relative_rmse, x.max_abs, x.share_sliding, x.rmse_all)
-        rows.append((name, *errors, verdict))
-    titles = "joint | RMSE [{unit}] | relative | largest [{unit}] | slides in | all [{unit}]"
-    titles, kinds = f"{titles} | verdict", "text number share number share number text"
-    screen.values(tables.of_joints(titles, kinds, rows, file.robot))
+    screen = told.screen
+    screen.values(tables.prediction_errors(file, verdict_text))
     notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
     show_verdicts(screen, file.verdicts, "prediction", notes, shown=file.joints)
     show_motion(screen, [log.motion for log in file.logs if log.motion is not None], file.robot)

@@ -41,6 +41,7 @@ PATCHES = 1.0 / (np.sqrt(2.0 * np.pi) * FADE)  # independent patches of position
 # The mean of few patches is uncertain itself, and the spread about it too small.
 NEW_GROUND = float(np.sqrt((PATCHES + 1.0) / (PATCHES - 1.0)))
 BELOW, ABOVE, FASTER, SLOWER = range(4)  # the coefficients of the extension of one direction
+EXTENSION_SIZE = 4  # their number
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import msgspec
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params import schema
+from seqid_cli.params.bands_schema import JointBand
 from seqid_cli.params.evidence_schema import EvidenceEntry
 
 SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
@@ -97,6 +98,16 @@ def _rigid(key: str, stage: schema.RigidStage) -> Iterator[_Problem]:
         yield from _square(key, stage.nuisance_covariance, count + len(stage.nuisances))
 
 
+def _band(key: str, band: JointBand) -> Iterator[_Problem]:
+    order = [(cell.fast, cell.loaded) for cell in band.cells]
+    if order != [(False, False), (False, True), (True, False), (True, True)]:
+        yield f"{key}.cells", "must be slow and light, slow and loaded, fast and light, both"
+    if any(cell.factor <= 0.0 for cell in band.cells):
+        yield f"{key}.cells", "must have positive factors"
+    if band.left_std < 0.0:
+        yield f"{key}.left_std", f"must not be negative, is {band.left_std}"
+
+
 def _imu(key: str, imu: schema.ImuCalibration) -> Iterator[_Problem]:
     if not _has_shape(imu.rotation, 3, 3):
         yield f"{key}.rotation", "must have 3 rows of 3 numbers"
@@ -141,6 +152,7 @@ def _has_shape(matrix: schema.Matrix, rows: int, columns: int) -> bool:
 _CHECKS: Mapping[type, Callable[[str, Any], Iterator[_Problem]]] = {
     schema.FrictionJoint: _friction,
     schema.RigidStage: _rigid,
+    JointBand: _band,
     schema.ImuCalibration: _imu,
     schema.EffectOfJoint: lambda key, own: _square(key, own.covariance, len(own.coefficients)),
     schema.EffectSession: _session,

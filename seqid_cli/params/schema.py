@@ -6,6 +6,7 @@ Every number is finite: what the logs do not determine is listed by name, never 
 
 from typing import Literal
 
+from seqid_cli.params.bands_schema import BandCalibration
 from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.units import unit_of
@@ -239,6 +240,7 @@ class RigidStage(Struct, kw_only=True):
     `noise_density` (N m/sqrt(Hz)) is the white noise that would make the parameters' own errors.
     `noise_floor` (N m) is what noise alone would leave beside the `rmse` of the fit, and
     `noise_floor_high` the upper end of its 95 % interval.
+    `bands` say how far predicted torques were off on left-out parts of the logs.
     `nuisances` are delays, offsets and asymmetries as this stage found them beside its parameters;
     `nuisance_covariance` is the joint covariance of the parameters and then of all of them.
     """
@@ -266,6 +268,7 @@ class RigidStage(Struct, kw_only=True):
     encoder_std_errors: dict[str, float] = {}
     missing_pairs: list[list[str]] = []
     cutoff_hz: float | None = None
+    bands: BandCalibration | None = None
     verdicts: list[Verdict] = []
     notes: list[str] = []
 

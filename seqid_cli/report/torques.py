@@ -18,7 +18,7 @@ from seqid_cli.report.collection import Collection, Prediction
 from seqid_cli.typing import Array, Mask
 
 _KINDS = ("torque", "predicted", "residual")
-_MORE = ("position", "velocity", "low", "high", "sliding")
+_MORE = ("position", "velocity", "low", "high", "sliding", "std")
 _HINT = "Name the Parquet file that seqid predict wrote with --torques."
 _AGAIN = "Run seqid predict again."
 
@@ -29,7 +29,8 @@ class Series:
 
     `residual` is measured torque minus the nearest torque that the model allows: where the joint
     slides the predicted torque, at rest between `low` and `high` (NaN where it slides). Position
-    and velocity are None where the file was written without them; `used` marks the samples that
+    and velocity are None where the file was written without them, and so is `std`, the standard
+    deviation of the prediction; `used` marks the samples that
     count, `sliding` those that the errors are computed from.
     """
 
@@ -44,6 +45,7 @@ class Series:
     high: Array
     position: Array | None = None
     velocity: Array | None = None
+    std: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -116,8 +118,20 @@ class TorqueTable:
         # NaN bounds, where the joint slides, leave the residual as it is.
         nearest = np.fmin(np.fmax(torque, low), high)
         left = np.where(np.isnan(low) | np.isnan(torque), left, torque - nearest)
-        motion = own.get("position"), own.get("velocity")
-        return Series(log, t, torque, own["predicted"], left, used, sliding, low, high, *motion)
+        return Series(
+            log=log,
+            t=t,
+            torque=torque,
+            predicted=own["predicted"],
+            residual=left,
+            used=used,
+            sliding=sliding,
+            low=low,
+            high=high,
+            position=own.get("position"),
+            velocity=own.get("velocity"),
+            std=own.get("std"),
+        )
 
 
 @contextlib.contextmanager

@@ -55,6 +55,7 @@ class Model:
             predicted = tau + self.scale * rng.normal(size=tau.shape)
             wide = np.where(sliding, 0.0, 0.5 * self.scale)
             bounds = {"low": predicted - wide, "high": predicted + wide}
+            bounds["std"] = np.full(tau.shape, self.scale)
             more = {"sha256": recording.sha256, "t": recording.t, "notes": ("a remark",)}
             log = made_prediction(
                 str(recording.path), tau, predicted, used=used, sliding=sliding, **bounds, **more
@@ -74,7 +75,7 @@ def root_mean_square(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-KINDS = ("torque", "predicted", "residual", "sliding", "low", "high")
+KINDS = ("torque", "predicted", "residual", "sliding", "std", "low", "high")
 
 
 def test_errors_are_those_of_the_torques(rig: Rig, reader: Reader, model: Model) -> None:
@@ -107,6 +108,18 @@ def test_errors_are_those_of_the_torques(rig: Rig, reader: Reader, model: Model)
         assert found["max_abs"] == pytest.approx(np.max(np.abs(error)))
         beyond = np.maximum(np.abs(residual) - np.where(slides, 0.0, 0.05), 0.0)
         assert found["rmse_all"] == pytest.approx(root_mean_square(beyond[used]))
+        rests = used & ~slides
+        squares = found["samples"] * found["rmse_inside"] ** 2
+        assert found["rmse_outside"] is None
+        if rests.any():
+            assert found["rmse_rest"] == pytest.approx(root_mean_square(beyond[rests]))
+            squares += rests.sum() * found["rmse_rest"] ** 2
+        assert np.sqrt(squares / used.sum()) == pytest.approx(found["rmse_all"])
+        assert found["std"] == pytest.approx(model.scale)
+        overall = found["coverage"]["overall"]
+        assert overall["band_90"] == np.mean(np.abs(error) <= 1.645 * model.scale)
+        assert overall["band_95"] == np.mean(np.abs(error) <= 1.96 * model.scale)
+        assert (overall["samples"], overall["blocks"]) == (len(error), 2)
     assert [log["path"] for log in document["logs"]] == ["a.parquet", "b.parquet"]
     assert document["logs"][0]["joints"]["elbow"]["samples"] == SAMPLES - 2
     assert document["parameters"][0]["path"] == "p.json"
@@ -146,8 +159,9 @@ def test_joints_that_stand_still_are_not_judged(rig: Rig, reader: Reader, model:
     document = json.loads(rig.run(*BASE, "--json").out)
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
     elbow = document["joints"]["elbow"]
-    assert elbow.pop("rmse_all") > 0.0
-    none = dict.fromkeys(("rmse", "relative_rmse", "max_abs"))
+    assert elbow.pop("rmse_all") == elbow.pop("rmse_rest") > 0.0
+    parts = ("rmse_inside", "rmse_outside", "share_outside", "std", "parameter_std", "coverage")
+    none = dict.fromkeys(("rmse", "relative_rmse", "max_abs", *parts))
     assert elbow == {**none, "samples": 0, "samples_all": 2 * (SAMPLES - 1), "share_sliding": 0.0}
     assert document["verdicts"] == []
 

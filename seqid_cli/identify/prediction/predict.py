@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from seqid_cli.identify.bands.prediction import Bands, Deviation
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
@@ -16,7 +17,7 @@ from seqid_cli.identify.regression.noise_level import PASSED
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
-from seqid_cli.model.effects.apply import added_torque, scene_of_log
+from seqid_cli.model.effects.apply import added_torque, effects_variance, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import Predicted, TorqueModel, sliding
 from seqid_cli.motion.blocks import Plan, SurveyedLog, motion_blocks, overlapping
@@ -39,6 +40,10 @@ class LogPrediction:
     `low` and `high` (N, n) N m; where the joint slides these are `predicted`. `q`, `dq`, `ddq`
     (N, n) are the joint motion behind the prediction, `start` [s] is the first sample of the log
     on its own clock. `outside` (N, n) marks sliding samples beyond the identified friction.
+    `std` (N, n) N m is the standard deviation of the prediction with the noise: of `predicted`
+    where a joint slides, at rest of both bounds; NaN where nothing says it. `parameter_std` (N, n)
+    N m is the part of it that errors of parameters and effects make. `fast` and `loaded` (N, n)
+    tell samples apart as the calibration of the bands does; None without one.
 
     A long log comes in several parts, one behind the other: `samples` are those of the whole log,
     `part` counts its parts from 0, and only the `last` one has `notes` and `motion`.
@@ -59,6 +64,10 @@ class LogPrediction:
     dq: Array
     ddq: Array
     outside: Mask
+    std: Array
+    parameter_std: Array
+    fast: Mask | None = None
+    loaded: Mask | None = None
     notes: tuple[str, ...] = ()
     motion: MotionUse | None = None
     start: float = 0.0
@@ -103,7 +112,8 @@ def predict(
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
     long = equations.streams(stages, options) and local_effects(model, effects)
-    one = Predictor(model, stages, options, effects, sliding_only)
+    bands = None if sliding_only else Bands.from_stages(stages, robot)
+    one = Predictor(model, stages, options, effects, sliding_only, bands)
     for found in mapped(recordings, one, open_if_long if long else None):
         yield from found
 
@@ -124,6 +134,7 @@ class Predictor:
     options: InertiaOptions
     effects: Sequence[Fitted] = ()
     sliding_only: bool = False
+    bands: Bands | None = None  # None: deviations are not asked for
 
     def __call__(self, log: Recording | SurveyedLog, _: int) -> Iterable[LogPrediction]:
         """Predict a log, by whatever number."""
@@ -142,9 +153,16 @@ class Predictor:
         """Predict the inner samples of a motion."""
         model, slowest = self.model, slides_from(self.model, self.options)
         slides, added = sliding(motion, slowest), None
+        unknown = np.full(motion.q.shape, np.nan)
+        deviation = Deviation(std=unknown, parameter_std=unknown)
+        by_effects = None
         if self.effects:
             scene = scene_of_log(log, model.robot, model, motion)
             added = added_torque(scene, log, self.effects, slowest)
+            if self.bands is not None:
+                by_effects = effects_variance(scene, log, self.effects)
+        if self.bands is not None:
+            deviation = self.bands.of(motion, by_effects)
         if self.sliding_only:
             known = [own if slides[:, j].any() else None for j, own in enumerate(model.surfaces)]
             model = replace(model, surfaces=known)
@@ -171,6 +189,10 @@ class Predictor:
             ddq=own.ddq,
             start=log.start,
             outside=model.outside(own) & slides[inner],
+            std=deviation.std[inner],
+            parameter_std=deviation.parameter_std[inner],
+            fast=None if deviation.fast is None else deviation.fast[inner],
+            loaded=None if deviation.loaded is None else deviation.loaded[inner],
         )
 
     def described(self, parts: Iterable[tuple[LogPrediction, Motion]]) -> Iterator[LogPrediction]:

@@ -2,10 +2,11 @@
 
 MCAP is for Foxglove, PlotJuggler and rerun: topics of `sensor_msgs/msg/JointState` in CDR, as
 ROS 2 records them. `effort` holds the torque (`low` and `high` the model's bounds: at rest an
-interval, else the predicted value), `position` and `velocity` the motion, `header.frame_id` the
-name of the log. A log without a clock, or one that would overlap the log before it, starts a
-second after that log; the metadata record `seqid.logs` says where each log went. Every message of
-one log has the same layout, so that messages are filled in as rows of bytes.
+interval, else the predicted value; `std` the standard deviation of the prediction), `position` and
+`velocity` the motion, `header.frame_id` the name of the log. A log without a clock, or one that
+would overlap the log before it, starts a second after that log; the metadata record `seqid.logs`
+says where each log went. Every message of one log has the same layout, so that messages are filled
+in as rows of bytes.
 """
 
 import contextlib
@@ -26,7 +27,7 @@ from seqid_cli.typing import Array
 
 PARAMETERS = "seqid.parameters"  # of the metadata
 # Columns of a joint and what they are of a `LogPrediction`; bounds are null where it slides.
-_KINDS = ("predicted", "residual", "sliding", "low", "high")
+_KINDS = ("predicted", "residual", "sliding", "std", "low", "high")
 _TORQUES = {"torque": "tau", **{kind: kind for kind in _KINDS}}
 _MOTION = {"position": "q", "velocity": "dq"}
 
@@ -63,13 +64,24 @@ def _columns(log: LogPrediction) -> list[pa.Array]:
     columns = [pa.array(log.t), pa.array([str(log.path)] * len(log.t), pa.string())]
     for j, slides in enumerate(log.sliding.T):
         for kind, values in torques.items():
-            columns.append(pa.array(values[:, j], mask=slides if kind in ("low", "high") else None))
+            # Parquet has nulls for what is not known, and bounds where there are none.
+            mask = np.isnan(values[:, j]) if kind == "std" else None
+            if kind in ("low", "high"):
+                mask = slides
+            columns.append(pa.array(values[:, j], mask=mask))
     columns.append(pa.array(log.used))
     joints, motion = range(len(log.sliding.T)), [getattr(log, field) for field in _MOTION.values()]
     return columns + [pa.array(x[:, j], from_pandas=True) for j in joints for x in motion]
 
 
-TOPICS = ("/seqid/measured", "/seqid/predicted", "/seqid/residual", "/seqid/low", "/seqid/high")
+TOPICS = (
+    "/seqid/measured",
+    "/seqid/predicted",
+    "/seqid/residual",
+    "/seqid/std",
+    "/seqid/low",
+    "/seqid/high",
+)
 JOINT_STATE = "sensor_msgs/msg/JointState"
 _RULE = "=" * 80
 _DEFINITION = (
@@ -95,7 +107,7 @@ def mcap_writer(path: Path, joints: Sequence[str]) -> Iterator[Callable[[LogPred
 
             def write(log: LogPrediction) -> None:
                 stamps = clock.stamps(log)
-                torques = (log.tau, log.predicted, log.residual, log.low, log.high)
+                torques = (log.tau, log.predicted, log.residual, log.std, log.low, log.high)
                 tables = [_messages(stamps, log, joints, torque) for torque in torques]
                 with writing(path):
                     for stamp, *rows in zip(stamps.tolist(), *tables, strict=True):

@@ -14,6 +14,8 @@ import msgspec
 import numpy as np
 
 from seqid_cli.errors import InputError, QualityError, UsageError
+from seqid_cli.identify.bands.calibrate import calibrate
+from seqid_cli.identify.bands.left_out import Fit
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.nuisances import (
     DRIVE_NAMES,
@@ -156,7 +158,30 @@ def _stage(
         verdicts=verdicts,
         notes=[*stage.notes, *coupling.notes],
     )
-    return InertiaResult(with_cutoff_check(stage, differences, basis), drives.friction)
+    stage = with_cutoff_check(stage, differences, basis)
+    model = msgspec.structs.replace(stages, friction=drives.friction, inertia=stage)
+    stage = _with_bands(equations, rows, model, stage, solution, share)
+    return InertiaResult(stage, drives.friction)
+
+
+def _with_bands(
+    equations: InertiaEquations,
+    rows: InertiaRows,
+    model: Stages,
+    stage: RigidStage,
+    solution: Solution,
+    coupling: float,
+) -> RigidStage:
+    """Add the bands of predicted torques; the last column is the share of rotor coupling, held."""
+    fit = Fit(
+        theta=np.append(solution.theta, coupling),
+        bread=np.pad(solution.bread, ((0, 1), (0, 1))),
+        sigma=solution.sigma,
+        independent=rows.independent,
+    )
+    cutoff_hz = stage.cutoff_hz or 0.0
+    bands = calibrate(rows.band_rows, fit, model, equations.robot, cutoff_hz=cutoff_hz)
+    return msgspec.structs.replace(stage, bands=bands)
 
 
 class DriveTerms(NamedTuple):

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import msgspec
 import numpy as np
 
+from seqid_cli.identify.bands.rows import BandRowsCollector
 from seqid_cli.identify.nuisances import (
     NuisanceColumns,
     even_surfaces,
@@ -71,6 +72,7 @@ class InertiaRows:
     counts: Array  # (2,): samples that count as independent, and all
     noise: list[LogNoise] = field(default_factory=list)  # of the logs that are held
     states: list[States] = field(default_factory=list)  # some of each log's
+    band_rows: BandRowsCollector = field(default_factory=BandRowsCollector)
 
     def __add__(self, other: "InertiaRows") -> "InertiaRows":
         none, known = np.zeros(()), self.cross | other.cross
@@ -85,7 +87,13 @@ class InertiaRows:
             counts=counts,
             noise=self.noise + other.noise,
             states=self.states + other.states,
+            band_rows=self.band_rows + other.band_rows,
         )
+
+    @property
+    def independent(self) -> float:
+        """Share of the samples that counts as independent."""
+        return float(self.counts[0] / max(self.counts[1], 1.0))
 
 
 @dataclass(frozen=True)
@@ -165,6 +173,7 @@ class InertiaEquations:
             block *= 2.0
         joints = [Accumulator(self.nuisances.size + 1) for _ in range(self.robot.n)]
         rows = InertiaRows(joints, np.zeros(self.robot.n), {}, [], np.zeros(2))
+        rows.band_rows.next_log()
         moving, usable = np.zeros(self.robot.n, dtype=bool), False
         # Right sides need little memory: they are made of longer parts than the regressor.
         held = samples if isinstance(log, Recording) else 2 * size
@@ -179,16 +188,27 @@ class InertiaEquations:
                 low, high = max(0, part.start - reach), part.stop + reach
                 near = motion.part(slice(low, high))
                 slides = sliding(near, self.slowest, reach_periods=SETTLED_PERIODS)
+                judged = sliding(near, self.slowest)
                 for at in range(part.start, part.stop, CHUNK):
                     own = slice(at, min(at + CHUNK, part.stop))
                     rigid = H[own.start - part.start : own.stop - part.start]
+                    columns = self._joined(rigid, drive.part(own))
+                    inner = slice(own.start - low, own.stop - low)
                     self.add_chunk(
                         rows,
                         motion.part(own),
-                        self._joined(rigid, drive.part(own)),
+                        columns,
                         y[own],
-                        slides[own.start - low : own.stop - low],
+                        slides[inner],
                         block / lowpass.rate_hz,
+                    )
+                    self._add_band_rows(
+                        rows.band_rows,
+                        motion.part(own),
+                        columns,
+                        y[own],
+                        used=slides[inner],
+                        judged=judged[inner],
                     )
             moving |= motion.moving.any(axis=0)
             usable |= bool(motion.usable.any())
@@ -330,6 +350,28 @@ class InertiaEquations:
                 F = np.column_stack([F, every * self.reflected[j] * motion.ddq[some, j]])
             rows.cross[j] = rows.cross.get(j, 0.0) + H[some, j].T @ F
 
+    def _add_band_rows(
+        self,
+        collected: BandRowsCollector,
+        motion: Motion,
+        H: Array,
+        y: Array,
+        *,
+        used: Mask,
+        judged: Mask,
+    ) -> None:
+        """Add rows by which bands are calibrated, of the samples that predictions are judged by."""
+        known = np.array([surface is not None for surface in self.surfaces])
+        chosen = collected.pick(motion, judged & known)
+        collected.add(
+            motion,
+            chosen,
+            H=H[chosen],
+            y=y[chosen],
+            used=(used & known)[chosen],
+            judged=(judged & known)[chosen],
+        )
+
     def solved(
         self, rows: InertiaRows, coupling: float | None, *, rounds: int = 6
     ) -> tuple[Solution, Posterior]:
@@ -342,7 +384,7 @@ class InertiaEquations:
             prior = replace(prior, A=np.pad(prior.A, ((0, 0), (0, 1))))
         else:
             joints = [joint.with_fixed(joint.size - 1, coupling) for joint in joints]
-        share = float(rows.counts[0] / max(rows.counts[1], 1.0))
+        share = rows.independent
         solution = solve(
             joints,
             prior=prior,
@@ -379,7 +421,7 @@ def tolerance_moves(
     torques = deviation_torques(robot, standard, q, dq, ddq)
 
     # Some states stand for all rows of a joint, of which a share counts as independent.
-    share = float(rows.counts[0] / max(rows.counts[1], 1.0))
+    share = rows.independent
     prior = later_prior(equations.stages, equations.surfaces, basis, robot.joint_names)
     size = len(solution.theta)
     moves = {}

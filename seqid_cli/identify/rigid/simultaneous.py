@@ -17,6 +17,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError
+from seqid_cli.identify.bands.calibrate import calibrate
+from seqid_cli.identify.bands.left_out import Fit
+from seqid_cli.identify.bands.rows import BandRowsCollector
 from seqid_cli.identify.friction_surface.summary import constants_note
 from seqid_cli.identify.nuisances import PRIORS
 from seqid_cli.identify.regression import equations
@@ -38,7 +41,7 @@ from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.units import UNTOLD
-from seqid_cli.model.friction import SLIDES
+from seqid_cli.model.friction import EXTENSION_SIZE, SLIDES
 from seqid_cli.model.torque import TorqueModel, known_rotors, sliding
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.motion.motion import Motion
@@ -97,6 +100,7 @@ class SimultaneousEquations:
         self.joints = [Accumulator(size) for _ in range(robot.n)]
         self._rotor_sums = np.zeros((robot.n, size))  # H' times the torque of known rotors
         self.torque_squares = np.zeros(robot.n)
+        self.band_rows = BandRowsCollector()
         self.independent = float(np.mean([_independent_share(motion) for motion in motions]))
         speeds = [np.where(motion.moving, np.abs(motion.dq), 0.0) for motion in motions]
         self.fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
@@ -121,7 +125,19 @@ class SimultaneousEquations:
         columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
         friction = motion.filtered(columns[:, :, : len(self.terms)], times=2)
         change = np.gradient(motion.tau, axis=0) * motion.rate_hz
+        self.band_rows.next_log()
         for part, H in equations.filtered_regressor(motion, self.robot, self.basis):
+            inner = motion.part(part)
+            chosen = self.band_rows.pick(inner, usable[part])
+            some = np.arange(motion.samples)[part][chosen]
+            self.band_rows.add(
+                inner,
+                chosen,
+                H=self._wide(H[chosen], friction[some], change[some]),
+                y=y[some],
+                used=usable[some],
+                judged=usable[some],
+            )
             for block in equations.blocks(len(H), motion.rate_hz):
                 for j, joint in enumerate(self.joints):
                     kept = usable[part][block, j]
@@ -144,6 +160,18 @@ class SimultaneousEquations:
         return solve(
             self.joints, prior=prior, nuisances=self.delays, independent=self.independent
         )
+
+    def _wide(self, H: Array, friction: Array, change: Array) -> Array:
+        """Return rows (K, n, p) of all unknowns from those of the rigid body and of friction.
+
+        `change` (K, n) N m/s is that of the torque, by which a delay shows.
+        """
+        wide = np.zeros((*H.shape[:2], self.joints[0].size))
+        wide[:, :, : self.basis.size] = H
+        for j, own in enumerate(self.own):
+            wide[:, j, own] = friction[:, j]
+            wide[:, j, self.delays.start + j] = -change[:, j]
+        return wide
 
     def stages(
         self,
@@ -186,7 +214,7 @@ class SimultaneousEquations:
             noise_floor={name: float(floor.rms[j]) for name, j in named_floor},
             noise_floor_high={name: float(floor.high[j]) for name, j in named_floor},
             rank=solution.rank - len(self.terms) * len(moved),
-            friction_sensitivity={},
+            friction_sensitivity=self._sensitivity(posterior, solution),
             rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
             method="simultaneous",
             motion={use.log: equations.source_text(use) for use in uses},
@@ -195,7 +223,16 @@ class SimultaneousEquations:
             verdicts=self._verdicts(solution, floor, len(stage.not_excited)),
             notes=[*stage.notes, *([text] if free else [])],
         )
-        return friction, rigid
+        fit = Fit(
+            theta=solution.theta,
+            bread=solution.bread,
+            sigma=solution.sigma,
+            independent=self.independent,
+            predicting=self.delays.start,
+        )
+        model = schema.Stages(friction=friction, inertia=rigid)
+        bands = calibrate(self.band_rows, fit, model, robot, cutoff_hz=cutoff)
+        return friction, replace(rigid, bands=bands)
 
     def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
         """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
@@ -226,6 +263,31 @@ class SimultaneousEquations:
                 for (n, u), v, e in zip(self.terms, values, errors, strict=True)
             ],
         )
+
+    def _sensitivity(
+        self, posterior: Posterior, solution: Solution
+    ) -> dict[str, schema.Matrix]:
+        """Return the change of the reported parameters per entry of each joint's friction.
+
+        One least squares gives rigid body and friction correlated errors: what an offset has too
+        much, gravity has too little. Their sum is known far better than either. With T the change,
+        cov(theta, c) = T cov(c), as in the sequential stages (see `posterior`).
+        """
+        covariance = posterior.covariance
+        own = np.flatnonzero(solution.determined[: self.basis.size])
+        found = {}
+        for j, name in enumerate(self.robot.joint_names):
+            if not self.joints[j].samples:
+                continue
+            terms = self.own[j]
+            crossed = covariance[own, terms] @ np.linalg.pinv(covariance[terms, terms])
+            ahead, back = surface_entries(float(self.fastest[j]), len(self.terms))
+            both = np.vstack([ahead, back]) if len(self.terms) == len(TERMS) else ahead
+            entries = crossed @ np.linalg.pinv(both)
+            # Beyond the identified range nothing is known, of parameters neither.
+            beyond = EXTENSION_SIZE * len(both) // len(ahead)
+            found[name] = np.pad(entries, ((0, 0), (0, beyond))).tolist()
+        return found
 
     def _noise_level(
         self,

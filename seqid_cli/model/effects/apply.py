@@ -101,6 +101,25 @@ def added_torque(
     return Predicted(torque, low, high)
 
 
+def effects_variance(scene: Scene, recording: Recording, fitted: Sequence[Fitted]) -> Array:
+    """Return the variance (N, n) (N m)^2 of the effects' torque by errors of their coefficients.
+
+    Settings (a speed, an order, a lag) count as known. Effects count as independent of each other:
+    a file says nothing of what their errors have in common.
+    """
+    variance = np.zeros_like(scene.motion.q)
+    for place, items in _by_session(scene, recording, fitted):
+        laws = [item for item in items if isinstance(item, FittedEffect)]
+        for law in laws:
+            if not law.covariance.any():
+                continue
+            columns = law.effect.columns(place, law.joint, law.settings)
+            for j, unfiltered in columns.items():
+                X = scene.motion.filtered(unfiltered, times=law.passes)
+                variance[:, j] += np.sum((X @ law.covariance) * X, axis=1)
+    return variance
+
+
 def _at_speed(scene: Scene, speed: Array) -> Scene:
     """Return the scene as if every joint moved steadily at a speed (n,), wherever it is."""
     motion = scene.motion

@@ -14,8 +14,9 @@ from seqid_cli.params.results.diagnosis import (
 )
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
+from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.results.trend import ChangeEntry
-from seqid_cli.params.schema import ClosedLoop, RobotId
+from seqid_cli.params.schema import ClosedLoop, RobotId, Verdict
 
 _WORDS = ("text", "effect", "path", "unit")
 
@@ -104,6 +105,31 @@ def of_joints(titles: str, kinds: str, rows: Iterable[Sequence[Any]], robot: Rob
     titles = f"{joint} | unit | {others}".replace(" [{unit}]", "")
     told = [(row[0], unit, *row[1:]) for row, unit in zip(found, units, strict=True)]
     return values(titles, f"{first} unit {more}", told)
+
+
+def prediction_errors(
+    file: PredictionFile, verdict_text: Callable[[Sequence[Verdict], str], str]
+) -> Values:
+    """Return the error of each joint, its parts, how often the bands held, and the verdict."""
+    rows = []
+    for name, error in file.joints.items():
+        coverage = error.coverage
+        rows.append(
+            (
+                name,
+                error.rmse,
+                error.relative_rmse,
+                error.rmse_inside,
+                error.rmse_outside,
+                error.rmse_rest,
+                None if coverage is None else coverage.overall.band_90,
+                verdict_text(file.verdicts, name) if error.samples else "not judged",
+            )
+        )
+    titles = "joint | RMSE [{unit}] | relative | inside [{unit}] | outside [{unit}]"
+    titles += " | rests [{unit}] | in 90 % | verdict"
+    kinds = "text number share number number number share text"
+    return of_joints(titles, kinds, rows, file.robot)
 
 
 def loop_errors(loop: ClosedLoop, robot: RobotId) -> Values:

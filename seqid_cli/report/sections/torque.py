@@ -45,7 +45,9 @@ def over_time(
         low, high = series.low[piece], series.high[piece]
         kept = np.union1d(*(extremes(t[piece], bound, columns) for bound in (low, high)))
         torque.band(t[piece][kept], low[kept], high[kept], "faint")
+    banded = _draw_band(series, residual, good, columns)
     legend = _draw(models, torque, residual, unit, columns)
+    legend |= {"band-residual": "95 % band"} if banded else {}
     legend |= {"faint": "held at rest"} if np.any(rests) else {}
     legend |= {"event": "pushed"} if events else {}
     legend |= {} if np.all(series.used) else {"unused": "not counted"}
@@ -57,6 +59,19 @@ def over_time(
     title = f"Torque of {place.joint}, {name}"
     rows = _time_table(series, good, unit, title)
     return figure([torque, residual], f"{title} over time", text, legend, rows, name=name)
+
+
+def _draw_band(series: Series, residual: Panel, good: Mask, columns: int) -> bool:
+    """Draw the 95 % band of the residual where the joint slides; return whether there is any."""
+    if series.std is None:
+        return False
+    t = series.t - series.t[0]
+    banded = good & series.sliding & np.isfinite(series.std)
+    for piece in pieces(t, banded):
+        half_width = 1.96 * series.std[piece]
+        kept = extremes(t[piece], half_width, columns)
+        residual.band(t[piece][kept], -half_width[kept], half_width[kept], "residual")
+    return bool(np.any(banded))
 
 
 def _draw(

@@ -55,6 +55,8 @@ def made_prediction(path: str, tau: Array, predicted: Array, **further: Any) -> 
         "used": np.ones(len(tau), dtype=bool),
         "sliding": np.ones(tau.shape, dtype=bool),
         "outside": np.zeros(tau.shape, dtype=bool),
+        "std": np.full(tau.shape, np.nan),
+        "parameter_std": np.zeros(tau.shape),
         **dict.fromkeys(("q", "dq", "ddq"), np.full(tau.shape, np.nan)),
     }
     return LogPrediction(path=Path(path), tau=tau, predicted=predicted, **(usual | further))

@@ -10,13 +10,13 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from seqid_cli.params import evidence_schema, schema
+from seqid_cli.params import bands_schema, evidence_schema, schema
 from seqid_cli.params.base import Document, FrozenStruct, Struct
 from seqid_cli.params.results import diagnosis, inspection, plan, prediction
 from tests.unit.docs.markdown import ROOT
 
 PAGE = ROOT / "docs" / "files.md"
-MODULES = (schema, prediction, evidence_schema, diagnosis, inspection, plan)
+MODULES = (schema, bands_schema, prediction, evidence_schema, diagnosis, inspection, plan)
 STRUCTS: dict[str, type[msgspec.Struct]] = {
     name: kind
     for module in MODULES

@@ -24,6 +24,7 @@ SAMPLES = 40
 def prediction(name: str, start: float) -> LogPrediction:
     tau, predicted, q, dq = np.random.default_rng(0).normal(size=(4, SAMPLES, len(JOINTS)))
     bounds = {"low": predicted - 0.5, "high": predicted + 0.5}
+    bounds["std"] = np.full(tau.shape, 0.3)
     return made_prediction(name, tau, predicted, **bounds, q=q, dq=dq, start=start)
 
 
@@ -44,7 +45,8 @@ def save(path: Path, *logs: LogPrediction) -> Path:
 @pytest.mark.parametrize("name", ["a", "logs/move.parquet"])
 def test_torques_read_back(tmp_path: Path, name: str) -> None:
     log = prediction(name, 1_700_000_000.25)
-    torques = (log.tau, log.predicted, log.tau - log.predicted, log.low, log.high)
+    residual = log.tau - log.predicted
+    torques = (log.tau, log.predicted, residual, log.std, log.low, log.high)
     expected = dict(zip(TOPICS, torques, strict=True))
     seen = dict.fromkeys(TOPICS, 0)
     for topic, log_time_ns, state in messages(save(tmp_path / "out.mcap", log)):

@@ -1,0 +1,134 @@
+"""Variance of a predicted torque by the errors of the model's parameters.
+
+The torque of joint j at a sample is off by
+
+    e_j = h_j d theta + x_j d c_j,
+
+h_j the regressor of the base parameters theta, x_j the columns of the joint's friction surface, c_j
+its coefficients. With the covariances of the parameter file, and T_j = d theta / d c_j,
+
+    var(e_j) = h_j C h_j' + 2 h_j T_j C_j x_j' + x_j C_j x_j'.
+
+Errors of torque constants are left out: they cancel in the torque of the same drive. Beyond the
+range at which friction was identified, x_j has columns of its own with large variances (see
+`model.friction`): the band widens where the surface is extrapolated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.torque import friction_surfaces
+from seqid_cli.params.schema import RigidStage, Stages
+from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Index
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterVariance:
+    """Covariances of a model, ready for any motion.
+
+    `covariance` (b, b) is that of the base parameters, zero where a file says nothing;
+    `sensitivity` holds, by joint, their change (b, k_j) per coefficient of its friction.
+    """
+
+    robot: Robot
+    basis: Basis
+    surfaces: Sequence[FrictionSurface | None]
+    covariance: Array
+    sensitivity: dict[int, Array]
+
+    @classmethod
+    def from_stages(cls, stages: Stages, robot: Robot) -> "ParameterVariance":
+        """Collect what the stages of a parameter file say of their errors."""
+        basis = free_basis(robot)
+        surfaces = friction_surfaces(stages, robot)
+        covariance = np.zeros((basis.size, basis.size))
+        sensitivity: dict[int, Array] = {}
+
+        for stage in (stages.gravity, stages.inertia):
+            places = _places(stage, basis)
+            if stage is None or not len(places):
+                continue
+            own = np.array(stage.covariance)
+            if own.shape == (len(places), len(places)):
+                covariance[np.ix_(places, places)] = own
+            for j, name in enumerate(robot.joint_names):
+                surface = surfaces[j]
+                if surface is None or not stage.friction_sensitivity.get(name):
+                    continue
+                known = _of_surface(np.array(stage.friction_sensitivity[name]), surface)
+                if known is None or len(known) != len(places):
+                    continue
+                total = sensitivity.setdefault(j, np.zeros((basis.size, known.shape[1])))
+                total[places] = known
+
+        # Gravity and inertia share the errors of friction.
+        gravity, inertia = _places(stages.gravity, basis), _places(stages.inertia, basis)
+        inertia = np.setdiff1d(inertia, gravity)
+        for j, T in sensitivity.items():
+            surface = surfaces[j]
+            assert surface is not None
+            shared = T[gravity] @ surface.covariance @ T[inertia].T
+            covariance[np.ix_(gravity, inertia)] += shared
+            covariance[np.ix_(inertia, gravity)] += shared.T
+        return cls(
+            robot=robot,
+            basis=basis,
+            surfaces=surfaces,
+            covariance=covariance,
+            sensitivity=sensitivity,
+        )
+
+    def of(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """Return the variance (N, n) (N m)^2 of the torque of a motion (N, n) each."""
+        H = base_regressor(self.robot, self.basis, q, dq, ddq)
+        variance = np.zeros(q.shape)
+        for j, surface in enumerate(self.surfaces):
+            h = H[:, j]
+            variance[:, j] = _quadratic(h, self.covariance, h)
+            if surface is None:
+                continue
+            X = surface.columns(q[:, j], dq[:, j])
+            if surface.covariance.shape != (X.shape[1], X.shape[1]):
+                continue
+            variance[:, j] += _quadratic(X, surface.covariance, X)
+            if j in self.sensitivity:
+                crossed = self.sensitivity[j] @ surface.covariance
+                variance[:, j] += 2.0 * _quadratic(h, crossed, X)
+        return np.asarray(np.maximum(variance, 0.0))
+
+
+def _places(stage: RigidStage | None, basis: Basis) -> Index:
+    """Return the places of a stage's parameters among the base parameters; none if unknown."""
+    if stage is None:
+        return np.zeros(0, dtype=np.intp)
+    names = {name: k for k, name in enumerate(basis.names)}
+    if any(p.name not in names for p in stage.parameters):
+        return np.zeros(0, dtype=np.intp)
+    return np.array([names[p.name] for p in stage.parameters], dtype=np.intp)
+
+
+def _of_surface(sensitivity: Array, surface: FrictionSurface) -> Array | None:
+    """Return a sensitivity (p, k) for the surface as it is now; None where it is of another.
+
+    A stage that finds an offset or an asymmetry makes a surface directional. What it said of the
+    coefficients of both directions is then of their mean.
+    """
+    size = len(surface.covariance)
+    if sensitivity.ndim != 2 or not size:
+        return None
+    if sensitivity.shape[1] == size:
+        return sensitivity
+    if not surface.directional or 2 * sensitivity.shape[1] != size:
+        return None
+    of_entries, of_extension = np.split(sensitivity / 2.0, [surface.entries // 2], axis=1)
+    return np.hstack([of_entries, of_entries, of_extension, of_extension])
+
+
+def _quadratic(left: Array, matrix: Array, right: Array) -> Array:
+    """Return left_k matrix right_k' for every row k (N,)."""
+    return np.asarray(np.sum((left @ matrix) * right, axis=1))

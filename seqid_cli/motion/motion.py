@@ -43,6 +43,10 @@ class Motion:
     imus: tuple[str, ...] = ()  # that took part
     error: Array | None = None  # (n,) rad/s^2, standard deviation of `ddq` that they leave
     encoder_error: Array | None = None  # that of the encoders alone
+    # Of fused motion below the encoders' cut-off, and the part of both errors by which links and
+    # drives disagree, (n,) rad/s^2; known where IMUs were asked.
+    fused_error: Array | None = None
+    disagreement: Array | None = None
     warnings: tuple[str, ...] = ()  # what was not as it should be
 
     PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")

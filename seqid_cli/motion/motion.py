@@ -39,10 +39,16 @@ class Motion:
     rate_hz: float
     lowpass: Lowpass
     cutoff: Cutoff
-    source: str = "encoder"  # or "imu" (`ddq` by Eq. 30-42), "fused" (all by the smoother)
+    # Or "imu" (`dq` and `ddq` by Eq. 30-42), "fused" (all by the smoother).
+    source: str = "encoder"
     imus: tuple[str, ...] = ()  # that took part
     error: Array | None = None  # (n,) rad/s^2, standard deviation of `ddq` that they leave
     encoder_error: Array | None = None  # that of the encoders alone
+    # Of fused motion below the encoders' cut-off, and the part of both errors by which links and
+    # drives disagree, (n,) rad/s^2; known where IMUs were asked.
+    fused_error: Array | None = None
+    disagreement: Array | None = None
+    velocity_error: Array | None = None  # (n,) rad/s, standard deviation of `dq` by IMUs
     warnings: tuple[str, ...] = ()  # what was not as it should be
     celsius: Array | None = None  # (N, n) the joints' temperatures, NaN where none was logged
 

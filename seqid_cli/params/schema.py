@@ -212,7 +212,11 @@ class MotionUse(Struct, kw_only=True):
 
     Errors are standard deviations of the acceleration, rad/s^2 (m/s^2 where prismatic), of the
     joints that move: of what was used, and of what the encoders alone would have given at the
-    cut-off that suits them. `imus` took part; `warnings` say which did not, and why.
+    cut-off that suits them. `fused_error` is that of fused motion below this cut-off, where there
+    were IMUs to ask: `--motion auto` takes the source with the smaller one. `disagreement` is the
+    part of both by which links do not follow their encoders, joints that bend. `velocity_error`,
+    rad/s (m/s), is there where velocities are the IMUs' (Eq. 31, 41). `imus` took part;
+    `warnings` say which did not, and why.
     """
 
     log: str
@@ -221,6 +225,9 @@ class MotionUse(Struct, kw_only=True):
     cutoff_hz: float
     acceleration_error: dict[str, float] = {}
     encoder_error: dict[str, float] = {}
+    fused_error: dict[str, float] = {}
+    disagreement: dict[str, float] = {}
+    velocity_error: dict[str, float] = {}
     warnings: list[str] = []
 
 

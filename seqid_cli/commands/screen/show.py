@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from statistics import median
 
 from seqid_cli.commands.screen.render import Screen, number
@@ -91,6 +92,28 @@ def _imu(screen: Screen, stage: schema.ImuStage) -> None:
     show_verdicts(screen, stage.verdicts, "imu", stage.notes, shown=stage.imus)
 
 
+@dataclass(frozen=True)
+class _TwoErrors:
+    """Standard errors of one joint's acceleration: by the source that was taken, and another."""
+
+    joint: str
+    taken: float
+    other: float
+
+
+def _medians(errors: Sequence[_TwoErrors], robot: schema.RobotId, other: str) -> str:
+    """Say the medians of both errors, unit by unit."""
+    by_unit: dict[str, list[_TwoErrors]] = {}
+    for error in errors:
+        by_unit.setdefault(robot.unit("rad/s^2", error.joint), []).append(error)
+    text = ""
+    for unit, own in by_unit.items():
+        now = number(median(error.taken for error in own), 2)
+        before = number(median(error.other for error in own), 2)
+        text += f"; acceleration known to {now} {unit}, {other} {before} (medians)"
+    return text
+
+
 def show_motion(screen: Screen, uses: Sequence[schema.MotionUse], robot: schema.RobotId) -> None:
     """Say which source the motion came from and what that gained, and warn of IMUs left aside."""
     for warning, count in Counter(w for use in uses for w in use.warnings).items():
@@ -99,19 +122,25 @@ def show_motion(screen: Screen, uses: Sequence[schema.MotionUse], robot: schema.
         else:
             log = next(use.log for use in uses if warning in use.warnings)
             screen.warn(f"{log}: {warning}")
-    if not any(use.imus or use.warnings for use in uses):
+    if not any(use.imus or use.warnings or use.fused_error for use in uses):
         return  # no IMU could take part
     parts = []
     for (source, imus), count in Counter((use.source, tuple(use.imus)) for use in uses).items():
         with_imus = f" ({', '.join(imus)})" if imus else ""
         parts.append(f"{source}{with_imus} in {count} of {len(uses)} logs")
-    pairs: dict[str, list[tuple[float, float]]] = {}  # acceleration errors by their unit
-    for use in uses:
-        for joint, error in use.acceleration_error.items() if use.imus else ():
-            unit = robot.unit("rad/s^2", joint)
-            pairs.setdefault(unit, []).append((error, use.encoder_error[joint]))
-    gain = ""
-    for unit, own in pairs.items():
-        now, before = (number(median(x), 2) for x in zip(*own, strict=True))
-        gain += f"; acceleration known to {now} {unit}, by the encoders alone {before} (medians)"
+    with_imus = [
+        _TwoErrors(joint, error, use.encoder_error[joint])
+        for use in uses
+        for joint, error in use.acceleration_error.items()
+        if use.imus
+    ]
+    # Both errors below the encoders' own cut-off, where the IMUs would have made it worse.
+    by_encoders = [
+        _TwoErrors(joint, use.encoder_error[joint], error)
+        for use in uses
+        for joint, error in use.fused_error.items()
+        if not use.imus
+    ]
+    gain = _medians(with_imus, robot, "by the encoders alone")
+    gain = gain or _medians(by_encoders, robot, "with the IMUs as well")
     screen.note(f"motion: {', '.join(parts)}{gain}")

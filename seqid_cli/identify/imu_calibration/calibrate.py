@@ -28,7 +28,7 @@ from seqid_cli.identify.imu_calibration.solve import Fit, fit_constants
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
-from seqid_cli.motion.imu.link_acceleration import axes_in_link
+from seqid_cli.motion.imu.link_velocity import axes_in_link
 from seqid_cli.motion.imu.sensor import MOTION
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions

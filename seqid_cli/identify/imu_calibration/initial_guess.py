@@ -28,7 +28,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, shrink
 from seqid_cli.motion.imu.array import read_angular
-from seqid_cli.motion.imu.link_acceleration import axes_in_link
+from seqid_cli.motion.imu.link_velocity import axes_in_link
 from seqid_cli.motion.imu.sensor import Mounting, link_state
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import AxisReference

@@ -144,7 +144,9 @@ def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
     before = own if motion.encoder_error is None else motion.encoder_error
     moving = np.flatnonzero(motion.moving.any(axis=0))
 
-    def of_joints(values: Array) -> dict[str, float]:
+    def of_joints(values: Array | None) -> dict[str, float]:
+        if values is None:
+            return {}
         return {robot.joint_names[j]: float(values[j]) for j in moving}
 
     return MotionUse(
@@ -154,6 +156,9 @@ def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
         cutoff_hz=float(motion.cutoff.hz),
         acceleration_error=of_joints(own),
         encoder_error=of_joints(before),
+        fused_error=of_joints(motion.fused_error),
+        disagreement=of_joints(motion.disagreement),
+        velocity_error=of_joints(motion.velocity_error),
         warnings=list(motion.warnings),
     )
 

@@ -38,10 +38,14 @@ REMEDIES = (
 
 @dataclass(frozen=True)
 class AngularReading:
-    """An IMU's `dw` (N, 3) rad/s^2 and w w' (N, 3, 3) rad^2/s^2 in its frame, zero if not seen."""
+    """What an IMU says of its turning, in its frame.
+
+    `dw` (N, 3) rad/s^2 and w w' (N, 3, 3) rad^2/s^2, zero if not seen; `w` (N, 3) rad/s of a gyro.
+    """
 
     dw: Array
     products: Array
+    w: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,7 @@ def read_angular(
     if gyro is not None:
         w = lowpass(gyro, valid)
         dw, _ = differentiate(w, lowpass.rate_hz, valid)
-        return AngularReading(dw, w[:, :, None] * w[:, None, :])
+        return AngularReading(dw, w[:, :, None] * w[:, None, :], w)
     unknowns = lowpass(accelerations, valid) @ array_inverse(imu).T
     pairs = [[6, 9, 10], [9, 7, 11], [10, 11, 8]]
     return AngularReading(unknowns[:, 3:6], unknowns[:, pairs] * float(layout(imu).products))

@@ -7,6 +7,8 @@ An IMU on link m, its readings turned into the link's frame, sees
 z_i the joint axes in that frame and c_m what the velocities alone produce (Eq. 39 for two joints).
 Each IMU weighted by its noise below the cut-off, this is a small least squares per sample; Eq. 30
 and 42 are its cases of one and two moving joints. Only what no IMU sees is left to the encoder.
+The velocities dq are the IMUs' as well (Eq. 31 and 41, `imu.link_velocity`); positions stay the
+encoders'.
 """
 
 from collections.abc import Sequence
@@ -18,11 +20,17 @@ import numpy as np
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import calibrated, layout, read_angular
+from seqid_cli.motion.imu.link_velocity import (
+    Turning,
+    axes_in_link,
+    joint_velocities,
+    turning_of,
+)
 from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
 from seqid_cli.motion.options import SOURCES, MotionOptions
 from seqid_cli.motion.smoother.fused import absent_imus, fused_motion, needed, promising
 from seqid_cli.params.schema import ImuCalibration, ImuStage
-from seqid_cli.robot.kinematics import forward, link_angular_motion
+from seqid_cli.robot.kinematics import link_angular_motion
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array
 
@@ -34,6 +42,7 @@ class LinkReading(NamedTuple):
     link: int
     dw: Array
     noise: float
+    turning: Turning | None  # None where its layout does not see the angular velocity
 
 
 def log_motion(
@@ -66,11 +75,12 @@ def best_motion(
 ) -> Motion:
     """Improve the encoders' motion by the IMUs that are calibrated and healthy.
 
-    `source`: "imu" replaces `ddq` (Eq. 30-42), "fused" all motion, and the filter with it; both
-    insist: a log without a usable IMU is an error. "auto" is "fused" where that can be had and
-    contradicts no encoder, and "encoder" elsewhere; "needed" takes the encoder as well where it is
-    nearly as good (see `fused.needed`). Raises UsageError: it is unknown. Raises InputError: it
-    insists, and no calibrated, healthy IMU is in the log.
+    `source`: "imu" replaces `dq` and `ddq` (Eq. 30-42), "fused" all motion, and the filter with it;
+    both insist: a log without a usable IMU is an error. "auto" is "fused" where that can be had,
+    contradicts no encoder and has the smaller left-out error (see `smoother.left_out`), and
+    "encoder" elsewhere; "needed" takes the encoder as well where it is nearly as good (see
+    `fused.needed`). Raises UsageError: it is unknown. Raises InputError: it insists, and no
+    calibrated, healthy IMU is in the log.
     """
     if source not in SOURCES:
         raise UsageError(f"motion source {source!r} is not one of {', '.join(SOURCES)}")
@@ -107,10 +117,25 @@ def _from_imus(
             warnings.append(f"{imu.name} is left out: it contradicts the encoders")
     if not readings:
         raise _impossible("imu", recording, robot, stage, warnings)
-    ddq, error = _solve(robot, motion, readings)
-    names = tuple(reading.name for reading in readings)
-    found = replace(motion, ddq=ddq, source="imu", imus=names, error=error)
-    return replace(found, encoder_error=motion.acceleration_error, warnings=tuple(warnings))
+    turning = [reading.turning for reading in readings if reading.turning is not None]
+    velocities = joint_velocities(recording, robot, motion, turning)
+    ddq, error = _solve(robot, replace(motion, dq=velocities.dq), readings)
+
+    # Jolts between two samples fold into the band of the motion; encoders show them as error.
+    apart = np.mean((ddq - motion.ddq)[motion.usable] ** 2, axis=0)
+    noise = motion.cutoff.acceleration_noise**2
+    error = np.where(apart > 1.5 * noise, np.sqrt(np.maximum(error**2, apart - noise)), error)
+    return replace(
+        motion,
+        dq=velocities.dq,
+        ddq=ddq,
+        source="imu",
+        imus=tuple(reading.name for reading in readings),
+        error=error,
+        velocity_error=velocities.error,
+        encoder_error=motion.acceleration_error,
+        warnings=tuple(warnings),
+    )
 
 
 def _impossible(
@@ -143,18 +168,18 @@ def _link_reading(
     if offset:
         values = on_encoders_clock(values)
         gyro = None if gyro is None else on_encoders_clock(gyro)
-    dw = read_angular(imu, values, gyro, motion.lowpass, valid).dw @ np.array(known.rotation).T
+    rotation = np.array(known.rotation)
+    dw = read_angular(imu, values, gyro, motion.lowpass, valid).dw @ rotation.T
     noise = (known.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
     size = np.sqrt(np.mean(np.sum(dw**2, axis=1)))
-    return LinkReading(imu.name, imu.after_joint, dw, float(np.hypot(noise, axis_error * size)))
-
-
-def axes_in_link(robot: Robot, q: Array, link: int) -> Array:
-    """Axes (N, link + 1, 3) of joints 0..link in the frame of `link`; zero where prismatic."""
-    frames = forward(robot.chain, q)
-    axes: Array = np.einsum("nji,nkj->nki", frames.R[:, link], frames.z[:, : link + 1])
-    axes[:, robot.chain.prismatic[: link + 1]] = 0.0
-    return axes
+    turning = turning_of(imu, rotation, values, gyro, motion, axis_error=axis_error)
+    return LinkReading(
+        name=imu.name,
+        link=imu.after_joint,
+        dw=dw,
+        noise=float(np.hypot(noise, axis_error * size)),
+        turning=turning,
+    )
 
 
 def _healthy(
@@ -176,7 +201,7 @@ def _solve(
     count, N = len(moving), motion.samples
     normal, right = np.zeros((N, count, count)), np.zeros((N, count))
     still = np.zeros_like(motion.q)
-    for _, link, dw, sigma in readings:
+    for _, link, dw, sigma, _ in readings:
         c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[1]
         J, own = np.zeros((N, 3, count)), moving <= link
         J[:, :, own] = axes_in_link(robot, motion.q, link)[:, moving[own]].swapaxes(1, 2)

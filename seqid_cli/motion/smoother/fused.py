@@ -9,7 +9,7 @@ above its own bandwidth the low-pass takes from torque and motion alike.
 import hashlib
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -20,9 +20,10 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
+from seqid_cli.motion.motion import Motion, estimate_motion, filtered_motion, filtered_torque
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother.imus import mounted_imus
+from seqid_cli.motion.smoother.left_out import Compliance, beyond_noise, compliance_of
 from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
@@ -35,25 +36,65 @@ def fused_motion(
     """Smooth a log with all its IMUs that can be believed, and filter it once.
 
     `encoder`: motion by the encoders alone, at the log's own rate; its cut-off is kept where a user
-    gave it. `insist`: keep what contradicts an encoder (see `disagreement`). Returns: of source
-    "fused" at that rate; the encoder's own, with warnings, where no IMU is calibrated, recorded and
-    believed. Raises InputError: no stretch of the log is long enough to filter.
+    gave it. `insist`: keep fused motion whatever its left-out error (see `left_out`) and what it
+    contradicts (see `disagreement`). Returns: of source "fused" at that rate; the encoder's own,
+    with both errors and warnings, where its left-out error is smaller, or no IMU is calibrated,
+    recorded and believed. Raises InputError: no stretch of the log is long enough to filter.
     """
     missing = tuple(absent_imus(log, robot, stage))
     if not mounted_imus(log, robot, stage):
         return replace(encoder, warnings=(*encoder.warnings, *missing))
     smoothed = _smoothed(log, robot, stage)
-    warnings = (*encoder.warnings, *missing, *smoothed.notes)
+    judged = _left_out(log, encoder, smoothed)
+    bending = tuple(_bending(robot, judged.bent))
+    warnings = (*encoder.warnings, *missing, *smoothed.notes, *bending)
+    alone = replace(_with_left_out_errors(encoder, smoothed, judged), warnings=warnings)
     if not smoothed.mounted:
-        return replace(encoder, warnings=warnings)
+        return alone
+
     apart = disagreement(encoder, encoder.lowpass(smoothed.ddq, log.valid))
     if apart.any():
         names = ", ".join(robot.joint_names[j] for j in np.flatnonzero(apart))
         doubt = f"{', '.join(smoothed.mounted)} and the encoder of {names} disagree"
         if not insist:
-            return replace(encoder, warnings=(*warnings, f"{doubt}: encoders alone are used"))
+            return replace(alone, warnings=(*warnings, f"{doubt}: encoders alone are used"))
         warnings = (*warnings, doubt)
-    return replace(_filtered(log, encoder, smoothed), warnings=warnings)
+    if not insist and not _smaller_error(judged, encoder):
+        return alone
+    return replace(_filtered(log, encoder, smoothed, judged), warnings=warnings)
+
+
+def _smaller_error(judged: "LeftOut", encoder: Motion) -> bool:
+    """Whether fused motion errs less than the encoders, on the geometric mean of what moves."""
+    moving = encoder.moving.any(axis=0)
+    if not moving.any():
+        return True
+    ratio = judged.fused_error[moving] / np.maximum(judged.encoder_error[moving], 1e-300)
+    return bool(np.mean(np.log(np.maximum(ratio, 1e-300))) < 0.0)
+
+
+def _bending(robot: Robot, bent: Array) -> Iterator[str]:
+    """Say which links do not follow their encoders; (n,) (rad/s^2)^2 by how much."""
+    for j in np.flatnonzero(bent):
+        joint = robot.joints[j]
+        size = f"{np.sqrt(bent[j]):.2g} {joint.unit('rad/s^2')} (RMS)"
+        yield (
+            f"the link of {joint.name} accelerates by {size} otherwise than its encoder says: "
+            "the joint bends; the errors of both sources hold that"
+        )
+
+
+def _with_left_out_errors(encoder: Motion, smoothed: Smoothed, judged: "LeftOut") -> Motion:
+    """The encoders' motion with what the IMUs say of its error."""
+    ddq = encoder.lowpass(smoothed.ddq, encoder.valid)
+    bent = judged.compliance.power(ddq, encoder.lowpass, encoder.usable)
+    return replace(
+        encoder,
+        error=np.sqrt(encoder.cutoff.acceleration_noise**2 + bent),
+        encoder_error=judged.encoder_error,
+        fused_error=judged.fused_error,
+        disagreement=np.sqrt(judged.bent),
+    )
 
 
 def score_of_smoothed(
@@ -180,7 +221,9 @@ def absent_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> I
             yield f"{imu.name} is not calibrated"
 
 
-def _filtered(recording: Recording, encoder: Motion, smoothed: Smoothed) -> Motion:
+def _filtered(
+    recording: Recording, encoder: Motion, smoothed: Smoothed, judged: "LeftOut"
+) -> Motion:
     """Filter a smoothed motion; joints that no IMU sees are differentiated as without them."""
     cutoff, valid = _cutoff(smoothed, encoder), recording.valid
     variance, moves = smoothed.typical(valid), np.any(encoder.moving, axis=0)
@@ -196,9 +239,54 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: Smoothed) -> Moti
             values[:, hidden] = own
     q, dq, ddq = motion
     tau, usable = filtered_torque(recording, lowpass)
-    density, own_hz = cutoff.noise_density, cutoff.alone_hz or cutoff.hz  # that of the encoders
-    error = np.sqrt(bandwidth.smoothed_error(variance, density, cutoff.hz))
-    alone_error = np.sqrt(bandwidth.differentiated_error(density, own_hz))
+    error = bandwidth.smoothed_error(variance, cutoff.noise_density, cutoff.hz)
+    bent = judged.compliance.power(ddq, lowpass, usable)
     made = replace(encoder, q=q, dq=dq, ddq=ddq, tau=tau, usable=usable, source="fused")
     made = replace(made, lowpass=lowpass, cutoff=cutoff, imus=tuple(smoothed.mounted))
-    return replace(made, error=error, encoder_error=alone_error)
+    return replace(
+        made,
+        error=np.sqrt(error + judged.beyond_noise + bent),
+        encoder_error=judged.encoder_error,
+        fused_error=judged.fused_error,
+        disagreement=np.sqrt(judged.bent),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """What encoders and IMUs say of each other below the encoders' own cut-off."""
+
+    beyond_noise: Array  # (n,) (rad/s^2)^2, of fused motion against the encoders
+    compliance: Compliance
+    bent: Array  # (n,) (rad/s^2)^2, of links against their drives
+    fused_error: Array  # (n,) rad/s^2
+    encoder_error: Array  # (n,) rad/s^2
+
+
+def _left_out(recording: Recording, encoder: Motion, smoothed: Smoothed) -> LeftOut:
+    """Judge both sources where they can be compared: below the encoders' own cut-off."""
+    hz = encoder.cutoff.alone_hz or encoder.cutoff.hz
+    cutoff = replace(encoder.cutoff, hz=hz, alone_hz=None)
+    valid = recording.valid
+    alone = filtered_motion(
+        recording.t, recording.q, valid, encoder.rate_hz, cutoff, encoder.moving
+    )
+    ddq = alone.lowpass(smoothed.ddq, valid)
+    apart = ddq - alone.ddq
+    beyond = beyond_noise(apart, alone)
+
+    # Links against drives: what the IMUs show beyond the fused motion, and that beyond encoders.
+    links = alone.lowpass(smoothed.beyond, valid) + apart
+    compliance = compliance_of(links, ddq, alone)
+    bent = compliance.power(ddq, alone.lowpass, alone.usable)
+
+    density = cutoff.noise_density
+    fused = bandwidth.smoothed_error(smoothed.typical(valid), density, hz)
+    differentiated = bandwidth.differentiated_error(density, hz)
+    return LeftOut(
+        beyond_noise=beyond,
+        compliance=compliance,
+        bent=bent,
+        fused_error=np.sqrt(fused + beyond + bent),
+        encoder_error=np.sqrt(differentiated + bent),
+    )

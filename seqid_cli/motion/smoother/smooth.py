@@ -18,11 +18,13 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import encoder_step
+from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.smoother import chunk as splines
 from seqid_cli.motion.smoother import solve
 from seqid_cli.motion.smoother.chunk import Chunk, Jerk, Mounted, resampled
 from seqid_cli.motion.smoother.imus import handed_on, mounted_imus, moved, read
+from seqid_cli.motion.smoother.left_out import beyond_motion
 from seqid_cli.motion.smoother.system import chosen, jacobians, predicted
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
@@ -188,6 +190,8 @@ class Smoothed:
     variance: Array  # (G, n, 3)
     mounted: dict[str, Mounted]  # that took part, as the last chunk left them
     notes: tuple[str, ...]
+    # (N, n) rad/s^2 by which links accelerate beyond it, by every IMU as it was calibrated.
+    beyond: Array
 
     def typical(self, valid: Mask) -> Array:
         """Median variance (n, 3) at valid samples (N,); infinite for joints beyond all IMUs."""
@@ -300,8 +304,17 @@ def smoothed_motion(
     text = "{} reads in {} of the samples"
     notes += [text.format(name, percent(x, 0)) for name, x in shares.items() if x < mostly]
     q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
+    if 1.0 / rate > FINE_S:
+        # Between two samples the knots follow jolts: friction that turns over, corners of a
+        # planned move. The acceleration at the samples alone folds them into the band of the
+        # motion, where a fine encoder shows that there is nothing of the kind. Positions hold
+        # next to nothing above the Nyquist rate, so their differences do not.
+        dq, ddq = differentiate(q, rate)
     known_at = np.concatenate(at), np.concatenate(variances)
-    return Smoothed(q, dq, ddq, *known_at, mounted, tuple(notes))
+    whole = slice(0, samples)
+    every = [read(x, recording, whole) for x in mounted_imus(recording, robot, stage)]
+    beyond = beyond_motion(robot, recording.t, (q, dq, ddq), every)
+    return Smoothed(q, dq, ddq, *known_at, mounted, tuple(notes), beyond)
 
 
 def _fading(samples: int, length: float, lap: int) -> Iterator[tuple[slice, Array]]:

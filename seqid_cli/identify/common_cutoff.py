@@ -173,7 +173,9 @@ def identification_options(
         joints = sum(one.score.joints for one in found)
         best += bandwidth.lowest_as_good(total[best : max(allowed, best + 1)], joints)
     hz, encoder_hz = float(GRID[best]), float(GRID[alone])
-    origin = f"chosen from all {len(logs)} logs together" if len(logs) > 1 else "chosen from the log"
+    origin = "chosen from the log"
+    if len(logs) > 1:
+        origin = f"chosen from all {len(logs)} logs together"
     if trial is not None:
         hz = _by_posterior(trial, found, hz, highest_hz=float(GRID[allowed - 1])).cutoff_hz
         encoder_hz = min(encoder_hz, hz)

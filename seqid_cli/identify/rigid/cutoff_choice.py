@@ -24,7 +24,8 @@ cut-off is *admissible* only where
 Cut-offs are tried an octave apart, from a starting one outward as long as the error falls, then
 half an octave to either side of the best. Of those that are nearly the best, or worse by no more
 than the scatter over the blocks explains, the one nearest to the start is taken: few blocks say
-little of many parameters. Where a delay is estimated the jerk must be known as well, N_jerk / S_jerk.
+little of many parameters. Where a delay is estimated the jerk must be known as well, by
+N_jerk / S_jerk.
 """
 
 from collections.abc import Callable, Sequence

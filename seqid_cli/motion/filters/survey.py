@@ -140,8 +140,9 @@ class Survey:
         highest = min(highest_hz, self.rate_hz / 8)
         floors = step**2 / 12 * 2 / self.rate_hz
         if len(joints):
-            own = bandwidth.highest_of(self._widest(joints, step), len(joints), self._seen / self.rate_hz)
-            highest = min(highest, own)
+            widest = self._widest(joints, step)
+            seconds = self._seen / self.rate_hz
+            highest = min(highest, bandwidth.highest_of(widest, len(joints), seconds))
         candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
         best = len(candidates) // 2  # where nothing moves
         if len(joints):

@@ -1,4 +1,4 @@
-"""The cut-off by the posterior: the least error of the torque, under bounds that a jackknife needs."""
+"""The cut-off by the posterior: the least error of the torque, under a jackknife's bounds."""
 
 from collections.abc import Callable
 

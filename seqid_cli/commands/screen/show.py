@@ -126,8 +126,8 @@ def show_motion(screen: Screen, uses: Sequence[schema.MotionUse], robot: schema.
         return  # no IMU could take part
     parts = []
     for (source, imus), count in Counter((use.source, tuple(use.imus)) for use in uses).items():
-        with_imus = f" ({', '.join(imus)})" if imus else ""
-        parts.append(f"{source}{with_imus} in {count} of {len(uses)} logs")
+        names = f" ({', '.join(imus)})" if imus else ""
+        parts.append(f"{source}{names} in {count} of {len(uses)} logs")
     with_imus = [
         _TwoErrors(joint, error, use.encoder_error[joint])
         for use in uses

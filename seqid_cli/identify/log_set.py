@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.identify.inputs import Inputs
-from seqid_cli.inspect.findings import grouped, located
+from seqid_cli.inspect.findings import USABLE_AT_MOST, grouped, located
 from seqid_cli.inspect.progress import LogNote, Progress
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.given import warn
@@ -87,15 +87,27 @@ class LogSet:
 
     def notes(self, known: Sequence[str] = ()) -> list[str]:
         """Return notes on the logs for the result, but for those it has already (`known`)."""
-        warnings = grouped(f for f in self.findings if f.severity == "warning")
+        said = USABLE_AT_MOST  # by the verdicts
+        warnings = grouped(
+            f for f in self.findings if f.severity == "warning" and f.code not in said
+        )
         new = [_in_words(alike) for alike in warnings if alike[0].message not in set(known)]
         return [*(f"left out: {text}" for text in self.left_out), *new]
 
     def verdicts(self) -> list[Verdict]:
-        """Return a poor verdict per code, channel and joint (IMU; empty: the log) of an error."""
+        """Return a verdict per code, channel and joint (IMU; empty: the log) of a finding.
+
+        Errors make it poor, warnings after which nothing is good make it usable.
+        """
+        told = [f for f in self.findings if f.severity == "error" or f.code in USABLE_AT_MOST]
         return [
-            Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
-            for alike in grouped(f for f in self.findings if f.severity == "error")
+            Verdict(
+                joint=name,
+                good=False,
+                level="poor" if alike[0].severity == "error" else "usable",
+                reason=f"{_text(alike)}. {alike[0].remedy}",
+            )
+            for alike in grouped(told)
             for name in alike[0].joint.split(", ")
         ]
 

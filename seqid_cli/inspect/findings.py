@@ -11,6 +11,7 @@ from seqid_cli.params.results.inspection import InspectionFinding, InspectionVer
 ERRORS: Mapping[str, str] = {
     "unreadable": "Copy it again from the source, or leave it out.",
     "channel_missing": "Name it in the robot file as the log does ([channels]), or log it.",
+    "joint_left_out": "Add its [[joint]] table to the robot file, or hold it while recording.",
     "drive_data_missing": "Give torque_constant and gear_ratio of the joint in the robot file.",
     "values_absurd": "Look at the driver of the channel; the values were taken as missing.",
     "time_unit": "Write time in seconds, or as a timestamp column.",
@@ -52,6 +53,7 @@ ERRORS: Mapping[str, str] = {
 }
 WARNINGS: Mapping[str, str] = {
     "salvaged": "Copy it again from the source; `mcap doctor` shows the damage.",
+    "joint_stands": "Let it stand there in all logs of the model, or add it to the robot file.",
     "torque_missing": "Record motor current (give the drive data then) or joint torque.",
     "values_missing": "Look for lost packets in the logger; the holes are bridged.",
     "second_publisher": "Let one node publish on the topic, or remap the other.",

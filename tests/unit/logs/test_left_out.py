@@ -1,4 +1,4 @@
-"""Joints of the chain that the robot file leaves out: taken where they stand, refused if they move."""
+"""Joints that the robot file leaves out: taken where they stand, refused where they move."""
 
 from pathlib import Path
 
@@ -67,13 +67,13 @@ def test_a_joint_that_stands_is_taken_there(suffix: str, tmp_path: Path) -> None
     for part, own in zip(wanted, found, strict=True):
         np.testing.assert_allclose(own[:, -1], part[:, -1], atol=1e-12)
     codes = [(f.code, f.joint) for f in inspect_log(log, load_robot(path)).findings]
-    assert [("joint_stands", "lift"), ("joint_stands", "turn")] == codes[:2]
+    assert codes[:2] == [("joint_stands", "lift"), ("joint_stands", "turn")]
 
 
 def test_a_joint_that_moves_is_refused(tmp_path: Path) -> None:
     log = write(tmp_path / "log.parquet", positions())
     path = robot_file(tmp_path, "lift", "turn", "elbow")
-    with pytest.raises(InputError, match="joint 'pan' lies before 'lift' in r.urdf"):
+    with pytest.raises(InputError, match=r"joint 'pan' lies before 'lift' in r\.urdf"):
         prepare(log, path)
     found = inspect_log(log, load_robot(path)).findings
     assert ("joint_left_out", "pan", "error") in {(f.code, f.joint, f.severity) for f in found}

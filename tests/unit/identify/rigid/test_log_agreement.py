@@ -101,7 +101,8 @@ def test_friction_may_differ_and_few_rows_say_nothing() -> None:
         sigma = np.full(robot.n, 0.1)
         return agreement_verdicts(log_equations(names, joints), robot, sigma, squares, 1)
 
-    assert [v.reason[:28] for v in told((1, 1), (1, 1), (1.6, 1))] == ["2.csv differs from the other"]
+    (odd,) = told((1, 1), (1, 1), (1.6, 1))
+    assert odd.reason.startswith("2.csv differs from the others")
     assert told((1, 1), (1, 1), (1, 1)) == []
     assert told((1, 1), (1, 1), (1, 1), rows=3) == []
     assert told((1, 1), (2, 1), (3, 1), (4, 1)) == []  # no log stands out: the model is wrong

@@ -50,6 +50,7 @@ class Inputs:
     missing: tuple[InputError, ...] = ()
     executor: Executor | None = None
     on_progress: OnProgress | None = None
+    said: tuple[str, ...] = ()  # of the robot in these logs, for the result's notes
 
     @property
     def stages(self) -> Stages:
@@ -103,8 +104,50 @@ def prepare(
             if name == "inertia":
                 hint += " From logs of any motion, seqid simultaneous gives one."
             raise ConfigError(message, where=", ".join(file for file, _ in models), hint=hint)
-    named = (found, robot_of(robot, models), models, previous, files, target, options, missing)
-    return Inputs(*named, executor, on_progress)
+    arm, said = robot_of(robot, models), list[str]()
+    if arm.locked:
+        found, arm, failed, said = _in_posture(found, arm, go_on=options.skip_failed)
+        missing = (*missing, *failed)
+    named = (found, arm, models, previous, files, target, options, missing)
+    return Inputs(*named, executor, on_progress, tuple(said))
+
+
+def _in_posture(
+    logs: tuple[Path | Recording, ...], robot: Robot, *, go_on: bool
+) -> tuple[tuple[Path | Recording, ...], Robot, list[InputError], list[str]]:
+    """Take joints that the robot file leaves out where they stand in the logs.
+
+    Returns: the logs that can be used; the robot; why others cannot, where that is no reason to
+    stop (`go_on`); what is to be said.
+    """
+    from seqid_cli.logs.left_out import Standing, in_logged_posture, standing_joints
+
+    kept: list[Path | Recording] = []
+    standing: list[Standing] = []
+    failed: list[InputError] = []
+    arm = robot
+    for log in logs:
+        own = standing_joints(log, robot) if isinstance(log, Path) else []
+        try:
+            arm = in_logged_posture(robot, [*standing, *own])
+        except InputError as error:
+            if not go_on:
+                raise
+            failed.append(error)
+            warn(f"left out: {error}")
+            continue
+        kept.append(log)
+        standing += own
+    if failed and not kept:
+        raise failed[0]
+    first: dict[str, Standing] = {}
+    for one in standing:
+        if one.message:
+            first.setdefault(one.joint.name, one)
+    said = [f"[joint_stands] {one.log}: {name} {one.message}" for name, one in first.items()]
+    for text in said:
+        warn(text)
+    return tuple(kept), arm, failed, said
 
 
 def read_models(given: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]:

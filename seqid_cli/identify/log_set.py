@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.identify.inputs import Inputs
-from seqid_cli.inspect.findings import grouped, located
+from seqid_cli.inspect.findings import USABLE_AT_MOST, grouped, located
 from seqid_cli.inspect.progress import LogNote, Progress
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.given import warn
@@ -41,7 +41,8 @@ class LogSet:
     `logs`: a recording is taken as it is, without checks. `time_source` {"header", "log"}: which
     stamps of an MCAP log count. `imus`: whether the readings of IMUs are used, and hence checked.
     `skip_failed`: whether logs that cannot be used are left out. `executor`: who reads and reduces
-    the logs; None does it here. `left_out`: what was left out before.
+    the logs; None does it here. `left_out`: what was left out before. `said`: what is to be said of
+    the robot in these logs.
     """
 
     logs: Sequence[Path | Recording]
@@ -52,6 +53,7 @@ class LogSet:
     executor: Executor | None = None
     on_progress: Callable[[Progress], None] | None = None
     left_out: list[str] = field(default_factory=list)
+    said: tuple[str, ...] = ()
     findings: list[InspectionFinding] = field(default_factory=list)
     read: list[LogNote] = field(default_factory=list)
     _first: dict[str, Path] = field(default_factory=dict)  # log of each content, by SHA-256
@@ -62,6 +64,7 @@ class LogSet:
         options, known = inputs.options, inputs.stages.imu is not None
         reading = options.time_source, known if imus is None else imus, options.skip_failed
         logs = cls(inputs.logs, inputs.robot, *reading, inputs.executor, inputs.on_progress)
+        logs.said = inputs.said
         for error in inputs.missing:
             logs.left_out.append(str(error))
             logs.tell("failed", log=error.where, error=error)
@@ -87,15 +90,27 @@ class LogSet:
 
     def notes(self, known: Sequence[str] = ()) -> list[str]:
         """Return notes on the logs for the result, but for those it has already (`known`)."""
-        warnings = grouped(f for f in self.findings if f.severity == "warning")
+        said = USABLE_AT_MOST  # by the verdicts
+        warnings = grouped(
+            f for f in self.findings if f.severity == "warning" and f.code not in said
+        )
         new = [_in_words(alike) for alike in warnings if alike[0].message not in set(known)]
-        return [*(f"left out: {text}" for text in self.left_out), *new]
+        return [*(f"left out: {text}" for text in self.left_out), *self.said, *new]
 
     def verdicts(self) -> list[Verdict]:
-        """Return a poor verdict per code, channel and joint (IMU; empty: the log) of an error."""
+        """Return a verdict per code, channel and joint (IMU; empty: the log) of a finding.
+
+        Errors make it poor, warnings after which nothing is good make it usable.
+        """
+        told = [f for f in self.findings if f.severity == "error" or f.code in USABLE_AT_MOST]
         return [
-            Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
-            for alike in grouped(f for f in self.findings if f.severity == "error")
+            Verdict(
+                joint=name,
+                good=False,
+                level="poor" if alike[0].severity == "error" else "usable",
+                reason=f"{_text(alike)}. {alike[0].remedy}",
+            )
+            for alike in grouped(told)
             for name in alike[0].joint.split(", ")
         ]
 

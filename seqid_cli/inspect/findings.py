@@ -11,6 +11,7 @@ from seqid_cli.params.results.inspection import InspectionFinding, InspectionVer
 ERRORS: Mapping[str, str] = {
     "unreadable": "Copy it again from the source, or leave it out.",
     "channel_missing": "Name it in the robot file as the log does ([channels]), or log it.",
+    "joint_left_out": "Add its [[joint]] table to the robot file, or hold it while recording.",
     "drive_data_missing": "Give torque_constant and gear_ratio of the joint in the robot file.",
     "values_absurd": "Look at the driver of the channel; the values were taken as missing.",
     "time_unit": "Write time in seconds, or as a timestamp column.",
@@ -52,8 +53,10 @@ ERRORS: Mapping[str, str] = {
 }
 WARNINGS: Mapping[str, str] = {
     "salvaged": "Copy it again from the source; `mcap doctor` shows the damage.",
+    "joint_stands": "Let it stand there in all logs of the model, or add it to the robot file.",
     "torque_missing": "Record motor current (give the drive data then) or joint torque.",
     "values_missing": "Look for lost packets in the logger; the holes are bridged.",
+    "second_publisher": "Let one node publish on the topic, or remap the other.",
     "duplicate_log": "Give one of them only; stages take the first.",
     "reader": "See the message.",
     "rate_low": "Record at 100 Hz or more.",
@@ -77,6 +80,7 @@ WARNINGS: Mapping[str, str] = {
     "torque_spikes": "Look at driver and cable; remove these samples.",
     "torque_quantised": "Log the current with more bits.",
     "torque_saturated": "Use slower moves, or a measuring range that is large enough.",
+    "zero_or_mass": "Check the encoder's zero; if it is right, correct the URDF's <inertial>.",
     "model_mismatch": "Check that log and robot file are of one robot, its mounting and torque.",
     "imu_layout": "Move accelerometers off the common point or line, or use a gyro.",
     "imu_saturated": "Use a larger range, or slower moves.",
@@ -89,6 +93,9 @@ WARNINGS: Mapping[str, str] = {
     "temperature_in_kelvin": "Subtract 273.15.",
     "temperature_nonsense": "Check the channel; temperature is left out of the model otherwise.",
 }
+
+# Warnings that a stage says too: what it identifies may be used, but is not good.
+USABLE_AT_MOST = frozenset({"zero_or_mass"})
 
 
 def found(code: str, message: str, joint: str = "", channel: str = "") -> InspectionFinding:

@@ -15,6 +15,7 @@ from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.parts import Gathered, Inspected, serve_together
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.contents import survey
+from seqid_cli.logs.left_out import in_logged_posture, standing_joints
 from seqid_cli.logs.pieces import read_parts
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import TorqueLackingError
@@ -74,9 +75,10 @@ def inspect_log(
         return _unreadable(path, error)
 
     def read(arm: Robot, before: Sequence[InspectionFinding]) -> Inspected:
-        gathered, begun = Gathered(arm, arm is robot), None
+        given = robot is not None and arm.source == robot.source
+        gathered, begun = Gathered(arm, given), None
         for parts in read_parts(path, arm, time_source=time_source, failed=gathered.failed):
-            data = LogData(*parts, arm, arm is robot, begun)
+            data = LogData(*parts, arm, given, begun)
             begun = int(data.joints.stamp_ns[0]) if begun is None else begun
             gathered.push(data)
             del parts, data  # they are large, and the next ones come
@@ -88,7 +90,9 @@ def inspect_log(
     if robot is not None:
         missing, findings = _missing_imus(robot, names)
         try:
-            inspected = read(robot, findings)
+            posture, left_out = _of_joints_left_out(path, robot)
+            findings += left_out
+            inspected = read(posture, findings)
         except InputError as error:
             problem = error
     if inspected is None:
@@ -104,6 +108,19 @@ def inspect_log(
             kept = [f for f in findings if f.joint]
             inspected = _unreadable(path, problem or error, surveyed.format, kept)
     return inspected._replace(log=structs.replace(inspected.log, channels=names, missing=missing))
+
+
+def _of_joints_left_out(
+    path: Path, robot: Robot
+) -> tuple[Robot, list[InspectionFinding]]:
+    """Take joints that the robot file leaves out where they stand in a log, and say so."""
+    standing = standing_joints(path, robot)
+    said = [
+        found("joint_left_out" if one.moves else "joint_stands", one.message, one.joint.name)
+        for one in standing
+        if one.message
+    ]
+    return in_logged_posture(robot, [one for one in standing if not one.moves]), said
 
 
 def _guessed(

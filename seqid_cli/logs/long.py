@@ -18,6 +18,7 @@ from seqid_cli.logs import raw as raw_log
 from seqid_cli.logs.lost_samples import mended
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.mcap.records import read_summary
+from seqid_cli.logs.publishers import second_publisher
 from seqid_cli.logs.raw import BlockReader, RawLog, Stamps, Stream, TimeSource
 from seqid_cli.logs.read import ABSURD, with_torque
 from seqid_cli.logs.storage import files
@@ -333,6 +334,8 @@ def _rows(
         if sources and sources == first_sources:
             joints = with_torque(joints, robot, raw.prefer_current, str(path), [])
         if "tau" not in joints.channels:
+            raise UnevenError
+        if second_publisher(raw.joints, str(path)) is not None:
             raise UnevenError
         values = np.concatenate([joints.channels["position"].T, joints.channels["tau"].T])
         stamps = np.concatenate([latest, joints.stamp_ns])

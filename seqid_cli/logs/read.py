@@ -10,6 +10,7 @@ from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs import raw as raw_log
 from seqid_cli.logs.lost_samples import Mended, mended, with_losses
 from seqid_cli.logs.mcap import reader, rosbags
+from seqid_cli.logs.publishers import without_second_publisher
 from seqid_cli.logs.raw import BlockReader, RawLog, Stream, TimeSource
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.files import check_log, sha256_of, storage_file, unchanged
@@ -101,6 +102,7 @@ def assemble(
     where = str(path)
     warnings = list(raw.warnings)
     joints = without_absurd(raw.joints, warnings)
+    joints = without_second_publisher(joints, where, warnings)
     present = np.isfinite(joints.channels["position"]).any(axis=0)
     if missing := [robot.joint_names[j] for j in np.flatnonzero(~present)]:
         text = f"no position of joint {', '.join(missing)}: {len(joints)} samples, all without it"

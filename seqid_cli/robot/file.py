@@ -8,17 +8,20 @@ from msgspec.structs import astuple
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml import read_robot_file
-from seqid_cli.robot.urdf import check_joints, parse_urdf
+from seqid_cli.robot.urdf import check_joints, left_out, parse_urdf
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from seqid_cli.robot.toml_schema import ImuEntry
     from seqid_cli.robot.types import Imu, Robot
 
 
-def load_robot(path: Path) -> "Robot":
+def load_robot(path: Path, positions: "Mapping[str, float] | None" = None) -> "Robot":
     """Read the robot file `path`, and the URDF beside it that it names, and check both.
 
-    The robot's `sha256` is over the bytes of the one and then the other. Raises ConfigError naming
+    Joints of the URDF that it leaves out are locked at `positions` [rad, m], else at zero. The
+    robot's `sha256` is over the bytes of the one and then the other. Raises ConfigError naming
     the file, the key's full path, the value and the remedy.
     """
     content, formulas, raw, urdf_raw = read_robot_file(path)
@@ -29,7 +32,7 @@ def load_robot(path: Path) -> "Robot":
         check_joints(urdf, content.joint, path)
     import numpy as np
 
-    from seqid_cli.robot.types import Joint, OwnEffect, Robot
+    from seqid_cli.robot.types import Joint, LockedJoint, OwnEffect, Robot
 
     if urdf is None:
         from seqid_cli.robot.kinematics import chain_from_dh
@@ -40,7 +43,7 @@ def load_robot(path: Path) -> "Robot":
     else:
         from seqid_cli.robot.urdf_model import chain_from_urdf
 
-        chain, nominal = chain_from_urdf(urdf, names, path)
+        chain, nominal = chain_from_urdf(urdf, names, path, positions)
     if content.channels.effort == "gravity_compensated" and nominal is None:
         unknown = "the gravity that the driver subtracts is not known"
         message = f"channels.effort is 'gravity_compensated', but {unknown}"
@@ -51,6 +54,10 @@ def load_robot(path: Path) -> "Robot":
     for entry, slides in zip(content.joint, chain.prismatic, strict=True):
         given = {key: getattr(entry, key) for key in entry.__struct_fields__ if key != "dh"}
         joints.append(Joint(**{**given, "prismatic": bool(slides)}, urdf=known.get(entry.name)))
+    locked = [
+        LockedJoint(Joint(x.name, prismatic=x.kind == "prismatic", urdf=x), place)
+        for x, place in (left_out(urdf, names) if urdf else ())
+    ]
     effects = [
         OwnEffect(x.name, None if x.joint is None else names.index(x.joint), formula, x.settings)
         for x, formula in zip(content.effect, formulas, strict=True)
@@ -70,6 +77,7 @@ def load_robot(path: Path) -> "Robot":
         gravity_error=content.gravity_error,
         geometry_error_m=content.geometry_error.position,
         geometry_error_rad=content.geometry_error.angle,
+        locked=tuple(locked),
     )
 
 

@@ -46,6 +46,24 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class LockedJoint:
+    """A joint that carries the arm and that the robot file leaves out; it is taken as locked."""
+
+    joint: Joint
+    place: str  # in words: between which joints
+
+    @property
+    def name(self) -> str:
+        """Its name in the URDF."""
+        return self.joint.name
+
+    @property
+    def prismatic(self) -> bool:
+        """Whether it slides."""
+        return self.joint.prismatic
+
+
+@dataclass(frozen=True)
 class Imu:
     """An accelerometer array, or an ordinary IMU, riding on the link after a joint."""
 
@@ -102,6 +120,7 @@ class Robot:
     gravity_error: float = 0.0  # rad, about either axis across it
     geometry_error_m: float = 0.0
     geometry_error_rad: float = 0.0
+    locked: tuple[LockedJoint, ...] = ()  # of the URDF's chain up to the last joint
 
     @property
     def n(self) -> int:

@@ -189,6 +189,24 @@ def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> 
         raise ConfigError(f"{key} {fault}", where=str(source), hint=hint)
 
 
+def left_out(urdf: UrdfText, names: Sequence[str]) -> list[tuple[UrdfJoint, str]]:
+    """List joints that carry the last of `names` and are none of them, each with its place."""
+    by_child = {joint.child: joint for joint in urdf.joints.values()}
+    chain, link = [], urdf.joints[names[-1]].child
+    while link in by_child:
+        chain.append(by_child[link])
+        link = by_child[link].parent
+    found, before = [], ""
+    for joint in reversed(chain):
+        if joint.name in names:
+            before = joint.name
+        elif joint.kind in MOVABLE and not joint.follows:
+            after = names[names.index(before) + 1] if before else names[0]
+            place = f"between {before!r} and {after!r}" if before else f"before {after!r}"
+            found.append((joint, f"{place} in {urdf.path.name}"))
+    return found
+
+
 def best_chain(
     urdf: UrdfText, worth: Callable[[UrdfJoint], float] = lambda joint: 1.0
 ) -> tuple[UrdfJoint, ...]:

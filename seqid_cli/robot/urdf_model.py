@@ -13,7 +13,7 @@ import contextlib
 import copy
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,17 +33,27 @@ WIDE = "1e9"
 
 
 def chain_from_urdf(
-    urdf: UrdfText, names: tuple[str, ...], source: Path
+    urdf: UrdfText,
+    names: tuple[str, ...],
+    source: Path,
+    positions: Mapping[str, float] | None = None,
 ) -> tuple[Chain, Array | None]:
-    """Build the chain of the joints `names`, all other joints locked at zero and merged.
+    """Build the chain of the joints `names`, all other joints locked and merged.
 
-    Quarter turns and zeros that it rounds are exact (see `tidy_rotation`). Raises ConfigError: the
-    URDF is inconsistent, or in the robot file `source` `names` is no serial chain in this order.
+    They are locked at zero, or at `positions` [rad, m] by their names. Quarter turns and zeros that
+    it rounds are exact (see `tidy_rotation`). Raises ConfigError: the URDF is inconsistent, or in
+    the robot file `source` `names` is no serial chain in this order.
     """
     whole = whole_model(urdf)
     others = [k for k in range(1, whole.njoints) if whole.names[k] not in names]
     # A continuous joint is (cos, sin) in the configuration, so its zero is not 0.0: neutral knows.
-    model = pin.buildReducedModel(whole, others, pin.neutral(whole))
+    posture = pin.neutral(whole)
+    for name, position in (positions or {}).items():
+        k = whole.getJointId(name)
+        step = np.zeros(whole.nv)
+        step[whole.joints[k].idx_v] = position
+        posture = pin.integrate(whole, posture, step)
+    model = pin.buildReducedModel(whole, others, posture)
     _check_chain(model, names, urdf, source)
     nominal = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
     joints = [urdf.joints[name] for name in names]

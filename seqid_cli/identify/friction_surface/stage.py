@@ -10,6 +10,7 @@ from seqid_cli.identify.friction_surface import gravity_separation, reduction, s
 from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
 from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
+from seqid_cli.identify.friction_surface.hunting import note_on_hunting, sliding_trials
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.trials import (
     Trial,
@@ -47,15 +48,23 @@ def identify_friction(
         )
     firsts: dict[int, summary.Fit] = {}
     reasons = dict.fromkeys(range(robot.n), "no constant-velocity trial moves this joint")
+    joints, verdicts, notes = {}, [], []
+    sliding: list[Trial] = []
     for j in sorted({trial.joint for trial in trials}):
         reasons[j] = UNPAIRED
         own = [trial for trial in trials if trial.joint == j]
-        gravity = gravity_separation.fit_gravity(robot, gravity_separation.configurations(own))
-        if gravity.groups:
-            firsts[j] = _fit(robot, j, gravity, options)
+        first = _first_fit(robot, j, own, options)
+        slides = sliding_trials(robot, own, first)
+        if len(slides) < len(own):
+            text = note_on_hunting(robot.joints[j], own, slides)
+            notes.append(text)
+            first = _first_fit(robot, j, slides, options)
+            reasons[j] = text if first is None else UNPAIRED
+        sliding += slides
+        if first is not None:
+            firsts[j] = first
     surfaces = [firsts[j].surface if j in firsts else None for j in range(robot.n)]
-    held = HeldJoints.of(robot, trials, surfaces)
-    joints, verdicts, notes = {}, [], []
+    held = HeldJoints.of(robot, sliding, surfaces)
     for j, joint in enumerate(robot.joints):
         first, verdict = firsts.get(j), Verdict(joint=joint.name, good=False, reason=reasons[j])
         steady = _steady_gravity(robot, first, held) if first else None
@@ -68,9 +77,22 @@ def identify_friction(
     if not joints:
         hint = "record every speed in both directions over the same range (Eq. 15)"
         names = [robot.joint_names[j] for j, reason in reasons.items() if reason == UNPAIRED]
+        if not names:
+            raise QualityError(notes[-1], hint="no joint slides in these logs")
         raise QualityError(UNPAIRED, hint=hint, where=f"joint {names[-1]}")
     notes += summary.constants_note(robot)
     return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
+
+
+def _first_fit(
+    robot: Robot, j: int, trials: list[Trial], options: FrictionOptions
+) -> summary.Fit | None:
+    """Return a first estimate of a joint's friction; None where no trials are paired."""
+    if not trials:
+        return None
+    groups = gravity_separation.configurations(trials)
+    gravity = gravity_separation.fit_gravity(robot, groups)
+    return _fit(robot, j, gravity, options) if gravity.groups else None
 
 
 def _steady_gravity(robot: Robot, first: summary.Fit, held: HeldJoints) -> GravityFit:

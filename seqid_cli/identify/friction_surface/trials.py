@@ -13,6 +13,7 @@ from seqid_cli.identify.regression.equations import open_if_long, survey_of
 from seqid_cli.logs.long import Block, LongLog
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import SurveyedLog, joined
+from seqid_cli.motion.hunting import stops, torque_swing
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_reach, moving_mask
 from seqid_cli.robot.types import Robot
@@ -30,6 +31,7 @@ class Ramps(NamedTuple):
     ddq: Array = NONE
     tau: Array = NONE  # N m
     weight: float = 0.0  # samples of a window
+    noise: float = 0.0  # of ddq, standard deviation for positions with one of 1 rad
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,8 @@ class Trial:
     where every joint stood, the moving one at the middle of its range, `places` (K, n) rad where
     they were slice by slice, to the `count` (n,) rad of their encoders.
     `celsius` is the mean of the joint's temperature, NaN where none was logged; `inertia_error`
-    kg m^2 is the standard error of the inertia whose torque was taken off.
+    kg m^2 is the standard error of the inertia whose torque was taken off. `swing` N m s and
+    `stopped` tell whether the joint hunts, see `motion.hunting`.
     """
 
     joint: int
@@ -60,6 +63,8 @@ class Trial:
     celsius: float = np.nan
     inertia_error: float = 0.0
     count: Array = field(default_factory=lambda: np.zeros(1))  # 0: not known
+    swing: float = 0.0
+    stopped: bool = False
 
     @property
     def speed(self) -> float:
@@ -86,7 +91,7 @@ def trials_of(
     count = survey.count(resolution)
     temperature = log.temperature if isinstance(log, Recording) else None
     return [
-        replace(_trial(block, each, log.rate_hz, number, temperature), count=count)
+        _trial(block, each, log.rate_hz, number, temperature, count)
         for block, own in pieces(log, survey.noise_step(resolution), rows=rows)
         for each in own
     ]
@@ -137,7 +142,12 @@ def pieces(
 
 
 def _trial(
-    block: Block, stretch: Stretch, rate_hz: float, number: int, temperature: Array | None
+    block: Block,
+    stretch: Stretch,
+    rate_hz: float,
+    number: int,
+    temperature: Array | None,
+    count: Array,
 ) -> Trial:
     j = stretch.joint
     slices = int(np.clip(stretch.samples // 4, 4, SLICES))
@@ -151,8 +161,12 @@ def _trial(
     places[:, j] = path(middles)
     celsius = np.zeros(0) if temperature is None else temperature[stretch.start : stretch.stop, j]
     celsius = celsius[np.isfinite(celsius)]
+    counts_hz = abs(stretch.velocity) / count[j] if count[j] > 0.0 else np.inf
     return Trial(
         joint=j,
+        count=count,
+        swing=torque_swing(block.tau[own, j], rate_hz, counts_hz),
+        stopped=stops(block.q[own, j], rate_hz, abs(stretch.velocity), float(count[j])),
         velocity=stretch.velocity,
         q=places[:, j].copy(),
         dq=path.deriv()(middles) / half,
@@ -210,7 +224,14 @@ def _ramps(
     second = np.gradient(np.gradient(window)) * rate_hz**2
     positions = q[pieces]
     off = positions - positions[:, :1]  # the sums of the differences are zero but for rounding
-    return Ramps(positions @ window, off @ first, off @ second, tau[pieces] @ window, length / 2)
+    return Ramps(
+        q=positions @ window,
+        dq=off @ first,
+        ddq=off @ second,
+        tau=tau[pieces] @ window,
+        weight=length / 2,
+        noise=float(np.linalg.norm(second)),
+    )
 
 
 def kelvin_of(trial: Trial, celsius: float | None) -> float:

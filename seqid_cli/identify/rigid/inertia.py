@@ -5,7 +5,7 @@ asked whether the gyroscopic coupling to the link that carries one is there too 
 """
 
 import contextlib
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import NamedTuple, cast
@@ -40,6 +40,7 @@ from seqid_cli.identify.rigid.inertia_equations import (
     InertiaRows,
     tolerance_moves,
 )
+from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equations
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs.recording import Recording
@@ -81,15 +82,16 @@ def identify_inertia(
     logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
     opens = open_if_long if others is None and streams(stages, options) else None
     none: AllRows = (None,) * (2 + len(options.neighbours))
-    parts = mapped(logs, partial(_rows_of, equations, others), opens)
+    parts = list(mapped(logs, partial(_rows_of, equations, others), opens))
     own, *near, encoder = reduce(_all, parts, none)
     if own is None or not any(joint.samples for joint in own.joints):
         raise QualityError("no joint with known friction moves in these logs")
     known = zip(options.neighbours, near, strict=True)
     result = _stage(equations, own, {factor: rows for factor, rows in known if rows is not None})
-    stage = result.inertia
+    by_log = [rows for rows, *_ in parts if rows is not None]
+    stage = _with_agreement(result.inertia, equations, by_log)
     if not (others and encoder and any(use.source != "encoder" for use in stage.motion_use)):
-        return result
+        return InertiaResult(stage, result.friction)
     before = {p.name: p.std_error for p in _stage(others, encoder, {}).inertia.parameters}
     there = [p for p in stage.parameters if p.name in before]
     ratios = [before[p.name] / max(p.std_error, 1e-300) for p in there]
@@ -99,6 +101,25 @@ def identify_inertia(
         notes.append(f"by the encoders alone the standard errors would be {times} (median)")
     stage = msgspec.structs.replace(stage, encoder_std_errors=before, notes=notes)
     return InertiaResult(stage, result.friction)
+
+
+def _with_agreement(
+    stage: RigidStage, equations: InertiaEquations, logs: Sequence[InertiaRows]
+) -> RigidStage:
+    """Add verdicts on logs whose rigid body is not that of the others."""
+    robot, size = equations.robot, equations.basis.size
+    coupling = float(stage.rotor_coupling == "gyroscopic")
+    joints = [[j.with_fixed(j.size - 1, coupling) for j in rows.joints] for rows in logs]
+    counts = np.sum([rows.counts for rows in logs], axis=0)
+    found = agreement_verdicts(
+        log_equations([rows.uses[0].log for rows in logs], joints),
+        robot,
+        np.array([stage.rmse.get(name, np.inf) for name in robot.joint_names]),
+        np.sum([rows.torque_squares for rows in logs], axis=0),
+        size,
+        independent=float(counts[0] / max(counts[1], 1.0)),
+    )
+    return msgspec.structs.replace(stage, verdicts=[*stage.verdicts, *found])
 
 
 def _rows_of(

@@ -37,6 +37,7 @@ from seqid_cli.identify.regression.noise_level import (
     noise_of_log,
     torque_of_noise,
 )
+from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equations
 from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.logs.recording import Recording
@@ -110,6 +111,7 @@ class SimultaneousEquations:
         self.width = share * np.max(shown, axis=0)
         self.low = np.min([motion.q.min(axis=0) for motion in motions], axis=0)
         self.high = np.max([motion.q.max(axis=0) for motion in motions], axis=0)
+        self.logs: list[list[Accumulator]] = []  # of each log by itself
         for motion in motions:
             self._add(motion)
 
@@ -122,6 +124,7 @@ class SimultaneousEquations:
         y = motion.tau - rotors
         # Of sign, velocity and offset, filtered like predicted friction.
         sign = np.tanh(motion.dq / np.where(self.width > 0, self.width, 1.0))
+        own_log = [Accumulator(joint.size) for joint in self.joints]
         columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
         friction = motion.filtered(columns[:, :, : len(self.terms)], times=2)
         change = np.gradient(motion.tau, axis=0) * motion.rate_hz
@@ -139,7 +142,7 @@ class SimultaneousEquations:
                 judged=usable[some],
             )
             for block in equations.blocks(len(H), motion.rate_hz):
-                for j, joint in enumerate(self.joints):
+                for j, joint in enumerate(own_log):
                     kept = usable[part][block, j]
                     wide = np.zeros((int(kept.sum()), joint.size))
                     wide[:, : self.basis.size] = H[block, j][kept]
@@ -148,6 +151,8 @@ class SimultaneousEquations:
                     joint.add(wide, y[part][block, j][kept])
                     self._rotor_sums[j] += wide.T @ rotors[part][block, j][kept]
         self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
+        self.logs.append(own_log)
+        self.joints = [a + b for a, b in zip(self.joints, own_log, strict=True)]
 
     def prior(self) -> Prior:
         """Return what is known of the delays before."""
@@ -220,7 +225,17 @@ class SimultaneousEquations:
             motion={use.log: equations.source_text(use) for use in uses},
             motion_use=uses,
             cutoff_hz=cutoff,
-            verdicts=self._verdicts(solution, floor, len(stage.not_excited)),
+            verdicts=[
+                *self._verdicts(solution, floor, len(stage.not_excited)),
+                *agreement_verdicts(
+                    log_equations([use.log for use in uses], self.logs),
+                    robot,
+                    solution.sigma,
+                    self.torque_squares,
+                    self.basis.size,
+                    independent=self.independent,
+                ),
+            ],
             notes=[*stage.notes, *([text] if free else [])],
         )
         fit = Fit(

@@ -15,6 +15,7 @@ from seqid_cli.shares import percent
 # What the reader says in words, and the code that it stands for; empty where a check of its own
 # says it better.
 _SAID: tuple[tuple[str, str], ...] = (
+    (r": a second publisher: ", "second_publisher"),
     (r"runs twice over the same time", "clock_set_back"),
     (r"steps back \d+ times", "stamps_backwards"),
     (r"samples are lost at \d+ places", "samples_lost"),

@@ -1,10 +1,11 @@
 """Logged velocities against the positions, over windows in which the encoder sees motion."""
 
 from collections.abc import Container, Iterator
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.signal import welch
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
@@ -36,7 +37,7 @@ def velocity_findings(
     gains, ratios = np.diag(r) * sizes[0] / sizes[1], sizes[1] / sizes[0]
     crossed = _crossed(r, moving)
     paired = {j for pair in crossed for j in pair}
-    still = _still(data, travel, integral)
+    still = _still(data, travel, integral, window_s)
     dead = [j for j in whole if still[j] >= FEWEST and j not in paired]
     for j in dead:
         text = f"stands still for {window_s * still[j]:.2g} s in which its velocity moves it"
@@ -57,11 +58,44 @@ def velocity_findings(
             yield from _verdict(joint, float(gains[j]), float(r[j, j]), float(ratios[j]))
 
 
-def _still(data: LogData, travel: Array, integral: Array, *, min_share: float = 0.3) -> Array:
-    """Count the windows (n,) in which the velocity moves a joint and its position stands still."""
+def _still(
+    data: LogData,
+    travel: Array,
+    integral: Array,
+    window_s: float,
+    *,
+    min_share: float = 0.3,
+    min_noises: float = 5.0,
+) -> Array:
+    """Count the windows (n,) in which the velocity moves a joint and its position stands still.
+
+    Noise of the velocity adds up as well: over a window of T seconds white noise of density S
+    makes sqrt(S T / 2). An integral below `min_noises` times that moves nothing.
+    """
     size = np.abs(integral)
-    fast = np.maximum(COUNTS * data.step, min_share * np.quantile(size, 0.9, axis=0))
+    noise = np.sqrt(0.5 * window_s * _noise_density(data))
+    least = np.maximum(COUNTS * data.step, min_noises * noise)
+    fast = np.maximum(least, min_share * np.quantile(size, 0.9, axis=0))
     return np.asarray(np.sum((travel == 0.0) & (size > fast), axis=0))
+
+
+def _noise_density(
+    data: LogData, *, motion_hz: float = 3.0, segment_s: float = 2.0
+) -> Array:
+    """Return the density (n,) of the velocities' noise, (rad/s)^2/Hz, one-sided.
+
+    Arms move below `motion_hz`, noise goes on above. A drive may low-pass its velocity, so the
+    octave above with the most counts, each by its median, which a line of hum does not lift.
+    """
+    recording = data.recording
+    assert recording.dq is not None
+    length = min(len(recording.dq), round(segment_s * recording.rate_hz))
+    f, density = welch(recording.dq, recording.rate_hz, nperseg=length, axis=0)
+
+    edges = motion_hz * 2.0 ** np.arange(12)
+    inside = [(f >= low) & (f < high) for low, high in pairwise(edges)]
+    octaves = [np.median(density[rows], axis=0) for rows in inside if rows.any()]
+    return np.max(octaves, axis=0) if octaves else np.zeros(data.robot.n)
 
 
 def _crossed(r: Array, moving: list[int], *, min_crossed: float = 0.95) -> list[tuple[int, int]]:

@@ -14,7 +14,7 @@ from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 
 from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
 from seqid_cli.inspect.findings import found
@@ -24,6 +24,7 @@ from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
+from seqid_cli.typing import Mask
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,7 @@ def mounted(gravity: Array) -> Cause:
 
 
 BETTER = 0.8  # of another cause's error: less of a difference decides nothing
+CLEARLY = 1.02  # ratio of errors of all equations that a zero changes, and a centre of mass not
 HEAVY = 1e-3  # N m
 # How a finding of the mounting reads where one direction alone fits.
 GRAVITY = re.compile(r"gravity acts along (\[[^\]]*\]);")
@@ -158,6 +160,7 @@ def _structural(
     thin = sample.thinned()
     error = _structural_error(thin)
     if error < suspicious:
+        yield from _nearly_right(thin, error)
         return
     mended = _mending(thin, error, _structural_error, [*causes_of(data, thin, units=True)])
     seen = (sample.rms_speeds > min_steps * data.step)[list(sample.moving)].all()
@@ -166,6 +169,109 @@ def _structural(
     elif error > poor and seen:
         text = f"the equations leave {percent(error, 0)} of the torque's RMS"
         yield found("model_mismatch", text)
+
+
+def _nearly_right(
+    sample: Sample, error: float, *, max_ratio: float = 0.5, max_left: float = 0.1
+) -> Iterator[InspectionFinding]:
+    """Find gravity turned round, or a zero that is off, where the equations leave little.
+
+    Free parameters take up nearly all of such a fault, so what it leaves is small against the
+    torque, but large against what the right robot leaves: `max_ratio` of the `error` or less. The
+    URDF's inertials cannot take up a zero that is off: what they leave beyond the free parameters
+    must fall as far, to `max_left` of the torque or less. A centre of mass that the URDF has wrong
+    looks alike in the torque of that joint alone, not in the equations of all joints, which then
+    decide between the two.
+    """
+    against = mounted(-sample.robot.gravity)
+    causes = [against] if sample.robot.gravity.any() else []
+    causes += _shifted(sample, _structural_error)
+    errors = [_structural_error(cause.on(sample)) for cause in causes]
+    best = int(np.argmin(errors)) if causes else 0
+    if causes and errors[best] <= max_ratio * error:
+        yield _found(sample.robot, [causes[best]], _fall(error, errors[best]))
+        return
+
+    if sample.robot.nominal is None:
+        return
+    causes = _shifted(sample, _nominal_error)
+    errors = [_nominal_error(cause.on(sample)) for cause in causes]
+    if not causes:
+        return
+    best = int(np.argmin(errors))
+    cause, shifted = causes[best], _structural_error(causes[best].on(sample))
+    before = float(np.sqrt(max(_nominal_error(sample) ** 2 - error**2, 0.0)))
+    after = float(np.sqrt(max(errors[best] ** 2 - shifted**2, 0.0)))
+    if after > min(max_ratio * before, max_left):
+        return
+    fall = _fall(before, after, "what the URDF's inertials leave beyond free parameters")
+    if shifted < error / CLEARLY:
+        yield _found(sample.robot, [cause], fall)
+    elif shifted < error * CLEARLY:
+        name = sample.robot.joint_names[cause.joints[0]]
+        text = f"{cause.text}, or its centre of mass is not where the URDF has it; {fall}"
+        yield found("zero_or_mass", text, name, "position")
+
+
+def _shifted(
+    sample: Sample,
+    measure: Measure,
+    *,
+    slightly: float = 0.05,
+    min_gain: float = 0.03,
+    few_rows: int = 250,
+    angles: int = 12,
+    precise: float = 1e-3,
+) -> list[Cause]:
+    """Shift the zero of each revolute joint to where it fits best.
+
+    Parameters
+    ----------
+    sample : Sample
+        Rows of the log.
+    measure : callable
+        Error of a sample [-], a smooth function of the angle.
+    slightly : float
+        Angle [rad] either way by which a joint is tried first.
+    min_gain : float
+        Share by which that must lower the error, else the joint is left alone.
+    few_rows : int
+        Rows of the first try and of the search, which costs an evaluation for each angle.
+    angles : int
+        Angles over a turn from which the search begins at the best.
+    precise : float
+        Angle [rad] to which the shift is found.
+    """
+    few = sample.thinned(few_rows)
+    robot, causes = sample.robot, []
+    for j in (j for j in sample.moving if not robot.joints[j].prismatic):
+
+        def error(angle: float, j: int = j) -> float:
+            return measure(_zero_off(robot, j, angle).on(few))
+
+        usual = error(0.0)
+        if min(error(slightly), error(-slightly)) > (1.0 - min_gain) * usual:
+            continue
+        around = 2.0 * np.pi * np.arange(angles) / angles
+        start = float(min(around, key=error))
+        reach = 2.0 * np.pi / angles
+        ends = (start - reach, start + reach)
+        best = minimize_scalar(error, bounds=ends, method="bounded", options={"xatol": precise})
+        angle = float((best.x + np.pi) % (2.0 * np.pi) - np.pi)
+        if abs(angle) > slightly / 2.0:
+            causes.append(_zero_off(robot, j, angle))
+    return causes
+
+
+def _zero_off(robot: Robot, j: int, angle: float) -> Cause:
+    """A revolute joint whose positions lack `angle` [rad]."""
+    shift = np.where(np.arange(robot.n) == j, angle, 0.0)
+    return Cause("position_zero", (j,), f"its zero is {-angle:.3g} rad off", shift=shift)
+
+
+def _fall(before: float, after: float, what: str = "the equations' error") -> str:
+    """Say how far a change lowers an error."""
+    return f"{what} falls from {percent(before)} to {percent(after)}"
 
 
 def _mending(
@@ -204,8 +310,7 @@ def _mending(
         return None
     if sample.robot.nominal is not None:
         chosen.sort(key=lambda cause: _nominal_error(cause.on(sample)))
-    fall = f"the equations' error falls from {percent(before)} to {percent(least)}"
-    return _found(sample.robot, chosen, fall)
+    return _found(sample.robot, chosen, _fall(before, least))
 
 
 def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding:
@@ -247,16 +352,20 @@ def _slanted(
     return [mounted(sign * gravity(best)) for sign in (1.0, -1.0)]
 
 
-def _structural_error(sample: Sample, *, min_speed: float = 0.2) -> float:
+def _sliding(sample: Sample, *, min_speed: float = 0.2) -> Mask:
+    """Where (N, n) joints that move slide: at rest friction takes any value."""
+    sliding = np.abs(sample.dq) > min_speed * sample.rms_speeds
+    return np.asarray(sliding & np.isin(np.arange(sample.robot.n), sample.moving))
+
+
+def _structural_error(sample: Sample) -> float:
     """RMS that rigid body and friction leave of the torques, each as a share of its own."""
     assert sample.basis is not None
     tau, n = sample.tau, sample.robot.n
     each = sample.own_columns()[:, :, None] * np.eye(n)[:, :, None]  # no joint has those of another
     Y = base_regressor(sample.robot, sample.basis, sample.q, sample.dq, sample.ddq)
     X = np.concatenate([Y, each.reshape(len(tau), n, -1)], axis=2)
-    # At rest friction takes any value.
-    sliding = np.abs(sample.dq) > min_speed * sample.rms_speeds
-    sliding &= np.isin(np.arange(n), sample.moving)
+    sliding = _sliding(sample)
     squares = np.where(sliding, tau, 0.0) ** 2
     size = np.sqrt(squares.sum(axis=0) / np.maximum(sliding.sum(axis=0), 1)).clip(1e-12)
     *_, left = scaled_fit((X / size[:, None])[sliding], (tau / size)[sliding])
@@ -280,9 +389,13 @@ def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
 def _nominal_error(sample: Sample) -> float:
     """RMS that the URDF's inertials and friction leave of torques, each as a share of its own."""
     left = sample.tau - np.sum(sample.nominal(), axis=0)
-    own, moving = sample.own_columns(), list(sample.moving)
-    squares = [np.mean(scaled_fit(own[:, j], left[:, j])[2] ** 2) for j in moving]
-    return float(np.sqrt(np.mean(squares / sample.tau[:, moving].var(axis=0).clip(1e-300))))
+    own, slides = sample.own_columns(), _sliding(sample)
+    shares = []
+    for j in (j for j in sample.moving if slides[:, j].any()):
+        rows = slides[:, j]
+        remains = scaled_fit(own[rows, j], left[rows, j])[2]
+        shares.append(np.mean(remains**2) / max(float(sample.tau[rows, j].var()), 1e-300))
+    return float(np.sqrt(np.mean(shares))) if shares else 0.0
 
 
 def _weights(

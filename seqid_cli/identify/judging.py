@@ -64,9 +64,28 @@ def judged(
     for name in ("friction", "gravity", "imu", "inertia"):
         stage = getattr(new, name)
         if stage is not None:
-            own = [*stage.verdicts, *_physics(stage, known, robot), *of_logs]
-            stages[name] = replace(stage, verdicts=as_a_whole(own))
+            verdicts = [
+                *stage.verdicts,
+                *_physics(stage, known, robot),
+                *of_logs,
+                *_inherited(name, known),
+            ]
+            stages[name] = replace(stage, verdicts=as_a_whole(verdicts))
     return replace(new, **stages)
+
+
+RESTS_ON = {"gravity": ("friction",), "inertia": ("friction", "gravity")}
+
+
+def _inherited(name: str, known: schema.Stages) -> Iterator[schema.Verdict]:
+    """Yield that a stage is no better than usable where one that it rests on is not good."""
+    for earlier in RESTS_ON.get(name, ()):
+        stage = getattr(known, earlier)
+        level = worst_level(stage.verdicts) if stage is not None else None
+        if level is None or level == "good":
+            continue
+        reason = f"rests on the {earlier} stage, which is {level}"
+        yield schema.Verdict(good=False, level="usable", reason=reason)
 
 
 def physics_verdicts(stages: schema.Stages, robot: Robot) -> list[schema.Verdict]:

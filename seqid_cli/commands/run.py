@@ -5,7 +5,7 @@ import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
@@ -18,9 +18,6 @@ from seqid_cli.errors import UsageError
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import LEVELS, Level, ParameterFile, Verdict
-
-if TYPE_CHECKING:
-    from seqid_cli.robot.types import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,11 +111,11 @@ def run(
     from seqid_cli.robot.file import load_robot
 
     screen = screen_of(context)
-    _make_folder(output)
     robot_file = _robot_file(screen, context, folder, robot, urdf, output)
     arm = load_robot(robot_file)
     logs = logs_of_run(folder, output, arm, screen.note)
-    steps = [*_steps(logs, robot_file, arm, output, jobs, refine=refine)]
+    steps = [*_steps(logs, robot_file, output, jobs, refine=refine)]
+    _make_folder(output)
 
     record = Record(output)
     outcomes: list[Outcome] = []
@@ -166,6 +163,7 @@ def _robot_file(
     if made.is_file():
         screen.note(f"robot file: {made}, made by an earlier run, kept")
         return made
+    _make_folder(output)
     screen.note("--- init")
     _code(["init", "--urdf", str(urdf), "-o", str(made), "--", str(folder)], context)
     return made
@@ -174,7 +172,6 @@ def _robot_file(
 def _steps(
     logs: RunLogs,
     robot_file: Path,
-    robot: "Robot",
     out: Path,
     jobs: int | None,
     *,

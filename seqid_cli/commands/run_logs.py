@@ -8,11 +8,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.params.results.inspection import InspectedLog
-from seqid_cli.robot.types import Robot
+
+if TYPE_CHECKING:
+    from seqid_cli.robot.types import Robot
 
 VALIDATION = "validation"
 # Each command that identifies a stage, and the folder and the file that are named after it.
@@ -35,7 +38,7 @@ class RunLogs:
 
 
 def logs_of_run(
-    folder: Path, output: Path, robot: Robot, say: Callable[[str], None]
+    folder: Path, output: Path, robot: "Robot", say: Callable[[str], None]
 ) -> RunLogs:
     """Return the logs of a folder, sorted as its folders are, or as `inspect` says.
 
@@ -108,7 +111,7 @@ def _with_friction_for_gravity(
 
 
 def _sorted_by_inspection(
-    folder: Path, output: Path, robot: Robot, say: Callable[[str], None]
+    folder: Path, output: Path, robot: "Robot", say: Callable[[str], None]
 ) -> RunLogs:
     """Return the logs of a folder by what each of them serves, and say so."""
     from seqid_cli.inspect import inspect

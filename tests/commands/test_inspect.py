@@ -68,6 +68,7 @@ def test_json_is_one_document_and_the_file_the_same(rig: Rig) -> None:
 
 
 def test_a_fault_of_many_logs_is_told_once(rig: Rig) -> None:
+    (rig.folder / "robot.toml").unlink()
     columns = read_columns(TWO / "validation" / "fourier_1.parquet")
     (rig.folder / "logs").mkdir()
     for k in range(16):
@@ -80,7 +81,16 @@ def test_a_fault_of_many_logs_is_told_once(rig: Rig) -> None:
     assert sum(line.startswith("error") for line in every.splitlines()) == 32
 
 
+def test_a_robot_file_is_found_where_none_is_given(rig: Rig) -> None:
+    done = rig.run("inspect", str(TWO / "validation" / "fourier_1.parquet"), "-v")
+    assert "robot file: robot.toml (-r names another)" in done.err
+    (rig.folder / "robot.toml").unlink()
+    done = rig.run("inspect", str(TWO / "validation" / "fourier_1.parquet"), "-v")
+    assert "two_joint/robot.toml (beside the logs; -r names another)" in done.err
+
+
 def test_without_a_robot_file_the_joints_are_guessed(rig: Rig) -> None:
+    (rig.folder / "robot.toml").unlink()
     names = {"joint_1.position": "q_0", "joint_2.position": "q_1"}
     names |= {"joint_1.current": "i_0", "joint_2.current": "i_1"}
     log = edited(

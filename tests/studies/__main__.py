@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 from tests import ROOT
 from tests.benchmarks import discovery, ingestion, kernels, whole_run
-from tests.studies import bands, recorded, tables
+from tests.studies import bands, recorded, tables, unseen
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
 from tests.studies.planned import errors, separation
@@ -26,6 +26,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # pa
     "closed_loop": ("closed_loop_study.md", closed_loop.study),
     "coverage": ("coverage.md", coverage.study),
     "bands": ("coverage.md", bands.study),
+    "unseen": ("method.md", unseen.study),
     "planned_errors": ("plan.md", errors.study),
     "planned_separation": ("plan.md", separation.study),
     "recorded_effects": ("effects_study.md", recorded.effects),

@@ -11,7 +11,7 @@ is mostly the arm's inertia, M ddq. The link's acceleration differs from the dri
 
 d4q/dt4 the second derivative of the accelerations ("snap"). A gain, a mounting or a clock of an
 IMU that is off differs by ddq and its first derivative instead, and jolts that fall between two
-samples by nothing that the motion foretells. So `d` is predicted block by block from the others,
+samples by nothing that the motion predicts. So `d` is predicted block by block from the others,
 with and without snap: joints bend where snap predicts blocks that it has not seen.
 """
 

@@ -81,6 +81,7 @@ class Start:
 
 @pytest.fixture
 def start(rig: Rig) -> Start:
+    (rig.folder / "robot.toml").unlink()  # of another arm: whoever begins has none
     shutil.copy(URDF, rig.folder / "arm.urdf")
     return Start(rig).log({})
 

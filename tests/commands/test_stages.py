@@ -11,6 +11,8 @@ import pytest
 
 from seqid_cli.errors import ConfigError, QualityError, SeqidError
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.rigid.gravity import GravityResult
+from seqid_cli.identify.rigid.inertia import InertiaResult
 from seqid_cli.inspect.findings import found
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.io import read_parameters
@@ -53,7 +55,8 @@ def test_stages_build_on_what_was_there(rig: Rig, reader: Reader, identified: Re
     assert rig.run("imu-calib", *COMMON, "-p", before).code == 0
     assert read_parameters(rig.folder / "out.json").stages.gravity is not None
 
-    calls = identified("rigid.inertia", "identify_inertia", rigid_stage("kg m^2"))
+    result = InertiaResult(rigid_stage("kg m^2"), friction_stage())
+    calls = identified("rigid.inertia", "identify_inertia", result)
     arguments = ["a.parquet", "-r", "robot.toml", "-p", "out.json", "-o", "final.json"]
     assert rig.run("inertia", *arguments, "--motion", "imu").code == 0
     assert calls[3] == InertiaOptions(MotionOptions(), "imu")
@@ -79,9 +82,11 @@ def test_what_the_other_stages_show(rig: Rig, reader: Reader, identified: Replac
     rig.params("f.json", friction_file())
     rig.params("full.json", full_file())
     empty = RigidStage(parameters=[], condition=0.0, rank=0, notes=["the arm is planar"])
-    identified("rigid.gravity", "identify_gravity", empty)
+    friction = read_parameters(rig.folder / "f.json").stages.friction
+    identified("rigid.gravity", "identify_gravity", GravityResult(empty, friction))
     identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
-    identified("rigid.inertia", "identify_inertia", rigid_stage("kg m^2"))
+    result = InertiaResult(rigid_stage("kg m^2"), friction)
+    identified("rigid.inertia", "identify_inertia", result)
     found = (friction_stage(), rigid_stage())
     identified("rigid.simultaneous", "identify_simultaneous", found)
     with (rig.folder / "robot.toml").open("a") as file:

@@ -52,7 +52,8 @@ def test_names_of_files_and_topics_do_not_reach_the_terminal(rig: Rig) -> None:
     shutil.copy(next((ONE_JOINT / "friction").iterdir()), log)
     topics = {f"/{EVIL}": ("cdr", EVIL, "ros2msg", b"float64 x")}
     bag = str(write_raw(rig.folder / "log.mcap", topics, [(f"/{EVIL}", 0, b"")]))
-    refused = (["friction", f"{log}x", "-r", "robot.toml"], ["inspect", bag])
+    (rig.folder / "robot.toml").rename(rig.folder / "other.toml")  # not this log's
+    refused = (["friction", f"{log}x", "-r", "other.toml"], ["inspect", bag])
     for arguments in (["inspect", log], *refused):
         for more in ([], ["--json"]):
             done = rig.run(*arguments, *more)

@@ -230,7 +230,7 @@ def friction_rows(case: Case, session: Session, stage: FrictionStage) -> list[Ro
 
 
 def nuisance_rows(case: Case, file: ParameterFile, name: str) -> list[Row]:
-    """Compare the delays, offsets and asymmetries that a stage states."""
+    """Compare what a stage states of the drives: delays, offsets and the like."""
     stages = file.stages
     rigid = stages.inertia if name == "simultaneous" else getattr(stages, name)
     found = list(getattr(rigid, "nuisances", ()))
@@ -241,8 +241,9 @@ def nuisance_rows(case: Case, file: ParameterFile, name: str) -> list[Row]:
     rows = []
     for x in found:
         truth = true_nuisances(case, case.arm.names.index(x.joint))
-        row = {"name": x.name, "joint": x.joint, "value": x.value}
-        rows.append(row | {"std_error": x.std_error, "truth": truth[x.name]})
+        if x.name in truth:
+            row = {"name": x.name, "joint": x.joint, "value": x.value}
+            rows.append(row | {"std_error": x.std_error, "truth": truth[x.name]})
     return rows
 
 

@@ -137,7 +137,7 @@ def by_stage(rows: Sequence[Row]) -> str:
     return table([*header, "intervals that hold, good", "usable", "poor"], cells)
 
 
-NUISANCES = ("delay", "offset", "asymmetry")
+NUISANCES = ("delay", "offset", "asymmetry", "viscous_asymmetry", "thermal")
 
 
 def nuisances(rows: Sequence[Row]) -> str:

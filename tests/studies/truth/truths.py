@@ -105,10 +105,11 @@ def true_offset(case: Case, joint: int) -> float:
 
 
 def true_nuisances(case: Case, joint: int) -> dict[str, float]:
-    """Return delay s, offset N m and asymmetry of a joint's drive as parameter files state them.
+    """Return what a joint's drive adds to its torque, by the names of the parameter file.
 
-    A filter counts as the delay of what is slow. `asymmetry` is the share of the friction, as a
-    mean of both directions, that is added on the way up.
+    `delay` s: a filter counts as the delay of what is slow. `offset` N m. `asymmetry` and
+    `viscous_asymmetry`: shares of the mean of both directions that are added on the way up.
+    `thermal` 1/K: share by which friction changes.
     """
     seconds = case.sizes("delay")
     delay = float(seconds["seconds"][joint]) if seconds else 0.0
@@ -116,6 +117,13 @@ def true_nuisances(case: Case, joint: int) -> dict[str, float]:
         delay += [1.0, 2.0**0.5][lowpass["order"] - 1] / (
             2.0 * np.pi * lowpass["hertz"]
         )
-    share = shares_up(case)[joint]
-    offset = true_offset(case, joint)
-    return {"delay": delay, "offset": offset, "asymmetry": share / (2.0 + share)}
+    larger = shares_up(case)[joint]
+    share = larger / (2.0 + larger)
+    heat = case.sizes("warmth")
+    return {
+        "delay": delay,
+        "offset": true_offset(case, joint),
+        "asymmetry": share,
+        "viscous_asymmetry": share,
+        "thermal": float(heat["per_kelvin"][joint]) if heat else 0.0,
+    }

@@ -152,7 +152,8 @@ def test_declared_tolerances_are_read(kind: str, tmp_path: Path) -> None:
 
 def test_what_files_state_of_drives() -> None:
     late = true_nuisances(case_with("delay", seconds=[2e-3, -1e-3]), 1)
-    assert late == {"delay": -1e-3, "offset": 0.0, "asymmetry": 0.0}
+    assert late.pop("delay") == -1e-3
+    assert set(late.values()) == {0.0}
     slow = true_nuisances(case_with("filter", hertz=30.0, order=1), 0)
     assert slow["delay"] == pytest.approx(5.3e-3, rel=0.01)
     # f_+ = 1.1 and f_- = 1: the mean 1.05, and 0.05 of it to either side.

@@ -154,7 +154,7 @@ def _shared(
     source: Literal["auto", "encoder", "imu", "fused"] = option(
         "auto",
         "--motion",
-        "Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
+        "Where joint motion comes from: encoders, IMUs (Eq. 30, 31, 41, 42), or both"
         " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects:"
         " and where encoders are much the worse), else encoder.",
     ),

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-# "auto": fused where it can be had; "needed": only where the encoders are much the worse as well.
+# "auto": fused where it can be had and errs less; "needed": only where encoders are much the worse.
 SOURCES = ("auto", "needed", "encoder", "imu", "fused")
 
 

@@ -97,8 +97,14 @@ def best_motion(
 
 
 def _from_imus(
-    recording: Recording, robot: Robot, stage: ImuStage | None, motion: Motion
+    recording: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    motion: Motion,
+    *,
+    max_noise_ratio: float = 1.5,
 ) -> Motion:
+    """Motion by the IMUs alone: `dq` by Eq. 31 and 41, `ddq` by Eq. 30 and 42, `q` the encoders'."""
     readings, warnings = [], [*absent_imus(recording, robot, stage)]
     for imu in robot.imus:
         calibration = stage.imus.get(imu.name) if stage else None
@@ -124,7 +130,8 @@ def _from_imus(
     # Jolts between two samples fold into the band of the motion; encoders show them as error.
     apart = np.mean((ddq - motion.ddq)[motion.usable] ** 2, axis=0)
     noise = motion.cutoff.acceleration_noise**2
-    error = np.where(apart > 1.5 * noise, np.sqrt(np.maximum(error**2, apart - noise)), error)
+    shown = np.sqrt(np.maximum(error**2, apart - noise))
+    error = np.where(apart > max_noise_ratio * noise, shown, error)
     return replace(
         motion,
         dq=velocities.dq,

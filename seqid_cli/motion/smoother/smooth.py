@@ -190,7 +190,7 @@ class Smoothed:
     variance: Array  # (G, n, 3)
     mounted: dict[str, Mounted]  # that took part, as the last chunk left them
     notes: tuple[str, ...]
-    # (N, n) rad/s^2 by which links accelerate beyond it, by every IMU as it was calibrated.
+    # (N, n) rad/s^2 by which links accelerate beyond it, by every calibrated IMU.
     beyond: Array
 
     def typical(self, valid: Mask) -> Array:
@@ -311,8 +311,10 @@ def smoothed_motion(
         # next to nothing above the Nyquist rate, so their differences do not.
         dq, ddq = differentiate(q, rate)
     known_at = np.concatenate(at), np.concatenate(variances)
-    whole = slice(0, samples)
-    every = [read(x, recording, whole) for x in mounted_imus(recording, robot, stage)]
+    # By the constants that explain this log best; of an IMU that was left out by its calibration.
+    calibrated = mounted_imus(recording, robot, stage)
+    witnesses = [mounted.get(x.name, x) for x in calibrated]
+    every = [read(x, recording, slice(0, samples)) for x in witnesses]
     beyond = beyond_motion(robot, recording.t, (q, dq, ddq), every)
     return Smoothed(q, dq, ddq, *known_at, mounted, tuple(notes), beyond)
 

@@ -94,9 +94,12 @@ def _robot_beside(log: str) -> Path | None:
     if "://" in log:  # on object storage
         return None
     place = Path(log)
-    folder = place if place.is_dir() else place.parent
-    candidates = (folder / ROBOT_NAME, folder.parent / ROBOT_NAME)
-    return next((path for path in candidates if path.is_file()), None)
+    try:
+        folder = place if place.is_dir() else place.parent
+        candidates = (folder / ROBOT_NAME, folder.parent / ROBOT_NAME)
+        return next((path for path in candidates if path.is_file()), None)
+    except (OSError, ValueError):  # a name that no file can have: told by whoever opens it
+        return None
 
 
 def only(

@@ -59,17 +59,26 @@ def fused_motion(
         if not insist:
             return replace(alone, warnings=(*warnings, f"{doubt}: encoders alone are used"))
         warnings = (*warnings, doubt)
-    if not insist and not _smaller_error(judged, encoder):
+    if not insist and not _smaller_error(judged, smoothed, encoder):
         return alone
     return replace(_filtered(log, encoder, smoothed, judged), warnings=warnings)
 
 
-def _smaller_error(judged: "LeftOut", encoder: Motion) -> bool:
-    """Whether fused motion errs less than the encoders, on the geometric mean of what moves."""
+def _smaller_error(judged: "LeftOut", smoothed: Smoothed, encoder: Motion) -> bool:
+    """Whether fused motion errs less than the encoders, on the geometric mean of what moves.
+
+    What is left out was compared below the encoders' own cut-off. Where a model asks for a higher
+    one, the noise up to there counts, of which differentiated encoders have more by hz^5.
+    """
     moving = encoder.moving.any(axis=0)
     if not moving.any():
         return True
-    ratio = judged.fused_error[moving] / np.maximum(judged.encoder_error[moving], 1e-300)
+    hz = encoder.cutoff.hz
+    density = encoder.cutoff.noise_density
+    noise = bandwidth.smoothed_error(smoothed.typical(encoder.valid), density, hz)
+    fused = noise + judged.beyond_noise + judged.bent
+    differentiated = bandwidth.differentiated_error(density, hz) + judged.bent
+    ratio = fused[moving] / np.maximum(differentiated[moving], 1e-300)
     return bool(np.mean(np.log(np.maximum(ratio, 1e-300))) < 0.0)
 
 

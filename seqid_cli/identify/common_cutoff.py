@@ -2,9 +2,11 @@
 
 An inertia that is identified below one cut-off holds what the logs show there: friction that lags,
 elasticity and what else a model leaves out enter it differently elsewhere. So all logs of a stage
-are filtered alike: the scores of `motion.filters.bandwidth`, log S - KAPPA N / S, add up over logs
-and joints, and the sum is maximised; the slowest rate of the logs limits it. The file carries the
-cut-off and later stages take it (`inherited`), unless the user gives another.
+are filtered alike. The scores of `motion.filters.bandwidth`, log S - KAPPA N / S, add up over logs
+and joints, and the sum is maximised; the slowest rate of the logs limits it. From there the
+identification itself looks for the smallest error of the predicted torque
+(`rigid.cutoff_choice`), on pieces of the logs where they are long. The file carries the cut-off and
+later stages take it (`inherited`), unless the user gives another.
 """
 
 import contextlib
@@ -20,8 +22,10 @@ from seqid_cli.errors import SeqidError
 from seqid_cli.identify.options import RigidOptions
 from seqid_cli.identify.regression.equations import open_if_long, survey_of
 from seqid_cli.identify.rigid.cutoff_choice import (
+    LIMITS,
     SAMPLES_PER_CUTOFF,
     CutoffChoice,
+    CutoffLimits,
     Trial,
     choose_cutoff,
 )
@@ -137,6 +141,7 @@ def identification_options(
     trial: Trial | None = None,
     *,
     most_values: float = 1e6,
+    limits: CutoffLimits = LIMITS,
 ) -> MotionOptions:
     """Return how all logs of an identification are filtered, whatever their order.
 
@@ -151,6 +156,8 @@ def identification_options(
         Without one the motion alone decides.
     most_values : float
         Samples times joints that cut-offs are tried on: pieces of logs that have more.
+    limits : CutoffLimits
+        What makes a cut-off admissible.
     """
     if options.cutoff_hz is not None:
         return MotionOptions(options.cutoff_hz, origin="as given")
@@ -177,10 +184,16 @@ def identification_options(
     if len(logs) > 1:
         origin = f"chosen from all {len(logs)} logs together"
     if trial is not None:
-        hz = _by_posterior(trial, found, hz, highest_hz=float(GRID[allowed - 1])).cutoff_hz
+        hz = _by_posterior(trial, found, hz, highest_hz=highest, limits=limits).cutoff_hz
         encoder_hz = min(encoder_hz, hz)
         origin += ": the smallest error of the predicted torque"
-    return MotionOptions(hz, origin=origin, encoder_hz=encoder_hz)
+    jerk_noise = _at(_noise_shares(found).of_jerk(), hz)
+    return MotionOptions(
+        cutoff_hz=hz,
+        origin=origin,
+        encoder_hz=encoder_hz,
+        reads_delays=jerk_noise <= limits.max_jerk_noise,
+    )
 
 
 def _by_posterior(
@@ -189,6 +202,7 @@ def _by_posterior(
     start_hz: float,
     *,
     highest_hz: float,
+    limits: CutoffLimits,
     most_rows: float = 2e4,
 ) -> CutoffChoice:
     """Choose the cut-off by what is identified from pieces of the logs.
@@ -203,21 +217,28 @@ def _by_posterior(
         (piece for one in found for piece in _fewer(one.pieces, share)), key=lambda p: p.sha256
     )
 
-    shares = [(one.smoothed or one.score).shares for one in found]
-    noise = reduce(add, [share for share in shares if share is not None]).of_acceleration()
-
-    def acceleration_noise(hz: float) -> float:
-        return float(np.interp(np.log(hz), np.log(GRID), noise))
-
+    noise = _noise_shares(found).of_acceleration()
     tried_s = sum(float(piece.t[-1]) for piece in pieces)
     return choose_cutoff(
         lambda hz: trial(pieces, hz),
         start_hz,
         lowest_hz=bandwidth.LOWEST_HZ,
         highest_hz=highest_hz,
-        acceleration_noise=acceleration_noise,
+        acceleration_noise=lambda hz: _at(noise, hz),
         represented=sum(one.seconds for one in found) / max(tried_s, 1e-9),
+        limits=limits,
     )
+
+
+def _noise_shares(found: Sequence[_Surveyed]) -> bandwidth.NoiseShares:
+    """Return how much of the motion of all logs is noise, by the motion that is used of each."""
+    scores = [one.smoothed or one.score for one in found]
+    return reduce(add, [score.shares for score in scores if score.shares is not None])
+
+
+def _at(values: Array, hz: float) -> float:
+    """Return the value at a cut-off [Hz] of one that is given for those of the grid."""
+    return float(np.interp(np.log(hz), np.log(GRID), values))
 
 
 def inherited(stages: Stages, cutoff_hz: float | None) -> MotionOptions:

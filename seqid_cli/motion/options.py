@@ -15,6 +15,7 @@ class MotionOptions:
     samples_per_cutoff: float = 10.0  # that stay per period of it at least; infinite: all
     origin: str = ""  # where the cut-off came from
     encoder_hz: float | None = None  # that would suit the encoders alone
+    reads_delays: bool = True  # whether the jerk is known well enough to estimate delays by it
     own: frozenset[str] = frozenset()  # SHA-256 of logs that choose for themselves
     # Motions of logs that are worked on again and again (see `log_motion`).
     kept: dict[Any, Any] | None = field(default=None, compare=False, repr=False)

@@ -13,8 +13,9 @@ is the mean square of the predicted torque's error in units of its noise, as a p
 (`plan.stages.goal`). A jackknife does not see a bias that is the same in all blocks. Hence a
 cut-off is *admissible* only where
 
-- the excited directions are as many as anywhere, and independent samples several times as many
-  (blocks of a slow signal are not independent: what is left out is known from both sides),
+- the excited directions are as many as anywhere, and below the start independent samples are
+  several times as many (blocks of a slow signal are not independent: what is left out is known
+  from both sides),
 - noise makes up a small share N / S of the acceleration of every joint that moves,
 - the parameters agree with those at a neighbouring cut-off, by size of effect: what their
   difference d makes of the torque beyond its own noise, d' W d - tr(W V) with V the covariance of
@@ -24,8 +25,8 @@ cut-off is *admissible* only where
 Cut-offs are tried an octave apart, from a starting one outward as long as the error falls, then
 half an octave to either side of the best. Of those that are nearly the best, or worse by no more
 than the scatter over the blocks explains, the one nearest to the start is taken: few blocks say
-little of many parameters. Where a delay is estimated the jerk must be known as well, by
-N_jerk / S_jerk.
+little of many parameters. A delay's column is a jerk; where N_jerk / S_jerk is too large there, the
+delay is marginalised and not read.
 """
 
 from collections.abc import Callable, Sequence
@@ -62,6 +63,9 @@ class CutoffLimits:
     nearly_best: float = 1.1  # times the least error
     clear_sigma: float = 1.0  # standard errors of the difference, within which two are as good
     hopeless: float = 1.2  # times the least error: no further in this direction
+
+
+LIMITS = CutoffLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +127,7 @@ def choose_cutoff(
     highest_hz: float,
     acceleration_noise: Callable[[float], float],
     represented: float = 1.0,
-    limits: CutoffLimits = CutoffLimits(),
+    limits: CutoffLimits = LIMITS,
 ) -> CutoffChoice:
     """Choose the cut-off with the smallest error of the predicted torque.
 
@@ -230,10 +234,16 @@ def _chosen(
     """Choose among candidates in ascending order."""
     errors, W = _judged(tried, start_hz)
     highest_rank = max(one.rank for one in tried)
+
+    def enough(one: Candidate) -> bool:
+        # The start leaves what the arm's parameters need already (`bandwidth.highest_of`).
+        independent = represented * one.independent
+        return one.cutoff_hz >= start_hz or independent >= limits.min_samples_per_rank * one.rank
+
     admissible = np.array(
         [
             one.rank == highest_rank
-            and represented * one.independent >= limits.min_samples_per_rank * one.rank
+            and enough(one)
             and acceleration_noise(one.cutoff_hz) <= limits.max_acceleration_noise
             for one in tried
         ]

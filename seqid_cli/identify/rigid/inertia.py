@@ -234,6 +234,8 @@ def _drive_terms(
     friction = equations.stages.friction
     assert friction is not None
     joints = dict(friction.joints)
+    # The delay's column is a jerk: where noise makes up too much of it, it is marginalised alone.
+    reads_delays = equations.options.motion.reads_delays
     gravity = equations.stages.gravity
     of_gravity = {p.name for p in gravity.parameters} if gravity else set()
     places = [
@@ -261,6 +263,8 @@ def _drive_terms(
             "thermal": float(solution.theta[thermal]) + (stated.value if stated else 0.0),
         }
         for place, (term, value) in zip((delay, thermal), values.items(), strict=True):
+            if term == "delay" and not reads_delays:
+                continue
             std_error = float(np.sqrt(posterior.covariance[place, place]))
             joint = with_term(joint, term, value, std_error)
         joints[name] = with_even_part(joint, name, even)
@@ -275,7 +279,9 @@ def _drive_terms(
         terms=terms,
         covariance=posterior.covariance[np.ix_(places, places)],
         notes=[
-            described(term) for term in shown(terms, sizes) if term.joint in believed
+            described(term)
+            for term in shown(terms, sizes)
+            if term.joint in believed and (reads_delays or term.name != "delay")
         ],
         friction=msgspec.structs.replace(friction, joints=joints),
     )

@@ -1,6 +1,7 @@
 """The cut-off by the posterior: the least error of the torque, under a jackknife's bounds."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,9 +70,25 @@ def test_a_cutoff_that_excites_less_is_refused_however_small_its_error() -> None
     assert chosen(make).cutoff_hz == pytest.approx(4.0)
 
 
-def test_a_cutoff_needs_several_samples_per_direction() -> None:
+def test_a_lower_cutoff_needs_several_samples_per_direction() -> None:
     error = valley(2.0)
     assert chosen(lambda hz: candidate(hz, error(hz), independent=hz)).cutoff_hz == START
+    error = valley(32.0)
+    found = chosen(lambda hz: candidate(hz, error(hz), independent=hz / 10.0))
+    assert found.cutoff_hz == pytest.approx(32.0)
+
+
+def test_a_gain_that_blocks_disagree_on_is_none() -> None:
+    error = valley(16.0)
+
+    def make(hz: float) -> Candidate:
+        # All the gain is in one block of ten.
+        moves = np.zeros((10, 2))
+        moves[0, 0] = np.sqrt(error(hz))
+        return replace(candidate(hz, error(hz)), moves=moves)
+
+    assert chosen(lambda hz: candidate(hz, error(hz))).cutoff_hz == pytest.approx(16.0)
+    assert chosen(make).cutoff_hz == START
 
 
 def test_noise_in_the_acceleration_bounds_the_cutoff() -> None:

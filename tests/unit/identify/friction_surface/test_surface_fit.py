@@ -45,7 +45,8 @@ def data_of(
         error += sizes.noise / np.sqrt(weight) * rng.standard_normal(SLICES)
         given = q, A @ D.ravel() + error, weight, edges, push, doubt * np.cos(q)
         late = doubt * speed * np.sin(q)
-        result.append(SpeedData(float(speed), direction, *given, late))
+        warm = doubt * np.full(SLICES, np.sin(len(result)))
+        result.append(SpeedData(float(speed), direction, *given, late, warm))
     return result
 
 
@@ -65,12 +66,13 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
         speed = np.full(len(item.q), item.speed)
         columns.append(SCALING.basis(item.q, speed, orders.position, orders.velocity))
         values = SCALING.over_position.values(item.q, HIGHEST)
-        own = np.column_stack([values, item.edges, item.push, item.doubt, item.late])
+        shared_errors = [item.push, item.doubt, item.late, item.warm]
+        own = np.column_stack([values, item.edges, *shared_errors])
         variance = sizes.own(SCALING, HIGHEST + 1, np.array([item.speed])).sum(axis=0)
         shared = own * np.sqrt(variance)
         blocks.append(shared @ shared.T + np.diag(sizes.noise**2 / item.weight))
     A, V = np.vstack(columns), block_diag(*blocks)
-    for name in ("push", "doubt", "late"):  # each one and the same error in all trials
+    for name in ("push", "doubt", "late", "warm"):  # each one and the same error in all trials
         error = np.concatenate([getattr(item, name) for item in data])
         V += np.outer(error, error)
     prior = sizes.prior(SCALING, orders.position + 1, orders)[: orders.position + 1].ravel()

@@ -75,15 +75,20 @@ def named(taken: Taken, left: float = 1.0) -> Named:
 
 
 def probable_names(taken: Taken, *, of_most: float = 0.5) -> set[str]:
-    """Names that are at least `of_most` as probable as the most probable one.
+    """Names that may head a finding; all of them, unless the most probable one is a change.
 
-    Only these head a finding: a law with fewer parameters is no better name where it fits less.
+    A change of the file's values adds no law: its parameters are the model's own. So a law with
+    fewer parameters is no simpler, and heads the finding only if it is `of_most` as probable.
     """
+    names = {rival.term.name for rival in taken.rivals}
     if taken.term.smooth:
-        return {rival.term.name for rival in taken.rivals}
+        return names
     shares = _shares(taken)
-    most = max(shares.values())
-    return {name for name, share in shares.items() if share >= of_most * most}
+    first = max(shares, key=lambda name: shares[name])
+    changes = {rival.term.name for rival in taken.rivals if rival.term.change}
+    if first not in changes:
+        return names
+    return {name for name, share in shares.items() if share >= of_most * shares[first]}
 
 
 def _shares(taken: Taken) -> dict[str, float]:

@@ -150,7 +150,41 @@ def _fit(
             std_error=unit * shared.std_error,
             moves=shared.moves / unit,
         )
+    if not _tells_temperature(gravity):
+        surface, terms["thermal"] = _marginalised(surface, terms["thermal"])
     return summary.Fit(gravity, parts, chosen, surface, terms)
+
+
+def _tells_temperature(gravity: GravityFit, *, least_share: float = 0.1) -> bool:
+    """Whether trials at one speed, one way, were recorded at temperatures that differ.
+
+    A joint warms up while its speeds are recorded one after the other. Temperature and speed then
+    say the same, and how smooth friction is over the speed decides between them: the trials do not.
+    `least_share` of the temperatures' variance must lie within speeds and directions.
+    """
+    trials = [trial for group in gravity.groups for trial in group.trials]
+    celsius = np.array([trial.celsius for trial in trials])
+    if not np.isfinite(celsius).all():
+        return True  # nothing depends on it
+    total = float(np.sum((celsius - celsius.mean()) ** 2))
+    within = 0.0
+    for level in speed_levels(trials):
+        for way in (1, -1):
+            alike = np.array([t.celsius for t in level if way * t.velocity > 0.0])
+            within += float(np.sum((alike - alike.mean()) ** 2)) if len(alike) else 0.0
+    return within >= least_share * total
+
+
+def _marginalised(
+    surface: FrictionSurface, term: summary.Term
+) -> tuple[FrictionSurface, summary.Term]:
+    """Return a surface, and its thermal term, as if the trials had said nothing of the term."""
+    variance = PRIORS.per_kelvin**2 - term.std_error**2
+    covariance = surface.entry_covariance + variance * np.outer(term.moves, term.moves)
+    return (
+        replace(surface, entry_covariance=covariance),
+        replace(term, std_error=PRIORS.per_kelvin),
+    )
 
 
 def _fitted(

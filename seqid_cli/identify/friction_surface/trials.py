@@ -89,7 +89,7 @@ def trials_of(
     """Constant-velocity trials of one log; a long one comes in pieces of `rows` samples."""
     survey, resolution = survey_of(log), encoder_resolution(robot)
     count = survey.count(resolution)
-    temperature = log.temperature if isinstance(log, Recording) else None
+    temperature = _smooth_celsius(log) if isinstance(log, Recording) else None
     return [
         _trial(block, each, log.rate_hz, number, temperature, count)
         for block, own in pieces(log, survey.noise_step(resolution), rows=rows)
@@ -232,6 +232,23 @@ def _ramps(
         weight=length / 2,
         noise=float(np.linalg.norm(second)),
     )
+
+
+def _smooth_celsius(log: Recording, *, degree: int = 3) -> Array | None:
+    """Return the joints' temperatures (N, n) degC without the steps of their sensors.
+
+    Drives report them in steps of half a kelvin or a whole one, and a joint warms up by little more
+    in a log. It does so over minutes: a polynomial of the time knows it between the steps.
+    """
+    if log.temperature is None:
+        return None
+    smooth = log.temperature.copy()
+    for j, celsius in enumerate(log.temperature.T):
+        known = np.isfinite(celsius)
+        if np.count_nonzero(known) > degree + 1:
+            fit = Chebyshev.fit(log.t[known], celsius[known], degree)
+            smooth[known, j] = fit(log.t[known])
+    return smooth
 
 
 def kelvin_of(trial: Trial, celsius: float | None) -> float:

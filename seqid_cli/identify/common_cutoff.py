@@ -184,8 +184,8 @@ def identification_options(
     if len(logs) > 1:
         origin = f"chosen from all {len(logs)} logs together"
     if trial is not None:
-        # No higher than the motion's bandwidth allows: beyond it parameters gain little by the noise
-        # of more samples, and every prediction at the inherited cut-off would have that noise.
+        # No higher than the motion's bandwidth allows: beyond it parameters gain little, and every
+        # prediction at the inherited cut-off would have the torque's noise.
         bounded_hz = min(highest, float(GRID[allowed - 1]))
         hz = _by_posterior(trial, found, hz, highest_hz=bounded_hz, limits=limits).cutoff_hz
         encoder_hz = min(encoder_hz, hz)

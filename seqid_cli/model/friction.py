@@ -51,7 +51,8 @@ class FrictionSurface:
     `positive`, `negative` (size, l + 1) N m for either direction; `entry_covariance` of their
     entries, row-major, stacked where `directional`; `temperature` degC, `speeds` (K,) rad/s
     and `postures` (n,) rad of the arm at which it was identified. Friction changes by a share of
-    `per_kelvin` above that temperature.
+    `per_kelvin` above that temperature. `even_terms`: what is alike both ways is an offset and
+    asymmetries.
     """
 
     scaling: Scaling
@@ -65,6 +66,7 @@ class FrictionSurface:
     speeds: Array = field(default_factory=lambda: np.zeros(0))
     postures: tuple[list[float], ...] = ()
     per_kelvin: float = 0.0
+    even_terms: bool = False
 
     @classmethod
     def from_stage(cls, joint: FrictionJoint) -> Self:
@@ -83,6 +85,7 @@ class FrictionSurface:
             speeds=np.array([level.speed for level in joint.speeds]),
             postures=tuple(trial.configuration for trial in joint.gravity),
             per_kelvin=sum(t.value for t in joint.nuisances if t.name == "thermal"),
+            even_terms=bool(joint.nuisance_covariance),
         )
 
     def kelvin(self, celsius: Array) -> Array:
@@ -168,9 +171,14 @@ class FrictionSurface:
             directional=True,
         )
 
-    def odd_columns(self, q: Array, v: Array) -> Array:
-        """Derivatives (N, k) of `odd_torque` by `coefficients`."""
-        if not self.directional:
+    def error_columns(self, q: Array, v: Array) -> Array:
+        """Derivatives (N, k) of the torque by `coefficients`, but for terms of the drive.
+
+        What is alike both ways is an offset and asymmetries with errors of their own, where the
+        surface was identified with them: the errors of its coefficients are then those of its odd
+        part.
+        """
+        if not self.even_terms:
             return self.columns(q, v)
         return np.asarray((self.columns(q, v) - self.columns(q, -v)) / 2.0)
 

@@ -183,7 +183,7 @@ class GravityRows:
             v, count = np.full(len(trial.q), trial.velocity), len(trial.q) // group_size
             # What friction's surfaces have alike both ways is an unknown here, of which they hold
             # a first estimate; its error is not friction's.
-            F = surface.odd_columns(trial.q, v)
+            F = surface.error_columns(trial.q, v)
             warmed = surface.warmed(np.full(len(v), trial.celsius))
             y = trial.tau - warmed * surface.torque(trial.q, v)
             even = even_columns(surface, trial.q, v)
@@ -245,7 +245,7 @@ def _stage(
         rows.surfaces,
         robot.torque_constant_errors,
         rows.sensitivity(solution),
-        known={},
+        known=_by_prior(solution, prior, robot.n),
         prior=prior,
     ).with_error(np.reshape(unseen, (-1, rows.columns)).T)
     joint_posterior = replace(joint_posterior, tolerances=rows.tolerance_moves(solution))
@@ -284,6 +284,18 @@ def _stage(
         nuisance_covariance=covariance.tolist(),
     )
     return GravityResult(stage, friction)
+
+
+def _by_prior(solution: Solution, prior: Prior, joints: int) -> dict[int, Array]:
+    """Return what the centre of each joint's prior adds to the solution (p,), taken off.
+
+    A prior's centre is an offset that was measured: it scales with the torque as the rows do.
+    """
+    found = {}
+    for j in range(joints):
+        rows = np.arange(j, len(prior.b), joints)
+        found[j] = -solution.bread @ prior.A[rows].T @ prior.b[rows]
+    return found
 
 
 def _joint_verdicts(

@@ -345,7 +345,7 @@ class InertiaEquations:
             rows.torque_squares[j] += float(np.sum(motion.tau[own, j] ** 2))
             some = np.flatnonzero(own)[::every]
             # What is alike both ways of friction's error is in the nuisance terms.
-            F = every * surface.odd_columns(motion.q[some, j], motion.dq[some, j])
+            F = every * surface.error_columns(motion.q[some, j], motion.dq[some, j])
             if self._scaled[j]:
                 F = np.column_stack([F, every * self.reflected[j] * motion.ddq[some, j]])
             rows.cross[j] = rows.cross.get(j, 0.0) + H[some, j].T @ F

@@ -7,7 +7,8 @@ import pytest
 
 from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
-from seqid_cli.identify.regression.least_squares import Accumulator, solve
+from seqid_cli.identify.nuisances import EVEN_TERMS, PRIORS, friction_rms
+from seqid_cli.identify.regression.least_squares import Accumulator, Prior, solve
 from seqid_cli.identify.rigid.gravity import GravityRows
 from seqid_cli.identify.rigid.posterior import friction_covariance
 from seqid_cli.model.friction import FrictionSurface
@@ -45,25 +46,40 @@ def trials(rng: np.random.Generator) -> list[Trial]:
     return result
 
 
-def errors_of(seed: int) -> tuple[Array, Array, Array]:
-    """Errors of (mx, my), and variances with and without the friction stage's part."""
+def errors_of(seed: int) -> tuple[Array, Array, Array, Array]:
+    """Errors of (mx, my) and their variances, with offset and asymmetries free and held at zero."""
     rng = np.random.default_rng(seed)
     off = SPREAD * rng.standard_normal((2, *POSITIVE.shape))
     surface = surface_of(POSITIVE + off[0], NEGATIVE + off[1], SPREAD**2 * np.eye(12))
     robot = robot_of("one", one_joint())
     held = HeldJoints(robot, base_parameters(robot, rotor=()), np.zeros(2))
-    rows, joints = GravityRows(held, [surface]), [Accumulator(2)]
+    rows = GravityRows(held, [surface])
+    joints = [Accumulator(rows.columns)]
     rows.add_joint(trials(rng), joints)
-    solution = solve(joints)
-    alone = np.diag(solution.covariance)
-    by_friction = np.diag(friction_covariance(rows.sensitivity(solution), [surface], 2))
-    return solution.theta - [MOMENT, 0.0], alone + by_friction, alone
+    weights = 1.0 / PRIORS.even_std(friction_rms(surface))
+    prior = Prior(np.pad(np.diag(weights), ((0, 0), (2, 0))), np.zeros(EVEN_TERMS))
+    free = solve(joints, prior=prior, nuisances=slice(2, None))
+    by_friction = friction_covariance(rows.sensitivity(free), [surface], rows.columns)
+    total = np.diag(free.covariance + by_friction)[:2]
+
+    fixed = joints[0]
+    for column in range(rows.columns - 1, 1, -1):
+        fixed = fixed.with_fixed(column, 0.0)
+    held_at_zero = solve([fixed])
+    true = np.array([MOMENT, 0.0])
+    return (
+        free.theta[:2] - true,
+        total,
+        held_at_zero.theta - true,
+        np.diag(held_at_zero.covariance),
+    )
 
 
 @pytest.mark.slow
-def test_errors_are_as_large_as_said_with_frictions_part_and_larger_than_said_without() -> None:
+def test_errors_hold_with_what_friction_has_alike_both_ways_and_not_without() -> None:
+    """Errors of either direction's surface by itself look like an offset, and so like gravity."""
     found = [errors_of(seed) for seed in range(150)]
-    error, total, alone = (np.array(part) for part in zip(*found, strict=True))
+    error, total, error_held, held = (np.array(part) for part in zip(*found, strict=True))
     assert np.mean(np.abs(error) < 1.96 * np.sqrt(total)) >= 0.90
     assert np.mean(error**2 / total) > 0.4
-    assert np.mean(np.abs(error) < 1.96 * np.sqrt(alone)) < 0.85
+    assert np.mean(np.abs(error_held) < 1.96 * np.sqrt(held)) < 0.85

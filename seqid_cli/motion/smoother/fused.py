@@ -249,12 +249,14 @@ def _filtered(
     q, dq, ddq = motion
     tau, usable = filtered_torque(recording, lowpass)
     error = bandwidth.smoothed_error(variance, cutoff.noise_density, cutoff.hz)
-    bent = judged.compliance.power(ddq, lowpass, usable)
+    # Nothing says of a joint beyond all IMUs that it bends, or contradicts its encoder.
+    beyond = np.where(hidden, 0.0, judged.beyond_noise)
+    bent = np.where(hidden, 0.0, judged.compliance.power(ddq, lowpass, usable))
     made = replace(encoder, q=q, dq=dq, ddq=ddq, tau=tau, usable=usable, source="fused")
     made = replace(made, lowpass=lowpass, cutoff=cutoff, imus=tuple(smoothed.mounted))
     return replace(
         made,
-        error=np.sqrt(error + judged.beyond_noise + bent),
+        error=np.sqrt(error + beyond + bent),
         encoder_error=judged.encoder_error,
         fused_error=judged.fused_error,
         disagreement=np.sqrt(judged.bent),

@@ -29,6 +29,7 @@ from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array
 
 LIKELY = 2.0  # of a column's torque beforehand, over what the file leaves
+TIED = 1e-3  # of a surface's largest standard error, by which entries that are tied may part
 UNSHOWN = 1e-3  # of a joint's largest bound, at least: friction that no row shows is not free
 
 
@@ -234,10 +235,27 @@ def _rigid_prior(basis: Basis, parts: Sequence[RigidStage | None]) -> Array:
 
 
 def _friction_prior(stage: FrictionStage | None, name: str, size: int) -> Array:
+    """Rows (m, size) of unit variance from the covariance of one joint's friction."""
     if stage is None or name not in stage.joints:
         return np.zeros((0, size))
     joint = stage.joints[name]
     if joint.parameters:
         return np.diag([1.0 / max(p.std_error, 1e-12) for p in joint.parameters])
-    L = whitened(np.array(joint.covariance))
-    return np.hstack([L, np.zeros((len(L), size - L.shape[1]))])
+
+    rows = _held_where_tied(np.array(joint.covariance))
+    return np.hstack([rows, np.zeros((len(rows), size - rows.shape[1]))])
+
+
+def _held_where_tied(covariance: Array) -> Array:
+    """Rows (k, k) of unit variance from a covariance whose entries may be tied to one another.
+
+    The surfaces of both directions are one but for an offset and asymmetries. A direction in
+    which a surface has no variance is none that its law has: left out of the prior, it would be
+    free, and friction that differs by direction at every place takes up a spring.
+    """
+    variance, direction = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    largest = float(variance.max(initial=0.0))
+    if largest <= 0.0:
+        return np.zeros((0, len(covariance)))  # the file gives no covariance
+    spread = np.sqrt(np.maximum(variance, TIED**2 * largest))
+    return np.asarray((direction / spread).T)

@@ -93,7 +93,8 @@ def _in_child(target: Target, folder: Path, *job: Any) -> list[Outcome]:
     theirs.close()
     try:
         if mine.poll(WALL_S):
-            return mine.recv()
+            outcomes: list[Outcome] = mine.recv()
+            return outcomes
         why = "stands still"
     except EOFError:
         why = "process died"

@@ -4,8 +4,9 @@ Errors are counted where a joint slides: at rest the model says an interval, and
 samples of one moment are not many tests: what counts as a test is a block of time.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,19 +17,31 @@ from seqid_cli.typing import Array, Index, Mask
 HALF_WIDTHS = {"band_90": 1.645, "band_95": 1.96}  # in standard deviations
 
 
+class LogBlock(NamedTuple):
+    """A block of time of one log."""
+
+    log: str
+    number: int
+
+
 @dataclass(frozen=True, kw_only=True)
 class BandCounts:
-    """Samples of the joints (n,) in a group, how many of them were in each band, and blocks."""
+    """Samples of the joints (n,) in a group, how many of them were in each band, and blocks.
+
+    `blocks` holds for each joint which blocks of time had samples, as log and number.
+    A block in which one part of a log ends and the next begins is one block.
+    """
 
     samples: Array
     within: Mapping[str, Array]
-    blocks: Array
+    blocks: Sequence[frozenset[LogBlock]]
 
     def __add__(self, other: "BandCounts") -> "BandCounts":
+        pairs = zip(self.blocks, other.blocks, strict=True)
         return BandCounts(
             samples=self.samples + other.samples,
             within={name: x + other.within[name] for name, x in self.within.items()},
-            blocks=self.blocks + other.blocks,
+            blocks=[ours | theirs for ours, theirs in pairs],
         )
 
 
@@ -41,6 +54,7 @@ class CoverageCounter:
     def add(
         self,
         *,
+        log: str,
         t: Array,
         residual: Array,
         std: Array,
@@ -48,10 +62,12 @@ class CoverageCounter:
         fast: Mask | None,
         loaded: Mask | None,
     ) -> None:
-        """Add N samples of one log.
+        """Add N samples of one log, or of a part of one.
 
         Parameters
         ----------
+        log : str
+            What tells the log from the others; the same for all of its parts.
         t : array (N,)
             Time within the log [s].
         residual, std : array (N, n)
@@ -67,7 +83,7 @@ class CoverageCounter:
         if loaded is not None:
             groups |= {"low_load": counts & ~loaded, "high_load": counts & loaded}
         for name, group in groups.items():
-            found = _counted(residual, std, group, block)
+            found = _counted(residual, std, group, log, block)
             self.groups[name] = self.groups[name] + found if name in self.groups else found
 
     def of_joint(self, joint: int) -> JointCoverage | None:
@@ -93,17 +109,22 @@ def clearly_below(
     return bool(coverage.band_90 < least_share and coverage.band_90 < 0.9 - chance)
 
 
-def _counted(residual: Array, std: Array, group: Mask, block: Index) -> BandCounts:
+def _counted(
+    residual: Array, std: Array, group: Mask, log: str, block: Index
+) -> BandCounts:
     """Count the samples of a group, those of them in the bands, and the blocks of time."""
     error = np.abs(residual)
-    blocks = [len(np.unique(block[own])) for own in group.T]
+    blocks = [
+        frozenset(LogBlock(log, int(number)) for number in np.unique(block[counted]))
+        for counted in group.T
+    ]
     return BandCounts(
         samples=group.sum(axis=0),
         within={
             name: (group & (error <= half_width * np.where(group, std, 0.0))).sum(axis=0)
             for name, half_width in HALF_WIDTHS.items()
         },
-        blocks=np.array(blocks),
+        blocks=blocks,
     )
 
 
@@ -114,4 +135,4 @@ def _coverage(group: BandCounts, joint: int) -> BandCoverage:
         name: float(within[joint] / samples) if samples else None
         for name, within in group.within.items()
     }
-    return BandCoverage(**shares, samples=samples, blocks=int(group.blocks[joint]))
+    return BandCoverage(**shares, samples=samples, blocks=len(group.blocks[joint]))

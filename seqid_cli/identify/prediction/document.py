@@ -167,6 +167,7 @@ class ErrorSums:
         by_parameters = np.where(log.sliding, log.parameter_std, 0.0)
         self.parameter_squares += np.square(by_parameters).sum(axis=0)
         self.coverage.add(
+            log=str(log.path),
             t=log.t,
             residual=log.residual,
             std=log.std,

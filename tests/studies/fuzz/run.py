@@ -79,15 +79,22 @@ def filled(line: Sequence[str], target: Target, folder: Path) -> list[str]:
 
 
 def _in_child(target: Target, folder: Path, *job: Any) -> list[Outcome]:
-    """What `_slice` says; of a process that says nothing, the input that it had last."""
-    context = multiprocessing.get_context("fork")
+    """Return what `_slice` says; of a silent process, the input that it had last.
+
+    A fork of the caller would start with the caller's memory, and a slice would answer for
+    what it did not allocate: a server that holds nothing but this module is forked instead.
+    """
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+
     mine, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_slice, args=(theirs, target, folder, *job))
     process.start()
     theirs.close()
     try:
         if mine.poll(WALL_S):
-            return mine.recv()
+            outcomes: list[Outcome] = mine.recv()
+            return outcomes
         why = "stands still"
     except EOFError:
         why = "process died"

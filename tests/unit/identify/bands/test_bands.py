@@ -133,6 +133,7 @@ def test_coverage_counts_samples_that_slide_by_cell() -> None:
     residual = np.array([[0.5], [1.8], [2.5], [0.1], [9.0]])
     fast = np.array([[False], [False], [True], [True], [True]])
     counter.add(
+        log="log",
         t=np.array([0.0, 1.0, 2.5, 2.6, 2.7]),
         residual=residual,
         std=np.ones((5, 1)),
@@ -146,6 +147,23 @@ def test_coverage_counts_samples_that_slide_by_cell() -> None:
     assert found.slow == BandCoverage(band_90=0.5, band_95=1.0, samples=2, blocks=1)
     assert found.fast == BandCoverage(band_90=0.5, band_95=0.5, samples=2, blocks=1)
     assert found.low_load is None
+
+
+def test_coverage_counts_a_block_once_however_a_log_is_parted() -> None:
+    counter = CoverageCounter()
+    for log, times in (("one", [0.5, 1.5]), ("one", [1.8, 2.5]), ("two", [0.5, 1.5])):
+        counter.add(
+            log=log,
+            t=np.array(times),
+            residual=np.zeros((2, 1)),
+            std=np.ones((2, 1)),
+            counts=np.ones((2, 1), dtype=bool),
+            fast=None,
+            loaded=None,
+        )
+    found = counter.of_joint(0)
+    assert found is not None
+    assert found.overall.blocks == 3
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def _from_imus(
     *,
     max_noise_ratio: float = 1.5,
 ) -> Motion:
-    """Motion by the IMUs alone: `dq` by Eq. 31 and 41, `ddq` by Eq. 30 and 42, `q` the encoders'."""
+    """Take `dq` (Eq. 31, 41) and `ddq` (Eq. 30, 42) from the IMUs, `q` from the encoders."""
     readings, warnings = [], [*absent_imus(recording, robot, stage)]
     for imu in robot.imus:
         calibration = stage.imus.get(imu.name) if stage else None

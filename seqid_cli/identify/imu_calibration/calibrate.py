@@ -110,11 +110,14 @@ def calibration_of(
     sampling: float = 0.01,
 ) -> schema.ImuCalibration:
     """Calibration of one IMU as the parameter file has it."""
-    # A clock offset with a larger standard error than `max_delay_error_s` is not determined. Jolts
-    # between two samples shift a clock by `sampling` of their period.
+    # A clock offset with a larger standard error than `max_delay_error_s` is not determined.
+    # A coarse encoder crosses its edges somewhere between two samples, at the same places in every
+    # swing that repeats itself: its clock is known to `sampling` of their period at best. Codes of
+    # a fine encoder hold no such error, and jolts between two samples are noise of the fit already.
     constants, sigma = fit.constants, np.sqrt(np.diag(fit.covariance))
     worst, lever, missing = _of_mounting(fit.covariance)
-    delay_error = float(np.hypot(sigma[6], sampling * segments[0].readings.period))
+    edges = sampling * segments[0].readings.period * any(s.by_edges for s in segments)
+    delay_error = float(np.hypot(sigma[6], edges))
     delay_known = delay_error < max_delay_error_s
     fields, open_channels = _of_sensors(imu, fit)
     # One-sided noise densities from the raw readings' white noise per sample.

@@ -118,7 +118,8 @@ class Segment:
     them, node by node, is the measured `value` (M,), by an encoder or by a loose prior on the jerk,
     known to `information` (M,); `at` (M,) is the node. `locked` joints are those at rest whose
     encoder leaves their position open by `offset_sigma` rad. `share` raw samples make a node; the
-    differentiated encoder is trusted below `encoder_hz`.
+    differentiated encoder is trusted below `encoder_hz`. `by_edges`: an encoder is so coarse that
+    the instants at which it crosses its edges are what it tells.
     """
 
     log: int
@@ -137,6 +138,7 @@ class Segment:
     share: float
     cutoff_hz: float
     encoder_hz: float
+    by_edges: bool
 
     @property
     def samples(self) -> int:
@@ -261,7 +263,20 @@ class _Log:
         measured = _stacked(parts, len(wide), len(moving))
         held = locked, np.array([off[j] for j in locked]), self.readings
         hz = self.lowpass.cutoff_hz, self.motion.cutoff.hz
-        return Segment(*about, self.smooth[wide][:, moving], *measured, *held, float(every), *hz)
+        coarse = any(self._by_edges(j, own) for j in moving)
+        path = self.smooth[wide][:, moving]
+        return Segment(*about, path, *measured, *held, float(every), *hz, coarse)
+
+    def _rounding(self, j: int, own: slice) -> float:
+        """What the low-pass takes off a jump of a joint's acceleration [rad]."""
+        strongest = float(np.max(np.abs(self.motion.ddq[own, j])))
+        return strongest / (2 * np.pi * self.lowpass.cutoff_hz) ** 2
+
+    def _by_edges(self, j: int, own: slice) -> bool:
+        """Whether a joint's encoder tells by its edges alone where the joint is."""
+        view = self.views[j]
+        fine = view.step / np.sqrt(12) < self._rounding(j, own)
+        return not fine and bool(np.isfinite(view.edge).any())
 
     def _at_rest(self, j: int) -> Array:
         """What a locked joint does (3, N): no more than its encoder shows of it without noise."""
@@ -277,11 +292,8 @@ class _Log:
         """Rows of a moving joint: a coarse encoder by its edges, a fine one by low-passed codes."""
         # Swings that repeat themselves repeat their quantisation errors, so many times.
         rate, view = self.recording.rate_hz, self.views[j]
-        strongest = float(np.max(np.abs(self.motion.ddq[own, j])))
-        # What the low-pass takes off a jump of the acceleration.
-        rounding = strongest / (2 * np.pi * self.lowpass.cutoff_hz) ** 2
         every, count = int(wide[1] - wide[0]), len(wide)
-        if view.step / np.sqrt(12) < rounding or not np.isfinite(view.edge).any():
+        if not self._by_edges(j, own):
             # One row per node, as good as all the samples it stands for, if their codes differ.
             variance = max(view.step**2 / 12 + view.white, 1e-16)
             slow = np.abs(self.speed[wide, j]) / rate * every < view.step
@@ -293,7 +305,7 @@ class _Log:
         index = np.arange(len(view.q), dtype=np.float64)
         places = np.concatenate([index, index + 0.5])
         information = np.concatenate([samples, edges]) / repeated
-        information = information / (1.0 + information * (0.1 * rounding) ** 2)
+        information = information / (1.0 + information * (0.1 * self._rounding(j, own)) ** 2)
         value = np.concatenate([view.q, np.nan_to_num(view.edge)])
         kept = (information > 0) & (places >= wide[0]) & (places <= wide[-1])
         u = (places[kept] - wide[0]) / every

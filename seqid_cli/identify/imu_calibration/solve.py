@@ -182,12 +182,17 @@ def _finished(
 ) -> Fit:
     _, information = state.solved(reductions)
     own = sum((r.follow.T * r.precision) @ r.follow for r in reductions)
-    scores = np.concatenate([_scores(r) for r in reductions])
-    # The model's covariance, each standard error at least that of the scores' own variance.
-    model, count = np.asarray(np.linalg.inv(information)), len(scores)
-    share = count / max(count - 5.0, 0.5 * count)
-    seen = model @ (share * scores.T @ scores + (state.prior + own)) @ model
-    factor = np.sqrt(np.maximum(np.diag(seen) / np.diag(model), 1.0))
+    # The model's covariance, each standard error at least that of the scores' own variance: over
+    # blocks of time, and over whole logs, since what bends does so alike throughout a move.
+    model = np.asarray(np.linalg.inv(information))
+    blocks = [_scores(r) for r in reductions]
+    largest = np.diag(model)
+    for scores, parameters in ((np.concatenate(blocks), 5.0), (_by_log(reductions, blocks), 1.0)):
+        count = len(scores)
+        share = count / max(count - parameters, 0.5 * count)
+        seen = model @ (share * scores.T @ scores + (state.prior + own)) @ model
+        largest = np.maximum(largest, np.diag(seen))
+    factor = np.sqrt(largest / np.diag(model))
     return Fit(
         constants=state.constants,
         covariance=model * np.outer(factor, factor),
@@ -197,6 +202,18 @@ def _finished(
         converged=converged,
         holdout=_left_out(reductions, information),
         deflections=found,
+    )
+
+
+def _by_log(reductions: list[Reduced], blocks: list[Array]) -> Array:
+    """Sum the scores (blocks, p) of each log's segments: (logs, p)."""
+    logs = [r.linear.segment.log for r in reductions]
+    sums = [scores.sum(axis=0) for scores in blocks]
+    return np.array(
+        [
+            np.sum([total for log, total in zip(logs, sums, strict=True) if log == one], axis=0)
+            for one in sorted(set(logs))
+        ]
     )
 
 

@@ -19,7 +19,7 @@ _share = only("above 0 and at most 1", lambda x: 0.0 < x <= 1.0)
 
 @command(
     "what robot parameters have output trajectories duration_s move_s together ramp_s share locked"
-    " speed_scale between joint load_kg keep_out workspace seed strict",
+    " speed_scale between joint load_kg keep_out workspace floor seed strict",
     f"seqid plan all -r {SIX}/robot.toml -o plan.json --trajectories moves",
     f"seqid plan inertia -r {SIX}/robot.toml -p gravity.json -o plan.json",
     "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
@@ -86,6 +86,11 @@ def plan(
     ),
     workspace: str | None = option(
         None, "--workspace BOX", "Box that no link leaves: x,y,z,x,y,z in m."
+    ),
+    floor: bool = option(
+        True,
+        "--floor/--no-floor",
+        "Keep every point of the arm above the base plane, across gravity.",
     ),
     seed: int = option(0, "--seed N", "Of the moves that are drawn.", min=0),
 ) -> int:

@@ -30,6 +30,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 if TYPE_CHECKING:
+    from seqid_cli.plan.moves.floor import Floor
     from seqid_cli.robot.urdf_model import Geometry
 
 NOISE_HZ = 25.0  # the bandwidth of that noise
@@ -56,12 +57,32 @@ class Belief:
     slow: Array
     noise_origin: str
     geometry: Geometry | None = None
+    floor: Floor | None = None
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there is anything that the arm may touch: itself, boxes, the floor."""
+        return self.geometry is not None or self.floor is not None
+
+    def touches(self, q: Array) -> Mask:
+        """Return which of the postures q (N, n) touch something or have a point below the floor."""
+        touched = np.zeros(len(q), dtype=bool) if self.floor is None else self.floor.below(q)
+        if self.geometry is not None and not touched.all():
+            touched[~touched] = self.geometry.collides(q[~touched])
+        return touched
 
     def collides(self, q: Array) -> Mask:
-        """Return which of moves or sweeps q (M, N, n) rad touch something."""
-        if self.geometry is None:
+        """Return which of moves or sweeps q (M, N, n) touch something at any time."""
+        if not self.bounded:
             return np.zeros(len(q), dtype=bool)
-        return np.array([self.geometry.collides(one).any() for one in q])
+        return np.array([self.touches(posture).any() for posture in q])
+
+    def depth(self, q: Array) -> Array:
+        """Return how far moves q (M, N, n) go below the floor at their lowest (M,) [m]."""
+        if self.floor is None:
+            return np.zeros(len(q))
+        height = self.floor.height(q.reshape(-1, q.shape[2])).reshape(q.shape[:2])
+        return np.asarray(np.maximum(-height.min(axis=1), 0.0))
 
     def regressor(self, moves: Moves) -> Array:
         """Rows H (M, N, n, b) of the base parameters."""
@@ -101,6 +122,7 @@ def belief_of(
     limits: Limits,
     *,
     geometry: Geometry | None = None,
+    floor: Floor | None = None,
     rest_share: float = 0.02,
 ) -> Belief:
     """Collect the knowledge of a robot from stages and the URDF."""
@@ -112,7 +134,7 @@ def belief_of(
     slow = np.maximum(slowest_speeds(surfaces), rest_share * limits.speed)
     blank = Belief(robot, basis, limits, surfaces, theta, root, np.ones(robot.n), known, slow, "")
     density, origin = _density(blank, stages)
-    return replace(blank, density=density, noise_origin=origin, geometry=geometry)
+    return replace(blank, density=density, noise_origin=origin, geometry=geometry, floor=floor)
 
 
 def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:

@@ -84,12 +84,12 @@ def reachable(
     low, high = limits.lower[j], limits.upper[j]
     middle, half = (low + high) / 2, share * limits.range[j] / 2
     ends = np.tile([low, high], (len(postures), 1))
-    if belief.geometry is not None:
+    if belief.bounded:
         places = np.linspace(low, high, points)
         for end, posture in zip(ends, postures, strict=True):
             q = np.tile(posture, (points, 1))
             q[:, j] = places
-            free = runs(~belief.geometry.collides(q), points)
+            free = runs(~belief.touches(q), points)
             first, stop = max(free, key=lambda run: run[1] - run[0], default=(0, 1))
             end[:] = places[first], places[stop - 1]
     ends = np.clip(ends, middle - half, middle + half)
@@ -97,7 +97,10 @@ def reachable(
     if width.max() <= 0.0:
         name = belief.robot.joint_names[j]
         message = f"joint {name!r} touches something in all of {len(postures)} postures"
-        hint = "Narrow position_limits, or widen --workspace and --keep-out."
+        hint = (
+            "Narrow position_limits, widen --workspace and --keep-out, or, where the base stands"
+            " on no floor, plan with --no-floor."
+        )
         raise ConfigError(message, where=str(belief.robot.source), hint=hint)
     kept = width >= widest * width.max()
     return postures[kept], ends[kept]

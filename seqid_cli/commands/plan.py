@@ -9,7 +9,7 @@ from seqid_cli.commands.job import any_poor, called
 from seqid_cli.commands.options import OUTPUT, SIX, command, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.plan import EffectSeparation, PlanFile
+from seqid_cli.params.results.plan import EffectSeparation, PlanFile, PlannedStage
 from seqid_cli.params.schema import RobotId
 from seqid_cli.plan.options import PlanOptions, What
 
@@ -138,6 +138,7 @@ def _show(screen: Screen, plan: PlanFile) -> None:
             f"{name}: rank {stage.rank} of {stage.structural_rank}, condition"
             f" {number(stage.condition)}{tail}"
         )
+        _show_criterion(screen, name, stage)
         if stage.not_excited:
             screen.remark(f"not excited: {'; '.join(stage.not_excited)}")
     for verdict in plan.verdicts:
@@ -149,6 +150,18 @@ def _show(screen: Screen, plan: PlanFile) -> None:
         f"{len(plan.moves)} moves, {plan.duration_s:.0f} s of motion,"
         f" {plan.total_s:.0f} s with the ways between them"
     )
+
+
+def _show_criterion(screen: Screen, name: str, stage: PlannedStage) -> None:
+    """Say what the search minimised, its value, and both conditions of Eq. 20."""
+    if stage.criterion is not None:
+        minimised, value = stage.criterion.minimised, number(stage.criterion.value)
+        screen.result(f"{name}: minimised was {minimised}: {value}")
+    if stage.plain_condition is not None:
+        screen.result(
+            f"{name}: cond(Phi(H_g)) of Eq. 20 is {number(stage.plain_condition)},"
+            f" with columns of length 1 {number(stage.scaled_condition)}"
+        )
 
 
 def _show_separation(screen: Screen, told: EffectSeparation, robot: RobotId) -> None:

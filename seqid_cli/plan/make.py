@@ -19,9 +19,10 @@ from seqid_cli.plan.moves.floor import Floor
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Planned
+from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.inertia import plan_inertia, plan_validation
 from seqid_cli.plan.stages.payload import loaded, plan_payload
-from seqid_cli.plan.stages.sweeps import plan_friction, plan_gravity, plan_imu
+from seqid_cli.plan.stages.sweeps import plan_friction, plan_imu
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import Geometry
 from seqid_cli.shares import percent
@@ -87,9 +88,10 @@ def _session(
 ) -> dict[str, Planned]:
     """Plan one stage, or all one after the other, each on what logs and moves tell by then."""
     known = information_of(belief, have)
+    found: dict[str, Planned] = {}
     planners = {
         "friction": lambda: plan_friction(belief, options),
-        "gravity": lambda: plan_gravity(belief, stages, options),
+        "gravity": lambda: _gravity(belief, stages, options, found),
         "imu-calib": lambda: plan_imu(belief, options),
         "inertia": lambda: plan_inertia(belief, stages, options, known),
         "payload": lambda: plan_payload(belief, stages, options),
@@ -99,12 +101,22 @@ def _session(
     if what == "all":
         left_out = {"payload"} if belief.robot.imus else {"payload", "imu-calib"}
         names = [name for name in planners if name not in left_out]
-    found = {}
     for name in names:
         found[name] = planners[name]()
         added = found[name].information
         known = known if added is None else known + added
-    return found
+    order = list(planners)
+    return dict(sorted(found.items(), key=lambda item: order.index(item[0])))
+
+
+def _gravity(
+    belief: Belief, stages: Stages, options: PlanOptions, found: dict[str, Planned]
+) -> Planned:
+    """Plan gravity on the friction that is given or planned; friction it lacks goes to `found`."""
+    planned = plan_gravity(belief, stages, options, found.get("friction"))
+    if planned.friction is not None:
+        found.setdefault("friction", planned.friction)
+    return planned.gravity
 
 
 def _with_torque(

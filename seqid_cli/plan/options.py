@@ -21,8 +21,8 @@ class PlanOptions:
     `between` are the two effects at `joint` to tell apart, `size_share` their torque over the
     joint's usual one. `load_kg` is the heaviest payload, with which torques are checked.
     With a `floor` no point of the arm comes below the base plane, across gravity through the base
-    frame's origin. No link comes into the boxes `keep_out` or out of `workspace`: x, y, z of two corners, m in the
-    base frame.
+    frame's origin. No link comes into the boxes `keep_out` or out of `workspace`: x, y, z of two
+    corners, m in the base frame.
     """
 
     duration_s: float = 150.0

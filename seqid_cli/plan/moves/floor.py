@@ -24,7 +24,7 @@ from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import Geometry, LinkPoints, frame_points, shape_points
 from seqid_cli.tiles import tiles
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array, Index, Mask
 
 NO_FLOOR = "--no-floor plans without it"
 
@@ -67,6 +67,37 @@ class Floor:
         """Return which of the postures q (N, n) have a point too low."""
         return np.asarray(self.height(q) < 0.0)
 
+    def height_along(self, joint: Index, postures: Array, places: Array) -> Array:
+        """Return the heights (M, P) m of the lowest points while one joint of each posture moves.
+
+        A point's height is a cos q + b sin q + c in the angle of a joint, linear in a slide: three
+        places of each posture tell all others.
+
+        Parameters
+        ----------
+        joint : (M,) int
+            The joint that moves.
+        postures : (M, n) float
+            Where all joints stand [rad; m where prismatic].
+        places : (M, P) float
+            Positions of the joint that moves.
+        """
+        count, n = postures.shape
+        slides = self.robot.chain.prismatic[joint]
+        nodes = np.where(
+            slides[:, None], np.arange(3.0), 2.0 * np.pi * np.arange(3) / 3.0
+        )
+        q = np.repeat(postures[:, None], 3, axis=1)
+        q[np.arange(count), :, joint] = nodes
+        at_nodes = _heights(self.robot, self.up, self.points, q.reshape(-1, n))
+        shapes = _shapes_of(nodes, slides)
+        coefficients = np.linalg.solve(shapes, at_nodes.reshape(count, 3, -1))
+        lowest = np.empty(places.shape)
+        for part in tiles(count, size=64):
+            heights = _shapes_of(places[part], slides[part]) @ coefficients[part]
+            lowest[part] = heights.min(axis=2)
+        return lowest - self.clearance_m
+
     @property
     def note(self) -> str:
         """Say what was assumed."""
@@ -77,7 +108,9 @@ class Floor:
             f" {NO_FLOOR}"
         )
         if self.ignored:
-            text += f" ({self.ignored} corners that no posture lifts above it are left out)"
+            text += (
+                f" ({self.ignored} corners that no posture lifts above it are left out)"
+            )
         return text
 
 
@@ -145,9 +178,20 @@ def floor_of(
     return floor
 
 
+def _shapes_of(q: Array, slides: Mask) -> Array:
+    """Return 1, cos q, sin q (M, P, 3) of joints that turn; 1, q, q^2 of those that slide."""
+    turning = np.stack([np.ones_like(q), np.cos(q), np.sin(q)], axis=-1)
+    sliding = np.stack([np.ones_like(q), q, q**2], axis=-1)
+    return np.where(slides[:, None, None], sliding, turning)
+
+
 def _refuse(robot: Robot, link: int | None) -> None:
     """Say that the arm cannot stay above its base plane."""
-    what = "the arm" if link is None else f"the link behind joint {robot.joint_names[link]!r}"
+    what = (
+        "the arm"
+        if link is None
+        else f"the link behind joint {robot.joint_names[link]!r}"
+    )
     message = f"{what} is below the base plane (across gravity) in all postures that were drawn"
     hint = (
         "If the arm hangs on a wall or a ceiling, plan with --no-floor; else correct gravity or"

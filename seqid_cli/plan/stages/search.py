@@ -4,7 +4,8 @@ Refinement is by L-BFGS-B on the Fourier coefficients. What is minimised is the 
 tr(W C), and the condition of the information: of sets with nearly the same error of the torque the
 one in which no parameter is left far behind is taken. The limits hold for every value of the
 variables, so that bounds are all the constraints; torque limits and the floor enter as penalties,
-and a move that breaks them is not taken. The gradient is by differences, all steps in one batch of regressors.
+and a move that breaks them is not taken. The gradient is by differences, all steps in one batch of
+regressors.
 """
 
 from collections.abc import Sequence

@@ -9,7 +9,7 @@ from seqid_cli.commands.job import any_poor, called
 from seqid_cli.commands.options import OUTPUT, SIX, command, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.plan import EffectSeparation, PlanFile
+from seqid_cli.params.results.plan import EffectSeparation, PlanFile, PlannedStage
 from seqid_cli.params.schema import RobotId
 from seqid_cli.plan.options import PlanOptions, What
 
@@ -19,7 +19,7 @@ _share = only("above 0 and at most 1", lambda x: 0.0 < x <= 1.0)
 
 @command(
     "what robot parameters have output trajectories duration_s move_s together ramp_s share locked"
-    " speed_scale between joint load_kg keep_out workspace seed strict",
+    " speed_scale between joint load_kg keep_out workspace floor seed strict",
     f"seqid plan all -r {SIX}/robot.toml -o plan.json --trajectories moves",
     f"seqid plan inertia -r {SIX}/robot.toml -p gravity.json -o plan.json",
     "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
@@ -87,6 +87,11 @@ def plan(
     workspace: str | None = option(
         None, "--workspace BOX", "Box that no link leaves: x,y,z,x,y,z in m."
     ),
+    floor: bool = option(
+        True,
+        "--floor/--no-floor",
+        "Keep every point of the arm above the base plane, across gravity.",
+    ),
     seed: int = option(0, "--seed N", "Of the moves that are drawn.", min=0),
 ) -> int:
     """Plan the moves to record next, within the limits, and the standard errors they will give.
@@ -133,6 +138,7 @@ def _show(screen: Screen, plan: PlanFile) -> None:
             f"{name}: rank {stage.rank} of {stage.structural_rank}, condition"
             f" {number(stage.condition)}{tail}"
         )
+        _show_criterion(screen, name, stage)
         if stage.not_excited:
             screen.remark(f"not excited: {'; '.join(stage.not_excited)}")
     for verdict in plan.verdicts:
@@ -144,6 +150,18 @@ def _show(screen: Screen, plan: PlanFile) -> None:
         f"{len(plan.moves)} moves, {plan.duration_s:.0f} s of motion,"
         f" {plan.total_s:.0f} s with the ways between them"
     )
+
+
+def _show_criterion(screen: Screen, name: str, stage: PlannedStage) -> None:
+    """Say what the search minimised, its value, and both conditions of Eq. 20."""
+    if stage.criterion is not None:
+        minimised, value = stage.criterion.minimised, number(stage.criterion.value)
+        screen.result(f"{name}: minimised was {minimised}: {value}")
+    if stage.plain_condition is not None:
+        screen.result(
+            f"{name}: cond(Phi(H_g)) of Eq. 20 is {number(stage.plain_condition)},"
+            f" with columns of length 1 {number(stage.scaled_condition)}"
+        )
 
 
 def _show_separation(screen: Screen, told: EffectSeparation, robot: RobotId) -> None:

@@ -25,11 +25,18 @@ from seqid_cli.motion.planned import COEFFICIENTS, Shapes
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import COARSE_HZ, SPARSE, Moves, placed
+from seqid_cli.plan.nuisance import (
+    JointRows,
+    NuisanceInformation,
+    friction_size,
+    move_terms,
+)
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 if TYPE_CHECKING:
+    from seqid_cli.plan.moves.floor import Floor
     from seqid_cli.robot.urdf_model import Geometry
 
 NOISE_HZ = 25.0  # the bandwidth of that noise
@@ -40,8 +47,10 @@ class Belief:
     """A robot before the experiment.
 
     `theta` (b,) are its base parameters, None where neither a stage nor a URDF gives any, with the
-    covariance ``root @ root.T``, `root` (b, k). `density` (n,) is the information per second and
-    (N m)^2, `prior` (b, b) that on the base parameters which earlier stages hold, `slow` (n,) the
+    covariance ``root @ root.T``, `root` (b, k). `friction` (n,) N m is the size of friction where
+    no surface tells it. `density` (n,) is the information per second and
+    (N m)^2, `sweep_variance` (n,) (N m)^2 what a friction stage has seen its surface leave of one
+    way of a slow sweep (NaN: not seen); `prior` (b, b) that on the base parameters which earlier stages hold, `slow` (n,) the
     speed below which a joint's samples do not count.
     """
 
@@ -51,17 +60,39 @@ class Belief:
     surfaces: list[FrictionSurface | None]
     theta: Array | None
     root: Array
+    friction: Array
     density: Array
+    sweep_variance: Array
     prior: Array
     slow: Array
     noise_origin: str
     geometry: Geometry | None = None
+    floor: Floor | None = None
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there is anything that the arm may touch: itself, boxes, the floor."""
+        return self.geometry is not None or self.floor is not None
+
+    def touches(self, q: Array) -> Mask:
+        """Return which of the postures q (N, n) touch something or have a point below the floor."""
+        touched = np.zeros(len(q), dtype=bool) if self.floor is None else self.floor.below(q)
+        if self.geometry is not None and not touched.all():
+            touched[~touched] = self.geometry.collides(q[~touched])
+        return touched
 
     def collides(self, q: Array) -> Mask:
-        """Return which of moves or sweeps q (M, N, n) rad touch something."""
-        if self.geometry is None:
+        """Return which of moves or sweeps q (M, N, n) touch something at any time."""
+        if not self.bounded:
             return np.zeros(len(q), dtype=bool)
-        return np.array([self.geometry.collides(one).any() for one in q])
+        return np.array([self.touches(posture).any() for posture in q])
+
+    def depth(self, q: Array) -> Array:
+        """Return how far moves q (M, N, n) go below the floor at their lowest (M,) [m]."""
+        if self.floor is None:
+            return np.zeros(len(q))
+        height = self.floor.height(q.reshape(-1, q.shape[2])).reshape(q.shape[:2])
+        return np.asarray(np.maximum(-height.min(axis=1), 0.0))
 
     def regressor(self, moves: Moves) -> Array:
         """Rows H (M, N, n, b) of the base parameters."""
@@ -78,6 +109,66 @@ class Belief:
         """Information (M, b, b) of moves."""
         flat = (np.sqrt(self.weights(moves))[..., None] * H).reshape(len(H), -1, H.shape[3])
         return np.asarray(flat.transpose(0, 2, 1) @ flat)
+
+    def friction_sizes(self, states: Moves) -> Array:
+        """Return the sizes (M, N, n) N m of the joints' friction."""
+        sizes = np.empty(states.q.shape)
+        for j, surface in enumerate(self.surfaces):
+            q, dq = states.q[..., j], states.dq[..., j]
+            size = friction_size(
+                surface,
+                float(self.friction[j]),
+                q.ravel(),
+                dq.ravel(),
+                slowest=float(self.slow[j]),
+            )
+            sizes[..., j] = size.reshape(q.shape)
+        return sizes
+
+    def torque_rates(self, states: Moves) -> Array | None:
+        """Return d tau / dt (M, N, n) N m/s of dense samples; None where no torque is known."""
+        if self.theta is None:
+            return None
+        step = float(states.t[1] - states.t[0])
+        rotors = gear_ratios(self.robot) ** 2 * known_rotors(self.robot)
+        rigid = self.regressor(states) @ self.theta + rotors * states.ddq
+        # Friction's step at a reversal is no rate: samples there do not count.
+        friction = np.gradient(self.friction_sizes(states), step, axis=1)
+        return np.asarray(np.gradient(rigid, step, axis=1) + np.sign(states.dq) * friction)
+
+    def add_nuisances(
+        self,
+        total: NuisanceInformation,
+        states: Moves,
+        H: Array,
+        weights: Array,
+        rates: Array | None = None,
+    ) -> None:
+        """Add what nuisance terms share with the unknowns of rows.
+
+        Parameters
+        ----------
+        total : NuisanceInformation
+            What is added to.
+        states : Moves
+            Samples of M moves.
+        H : (M, N, n, c) float
+            Columns of the unknowns.
+        weights : (M, N, n) float
+            Information of the rows, per (N m)^2.
+        rates : (M, N, n) float, optional
+            Rates of the torque, which a delay turns into torque [N m/s].
+        """
+        sizes = self.friction_sizes(states)
+        for j in range(self.robot.n):
+            rows = JointRows(
+                joint=j,
+                H=H[:, :, j].reshape(-1, H.shape[3]),
+                weight=weights[..., j].ravel(),
+                friction=sizes[..., j].ravel(),
+                torque_rate=None if rates is None else rates[..., j].ravel(),
+            )
+            total.add(rows)
 
     def torque(self, moves: Moves, H: Array, *, sigmas: float = 3.0) -> Array:
         """Torque (M, N, n) N m that the joints need, and `sigmas` standard errors on top."""
@@ -101,31 +192,73 @@ def belief_of(
     limits: Limits,
     *,
     geometry: Geometry | None = None,
+    floor: Floor | None = None,
     rest_share: float = 0.02,
+    friction_share: float = 0.1,
 ) -> Belief:
-    """Collect the knowledge of a robot from stages and the URDF."""
+    """Collect the knowledge of a robot from stages and the URDF.
+
+    Where no surface tells it, friction is a `friction_share` of the usual torque; below a
+    `rest_share` of the largest speed samples count little.
+    """
     basis = free_basis(robot)
     surfaces = friction_surfaces(stages, robot)
     theta, root = _parameters(robot, basis, stages)
     prior = gravity_prior(stages.gravity, basis, robot.joint_names)
     known = prior.A.T @ prior.A
     slow = np.maximum(slowest_speeds(surfaces), rest_share * limits.speed)
-    blank = Belief(robot, basis, limits, surfaces, theta, root, np.ones(robot.n), known, slow, "")
-    density, origin = _density(blank, stages)
-    return replace(blank, density=density, noise_origin=origin, geometry=geometry)
+    blank = Belief(
+        robot=robot,
+        basis=basis,
+        limits=limits,
+        surfaces=surfaces,
+        theta=theta,
+        root=root,
+        friction=np.zeros(robot.n),
+        density=np.ones(robot.n),
+        sweep_variance=np.full(robot.n, np.nan),
+        prior=known,
+        slow=slow,
+        noise_origin="",
+    )
+    usual = _usual_torque(blank)
+    density, origin = _density(blank, stages, usual)
+    return replace(
+        blank,
+        friction=friction_share * usual,
+        density=density,
+        sweep_variance=_sweep_variance(robot, stages),
+        noise_origin=origin,
+        geometry=geometry,
+        floor=floor,
+    )
 
 
 def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:
-    """Sum up H' D H (b, b) over the samples of logs in which joints slide."""
+    """Sum up the information (b, b) of logs, over samples in which joints slide.
+
+    Each log has nuisance terms of its own, which are marginalised: logs of different sessions need
+    not share them.
+    """
     total = np.zeros((belief.basis.size, belief.basis.size))
     for recording in recordings:
         motion = torque_motion(recording, belief.robot, MotionOptions())
+        nuisance = NuisanceInformation(belief.robot.n, belief.basis.size, move_terms)
         for where, H in filtered_regressor(motion, belief.robot, belief.basis):
+            states = Moves(
+                motion.t[where],
+                motion.q[None, where],
+                motion.dq[None, where],
+                motion.ddq[None, where],
+            )
             speed = motion.dq[where] ** 2
-            slide = speed / (speed + belief.slow**2)
-            weight = np.sqrt(belief.density * slide / motion.rate_hz)
-            flat = (weight[..., None] * H).reshape(-1, belief.basis.size)
+            weights = belief.density * speed / (speed + belief.slow**2) / motion.rate_hz
+            flat = (np.sqrt(weights)[..., None] * H).reshape(-1, belief.basis.size)
             total += flat.T @ flat
+            belief.add_nuisances(
+                nuisance, states, H[None], weights[None], belief.torque_rates(states)
+            )
+        total -= nuisance.lost
     return total
 
 
@@ -163,14 +296,24 @@ def _parameters(
     return theta, spread
 
 
+def _usual_torque(belief: Belief, *, moves: int = 20) -> Array:
+    """Return the RMS torque (n,) N m of the rigid body in typical moves; 0 where none is known."""
+    if belief.theta is None:
+        return np.zeros(belief.robot.n)
+    torque = belief.regressor(typical(belief, seed=0)[:moves]) @ belief.theta
+    return np.asarray(np.sqrt(np.mean(torque**2, axis=(0, 1))))
+
+
 def _density(
-    belief: Belief, stages: Stages, *, friction_hz: float = 2.0, noise_share: float = 0.03
+    belief: Belief,
+    stages: Stages,
+    usual: Array,
+    *,
+    friction_hz: float = 2.0,
+    noise_share: float = 0.03,
 ) -> tuple[Array, str]:
     """Information per second and (N m)^2 of each joint, and where it comes from."""
-    sizes = np.zeros(belief.robot.n)
-    if belief.theta is not None:
-        torque = belief.regressor(typical(belief, seed=0)[:20]) @ belief.theta
-        sizes = noise_share * np.sqrt(np.mean(torque**2, axis=(0, 1)))
+    sizes = noise_share * usual
     origin = "assumed: a thirtieth of the usual torque; errors are relative to that"
     if not sizes.any():
         why = "no torque is known" if belief.theta is None else "the links weigh nothing"
@@ -188,3 +331,15 @@ def _density(
             noise[j] = measured[name] ** 2
     known = measured or (inertia and inertia.cutoff_hz)
     return 2.0 / noise, "what the stages left of the torque" if known else origin
+
+
+def _sweep_variance(robot: Robot, stages: Stages, *, parts: int = 4) -> Array:
+    """Return the variance (n,) (N m)^2 of what friction surfaces leave of one slow way.
+
+    Friction trials are such ways, so that nothing has to be assumed. The RMSE of a surface is that
+    of averages over a quarter of a trial: a way has so many `parts`, and their mean that much less.
+    NaN for joints without a surface.
+    """
+    friction = stages.friction.joints if stages.friction else {}
+    rmse = [friction[name].rmse if name in friction else np.nan for name in robot.joint_names]
+    return np.array(rmse) ** 2 / parts

@@ -20,6 +20,7 @@ from seqid_cli.plan.options import PlanOptions, What
 
 if TYPE_CHECKING:
     from seqid_cli.plan.limits import Limits
+    from seqid_cli.plan.moves.floor import Floor
     from seqid_cli.robot.types import Robot
     from seqid_cli.robot.urdf_model import Geometry
 
@@ -82,7 +83,8 @@ def plan(
     ids = [model_id(name, file, files) for name, file in models]
     recorded = LogSet(found, arm).again(imus=False)
     geometry = _geometry(arm, limits, options)
-    made = make_plan(what, arm, limits, stages, options, ids, recorded, geometry)
+    floor = _floor(arm, limits, geometry) if options.floor else None
+    made = make_plan(what, arm, limits, stages, options, ids, recorded, geometry, floor)
     if folder is not None:
         from seqid_cli.plan.moves.files import write_moves
 
@@ -126,3 +128,14 @@ def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | 
         message = "--workspace and --keep-out need the shapes of the links"
         raise ConfigError(message, where=str(robot.source), hint=hint)
     return found
+
+
+def _floor(robot: Robot, limits: Limits, geometry: Geometry | None) -> Floor | None:
+    """Return the base plane as the floor; None where no joint lifts anything."""
+    import numpy as np
+
+    from seqid_cli.plan.moves.floor import floor_of
+    from seqid_cli.plan.moves.strokes import postures_of
+
+    postures = postures_of(limits, 500, np.random.default_rng(0))
+    return floor_of(robot, limits, postures, geometry)

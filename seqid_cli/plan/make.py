@@ -15,12 +15,14 @@ from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of, information_of
 from seqid_cli.plan.discrimination.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.plan.limits import Limits
+from seqid_cli.plan.moves.floor import Floor
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Planned
+from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.inertia import plan_inertia, plan_validation
 from seqid_cli.plan.stages.payload import loaded, plan_payload
-from seqid_cli.plan.stages.sweeps import plan_friction, plan_gravity, plan_imu
+from seqid_cli.plan.stages.sweeps import plan_friction, plan_imu
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import Geometry
 from seqid_cli.shares import percent
@@ -35,9 +37,10 @@ def make_plan(
     parameters: Sequence[FileId] = (),
     have: Iterable[Recording] = (),
     geometry: Geometry | None = None,
+    floor: Floor | None = None,
 ) -> PlanFile:
     """Plan one stage, or all in the order of the work: what the logs `have` do not tell."""
-    belief = belief_of(robot, stages, limits, geometry=geometry)
+    belief = belief_of(robot, stages, limits, geometry=geometry, floor=floor)
     if what == "discriminate":
         found = {what: plan_discriminate(belief, stages, options, list(have))}
     else:
@@ -76,7 +79,7 @@ def make_plan(
         total_s=sum(durations) + _ways(moves, limits, names),
         speed_scale=options.speed_scale,
         verdicts=[v for name, planned in found.items() for v in _verdicts(name, planned)],
-        notes=_notes(belief),
+        notes=_notes(belief, options),
     )
 
 
@@ -85,9 +88,10 @@ def _session(
 ) -> dict[str, Planned]:
     """Plan one stage, or all one after the other, each on what logs and moves tell by then."""
     known = information_of(belief, have)
+    found: dict[str, Planned] = {}
     planners = {
         "friction": lambda: plan_friction(belief, options),
-        "gravity": lambda: plan_gravity(belief, stages, options),
+        "gravity": lambda: _gravity(belief, stages, options, found),
         "imu-calib": lambda: plan_imu(belief, options),
         "inertia": lambda: plan_inertia(belief, stages, options, known),
         "payload": lambda: plan_payload(belief, stages, options),
@@ -97,12 +101,22 @@ def _session(
     if what == "all":
         left_out = {"payload"} if belief.robot.imus else {"payload", "imu-calib"}
         names = [name for name in planners if name not in left_out]
-    found = {}
     for name in names:
         found[name] = planners[name]()
         added = found[name].information
         known = known if added is None else known + added
-    return found
+    order = list(planners)
+    return dict(sorted(found.items(), key=lambda item: order.index(item[0])))
+
+
+def _gravity(
+    belief: Belief, stages: Stages, options: PlanOptions, found: dict[str, Planned]
+) -> Planned:
+    """Plan gravity on the friction that is given or planned; friction it lacks goes to `found`."""
+    planned = plan_gravity(belief, stages, options, found.get("friction"))
+    if planned.friction is not None:
+        found.setdefault("friction", planned.friction)
+    return planned.gravity
 
 
 def _with_torque(
@@ -148,17 +162,43 @@ def _verdicts(what: str, planned: Planned) -> list[Verdict]:
     return [Verdict(good=stage.rank == stage.structural_rank, reason=reason)]
 
 
-def _notes(belief: Belief) -> list[str]:
-    names, moves = np.array(belief.robot.joint_names), belief.limits.moves
-    unlimited, still = names[moves & np.isinf(belief.limits.torque)], names[~moves]
-    known, shapes = belief.theta is not None, belief.geometry is not None
-    no_limit, no_friction = "no torque limit in a URDF", "friction is not known"
-    notes = (
-        (not known, "no torque is known (neither -p nor a URDF with inertias): none was checked"),
-        (known and len(unlimited), f"{no_limit}, none was checked: {', '.join(unlimited)}"),
-        (not any(belief.surfaces), f"{no_friction}: it is not part of the torque that was checked"),
-        (not shapes, "no collision shapes in a URDF: watch the first run for collisions"),
-        (shapes, "the ways between moves are not checked for collisions"),
-        (len(still), f"kept still: {', '.join(still)}"),
-    )
-    return [text for applies, text in notes if applies]
+def _notes(belief: Belief, options: PlanOptions) -> list[str]:
+    """Say what was assumed of limits, floor and shapes, and what was not checked."""
+    robot, limits = belief.robot, belief.limits
+    names = np.array(robot.joint_names)
+    notes = [
+        f"limits: {percent(options.share, 0)} of the tighter of robot file and URDF; from rest to"
+        f" the largest speed in {options.ramp_s:g} s or more"
+    ]
+
+    unlimited = names[limits.moves & np.isinf(limits.torque)]
+    if belief.theta is None:
+        notes.append("no torque is known (neither -p nor a URDF with inertias): none was checked")
+    elif len(unlimited):
+        listed = ", ".join(unlimited)
+        notes.append(f"no torque limit in a URDF, none was checked: {listed}")
+    if not any(belief.surfaces):
+        notes.append("friction is not known: it is not part of the torque that was checked")
+
+    notes.append(_floor_note(belief, options))
+    if belief.geometry is None:
+        notes.append("no collision shapes in a URDF: watch the first run for collisions")
+    else:
+        notes.append("links keep 2 cm from each other and from boxes, meshes by convex hulls")
+    notes.append("the ways between moves are not checked")
+
+    still = names[~limits.moves]
+    if len(still):
+        notes.append(f"kept still: {', '.join(still)}")
+    return notes
+
+
+def _floor_note(belief: Belief, options: PlanOptions) -> str:
+    """Say what was assumed of the floor."""
+    if belief.floor is not None:
+        return belief.floor.note
+    if not options.floor:
+        return "floor: none (--no-floor); points of the arm may come below the base plane"
+    if not belief.robot.gravity.any():
+        return "floor: none, as the robot file has no gravity to say where down is"
+    return "floor: no joint is known to lift any point of the arm, none was checked"

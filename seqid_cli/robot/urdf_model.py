@@ -201,6 +201,83 @@ def geometry_of(
     return Geometry(model, model.createData(), shapes, _with_clearance(shapes, clearance_m))
 
 
+@dataclass(frozen=True, kw_only=True)
+class LinkPoints:
+    """Points that move with the links of an arm, each with a ball around it.
+
+    Parameters
+    ----------
+    link : (K,) int
+        The link of each point, by the number of the joint that moves it, from 0.
+    position : (K, 3) float
+        Where it sits in the link's own frame [m].
+    radius : (K,) float
+        Radius of the ball [m]; 0 for a mere point.
+    """
+
+    link: NDArray[np.intp]
+    position: Array
+    radius: Array
+
+
+def shape_points(geometry: Geometry) -> LinkPoints:
+    """Return balls whose convex hulls hold the collision shapes of an arm's links."""
+    links, positions, radii = [], [], []
+    for shape in geometry.shapes.geometryObjects:
+        if shape.parentJoint == 0:  # the base, or a box around the arm
+            continue
+        corners, radius = _corners_of(shape.geometry)
+        place = shape.placement
+        positions.append(corners @ place.rotation.T + place.translation)
+        links.append(np.full(len(corners), shape.parentJoint - 1))
+        radii.append(np.full(len(corners), radius))
+    if not links:
+        return LinkPoints(link=np.zeros(0, np.intp), position=np.zeros((0, 3)), radius=np.zeros(0))
+    return LinkPoints(
+        link=np.concatenate(links),
+        position=np.concatenate(positions),
+        radius=np.concatenate(radii),
+    )
+
+
+def frame_points(robot: Robot) -> LinkPoints:
+    """Return the origins of all frames behind a joint: links, flange, tool. None without a URDF."""
+    if robot.urdf is None:
+        return LinkPoints(link=np.zeros(0, np.intp), position=np.zeros((0, 3)), radius=np.zeros(0))
+    whole = pin.buildModelFromXML(readable(read_urdf_text(robot.urdf)))
+    others = [k for k in range(1, whole.njoints) if whole.names[k] not in robot.joint_names]
+    model = pin.buildReducedModel(whole, others, pin.neutral(whole))
+    frames = [frame for frame in model.frames if frame.parentJoint > 0]
+    return LinkPoints(
+        link=np.array([frame.parentJoint - 1 for frame in frames], dtype=np.intp),
+        position=np.array([frame.placement.translation for frame in frames]).reshape(-1, 3),
+        radius=np.zeros(len(frames)),
+    )
+
+
+def _corners_of(shape: Any, *, sides: int = 16) -> tuple[Array, float]:
+    """Return corners (K, 3) and a radius: balls about them have a hull that holds the shape."""
+    if isinstance(shape, coal.Sphere):
+        return np.zeros((1, 3)), float(shape.radius)
+    if isinstance(shape, coal.Capsule):
+        return np.array([[0.0, 0.0, z] for z in (-shape.halfLength, shape.halfLength)]), float(
+            shape.radius
+        )
+    if isinstance(shape, coal.Cylinder):
+        # A polygon around the circle, not inside it.
+        angle = 2.0 * np.pi * np.arange(sides) / sides
+        outer = shape.radius / np.cos(np.pi / sides)
+        ring = np.column_stack([outer * np.cos(angle), outer * np.sin(angle)])
+        ends = (-shape.halfLength, shape.halfLength)
+        return np.vstack([np.column_stack([ring, np.full(sides, z)]) for z in ends]), 0.0
+    if isinstance(shape, coal.ConvexBase):
+        return np.array([shape.point(k) for k in range(shape.num_points)]).reshape(-1, 3), 0.0
+    shape.computeLocalAABB()
+    low, high = np.ravel(shape.aabb_local.min_), np.ravel(shape.aabb_local.max_)
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    return corners, 0.0
+
+
 def _with_clearance(shapes: Any, clearance_m: float) -> Any:
     found = shapes.createData()
     for request in found.collisionRequests:

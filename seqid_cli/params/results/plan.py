@@ -145,17 +145,30 @@ class EffectSeparation(Struct, kw_only=True):
     special_case: str | None = None
 
 
+class PlanCriterion(Struct, kw_only=True):
+    """What was minimised, in words, and its value for the moves of the plan."""
+
+    minimised: str
+    value: float
+
+
 class PlannedStage(Struct, kw_only=True):
     """The standard errors that the moves of one stage will give.
 
     `torque_error` is the standard deviation of the predicted torque that the parameters' errors
-    will make in typical all-joint moves, N m. `condition` is that of the scaled regressor.
+    will make in typical all-joint moves, N m. `condition` is that of the regressor, rows weighted
+    by the noise and columns scaled to length 1. `criterion` is what was minimised. Of gravity,
+    `plain_condition` is Eq. 20 to the letter, cond(Phi(H_g)) in SI units without weights, and
+    `scaled_condition` the same with columns of length 1.
     """
 
     parameters: list[PredictedParameter] = []
     rank: int | None = None
     structural_rank: int | None = None
     condition: float | None = None
+    criterion: PlanCriterion | None = None
+    plain_condition: float | None = None
+    scaled_condition: float | None = None
     not_excited: list[str] = []
     torque_error: dict[str, float] = {}
     growth: list[PlanGrowth] = []

@@ -74,7 +74,7 @@ def stroke_move(
 
 
 def reachable(
-    belief: Belief, j: int, postures: Array, share: float, widest: float, *, points: int = 60
+    belief: Belief, j: int, postures: Array, share: float, widest: float
 ) -> tuple[Array, Array]:
     """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad.
 
@@ -83,24 +83,55 @@ def reachable(
     limits = belief.limits
     low, high = limits.lower[j], limits.upper[j]
     middle, half = (low + high) / 2, share * limits.range[j] / 2
-    ends = np.tile([low, high], (len(postures), 1))
-    if belief.geometry is not None:
-        places = np.linspace(low, high, points)
-        for end, posture in zip(ends, postures, strict=True):
-            q = np.tile(posture, (points, 1))
-            q[:, j] = places
-            free = runs(~belief.geometry.collides(q), points)
-            first, stop = max(free, key=lambda run: run[1] - run[0], default=(0, 1))
-            end[:] = places[first], places[stop - 1]
-    ends = np.clip(ends, middle - half, middle + half)
+    ends = free_ends(belief, j, postures, (middle - half, middle + half))
     width = np.diff(ends)[:, 0]
     if width.max() <= 0.0:
         name = belief.robot.joint_names[j]
         message = f"joint {name!r} touches something in all of {len(postures)} postures"
-        hint = "Narrow position_limits, or widen --workspace and --keep-out."
+        hint = (
+            "Narrow position_limits, widen --workspace and --keep-out, or, where the base stands"
+            " on no floor, plan with --no-floor."
+        )
         raise ConfigError(message, where=str(belief.robot.source), hint=hint)
     kept = width >= widest * width.max()
     return postures[kept], ends[kept]
+
+
+def free_ends(
+    belief: Belief, j: int, postures: Array, span: Ends, *, points: int = 60
+) -> Array:
+    """Return the ends (P, 2) rad of the longest way of joint j that touches nothing.
+
+    Parameters
+    ----------
+    belief : Belief
+    j : int
+    postures : (P, n) float
+        Where the other joints are locked [rad; m where prismatic].
+    span : Ends
+        Where the way has to stay; its ends are equal where all of that touches something.
+    points : int
+        Places of the way that are looked at.
+    """
+    low = max(float(belief.limits.lower[j]), span[0])
+    high = max(min(float(belief.limits.upper[j]), span[1]), low)
+    ends = np.tile([low, high], (len(postures), 1))
+    if not belief.bounded or low == high:
+        return ends
+    places = np.linspace(low, high, points)
+    free = np.ones((len(postures), points), dtype=bool)
+    if belief.floor is not None:
+        joint = np.full(len(postures), j)
+        same_places = np.tile(places, (len(postures), 1))
+        free = belief.floor.height_along(joint, postures, same_places) >= 0.0
+    if belief.geometry is not None:
+        q = np.repeat(postures[:, None], points, axis=1)
+        q[:, :, j] = places
+        free[free] = ~belief.geometry.collides(q[free])
+    for end, own in zip(ends, free, strict=True):
+        first, stop = max(runs(own, points), key=lambda run: run[1] - run[0], default=(0, 1))
+        end[:] = places[first], places[stop - 1]
+    return ends
 
 
 def sweeps(

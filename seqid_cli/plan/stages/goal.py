@@ -11,10 +11,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
+import msgspec
 import numpy as np
 
 from seqid_cli.identify.regression.least_squares import RANK_TOLERANCE
-from seqid_cli.params.results.plan import PlanGrowth, PlannedMove, PlannedStage, PredictedParameter
+from seqid_cli.params.results.plan import (
+    PlanCriterion,
+    PlanGrowth,
+    PlannedMove,
+    PlannedStage,
+    PredictedParameter,
+)
 from seqid_cli.plan.belief import NOISE_HZ, Belief, typical
 from seqid_cli.typing import Array, Mask
 
@@ -127,3 +134,16 @@ def predicted_stage(
         not_excited=[parameters[k].expression for k in about if vague[k]],
         growth=growth,
     )
+
+
+def with_criterion(stage: PlannedStage, goal: Goal, total: Array) -> PlannedStage:
+    """Return a stage that says what the search for its moves minimised.
+
+    `total` (b, b) is the scaled information of all moves and logs.
+    """
+    value = float(goal.errors(total)) * float(np.exp(goal.log_condition(total)))
+    criterion = PlanCriterion(
+        minimised="tr(W C) times the condition of the regressor weighted by the noise",
+        value=value,
+    )
+    return msgspec.structs.replace(stage, criterion=criterion)

@@ -15,8 +15,16 @@ from seqid_cli.payload.fit import FRICTION_TERMS
 from seqid_cli.payload.options import PayloadOptions
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Moves
+from seqid_cli.plan.nuisance import move_terms
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.goal import Goal, Planned, predicted_stage, rank_and_condition
+from seqid_cli.plan.stages.goal import (
+    Goal,
+    Planned,
+    predicted_stage,
+    rank_and_condition,
+    with_criterion,
+)
+from seqid_cli.plan.stages.inertia import StageRows
 from seqid_cli.plan.stages.search import optimised
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.robot.regressor import PER_LINK
@@ -68,7 +76,16 @@ def plan_payload(belief: Belief, stages: Stages, options: PlanOptions) -> Planne
     goal = replace(goal, W=W)
     nothing = np.zeros_like(W)
     moves, dense, each = optimised(whole, goal, options, nothing, "payload")
-    C, H, empty = goal.covariance(each.sum(axis=0)), belief.regressor(dense), loaded(belief, 0.0)
+    H, empty = belief.regressor(dense), loaded(belief, 0.0)
+    rows = StageRows(
+        moves=dense,
+        H=whole.wide(dense, H),
+        weights=belief.weights(dense),
+        terms=move_terms,
+        rates=whole.torque_rates(dense),
+    )
+    total = each.sum(axis=0)
+    C = goal.covariance(total - goal.scaled(rows.lost(belief)))
     # By the model's own parameters, given the noise's alone.
     parts = (empty.wide(dense, H), empty.weights(dense), H)
     moved = C @ np.einsum("mnjk,mnj,mnjb->kb", *parts, optimize=True) @ empty.root
@@ -87,4 +104,4 @@ def plan_payload(belief: Belief, stages: Stages, options: PlanOptions) -> Planne
     body = np.arange(len(W)) < PER_LINK
     stage = predicted_stage(goal, nothing, each, parameters, body, options.length_s)
     stage.structural_rank, _ = rank_and_condition(W[np.ix_(body, body)])
-    return Planned(moves, stage)
+    return Planned(moves, with_criterion(stage, goal, total))

@@ -3,8 +3,9 @@
 Refinement is by L-BFGS-B on the Fourier coefficients. What is minimised is the product of the goal,
 tr(W C), and the condition of the information: of sets with nearly the same error of the torque the
 one in which no parameter is left far behind is taken. The limits hold for every value of the
-variables, so that bounds are all the constraints; torque limits enter as a penalty, and a move that
-breaks them is not taken. The gradient is by differences, all steps in one batch of regressors.
+variables, so that bounds are all the constraints; torque limits and the floor enter as penalties,
+and a move that breaks them is not taken. The gradient is by differences, all steps in one batch of
+regressors.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import COARSE_HZ, EXTENT, PLACE, SPARSE, Moves, placed
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 REDUCTION = 0.5  # factor on the amplitude of a move that needs too much torque
 
@@ -97,9 +98,35 @@ def draw_pool(
                 break
             drawn[where, :, EXTENT] *= REDUCTION
     kept = overload <= 1.0
-    if belief.geometry is not None:
-        kept &= ~belief.collides(placed(shapes, drawn, belief.limits).every(2).q)
+    if belief.bounded:
+        kept &= ~_out_of_reach(belief, shapes, drawn, information, goal, max_times=max_times)
     return drawn[kept], information[kept]
+
+
+def _out_of_reach(
+    belief: Belief,
+    shapes: Shapes,
+    drawn: Array,
+    information: Array,
+    goal: Goal,
+    *,
+    max_times: int,
+) -> Mask:
+    """Make drawn moves that touch something smaller, and return those (M,) that still do.
+
+    `drawn` and `information` are changed in place.
+    """
+    where = np.arange(len(drawn))
+    for attempt in range(max_times + 1):
+        moves = placed(shapes, drawn[where], belief.limits).every(2)
+        where = where[belief.collides(moves.q)]
+        if attempt == max_times or not len(where):
+            break
+        drawn[where, :, EXTENT] *= REDUCTION
+        information[where] = assess(belief, goal, placed(shapes, drawn[where], belief.limits))[0]
+    touching = np.zeros(len(drawn), dtype=bool)
+    touching[where] = True
+    return touching
 
 
 def check_torque(belief: Belief, drawn: Array, options: PlanOptions) -> None:
@@ -111,9 +138,12 @@ def check_torque(belief: Belief, drawn: Array, options: PlanOptions) -> None:
     still = Moves(np.arange(2.0), q, np.zeros_like(q), np.zeros_like(q))
     load = belief.torque(still, belief.regressor(still)) / belief.limits.torque
     where = str(belief.robot.source)
-    if load.max(axis=(1, 2)).min() <= 1.0 and belief.geometry is not None:
-        message = f"no move of {options.pool} keeps the arm off itself and the boxes"
-        hint = "Narrow position_limits, or widen --workspace and --keep-out."
+    if load.max(axis=(1, 2)).min() <= 1.0 and belief.bounded:
+        message = f"no move of {options.pool} keeps the arm off itself, the boxes and the floor"
+        hint = (
+            "Narrow position_limits, widen --workspace and --keep-out, or, where the base stands"
+            " on no floor, plan with --no-floor."
+        )
         raise ConfigError(message, where=where, hint=hint)
     j = int(np.argmax(load.min(axis=(0, 1))))
     joint, torque = belief.robot.joints[j], belief.limits.torque[j]
@@ -159,6 +189,7 @@ def _improved(
     *,
     iterations: int = 8,
     penalty: float = 100.0,
+    low_m: float = 0.1,
     step: float = 1e-4,
 ) -> Array:
     """A better move (n, 2 K + 2) of the same joints, or the `start` where there is none near.
@@ -176,10 +207,13 @@ def _improved(
 
     def values(x: Array) -> Array:
         """Log of the goal and of the condition (P,), with the penalty on torque."""
-        information, overload = assess(belief, goal, moves_of(x)[1])
+        moves = moves_of(x)[1]
+        information, overload = assess(belief, goal, moves)
         total = rest + information
         error = np.log(goal.errors(total)) + goal.log_condition(total)
-        return np.asarray(error + penalty * np.maximum(overload - 1.0, 0.0) ** 2)
+        too_low = belief.depth(moves.every(SPARSE).q)
+        excess = np.maximum(overload - 1.0, 0.0) ** 2 + (too_low / low_m) ** 2
+        return np.asarray(error + penalty * excess)
 
     def with_gradient(x: Array) -> tuple[float, Array]:
         """Value and gradient, by steps that lead inwards from the bounds."""

@@ -1,8 +1,7 @@
-"""Plans of friction, gravity, IMUs, validation and whole sessions."""
+"""Plans of friction, IMUs, validation and whole sessions."""
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -10,12 +9,11 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.motion.planned import sampled
 from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.params.schema import Stages
-from seqid_cli.plan.belief import Belief, belief_of
+from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.sweeps import POSTURES, plan_friction, plan_gravity, plan_imu
-from seqid_cli.robot.base_parameters import base_regressor
+from seqid_cli.plan.stages.sweeps import POSTURES, plan_friction, plan_imu
 from tests.plants.planned import limits_used
 from tests.plants.robots.sample import sample_robot
 
@@ -42,48 +40,6 @@ def test_friction_sweeps_every_joint_both_ways_over_its_range(belief: Belief) ->
         there, back = move.strokes[0], move.strokes[1]
         assert (there.start, there.end) == (back.end, back.start)
         assert (there.start, there.end) == (belief.limits.lower[j], belief.limits.upper[j])
-
-
-def gravity_condition(belief: Belief, moves: list[PlannedMove]) -> float:
-    """Condition of Phi(H_g), weighted by the noise, with columns of length 1 (Eq. 20)."""
-    rows = []
-    for move in moves:
-        _, q, dq, _ = sampled(move, belief.robot.joint_names, 20.0)
-        still = np.zeros_like(q)
-        H = base_regressor(belief.robot, belief.basis, q, still, still)
-        j = belief.robot.joint_names.index(move.joints[0])
-        own = H[np.abs(dq[:, j]) > 0.0][:, j][:, belief.basis.gravity]
-        rows.append(np.sqrt(belief.density[j]) * own)
-    stacked = np.concatenate(rows)
-    return float(np.linalg.cond(stacked / np.linalg.norm(stacked, axis=0)))
-
-
-@pytest.mark.slow
-def test_gravity_postures_beat_random_ones(belief: Belief) -> None:
-    planned = plan_gravity(belief, Stages(), OPTIONS)
-    for move in planned.moves:
-        assert_within_limits(belief, move)
-    assert planned.stage.rank == planned.stage.structural_rank == int(belief.basis.gravity.sum())
-    own = gravity_condition(belief, planned.moves)
-    rng, chance = np.random.default_rng(0), []
-    names = belief.robot.joint_names
-    for _ in range(20):
-        places = rng.uniform(belief.limits.lower, belief.limits.upper, (len(planned.moves), 6))
-        moved = []
-        for move, place in zip(planned.moves, places, strict=True):
-            start = dict(zip(names, map(float, place), strict=True))
-            start |= {name: move.start[name] for name in move.joints}
-            moved.append(msgspec.structs.replace(move, start=start))
-        chance.append(gravity_condition(belief, moved))
-    assert own < min(chance)
-
-
-def test_gravity_of_a_planar_arm_has_nothing_to_record() -> None:
-    robot = replace(sample_robot("two_joint"), gravity=np.zeros(3))
-    belief = belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3))
-    planned = plan_gravity(belief, Stages(), OPTIONS)
-    assert not planned.moves
-    assert "nothing to record" in planned.stage.notes[0]
 
 
 def test_imus_see_the_first_joint_from_many_sides(belief: Belief) -> None:

@@ -1,0 +1,232 @@
+"""The floor: the plane through the base frame's origin, across gravity; no point goes below it.
+
+With u = -g / |g| the way up and x_i(q) the points of the links, each with a ball of radius r_i
+around it, the arm keeps above its base plane where
+
+    h(q) = min_i u' x_i(q) - r_i >= clearance.
+
+Points are corners of the collision shapes where a URDF has them: a hull lies above a plane where
+all its corners do. Without shapes they are the origins of the joints and of the URDF's frames (a
+flange, a tool), and links count as the lines between them.
+
+A point that no joint lifts, such as the first joint's origin, is no part of it. Nor is a corner
+that no posture lifts far enough, as of the shape around a low shoulder; but a link of which no
+corner can be above hangs below its base, and such an arm has no plan with a floor.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.plan.limits import Limits
+from seqid_cli.robot.kinematics import forward
+from seqid_cli.robot.types import Robot
+from seqid_cli.robot.urdf_model import Geometry, LinkPoints, frame_points, shape_points
+from seqid_cli.tiles import tiles
+from seqid_cli.typing import Array, Index, Mask
+
+NO_FLOOR = "--no-floor plans without it"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Floor:
+    """The plane that no point of an arm goes below.
+
+    Parameters
+    ----------
+    robot : Robot
+    up : (3,) float
+        The way up in the base frame.
+    points : LinkPoints
+        What is looked at.
+    clearance_m : float
+        Height that is kept above the plane [m].
+    shapes : bool
+        Whether the points are those of collision shapes.
+    ignored : int
+        How many corners no posture lifts above the plane; they are not looked at.
+    """
+
+    robot: Robot
+    up: Array
+    points: LinkPoints
+    clearance_m: float
+    shapes: bool
+    ignored: int
+
+    def height(self, q: Array) -> Array:
+        """Return how far the lowest point lies above the clearance (N,) [m], at postures (N, n)."""
+        lowest = np.empty(len(q))
+        for part in tiles(len(q), size=1024):
+            heights = _heights(self.robot, self.up, self.points, q[part])
+            lowest[part] = heights.min(axis=1, initial=np.inf)
+        return np.asarray(lowest - self.clearance_m)
+
+    def below(self, q: Array) -> Mask:
+        """Return which of the postures q (N, n) have a point too low."""
+        return np.asarray(self.height(q) < 0.0)
+
+    def height_along(self, joint: Index, postures: Array, places: Array) -> Array:
+        """Return the heights (M, P) m of the lowest points while one joint of each posture moves.
+
+        A point's height is a cos q + b sin q + c in the angle of a joint, linear in a slide: three
+        places of each posture tell all others.
+
+        Parameters
+        ----------
+        joint : (M,) int
+            The joint that moves.
+        postures : (M, n) float
+            Where all joints stand [rad; m where prismatic].
+        places : (M, P) float
+            Positions of the joint that moves.
+        """
+        count, n = postures.shape
+        slides = self.robot.chain.prismatic[joint]
+        nodes = np.where(
+            slides[:, None], np.arange(3.0), 2.0 * np.pi * np.arange(3) / 3.0
+        )
+        q = np.repeat(postures[:, None], 3, axis=1)
+        q[np.arange(count), :, joint] = nodes
+        at_nodes = _heights(self.robot, self.up, self.points, q.reshape(-1, n))
+        shapes = _shapes_of(nodes, slides)
+        coefficients = np.linalg.solve(shapes, at_nodes.reshape(count, 3, -1))
+        lowest = np.empty(places.shape)
+        for part in tiles(count, size=64):
+            heights = _shapes_of(places[part], slides[part]) @ coefficients[part]
+            lowest[part] = heights.min(axis=2)
+        return lowest - self.clearance_m
+
+    @property
+    def note(self) -> str:
+        """Say what was assumed."""
+        about = "collision shapes" if self.shapes else "origins of joints and frames"
+        text = (
+            f"floor: every point of the arm ({about}) stays {100 * self.clearance_m:g} cm above"
+            " the base plane, the plane across gravity through the base frame's origin;"
+            f" {NO_FLOOR}"
+        )
+        if self.ignored:
+            text += (
+                f" ({self.ignored} corners that no posture lifts above it are left out)"
+            )
+        return text
+
+
+def floor_of(
+    robot: Robot,
+    limits: Limits,
+    postures: Array,
+    geometry: Geometry | None = None,
+    *,
+    clearance_m: float = 0.02,
+    still_m: float = 1e-3,
+) -> Floor | None:
+    """Build the floor of an arm; None where gravity has no direction or lifts nothing.
+
+    Parameters
+    ----------
+    robot : Robot
+    limits : Limits
+        Joints that are kept still stay in the middle of their ranges.
+    postures : (P, n) float
+        Drawn within the limits [rad; m where prismatic]: what they lift counts.
+    geometry : Geometry, optional
+        Collision shapes, where the URDF has them.
+    clearance_m : float
+        Height that is kept above the plane [m]: between the samples that are checked a point may
+        be lower by a millimetre or two, and a controller overshoots.
+    still_m : float
+        Points whose height changes by less are lifted by no joint [m].
+
+    Raises
+    ------
+    ConfigError
+        The arm, or one of its links, hangs below the base plane whatever its joints do.
+    """
+    size = float(np.linalg.norm(robot.gravity))
+    if size == 0.0:
+        return None
+    up = -robot.gravity / size
+    points, shapes = _points_of(robot, geometry)
+    heights = _heights(robot, up, points, postures)
+    lifted = np.ptp(heights, axis=0) > still_m
+    reached = heights.max(axis=0) >= clearance_m
+
+    # A link none of whose points can be above: the arm is not made to stand on this plane.
+    for j in np.unique(points.link[lifted]):
+        if not reached[lifted & (points.link == j)].any():
+            _refuse(robot, int(j))
+    kept = lifted & reached
+    if not kept.any():
+        return None
+    floor = Floor(
+        robot=robot,
+        up=up,
+        points=LinkPoints(
+            link=points.link[kept],
+            position=points.position[kept],
+            radius=points.radius[kept],
+        ),
+        clearance_m=clearance_m,
+        shapes=shapes,
+        ignored=int(np.sum(lifted & ~reached)),
+    )
+    if floor.below(postures).all():
+        _refuse(robot, None)
+    return floor
+
+
+def _shapes_of(q: Array, slides: Mask) -> Array:
+    """Return 1, cos q, sin q (M, P, 3) of joints that turn; 1, q, q^2 of those that slide."""
+    turning = np.stack([np.ones_like(q), np.cos(q), np.sin(q)], axis=-1)
+    sliding = np.stack([np.ones_like(q), q, q**2], axis=-1)
+    return np.where(slides[:, None, None], sliding, turning)
+
+
+def _refuse(robot: Robot, link: int | None) -> None:
+    """Say that the arm cannot stay above its base plane."""
+    what = (
+        "the arm"
+        if link is None
+        else f"the link behind joint {robot.joint_names[link]!r}"
+    )
+    message = f"{what} is below the base plane (across gravity) in all postures that were drawn"
+    hint = (
+        "If the arm hangs on a wall or a ceiling, plan with --no-floor; else correct gravity or"
+        " position_limits in the robot file."
+    )
+    raise ConfigError(message, where=str(robot.source), hint=hint)
+
+
+def _points_of(robot: Robot, geometry: Geometry | None) -> tuple[LinkPoints, bool]:
+    """Return the corners of all shapes and the frames' origins, and whether there are shapes."""
+    origins = LinkPoints(
+        link=np.arange(robot.n),
+        position=np.zeros((robot.n, 3)),
+        radius=np.zeros(robot.n),
+    )
+    parts = [origins, frame_points(robot)]
+    if geometry is not None:
+        parts.append(shape_points(geometry))
+    points = LinkPoints(
+        link=np.concatenate([part.link for part in parts]),
+        position=np.concatenate([part.position for part in parts]),
+        radius=np.concatenate([part.radius for part in parts]),
+    )
+    return points, geometry is not None and len(parts[-1].link) > 0
+
+
+def _heights(robot: Robot, up: Array, points: LinkPoints, q: Array) -> Array:
+    """Return the heights (N, K) m of the balls' lowest points above the base plane."""
+    frames = forward(robot.chain, q)
+    origins = frames.p @ up
+    up_in_link = np.einsum("niab,a->nib", frames.R, up)
+
+    heights = np.empty((len(q), len(points.link)))
+    for j in np.unique(points.link):
+        of_link = points.link == j
+        along = up_in_link[:, j] @ points.position[of_link].T
+        heights[:, of_link] = origins[:, j, None] + along - points.radius[of_link]
+    return heights

@@ -48,9 +48,9 @@ class Belief:
 
     `theta` (b,) are its base parameters, None where neither a stage nor a URDF gives any, with the
     covariance ``root @ root.T``, `root` (b, k). `friction` (n,) N m is the size of friction where
-    no surface tells it. `density` (n,) is the information per second and
-    (N m)^2, `sweep_variance` (n,) (N m)^2 what a friction stage has seen its surface leave of one
-    way of a slow sweep (NaN: not seen); `prior` (b, b) that on the base parameters which earlier stages hold, `slow` (n,) the
+    no surface tells it. `density` (n,) is the information per second and (N m)^2, `sweep_variance`
+    (n,) (N m)^2 what a friction stage has seen its surface leave of one way of a slow sweep (NaN:
+    not seen); `prior` (b, b) that on the base parameters which earlier stages hold, `slow` (n,) the
     speed below which a joint's samples do not count.
     """
 

@@ -149,11 +149,16 @@ def _residual_std(stages: Stages, robot: Robot) -> Array:
 
 
 def _nodes(motion: Motion) -> Index:
-    """Return the samples at which variances are computed, the first and the last among them."""
+    """Return the samples at which variances are computed, the first and the last among them.
+
+    They lie on a grid of the log's time, so that a part of a log has those of the whole.
+    """
     stride = 1
     if motion.lowpass.active:
         stride = max(1, int(motion.rate_hz / (NODES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
-    return np.unique(np.append(np.arange(0, motion.samples, stride), motion.samples - 1))
+    samples_before = round(float(motion.t[0]) * motion.rate_hz)
+    on_grid = np.arange(-samples_before % stride, motion.samples, stride)
+    return np.unique(np.concatenate(([0], on_grid, [motion.samples - 1])))
 
 
 def _between(values: Array, nodes: Index, samples: int) -> Array:

@@ -18,7 +18,6 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import encoder_step
-from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.smoother import chunk as splines
 from seqid_cli.motion.smoother import solve
@@ -304,12 +303,6 @@ def smoothed_motion(
     text = "{} reads in {} of the samples"
     notes += [text.format(name, percent(x, 0)) for name, x in shares.items() if x < mostly]
     q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
-    if 1.0 / rate > FINE_S:
-        # Between two samples the knots follow jolts: friction that turns over, corners of a
-        # planned move. The acceleration at the samples alone folds them into the band of the
-        # motion, where a fine encoder shows that there is nothing of the kind. Positions hold
-        # next to nothing above the Nyquist rate, so their differences do not.
-        dq, ddq = differentiate(q, rate)
     known_at = np.concatenate(at), np.concatenate(variances)
     # By the constants that explain this log best; of an IMU that was left out by its calibration.
     calibrated = mounted_imus(recording, robot, stage)

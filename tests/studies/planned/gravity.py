@@ -191,7 +191,7 @@ class LongSearch:
 
 
 def _condition(normal: Array, scaled: bool) -> Array:
-    """Return the condition (...) of Phi from Phi' Phi (..., g, g), columns of length 1 if scaled."""
+    """Return the condition (...) of Phi by Phi' Phi (..., g, g), columns of length 1 if scaled."""
     if scaled:
         size = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
         normal = normal / (size[..., :, None] * size[..., None, :])

@@ -29,7 +29,8 @@ RADIUS = 0.05
 @pytest.fixture(scope="module")
 def pole(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     """Two bars of 0.4 m that swing in a plane, half a metre above the base; balls at their ends."""
-    ball = '<collision><origin xyz="0.4 0 0"/><geometry><sphere radius="0.05"/></geometry></collision>'
+    sphere = '<geometry><sphere radius="0.05"/></geometry>'
+    ball = f'<collision><origin xyz="0.4 0 0"/>{sphere}</collision>'
     parts = [link("base")]
     for k in range(2):
         body = link(f"link_{k}", mass=2.0, x=0.2)

@@ -140,6 +140,7 @@ def test_beside_fine_encoders_jolts_between_samples_do_no_harm() -> None:
 
 
 @pytest.mark.slow
+@FOLDED
 @pytest.mark.parametrize("counts", [None, FINE])
 def test_where_a_joint_bends_both_sources_say_so(counts: int | None) -> None:
     """Neither is the other's truth: encoders see the drive, IMUs the link."""

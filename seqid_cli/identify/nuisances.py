@@ -348,18 +348,12 @@ def later_prior(
         wide = np.zeros((len(rows), columns.size))
         wide[:, places] = rows
         # Changes are against what the surfaces hold, which gravity's trials have put there.
-        center = (
-            np.linalg.pinv(known.A[:, places[:size]]) @ known.b if size else np.zeros(0)
-        )
-        blocks, values = [wide], [rows[:, :size] @ center]
         inverse = np.linalg.pinv(known.A[:, places[:size]])
-        friction = {j: rows[:, :size] @ inverse @ T for j, T in known.friction.items()}
-        constants = {
-            j: rows[:, :size] @ inverse @ T for j, T in known.constants.items()
-        }
-        tolerances = {
-            k: rows[:, :size] @ inverse @ T for k, T in known.tolerances.items()
-        }
+        rows_of_known = rows[:, :size] @ inverse
+        blocks, values = [wide], [rows_of_known @ known.b]
+        friction = {j: rows_of_known @ T for j, T in known.friction.items()}
+        constants = {j: rows_of_known @ T for j, T in known.constants.items()}
+        tolerances = {k: rows_of_known @ T for k, T in known.tolerances.items()}
 
     for j, (name, surface) in enumerate(zip(names, surfaces, strict=True)):
         if ("offset", name) in stated:

@@ -20,6 +20,7 @@ from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, open_surveyed
+from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.motion.filters.survey import Survey, survey_of_positions
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion, as_asked, decimated, encoder_resolution
@@ -136,6 +137,14 @@ def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[sl
     edges = np.linspace(0, samples, max(1, round(samples / length)) + 1).astype(int)
     for a, b in pairwise(edges):
         yield slice(int(a), int(b))
+
+
+def independent_share(motion: Motion) -> float:
+    """Return the share of a log's samples that counts as independent."""
+    # What is left of the torque is low-passed: two samples per period of its band say all.
+    if not motion.lowpass.active:
+        return 1.0
+    return min(1.0, 2.0 * NOISE_BANDWIDTH * motion.lowpass.cutoff_hz / motion.rate_hz)
 
 
 def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:

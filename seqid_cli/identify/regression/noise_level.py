@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import beta
 
+from seqid_cli.identify.regression.least_squares import Accumulator
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import encoder_step
@@ -21,6 +22,7 @@ from seqid_cli.motion.filters.differentiation import runs, shrink
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.segmentation import unmoved
 from seqid_cli.motion.torque_noise import DETAIL, Spectrum, level_of, stretches
+from seqid_cli.params.schema import MotionUse, RigidStage, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
@@ -153,6 +155,42 @@ def noise_level(
             [level[2], of_motion, FRICTION_DOUBT * stated[j], detail]
         )
     return NoiseLevel(rms=middle, low=low, high=high)
+
+
+def noise_of_rows(
+    stage: RigidStage,
+    robot: Robot,
+    *,
+    uses: Sequence[MotionUse],
+    logs: Sequence[LogNoise],
+    joints: Sequence[Accumulator],
+    torque_squares: Array,
+    friction: Array | None = None,
+) -> NoiseLevel:
+    """Return what noise of torque and motion would leave of the torque in the used rows.
+
+    Parameters
+    ----------
+    stage : RigidStage
+        The rigid body, as identified.
+    robot : Robot
+    uses : sequence of MotionUse
+        Of the logs, with the errors of their accelerations.
+    logs : sequence of LogNoise
+    joints : sequence of Accumulator
+        The n joints' rows.
+    torque_squares : (n,) array
+        Sums of the squared torque in these rows [(N m)^2].
+    friction : (n,) array, optional
+        As of `noise_level`.
+    """
+    model = TorqueModel.from_stages(Stages(inertia=stage), robot)
+    squares = [
+        torque_of_noise(model, robot, use.acceleration_error) ** 2 for use in uses
+    ]
+    of_motion = np.sqrt(np.mean(squares, axis=0)) if squares else np.zeros(robot.n)
+    counts = np.array([max(joint.samples, 1) for joint in joints])
+    return noise_level(logs, of_motion, np.sqrt(torque_squares / counts), friction)
 
 
 def torque_of_noise(

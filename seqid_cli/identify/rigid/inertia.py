@@ -32,7 +32,7 @@ from seqid_cli.identify.nuisances import (
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import cutoff_note, open_if_long, source_text, streams
 from seqid_cli.identify.regression.least_squares import Solution
-from seqid_cli.identify.regression.noise_level import NoiseLevel, noise_level, torque_of_noise
+from seqid_cli.identify.regression.noise_level import noise_of_rows
 from seqid_cli.identify.rigid import parameters
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.rigid.inertia_equations import (
@@ -44,7 +44,6 @@ from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equat
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages, Verdict
@@ -89,7 +88,7 @@ def identify_inertia(
     known = zip(options.neighbours, near, strict=True)
     result = _stage(equations, own, {factor: rows for factor, rows in known if rows is not None})
     by_log = [rows for rows, *_ in parts if rows is not None]
-    stage = _with_agreement(result.inertia, equations, by_log)
+    stage = _with_agreement(result.inertia, equations, own, by_log)
     if not (others and encoder and any(use.source != "encoder" for use in stage.motion_use)):
         return InertiaResult(stage, result.friction)
     before = {p.name: p.std_error for p in _stage(others, encoder, {}).inertia.parameters}
@@ -104,20 +103,22 @@ def identify_inertia(
 
 
 def _with_agreement(
-    stage: RigidStage, equations: InertiaEquations, logs: Sequence[InertiaRows]
+    stage: RigidStage,
+    equations: InertiaEquations,
+    together: InertiaRows,
+    logs: Sequence[InertiaRows],
 ) -> RigidStage:
-    """Add verdicts on logs whose rigid body is not that of the others."""
+    """Add verdicts on logs whose rigid body is not that of all of them `together`."""
     robot, size = equations.robot, equations.basis.size
     coupling = float(stage.rotor_coupling == "gyroscopic")
     joints = [[j.with_fixed(j.size - 1, coupling) for j in rows.joints] for rows in logs]
-    counts = np.sum([rows.counts for rows in logs], axis=0)
     found = agreement_verdicts(
         log_equations([rows.uses[0].log for rows in logs], joints),
         robot,
         np.array([stage.rmse.get(name, np.inf) for name in robot.joint_names]),
-        np.sum([rows.torque_squares for rows in logs], axis=0),
+        together.torque_squares,
         size,
-        independent=float(counts[0] / max(counts[1], 1.0)),
+        independent=together.independent,
     )
     return msgspec.structs.replace(stage, verdicts=[*stage.verdicts, *found])
 
@@ -162,8 +163,8 @@ def _stage(
     stage = _described(
         equations, rows, solution.first(basis.size), posterior.first(basis.size)
     )
-    noisy = {verdict.joint for verdict in stage.verdicts if verdict.joint and verdict.good}
-    drives = _drive_terms(equations, rows, solution, posterior, noisy)
+    believed = {verdict.joint for verdict in stage.verdicts if verdict.joint and verdict.good}
+    drives = _drive_terms(equations, rows, solution, posterior, believed)
     stage = msgspec.structs.replace(
         stage,
         nuisances=drives.terms,
@@ -308,7 +309,15 @@ def _described(
         text = ", ".join(" + ".join(pair) for pair in pairs)
         notes.append(f"moving these joints together as well would give full rank: {text}")
     idle = "does not move in these logs, or its friction is not known"
-    floor = _noise_level(equations, rows, stage)
+    floor = noise_of_rows(
+        stage,
+        robot,
+        uses=rows.uses,
+        logs=rows.noise,
+        joints=rows.joints,
+        torque_squares=rows.torque_squares,
+        friction=_friction_error(equations, rows),
+    )
     verdicts = parameters.joint_verdicts(
         robot,
         solution,
@@ -338,19 +347,6 @@ def _described(
         verdicts=[*verdicts, Verdict(good=good, reason=reason)],
         notes=notes,
     )
-
-
-def _noise_level(equations: InertiaEquations, rows: InertiaRows, stage: RigidStage) -> NoiseLevel:
-    """Return what noise of torque and motion would leave of the torque in the used rows."""
-    robot = equations.robot
-    counts = np.array([max(joint.samples, 1) for joint in rows.joints])
-    torque = np.sqrt(rows.torque_squares / counts)
-    model = TorqueModel.from_stages(Stages(inertia=stage), robot)
-    squares = [
-        torque_of_noise(model, robot, use.acceleration_error) ** 2 for use in rows.uses
-    ]
-    encoder = np.sqrt(np.mean(squares, axis=0)) if squares else np.zeros(robot.n)
-    return noise_level(rows.noise, encoder, torque, _friction_error(equations, rows))
 
 
 def _friction_error(equations: InertiaEquations, rows: InertiaRows) -> Array:

@@ -24,7 +24,13 @@ from seqid_cli.identify.nuisances import (
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.equations import CHUNK
-from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Solution, solve
+from seqid_cli.identify.regression.least_squares import (
+    MOST_BLOCKS,
+    Accumulator,
+    Prior,
+    Solution,
+    solve,
+)
 from seqid_cli.identify.regression.noise_level import LogNoise, noise_of_log
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.tolerances import deviation_torques, deviations
@@ -32,7 +38,6 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_friction, sliding
 from seqid_cli.motion.blocks import SurveyedLog, motion_blocks, overlapping
-from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
@@ -328,10 +333,7 @@ class InertiaEquations:
         self, rows: InertiaRows, motion: Motion, H: Array, y: Array, usable: Mask, block_s: float
     ) -> None:
         """Add H (N, n, p), y (N, n) of consecutive samples, where usable, to some rows."""
-        # What is left of the torque is low-passed: two samples per period of its band say all.
-        lowpass, share = motion.lowpass, 1.0
-        if lowpass.active:
-            share = min(1.0, 2 * NOISE_BANDWIDTH * lowpass.cutoff_hz / motion.rate_hz)
+        share = equations.independent_share(motion)
         rows.counts += motion.samples * np.array([share, 1.0])
         every = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
         parts = list(equations.blocks(motion.samples, motion.rate_hz, block_s=block_s))
@@ -372,6 +374,10 @@ class InertiaEquations:
             judged=(judged & known)[chosen],
         )
 
+    def prior(self) -> Prior:
+        """Return what the stages before know of the unknowns, without that of coupling."""
+        return later_prior(self.stages, self.surfaces, self.basis, self.robot.joint_names)
+
     def solved(
         self, rows: InertiaRows, coupling: float | None, *, rounds: int = 6
     ) -> tuple[Solution, Posterior]:
@@ -379,7 +385,7 @@ class InertiaEquations:
         # The gravity stage enters as a prior with its covariance, friction's errors directly and
         # through gravity. After six rounds the weights have settled to 1e-3 standard errors.
         joints = rows.joints
-        prior = later_prior(self.stages, self.surfaces, self.basis, self.robot.joint_names)
+        prior = self.prior()
         if coupling is None:  # of which the prior knows nothing
             prior = replace(prior, A=np.pad(prior.A, ((0, 0), (0, 1))))
         else:
@@ -422,7 +428,7 @@ def tolerance_moves(
 
     # Some states stand for all rows of a joint, of which a share counts as independent.
     share = rows.independent
-    prior = later_prior(equations.stages, equations.surfaces, basis, robot.joint_names)
+    prior = equations.prior()
     size = len(solution.theta)
     moves = {}
     for name in names:

@@ -33,9 +33,8 @@ from seqid_cli.identify.regression.least_squares import (
 from seqid_cli.identify.regression.noise_level import (
     LogNoise,
     NoiseLevel,
-    noise_level,
     noise_of_log,
-    torque_of_noise,
+    noise_of_rows,
 )
 from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equations
 from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
@@ -43,8 +42,7 @@ from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.units import UNTOLD
 from seqid_cli.model.friction import EXTENSION_SIZE, SLIDES
-from seqid_cli.model.torque import TorqueModel, known_rotors, sliding
-from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
+from seqid_cli.model.torque import known_rotors, sliding
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params import schema
@@ -102,7 +100,8 @@ class SimultaneousEquations:
         self._rotor_sums = np.zeros((robot.n, size))  # H' times the torque of known rotors
         self.torque_squares = np.zeros(robot.n)
         self.band_rows = BandRowsCollector()
-        self.independent = float(np.mean([_independent_share(motion) for motion in motions]))
+        shares = [equations.independent_share(motion) for motion in motions]
+        self.independent = float(np.mean(shares))
         speeds = [np.where(motion.moving, np.abs(motion.dq), 0.0) for motion in motions]
         self.fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
         usual = [np.quantile(speed, 0.99, axis=0) for speed in speeds]
@@ -212,7 +211,14 @@ class SimultaneousEquations:
             f"the offset of {', '.join(robot.joint_names[j] for j in free)} is not told apart from "
             "other torques: record wider moves, or leave offsets out (--no-offset)"
         )
-        floor = self._noise_level(stage, uses, noise)
+        floor = noise_of_rows(
+            stage,
+            robot,
+            uses=uses,
+            logs=noise,
+            joints=self.joints,
+            torque_squares=self.torque_squares,
+        )
         named_floor = [(name, j) for j, name in enumerate(robot.joint_names) if floor.high[j]]
         rigid = replace(
             stage,
@@ -304,21 +310,6 @@ class SimultaneousEquations:
             found[name] = np.pad(entries, ((0, 0), (0, beyond))).tolist()
         return found
 
-    def _noise_level(
-        self,
-        stage: schema.RigidStage,
-        uses: Sequence[schema.MotionUse],
-        noise: Sequence[LogNoise],
-    ) -> NoiseLevel:
-        """Return what noise of torque and motion would leave of the torque in the used rows."""
-        counts = np.array([max(joint.samples, 1) for joint in self.joints])
-        model = TorqueModel.from_stages(schema.Stages(inertia=stage), self.robot)
-        squares = [
-            torque_of_noise(model, self.robot, use.acceleration_error) ** 2 for use in uses
-        ]
-        torque = np.sqrt(self.torque_squares / counts)
-        return noise_level(noise, np.sqrt(np.mean(squares, axis=0)), torque)
-
     def _verdicts(
         self,
         solution: Solution,
@@ -346,13 +337,6 @@ class SimultaneousEquations:
                 verdicts[j] = replace(verdicts[j], good=False, level="poor", reason=reason)
         reason = f"condition {solution.condition:.3g}, {missing} parameter(s) not excited"
         return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
-
-
-def _independent_share(motion: Motion) -> float:
-    """Share of a low-passed log's samples that count as independent."""
-    if not motion.lowpass.active:
-        return 1.0
-    return min(1.0, 2.0 * NOISE_BANDWIDTH * motion.lowpass.cutoff_hz / motion.rate_hz)
 
 
 def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:

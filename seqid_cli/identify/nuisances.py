@@ -206,6 +206,51 @@ def term_of(joint: FrictionJoint, name: str) -> Nuisance | None:
     return next((term for term in joint.nuisances if term.name == name), None)
 
 
+@dataclass(frozen=True)
+class FrictionChange:
+    """A term that a joint's friction was identified with, and friction's change per unit of it."""
+
+    value: float
+    std_error: float
+    per_unit: FrictionSurface
+
+
+def change_of(joint: FrictionJoint, name: str) -> FrictionChange | None:
+    """Return a term of a joint's friction, and how friction goes with it; None without one."""
+    stated = term_of(joint, name)
+    if stated is None or name not in joint.term_moves:
+        return None
+    moves = np.array(joint.term_moves[name])
+    shape = np.shape(joint.positive)
+    size = np.size(joint.positive)
+    ahead = moves[:size].reshape(shape)
+    back = moves[size:].reshape(shape) if joint.directional else ahead
+    moved = replace(joint, positive=ahead.tolist(), negative=back.tolist())
+    return FrictionChange(
+        value=stated.value,
+        std_error=stated.std_error,
+        per_unit=FrictionSurface.from_stage(moved),
+    )
+
+
+def thermal_column(
+    surface: FrictionSurface, change: FrictionChange, kelvin: Array, q: Array, v: Array
+) -> Array:
+    """Return the torque (N,) [N m K] per unit of a joint's thermal change.
+
+    Parameters
+    ----------
+    surface : FrictionSurface
+    change : FrictionChange
+        Its thermal term: where trials were warmer and colder, entries go with it.
+    kelvin : (N,) array
+        The joint's temperature above that of the surface [K].
+    q, v : (N,) arrays
+        Positions [rad] and velocities [rad/s].
+    """
+    return kelvin * surface.torque(q, v) + change.per_unit.torque(q, v)
+
+
 def with_term(
     joint: FrictionJoint, name: str, value: float, std_error: float
 ) -> FrictionJoint:

@@ -191,7 +191,10 @@ def _opened(path: Path, hint: str) -> tuple[bytes, Json]:
 
 def _syntax(error: Exception, data: bytes) -> str:
     """What is wrong with a JSON text, with its line and column where that is known."""
-    if isinstance(error, UnicodeDecodeError):
+    # Which error the decoder raises for bytes that are no text depends on its version.
+    try:
+        data.decode("utf-8")
+    except UnicodeDecodeError:
         return "it is not UTF-8 text"
     if isinstance(error, RecursionError):
         return "it is nested too deeply"

@@ -308,7 +308,8 @@ class ImuCalibration(Struct, kw_only=True):
 
         y_k(t) = scale_k axis_k' R' [f + dw x p + w x (w x p)](t - time_offset_s) + bias_k,
 
-    R the rotation, p = lever + R r_k; a gyro reads gyro_scale_k gyro_axis_k' R' w + gyro_bias_k.
+    R the rotation, p = lever + R r_k; a gyro reads gyro_scale_k gyro_axis_k' R' w + gyro_bias_k,
+    with w at t - time_offset_s - gyro_delay_s.
     An empty list was not calibrated; an entry that the logs do not determine is null, and
     `not_determined` says so in words. Axes are units in the IMU's frame.
     """
@@ -324,6 +325,8 @@ class ImuCalibration(Struct, kw_only=True):
     noise_density: float | None = None  # rad/s^2/sqrt(Hz), of the angular acceleration
     time_offset_s: float = 0.0  # the IMU's stamp minus the encoder's of the same instant
     time_offset_std_error_s: float | None = None  # null: not determined, the offset is taken as 0
+    gyro_delay_s: float = 0.0  # the gyro's stamp minus the accelerometers' of the same instant
+    gyro_delay_std_error_s: float | None = None  # null without a gyro
     acceleration_std_error: float | None = None  # relative, of the last joint's own acceleration
     lever: list[float | None] = []  # m, the IMU's origin in the link's frame
     lever_std_errors: list[float | None] = []

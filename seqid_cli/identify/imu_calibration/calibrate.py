@@ -139,6 +139,8 @@ def calibration_of(
         noise_density=density,
         time_offset_s=constants.delay if delay_known else 0.0,
         time_offset_std_error_s=delay_error if delay_known else None,
+        gyro_delay_s=constants.gyro_delay if imu.gyro else 0.0,
+        gyro_delay_std_error_s=float(sigma[-1]) if imu.gyro else None,
         acceleration_std_error=_acceleration_error(robot, imu, fit),
         lever=_listed(constants.lever, lever),
         lever_std_errors=_listed(sigma[3:6], lever),
@@ -166,9 +168,9 @@ def _of_sensors(
     # Known is what has a standard error of up to so many m/s^2, rad/s, 1 and degrees, and of gains
     # and axes less than a prior of fixed width; widths of many sensors are found.
     constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
-    bias, gain, tilt = np.split(np.sqrt(np.diag(fit.covariance))[7:], [c, 2 * c])
+    bias, gain, tilt = np.split(np.sqrt(np.diag(fit.covariance))[7:-1], [c, 2 * c])
     tilt = np.degrees(np.sqrt(np.mean(tilt.reshape(c, 2) ** 2, axis=1)))
-    _, gain_prior, tilt_prior = np.split(fit.prior[7:], [c, 2 * c])
+    _, gain_prior, tilt_prior = np.split(fit.prior[7:-1], [c, 2 * c])
     accelerometers = np.arange(c) < k
     free = accelerometers & (k >= sensor_model.FEW)
     bias_known = bias < np.where(accelerometers, max_bias, max_rate)

@@ -115,6 +115,10 @@ def residual(
     motion[0, list(segment.locked)] += local.own[count:, None]
     x = link_state(robot, imu.after_joint, motion)
     y, good = segment.readings.at(segment.t + constants.delay)
+    if constants.gyro_delay:
+        gyros = slice(len(imu.axes), None)
+        later = segment.t + constants.delay + constants.gyro_delay
+        y[:, gyros] = segment.readings.at(later)[0][:, gyros]
     told = x @ mounted(imu, constants).matrix.T + constants.bias + local.own[:count]
     return y - told, good, motion, x
 
@@ -228,8 +232,8 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
         solved = cho_solve_banded((factor, True), right, check_finite=False)
         both = right[:, :-1].T @ solved
         S, g = S - both[:, :-1], g - both[:, -1]
-    p = 7 + 4 * len(drift)
     precision = np.concatenate([drift, segment.offset_sigma]) ** -2.0
+    p = G.shape[2] - len(precision)
     covariance = np.asarray(np.linalg.inv(S[p:, p:] + np.diag(precision)), dtype=np.float64)
     pull, follow = g[p:] - precision * local.own, covariance @ S[p:, :p]
     own = covariance @ pull, follow, covariance, precision

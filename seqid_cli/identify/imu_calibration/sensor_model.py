@@ -1,7 +1,8 @@
 """The constants of an IMU that the calibration finds, their priors, and what the readings owe them.
 
 Each channel has a gain, a bias and a unit axis, which is turned a little from the nominal one; the
-array has a mounting R, a lever and a clock (see `motion.imu.sensor`).
+array has a mounting R, a lever and a clock (see `motion.imu.sensor`). A gyro may be later than the
+accelerometers: the filters of the two inside one chip delay them differently.
 """
 
 from dataclasses import dataclass
@@ -31,10 +32,18 @@ def first_widths(c: int, *, gain: float = 0.02, tilt: float = 0.01, drift: float
     return Widths(*(np.full(c, width) for width in (gain, tilt, drift)))
 
 
-def prior_of(widths: Widths, *, lever: float = 1.0, delay: float = 0.3, bias: float = 3.0) -> Array:
+def prior_of(
+    widths: Widths,
+    *,
+    lever: float = 1.0,
+    delay: float = 0.3,
+    bias: float = 3.0,
+    gyro_delay: float = 2e-3,
+) -> Array:
     """Prior standard deviations (p,) of the constants; m, s, and m/s^2 or rad/s."""
+    # Digital filters of gyros and accelerometers in one chip differ by up to some 2 ms.
     wide = np.full(len(widths.gain), bias), widths.gain, np.repeat(widths.tilt, 2)
-    return np.concatenate([[np.pi] * 3, [lever] * 3, [delay], *wide])
+    return np.concatenate([[np.pi] * 3, [lever] * 3, [delay], *wide, [gyro_delay]])
 
 
 def next_width(
@@ -49,7 +58,11 @@ def next_width(
 
 @dataclass(frozen=True)
 class Constants:
-    """What the calibration finds of C channels, the gyro's last; `tilt` (C, 2) rad of each axis."""
+    """What the calibration finds of C channels, the gyro's last.
+
+    `tilt` (C, 2) rad is that of each axis; `gyro_delay` s is by how much the gyro is later than the
+    accelerometers.
+    """
 
     R: Array
     lever: Array
@@ -57,20 +70,31 @@ class Constants:
     bias: Array
     log_gain: Array
     tilt: Array
+    gyro_delay: float = 0.0
 
     @property
     def values(self) -> Array:
-        """As a vector (p,), the turn zero: turn, lever, delay, bias, gain, tilt."""
-        rest = self.bias, self.log_gain, self.tilt.ravel()
+        """As a vector (p,), the turn zero: turn, lever, delay, bias, gain, tilt, gyro's delay."""
+        rest = self.bias, self.log_gain, self.tilt.ravel(), [self.gyro_delay]
         return np.concatenate([np.zeros(3), self.lever, [self.delay], *rest])
+
+    @property
+    def count(self) -> int:
+        """Number of constants, p."""
+        return len(self.values)
 
     def moved(self, step: Array) -> "Constants":
         """Constants after a step (p,)."""
-        bias, gain, tilt = np.split(step[7:], np.array([1, 2]) * len(self.bias))
-        R = Rotation.from_rotvec(step[:3]).as_matrix() @ self.R
-        mounting = R, self.lever + step[3:6], self.delay + float(step[6])
-        tilt = self.tilt + tilt.reshape(-1, 2)
-        return Constants(*mounting, self.bias + bias, self.log_gain + gain, tilt)
+        bias, gain, tilt = np.split(step[7:-1], np.array([1, 2]) * len(self.bias))
+        return Constants(
+            R=Rotation.from_rotvec(step[:3]).as_matrix() @ self.R,
+            lever=self.lever + step[3:6],
+            delay=self.delay + float(step[6]),
+            bias=self.bias + bias,
+            log_gain=self.log_gain + gain,
+            tilt=self.tilt + tilt.reshape(-1, 2),
+            gyro_delay=self.gyro_delay + float(step[-1]),
+        )
 
 
 def nominal_axes(imu: Imu) -> Array:
@@ -113,13 +137,15 @@ def mounted(imu: Imu, constants: Constants) -> Mounting:
 
 
 def design(imu: Imu, constants: Constants, x: Array, dy: Array) -> Array:
-    """Derivatives (N, C, 7 + 4 C) of readings in the constants; `dy` (N, C) their rate [1/s]."""
+    """Derivatives (N, C, 8 + 4 C) of readings in the constants; `dy` (N, C) their rate [1/s]."""
     # A delayed stamp is a later reading: the measured value at t + delay is compared with the
     # prediction at t, so the derivative in the delay is that of the reading, with its sign turned.
     place, c = mounted(imu, constants), dy.shape[1]
     seen, pull, turn = place.by_place(x)
     across = _tangents(nominal_axes(imu)) @ constants.R.T
-    G = np.zeros((*dy.shape, 7 + 4 * c))
+    G = np.zeros((*dy.shape, constants.count))
+    gyros = slice(len(imu.axes), None)
+    G[:, gyros, -1] = -dy[:, gyros]
     G[:, :, :3], G[:, :, 3:6], G[:, :, 6] = turn, pull, -dy
     own = np.arange(c)
     G[:, own, 7 + own] = 1.0

@@ -161,7 +161,7 @@ def _fitted(
 def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Widths:
     """Widths of the priors, per kind of sensor."""
     constants, widths, c = state.constants, state.widths, len(state.constants.bias)
-    gain_open, tilt_open = np.split(np.diag(covariance)[7 + c :], [c])
+    gain_open, tilt_open = np.split(np.diag(covariance)[7 + c : -1], [c])
     drift = np.array([own.own[:c] for own in state.locals_])
     drift_open = np.array([np.diag(r.covariance)[:c] for r in reductions])
     for own in (slice(0, len(state.imu.axes)), slice(len(state.imu.axes), c)):

@@ -23,13 +23,16 @@ from seqid_cli.identify.friction_surface.trials import Trial, collect_trials
 from seqid_cli.identify.nuisances import (
     EVEN_TERMS,
     EvenPart,
+    change_of,
     described,
     even_columns,
     even_prior,
     friction_rms,
     robot_friction_rms,
     shown,
+    thermal_column,
     with_even_part,
+    with_term,
 )
 from seqid_cli.identify.regression.least_squares import Accumulator, Prior, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
@@ -43,6 +46,8 @@ from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages,
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index, Mask
+
+TERMS = EVEN_TERMS + 1  # of each joint's drive: what is alike both ways, and thermal change
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,7 @@ def identify_gravity(
         return GravityResult(empty, stages.friction)
     trials = list(collect_trials(recordings, robot))
     surfaces = friction_surfaces(stages, robot)
-    rows = GravityRows(HeldJoints.of(robot, trials, surfaces), surfaces)
+    rows = GravityRows(HeldJoints.of(robot, trials, surfaces), surfaces, stages.friction)
     joints = [Accumulator(rows.columns) for _ in range(robot.n)]
     for j in range(robot.n):
         rows.add_joint([trial for trial in trials if trial.joint == j], joints)
@@ -75,8 +80,7 @@ def identify_gravity(
         hint = "give the logs of the friction stage again, or record single-joint moves"
         raise QualityError(message, hint=hint)
 
-    prior = even_prior(surfaces, stages.friction, robot.joint_names)
-    prior = replace(prior, A=np.pad(prior.A, ((0, 0), (size, 0))))
+    prior = rows.prior(stages.friction)
     solution = solve(joints, prior=prior, nuisances=slice(size, None))
     return _stage(solution, rows, prior, stages.friction)
 
@@ -106,12 +110,22 @@ class EvenParts(NamedTuple):
 class GravityRows:
     """Turns trials into white rows of Eq. 19 and remembers how friction errors would enter them."""
 
-    def __init__(self, held: HeldJoints, surfaces: list[FrictionSurface | None]) -> None:
+    def __init__(
+        self,
+        held: HeldJoints,
+        surfaces: list[FrictionSurface | None],
+        friction: FrictionStage,
+    ) -> None:
         self.robot, self.held, self.surfaces = held.robot, held, surfaces
         self.size = len(held.theta)
         # Behind the parameters: changes of all joints' offsets, then of their asymmetries, then of
-        # the viscous ones.
-        self.columns = self.size + EVEN_TERMS * held.robot.n
+        # the viscous ones, then of friction per kelvin.
+        self.columns = self.size + TERMS * held.robot.n
+        joints = friction.joints
+        self.thermal = [
+            change_of(joints[name], "thermal") if name in joints else None
+            for name in held.robot.joint_names
+        ]
         self.used = 0
         self.skipped: list[str] = []
         self.cross: dict[int, Array] = {}
@@ -136,7 +150,7 @@ class GravityRows:
         table = self._table(groups, surface)
         if not len(table):
             return
-        shared = self.size + EVEN_TERMS
+        shared = self.size + TERMS
         t, weight, seconds = table[:, -6:-3].T
         trial, log, group = table[:, -3:].T.astype(np.intp)
         noise = Rows(table[:, :shared], table[:, -7], t, weight, seconds, trial, log)
@@ -190,13 +204,32 @@ class GravityRows:
             still = np.zeros_like(trial.places)
             torques = deviation_torques(self.robot, self.standard, trial.places, still, still)
             deviated = [torque[:, trial.joint] for torque in torques.values()]
-            columns = [H, even, F, stood, *deviated, trial.ddq, y, trial.t]
+            warm = self._warm(trial, surface, v)
+            columns = [H, even, warm, F, stood, *deviated, trial.ddq, y, trial.t]
             wide = np.array_split(np.column_stack(columns), count)
             slices = len(trial.q) / count
             about = slices * trial.weight, slices * trial.seconds, n, trial.log, k
             means = np.stack([part.mean(axis=0) for part in wide])
             parts.append(np.hstack([means, np.tile(about, (count, 1))]))
         return np.vstack(parts)
+
+    def _warm(self, trial: Trial, surface: FrictionSurface, v: Array) -> Array:
+        """Return the torque (K,) [N m K] per friction's change per kelvin; 0 without a sensor."""
+        change = self.thermal[trial.joint]
+        if change is None:
+            return np.zeros(len(v))
+        kelvin = surface.kelvin(np.full(len(v), trial.celsius))
+        return thermal_column(surface, change, kelvin, trial.q, v)
+
+    def prior(self, friction: FrictionStage) -> Prior:
+        """Return what friction's trials know of the drives' terms, as rows of unit variance."""
+        n = self.robot.n
+        even = even_prior(self.surfaces, friction, self.robot.joint_names)
+        weights = [1.0 if change is None else 1.0 / change.std_error for change in self.thermal]
+        A = np.zeros((TERMS * n, self.columns))
+        A[: len(even.b), self.size : self.size + len(even.b)] = even.A
+        A[len(even.b) :, self.size + len(even.b) :] = np.diag(weights)
+        return Prior(A, np.concatenate([even.b, np.zeros(n)]))
 
     def tolerance_moves(self, solution: Solution) -> dict[str, Array]:
         """How the parameters move with one standard deviation of what no log shows."""
@@ -214,12 +247,18 @@ class GravityRows:
 def _settled(
     trial: Trial, surface: FrictionSurface, *, settling_s: float = 0.03, most_share: float = 0.125
 ) -> Mask:
-    """Slices (K,) of a trial where friction is known and the joint keeps its speed."""
-    # Left out are `settling_s` from either end, but no more than `most_share` of the trial.
+    """Return the slices (K,) of a trial where friction is known and the joint keeps its speed."""
+    # Left out are slices that begin or end within `settling_s` of either end, but no more than
+    # `most_share` of the trial there. One that only reaches into it holds the torque of a rotor's
+    # acceleration, which is many times a light joint's friction.
     middle = (trial.t[0] + trial.t[-1]) / 2.0
-    half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0
-    settled = np.abs(trial.t - middle) < half - min(settling_s, 2.0 * most_share * half)
-    return np.asarray(settled & ~surface.outside(trial.q, np.full(len(trial.q), trial.velocity)))
+    half_slice = trial.seconds / 2.0
+    half_trial = (trial.t[-1] - trial.t[0]) / 2.0 + half_slice
+    settling = min(settling_s, 2.0 * most_share * half_trial)
+    farthest = np.abs(trial.t - middle) + half_slice
+    settled = farthest <= half_trial - settling
+    speed = np.full(len(trial.q), trial.velocity)
+    return np.asarray(settled & ~surface.outside(trial.q, speed))
 
 
 def _stage(
@@ -337,6 +376,15 @@ def _with_even_parts(
             continue
         places = [k * n + j for k in range(EVEN_TERMS)]
         wide = [rows.size + place for place in places]
+        change = rows.thermal[j]
+        if change is not None:
+            place = rows.size + EVEN_TERMS * n + j
+            joints[name] = with_term(
+                joints[name],
+                "thermal",
+                value=change.value + float(solution.theta[place]),
+                std_error=float(np.sqrt(posterior.covariance[place, place])),
+            )
         before = EvenPart.of_joint(joints[name], friction_rms(surface))
         even = EvenPart(
             values=before.values + solution.theta[wide],

@@ -11,15 +11,15 @@ slide contribute rows: the torque of a locked joint lies anywhere within its sti
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-import msgspec
 import numpy as np
 
 from seqid_cli.identify.bands.rows import BandRowsCollector
 from seqid_cli.identify.nuisances import (
+    FrictionChange,
     NuisanceColumns,
+    change_of,
     even_surfaces,
     later_prior,
-    term_of,
 )
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
@@ -99,14 +99,6 @@ class InertiaRows:
     def independent(self) -> float:
         """Share of the samples that counts as independent."""
         return float(self.counts[0] / max(self.counts[1], 1.0))
-
-
-@dataclass(frozen=True)
-class FrictionChange:
-    """A term that a joint's friction was identified with, and friction's change per unit of it."""
-
-    value: float
-    per_unit: FrictionSurface
 
 
 @dataclass(frozen=True)
@@ -248,18 +240,7 @@ class InertiaEquations:
         """Return a term of a joint's friction, and how friction goes with it."""
         friction = self.stages.friction
         joint = friction.joints.get(name) if friction else None
-        stated = term_of(joint, term) if joint else None
-        if joint is None or stated is None or term not in joint.term_moves:
-            return None
-        moves = np.array(joint.term_moves[term])
-        shape = np.shape(joint.positive)
-        size = np.size(joint.positive)
-        ahead = moves[:size].reshape(shape)
-        back = moves[size:].reshape(shape) if joint.directional else ahead
-        surface = FrictionSurface.from_stage(
-            msgspec.structs.replace(joint, positive=ahead.tolist(), negative=back.tolist())
-        )
-        return FrictionChange(stated.value, surface)
+        return None if joint is None else change_of(joint, term)
 
     def drive_columns(self, motion: Motion) -> DriveColumns:
         """Return what delay and asymmetry of each joint's drive add to its torque."""

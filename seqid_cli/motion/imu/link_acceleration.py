@@ -166,15 +166,17 @@ def _link_reading(
     """One IMU's angular acceleration in its link's frame, its calibration taken off."""
     raw = log.accelerometers[imu.name], log.gyros.get(imu.name)
     imu, values, gyro = calibrated(imu, known, *raw)
-    t, valid, offset = log.t, log.valid, known.time_offset_s
+    t, valid = log.t, log.valid
 
-    def on_encoders_clock(values: Array) -> Array:
-        # Readings stamped t were taken at t - `offset`.
-        return np.column_stack([np.interp(t + offset, t[valid], v[valid]) for v in values.T])
+    def on_encoders_clock(values: Array, offset_s: float) -> Array:
+        # Readings stamped t were taken at t - `offset_s`.
+        if not offset_s:
+            return values
+        return np.column_stack([np.interp(t + offset_s, t[valid], v[valid]) for v in values.T])
 
-    if offset:
-        values = on_encoders_clock(values)
-        gyro = None if gyro is None else on_encoders_clock(gyro)
+    values = on_encoders_clock(values, known.time_offset_s)
+    if gyro is not None:
+        gyro = on_encoders_clock(gyro, known.time_offset_s + known.gyro_delay_s)
     rotation = np.array(known.rotation)
     dw = read_angular(imu, values, gyro, motion.lowpass, valid).dw @ rotation.T
     noise = (known.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)

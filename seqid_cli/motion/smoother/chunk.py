@@ -141,6 +141,7 @@ class Mounted:
     seen: Mask  # (M, K)
     fraction: float = 0.0  # of a sample, by which the gathered readings came later
     every: int = 1
+    gyro_delay: float = 0.0  # s, by which the gyro is later than the accelerometers
 
     @property
     def joints(self) -> int:

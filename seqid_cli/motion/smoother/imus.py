@@ -52,6 +52,7 @@ def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:
         noise=np.maximum(density * np.sqrt(recording.rate_hz / 2), LEAST_NOISE),
         bias=bias,
         delay=known.time_offset_s if known.time_offset_std_error_s is not None else 0.0,
+        gyro_delay=known.gyro_delay_s if rates else 0.0,
         away=np.zeros(len(prior)),
         precision=np.diag(prior**-2.0),
         y=nothing,
@@ -98,7 +99,8 @@ def _prior(
 def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
     """Give an IMU its readings of one stretch of the log."""
     parts = [recording.accelerometers[x.name][own]]
-    if x.place.channels > len(x.place.positions):
+    has_gyro = x.place.channels > len(x.place.positions)
+    if has_gyro:
         parts.append(recording.gyros[x.name][own])
     raw = np.hstack(parts)
     live: Mask = np.isfinite(raw) & recording.valid[own, None]
@@ -106,7 +108,22 @@ def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
     live &= ~_silent(raw, recording.rate_hz)
     noise = np.maximum(white_noise(raw, np.asarray(live.all(axis=1))), 0.5 * x.noise)
     live &= ~clipped(raw, live, noise)
+    if has_gyro and x.gyro_delay:
+        _on_accelerometers_clock(raw, live, recording.t[own], x)
     return replace(x, raw=raw, live=live, noise=np.maximum(noise, LEAST_NOISE))
+
+
+def _on_accelerometers_clock(raw: Array, live: Mask, t: Array, x: Mounted) -> None:
+    """Move a gyro's channels, in place, to the times of the accelerometers.
+
+    After this one clock holds for all channels. Values between two samples are on straight lines:
+    the gyro is later by a fraction of a sample, as a rule.
+    """
+    later = t + x.gyro_delay
+    for channel in range(len(x.place.positions), x.place.channels):
+        raw[:, channel] = np.interp(later, t, raw[:, channel])
+        counts = np.interp(later, t, live[:, channel].astype(float))
+        live[:, channel] &= counts > 0.999
 
 
 def _silent(raw: Array, rate_hz: float, *, stuck_s: float = 0.5, min_alike: int = 25) -> Mask:

@@ -126,7 +126,7 @@ class SweepSpace:
     def with_ends(
         self, joint: Index, postures: Array, ends: Array, *, points: int = 9
     ) -> Sweeps:
-        """Return sweeps (M,) between ends (M, 2), at `points` positions of each."""
+        """Return sweeps (M,) between ends (M, 2), at `points` positions of each steady way."""
         belief = self.belief
         count, n = postures.shape
         every = np.arange(count)
@@ -141,8 +141,7 @@ class SweepSpace:
         harmonics: Array = np.linalg.inv(_harmonics(nodes)) @ at_nodes
 
         steady = self.steady_ends(joint, ends)
-        places = np.linspace(steady[:, 0], steady[:, 1], points, axis=1)
-        rows = _harmonics(places) @ harmonics
+        rows = _harmonics(_middles(steady, points)) @ harmonics
         seconds = np.diff(steady)[:, 0] / self.speed[joint]
         information = rows.transpose(0, 2, 1) @ rows * (seconds / points)[:, None, None]
         return Sweeps(joint=joint, posture=postures, ends=ends, information=information)
@@ -170,6 +169,16 @@ class SweepSpace:
                 )
                 wide[own] &= load <= 1.0
         return wide
+
+
+def _middles(ends: Array, parts: int) -> Array:
+    """Return the middles (M, parts) of equal parts of ways between ends (M, 2).
+
+    A sum over them is the integral over the way; one that counts the ends like all other places
+    makes conditions look better by a tenth.
+    """
+    share = (np.arange(parts) + 0.5) / parts
+    return np.asarray(ends[:, :1] + share * np.diff(ends, axis=1))
 
 
 def _harmonics(q: Array) -> Array:
@@ -606,7 +615,7 @@ def _rows(
     every = np.arange(len(chosen.joint))
     steady = space.steady_ends(chosen.joint, chosen.ends)
     q = np.repeat(chosen.posture[:, None], 2 * points, axis=1)
-    there = np.linspace(steady[:, 0], steady[:, 1], points, axis=1)
+    there = _middles(steady, points)
     q[every, :, chosen.joint] = np.hstack([there, there[:, ::-1]])
     dq = np.zeros_like(q)
     speed = space.speed[chosen.joint]

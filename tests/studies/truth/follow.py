@@ -61,6 +61,46 @@ def heat_of(case: Case, warmth: Array) -> Array:
     return np.asarray(np.exp(per_kelvin * warmth))
 
 
+class Instants:
+    """Makes of an integrator's steps motion, torque and readings of one and the same instant.
+
+    MuJoCo's step has its positions, its velocities and its damping at times that are half a step
+    apart, and the acceleration that it states is the one before joint damping acts implicitly. An
+    IMU 0.1 m off an axis shows that as an error of up to 3 mm in its place, and viscous friction of
+    1 N m s/rad as 0.0005 kg m^2 of inertia. Here all of it is of the time of the positions.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self.model, self.data = model, data
+        self._later_damping = 0.5 * STEP_S * model.dof_damping
+        self._bias = np.zeros(model.nv)
+
+    def step(self, acting: Array) -> tuple[Array, Array]:
+        """Make a step; return the torque (n,) that belongs to it, and what IMUs feel (s,).
+
+        `acting` (n,) N m is what drives it. All is of the instant at which the step began.
+        """
+        model, data = self.model, self.data
+        dq_before = data.qvel.copy()
+        mujoco.mj_step(model, data)
+        dq_after = data.qvel.copy()
+        bias_before = data.qfrc_bias.copy()
+        ddq = (dq_after - dq_before) / STEP_S
+
+        # What a step has computed of the positions is still that of its beginning.
+        data.qvel[:] = dq_before + 0.5 * STEP_S * ddq
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_rne(model, data, 0, self._bias)
+        torque = acting + self._bias - bias_before - self._later_damping * ddq
+        if model.nsensordata:
+            mujoco.mj_sensorVel(model, data)
+            data.qacc[:] = ddq
+            data.flg_rnepost = 0
+            mujoco.mj_sensorAcc(model, data)
+        data.qvel[:] = dq_after
+        return torque, data.sensordata
+
+
 def follow(
     case: Case, reference: Array, start: float, *, with_tool: bool = False
 ) -> Followed:
@@ -88,6 +128,7 @@ def follow(
     q = np.empty_like(reference)
     torque = np.empty_like(reference)
     sensed = np.empty((len(reference), model.nsensordata))
+    instants = Instants(model, data)
     joints = range(n)
     dry, acting = [0.0] * n, [0.0] * n
     for k in range(len(reference)):
@@ -103,10 +144,8 @@ def follow(
             dry[j] = factor * coulomb[j] * (1.0 + waviness[j] * sin(now[j] + phase[j]))
             # MuJoCo's own damping is the cold joint's.
             acting[j] = told[j] - (factor - 1.0) * viscous[j] * speed[j]
-        q[k], torque[k] = now, told
         model.dof_frictionloss[:] = dry
         data.qfrc_applied[:] = acting
-        mujoco.mj_step(model, data)
-        if model.nsensordata:
-            sensed[k] = data.sensordata
+        q[k] = now
+        torque[k], sensed[k] = instants.step(np.array(told))
     return Followed(t=times, q=q, torque=torque, warmth=warmth, sensed=sensed)

@@ -254,10 +254,26 @@ def drawn(seed: int, kinds: Sequence[str] = (), *, alone: bool = False) -> Case:
     )
 
 
+LEAST_FRICTION = 0.02  # of that of the joint that rubs most, Coulomb and viscous
+LEAST_ROTOR = 0.002  # of the heaviest rotor's inertia at its joint
+
+
 def rubbing(arm: Arm, times: float) -> Arm:
-    """Return the arm with more friction: strain wave gears rub by a quarter of the weight."""
+    """Return the arm with more friction: strain wave gears rub by a quarter of the weight.
+
+    The other study scales friction and rotors by the weight that a joint carries, which is nothing
+    at a last joint whose link is balanced. No gear is without friction, and no motor without rotor.
+    """
+    most_coulomb, most_viscous, most_rotor = (
+        float(arm.of(name).max()) for name in ("coulomb", "viscous", "rotor")
+    )
     drives = [
-        replace(x, coulomb=times * x.coulomb, viscous=times * x.viscous)
+        replace(
+            x,
+            coulomb=times * max(x.coulomb, LEAST_FRICTION * most_coulomb),
+            viscous=times * max(x.viscous, LEAST_FRICTION * most_viscous),
+            rotor=max(x.rotor, LEAST_ROTOR * most_rotor),
+        )
         for x in arm.drives
     ]
     return replace(arm, drives=tuple(drives))

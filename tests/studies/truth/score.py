@@ -135,7 +135,9 @@ class _Stages:
         if name == "imu":
             row["parameters"] = imu_rows(self.case, stages.imu)
         if name in ("friction", "simultaneous"):
-            row["friction"] = friction_rows(self.case, self.session, stages.friction)
+            one_step = name == "simultaneous"
+            warmth = self.session.warmth_of_moves if one_step else self.session.warmth
+            row["friction"] = friction_rows(self.case, warmth, stages.friction)
         if name in ("inertia", "simultaneous"):
             row["rotor_coupling"] = stages.inertia.rotor_coupling
             row["cutoff_hz"] = stages.inertia.cutoff_hz
@@ -194,11 +196,14 @@ def verdict_row(verdicts: Sequence[Verdict], folder: Path) -> Row:
     return {"level": worst, "reasons": [x.replace(f"{folder}/", "") for x in reasons]}
 
 
-def friction_rows(case: Case, session: Session, stage: FrictionStage) -> list[Row]:
+def friction_rows(
+    case: Case, warmth: Sequence[float], stage: FrictionStage
+) -> list[Row]:
     """Compare surfaces at random places of the identified range, both ways.
 
     `z` counts a logged offset as part of the friction, `z_without` does not. The truth is at the
-    temperature that the file states, or else at that of the joint's own trial.
+    temperature that the file states, or else at the mean of the stage's own logs: `warmth` (n,) K
+    above the cold arm.
     """
     rows = []
     names = case.arm.names
@@ -210,10 +215,9 @@ def friction_rows(case: Case, session: Session, stage: FrictionStage) -> list[Ro
         speed = rng.uniform(slow, fast, POINTS)
         v = np.concatenate([speed, -speed])
         surface = FrictionSurface.from_stage(joint)
-        warmth = (
-            session.warmth[j] if joint.temperature is None else joint.temperature - COLD
-        )
-        truth = true_friction(case, j, q, v, warmth)
+        stated = joint.temperature
+        above_cold = warmth[j] if stated is None else stated - COLD
+        truth = true_friction(case, j, q, v, above_cold)
         found, error = surface.torque(q, v), surface.stated_error(q, v)
         rows.append(
             {

@@ -43,12 +43,14 @@ class Session:
     """Files of one case.
 
     `logs` are by stage; `warmth` (n,) is each joint's mean temperature above the cold arm during
-    its own friction trial, K; `noise` (n,) the standard deviation of a torque sample, N m.
+    its own friction trial, K, `warmth_of_moves` (n,) that during the inertia logs; `noise` (n,) the
+    standard deviation of a torque sample, N m.
     """
 
     folder: Path
     logs: dict[str, list[Path]]
     warmth: list[float]
+    warmth_of_moves: list[float]
     noise: list[float]
 
     @property
@@ -107,15 +109,23 @@ def record(case: Case, folder: Path) -> None:
 
     # Motions of all joints; one of the inertia logs may be with a tool.
     tool = case.sizes("tool")
+    moved_warmth = []
     for stage, names in MOVES.items():
         stage_of_logs[stage] = []
         for number, name in enumerate(names):
             carries = tool is not None and stage == "inertia" and number == tool["log"]
             motion = MOTIONS[name](arm, rng, INERTIA_S)
-            path, _ = recorder.add(motion, with_tool=carries, all_joints=True)
+            path, followed = recorder.add(motion, with_tool=carries, all_joints=True)
             stage_of_logs[stage].append(path.name)
+            if stage == "inertia":
+                moved_warmth.append(followed.warmth)
 
-    about = {"logs": stage_of_logs, "warmth": warmth, "noise": noise_of(case).tolist()}
+    about = {
+        "logs": stage_of_logs,
+        "warmth": warmth,
+        "warmth_of_moves": np.concatenate(moved_warmth).mean(axis=0).tolist(),
+        "noise": noise_of(case).tolist(),
+    }
     (folder / "session.json").write_text(json.dumps(about), encoding="utf-8")
 
 

@@ -440,5 +440,5 @@ class SimultaneousTrial:
             joints=rows.joints,
             torque_squares=rows.torque_squares,
             independent=rows.independent * sum(motion.samples for motion in motions),
-            nuisances=rows.delays,
+            nuisances=rows.nuisances,
         )

@@ -6,8 +6,16 @@ for comparison with the sequential way, and for logs that hold no single-joint t
 constant torque per joint, as a current sensor's zero or a warm drive leaves it. Without it, base
 parameters stand in for it and are wrong beyond their errors. The delay of each joint's torque is
 unknown as well (`identify.nuisances`). It is marginalised and never reported: beside this law of
-friction it takes what friction is otherwise. The result is written as a friction
-stage of orders (0, 1) and an inertia stage with all base parameters, for every later command.
+friction it takes what friction is otherwise. The result is written as a friction stage of orders
+(0, 1) and an inertia stage with all base parameters, for every later command.
+
+Friction of most gears waves over the position,
+
+    sign(dq) (a cos(q) + b sin(q)),
+
+which this law does not hold and base parameters take, up to many of their errors' worth. So the
+same equations are solved once more with a and b unknown, 0 +- 0.1 F_c. Where they show, the stage
+is usable, not good.
 """
 
 from collections.abc import Iterable, Sequence
@@ -48,10 +56,15 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params import schema
 from seqid_cli.robot.base_parameters import free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
 SIGN_SHARE = 0.004  # of a joint's speed, over which its friction changes sign
 TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
+WAVE_TERMS = 2  # of a joint: cosine and sine of its position
+WAVE_SHARE = 0.1  # of Coulomb friction, that waves over the position usually have
+WAVE_SIGMA = 3.0  # from which a wave is certain
+WAVE_SHOWN = 0.03  # of Coulomb friction, from which it matters
 
 
 def identify_simultaneous(
@@ -94,8 +107,11 @@ class SimultaneousEquations:
         first_delay = self.basis.size + len(self.terms) * robot.n
         edges = range(self.basis.size, first_delay, len(self.terms))
         self.own = [slice(k, k + len(self.terms)) for k in edges]
-        size = first_delay + robot.n
-        self.delays = slice(first_delay, size)
+        first_wave = first_delay + robot.n
+        size = first_wave + WAVE_TERMS * robot.n
+        self.delays = slice(first_delay, first_wave)
+        self.nuisances = slice(first_delay, size)
+        self.waves = [slice(k, k + WAVE_TERMS) for k in range(first_wave, size, WAVE_TERMS)]
         self.joints = [Accumulator(size) for _ in range(robot.n)]
         self._rotor_sums = np.zeros((robot.n, size))  # H' times the torque of known rotors
         self.torque_squares = np.zeros(robot.n)
@@ -125,7 +141,12 @@ class SimultaneousEquations:
         sign = np.tanh(motion.dq / np.where(self.width > 0, self.width, 1.0))
         own_log = [Accumulator(joint.size) for joint in self.joints]
         columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
-        friction = motion.filtered(columns[:, :, : len(self.terms)], times=2)
+        phase = self._phase(motion.q)
+        waves = sign[:, :, None] * np.stack([np.cos(phase), np.sin(phase)], axis=2)
+        columns = np.concatenate([columns[:, :, : len(self.terms)], waves], axis=2)
+        friction, waves = np.split(
+            motion.filtered(columns, times=2), [len(self.terms)], axis=2
+        )
         change = np.gradient(motion.tau, axis=0) * motion.rate_hz
         self.band_rows.next_log()
         for part, H in equations.filtered_regressor(motion, self.robot, self.basis):
@@ -135,7 +156,7 @@ class SimultaneousEquations:
             self.band_rows.add(
                 inner,
                 chosen,
-                H=self._wide(H[chosen], friction[some], change[some]),
+                H=self._wide(H[chosen], friction[some], change[some], waves[some]),
                 y=y[some],
                 used=usable[some],
                 judged=usable[some],
@@ -147,34 +168,51 @@ class SimultaneousEquations:
                     wide[:, : self.basis.size] = H[block, j][kept]
                     wide[:, self.own[j]] = friction[part][block, j][kept]
                     wide[:, self.delays.start + j] = -change[part][block, j][kept]
+                    wide[:, self.waves[j]] = waves[part][block, j][kept]
                     joint.add(wide, y[part][block, j][kept])
                     self._rotor_sums[j] += wide.T @ rotors[part][block, j][kept]
         self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
         self.logs.append(own_log)
         self.joints = [a + b for a, b in zip(self.joints, own_log, strict=True)]
 
-    def prior(self) -> Prior:
-        """Return what is known of the delays before."""
-        delays = whitened(PRIORS.delay_covariance(self.robot.n))
-        rows = np.pad(delays, ((0, 0), (self.delays.start, 0)))
+    def _phase(self, q: Array) -> Array:
+        """Return the phases (N, n) rad of waves over positions; a slide's travel is half a wave."""
+        travel = np.maximum(self.high - self.low, 1e-9)
+        slides = self.robot.chain.prismatic
+        return np.asarray(np.where(slides, np.pi / travel, 1.0) * q)
+
+    def prior(self, coulomb: Array | None = None) -> Prior:
+        """Return what is known before of delays, and of waves beside Coulomb friction (n,) N m.
+
+        There are no waves where Coulomb friction is not given.
+        """
+        n = self.robot.n
+        delays = whitened(PRIORS.delay_covariance(n))
+        sizes = np.zeros(n) if coulomb is None else WAVE_SHARE * np.abs(coulomb)
+        waves = np.diag(np.repeat(1.0 / np.maximum(sizes, 1e-9), WAVE_TERMS))
+        rows = np.zeros((len(delays) + len(waves), self.nuisances.stop))
+        rows[: len(delays), self.delays] = delays
+        rows[len(delays) :, self.delays.stop :] = waves
         return Prior(rows, np.zeros(len(rows)))
 
     def solved(self, prior: Prior) -> Solution:
-        """Solve for the base parameters, friction and delays."""
+        """Solve for base parameters, friction, delays and waves."""
         return solve(
-            self.joints, prior=prior, nuisances=self.delays, independent=self.independent
+            self.joints, prior=prior, nuisances=self.nuisances, independent=self.independent
         )
 
-    def _wide(self, H: Array, friction: Array, change: Array) -> Array:
+    def _wide(self, H: Array, friction: Array, change: Array, waves: Array) -> Array:
         """Return rows (K, n, p) of all unknowns from those of the rigid body and of friction.
 
-        `change` (K, n) N m/s is that of the torque, by which a delay shows.
+        `change` (K, n) N m/s is that of the torque, by which a delay shows; `waves` (K, n, 2) are
+        those of friction over the position.
         """
         wide = np.zeros((*H.shape[:2], self.joints[0].size))
         wide[:, :, : self.basis.size] = H
         for j, own in enumerate(self.own):
             wide[:, j, own] = friction[:, j]
             wide[:, j, self.delays.start + j] = -change[:, j]
+            wide[:, j, self.waves[j]] = waves[:, j]
         return wide
 
     def stages(
@@ -319,7 +357,11 @@ class SimultaneousEquations:
         poor_share: float = 0.25,
         clear_sigma: float = 3,
     ) -> list[schema.Verdict]:
-        """A joint is poor by what is left of its torque, or where Coulomb friction is negative."""
+        """Judge each joint.
+
+        It is poor by what is left of its torque, or where Coulomb friction is negative; usable
+        where more than noise is left, or where friction waves over the position.
+        """
         verdicts = joint_verdicts(
             self.robot,
             solution,
@@ -329,14 +371,35 @@ class SimultaneousEquations:
             poor_share=poor_share,
             idle="does not move",
         )
+        coulomb = solution.theta[[own.start for own in self.own]]
+        waving = self.solved(self.prior(coulomb))
         for j, (joint, own) in enumerate(zip(self.robot.joints, self.own, strict=True)):
             dry, error = solution.theta[own.start], np.sqrt(solution.covariance[(own.start,) * 2])
             if self.joints[j].samples and dry < -clear_sigma * error:
                 text = f"Coulomb friction of {dry:.3g} {joint.unit('N m')} cannot be"
                 reason = f"{verdicts[j].reason}; {text}: record both ways"
                 verdicts[j] = replace(verdicts[j], good=False, level="poor", reason=reason)
+            elif verdicts[j].good and (wave := self._wave(j, waving)):
+                reason = f"{verdicts[j].reason}; {wave}"
+                verdicts[j] = replace(verdicts[j], good=False, level="usable", reason=reason)
         reason = f"condition {solution.condition:.3g}, {missing} parameter(s) not excited"
         return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
+
+
+    def _wave(self, j: int, waving: Solution) -> str:
+        """Say how a joint's friction waves over the position, where that is certain and matters."""
+        place = self.waves[j]
+        wave = waving.theta[place]
+        covariance = waving.covariance[place, place]
+        certainty = float(np.sqrt(wave @ np.linalg.pinv(covariance) @ wave))
+        coulomb = abs(float(waving.theta[self.own[j].start]))
+        share = float(np.linalg.norm(wave)) / max(coulomb, 1e-12)
+        if certainty < WAVE_SIGMA or share < WAVE_SHOWN:
+            return ""
+        return (
+            f"its friction waves by {percent(share)} over the position, which Coulomb and viscous "
+            "friction do not hold"
+        )
 
 
 def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:

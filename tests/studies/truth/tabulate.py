@@ -83,10 +83,16 @@ def _levels(rows: Sequence[Row]) -> str:
 
 
 def shows(row: Row) -> bool:
-    """Whether every imperfection of a row shows in some log, or is declared."""
-    return all(
-        x["declared"] or x["kind"] not in TOLERANCES for x in row["imperfections"]
-    )
+    """Whether every imperfection of a row shows in its stage's own logs, or is declared."""
+    return all(_shows(x) for x in row["imperfections"])
+
+
+def _shows(imperfection: Row) -> bool:
+    kind = imperfection["kind"]
+    if kind == "warmth":
+        # Without a temperature, a trial that warms up looks like friction that falls with speed.
+        return bool(imperfection["sizes"]["logged"])
+    return imperfection["declared"] or kind not in TOLERANCES
 
 
 def groups_of(rows: Sequence[Row]) -> dict[str, Sequence[Row]]:

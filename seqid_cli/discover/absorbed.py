@@ -19,6 +19,7 @@ from itertools import product
 import numpy as np
 
 from seqid_cli.discover.base import Base, has_trials, surface_columns
+from seqid_cli.identify.nuisances import PRIORS, even_columns, friction_rms
 from seqid_cli.model.effects.effect import Effect, Settings
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.params.schema import Stages
@@ -65,14 +66,27 @@ class FileTrials:
         return self._fits[joint]
 
     def _by_direction(self, joint: int, even: Array) -> Array:
-        """What a surface of two directions takes of torque (N, k) both ways (see `fit_gravity`)."""
+        """Return what a surface of two directions takes of torque (N, k) that is alike both ways.
+
+        Beside gravity the stages have an offset and asymmetries of friction for it, with priors
+        (`identify.nuisances`): what fits them as well as gravity is shared as these say.
+        """
         surface, trials = self.scene.model.surfaces[joint], self._trials(joint)
         assert surface is not None
+        assert self.stages.friction is not None
         if not surface.directional:
             return np.zeros_like(even)
-        speed = np.abs(trials.motion.dq[:, joint])
-        A = np.column_stack([np.ones_like(speed), speed, self._at_rest(joint)])
-        return np.asarray(A[:, :2] @ np.linalg.lstsq(A, even, rcond=OPEN)[0][:2])
+        name = self.scene.robot.joint_names[joint]
+        std_error = max(self.stages.friction.joints[name].rmse, 1e-12)
+        q, v = trials.motion.q[:, joint], trials.motion.dq[:, joint]
+        terms = even_columns(surface, q, v)
+        A = np.column_stack([terms, self._at_rest(joint)]) / std_error
+        prior_std = np.maximum(PRIORS.even_std(friction_rms(surface)), 1e-12)
+        prior = np.eye(len(prior_std), A.shape[1]) / prior_std[:, None]
+        rows = np.vstack([A, prior])
+        right = np.vstack([even / std_error, np.zeros((len(prior), even.shape[1]))])
+        shares = np.linalg.lstsq(rows, right, rcond=OPEN)[0]
+        return np.asarray(terms @ shares[: terms.shape[1]])
 
     @cached_property
     def _gravity(self) -> dict[int, Array]:

@@ -18,6 +18,8 @@ from tests.studies.outside.robotfiles import STEP_S, mjcf, row
 from tests.studies.outside.simulate import DAMPING, controller
 from tests.studies.truth.plan import Case
 
+BRAKE_NM = 1e3  # of a joint that stands: without its brake it would sag by 10 mrad in this loop
+
 
 @dataclass(frozen=True, kw_only=True)
 class Followed:
@@ -124,6 +126,9 @@ def follow(
     coulomb, waviness, phase, viscous = (
         arm.of(name).tolist() for name in ("coulomb", "waviness", "phase", "viscous")
     )
+    out = case.sizes("left_out")
+    if out and not out["moves"]:
+        coulomb[out["joint"]] += BRAKE_NM
     wanted, wanted_rate, fed = reference.tolist(), rate.tolist(), forward.tolist()
     q = np.empty_like(reference)
     torque = np.empty_like(reference)

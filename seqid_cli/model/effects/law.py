@@ -175,7 +175,11 @@ def _compiled(node: ast.expr) -> Compiled:
         case ast.UnaryOp(operand=inner):
             return _compiled(inner)
         case ast.BinOp(left=first, op=op, right=second):
-            operator, left, right = _OPERATORS[type(op)], _compiled(first), _compiled(second)
+            operator, left, right = (
+                _OPERATORS[type(op)],
+                _compiled(first),
+                _compiled(second),
+            )
             return lambda lookup: operator(left(lookup), right(lookup))
         case ast.Call(func=ast.Name(id=name), args=[argument]):
             function, of = _CALLS[name], _compiled(argument)
@@ -229,7 +233,9 @@ def coulomb_share(scene: Scene, joint: int) -> Array:
         return np.ones_like(q)
     mean = surface.mean_coulomb(PLACES)
     low, high = surface.scaling.position
-    return surface.coulomb(np.clip(q, low, high)) / mean if mean > 0.0 else np.ones_like(q)
+    return (
+        surface.coulomb(np.clip(q, low, high)) / mean if mean > 0.0 else np.ones_like(q)
+    )
 
 
 def factor_of(tree: ast.expr, coefficient: str) -> ast.expr | None:
@@ -252,6 +258,10 @@ def factor_of(tree: ast.expr, coefficient: str) -> ast.expr | None:
             first, second = factor_of(left, coefficient), factor_of(right, coefficient)
             if first is None or second is None:
                 minus = first is None and isinstance(op, ast.Sub) and second is not None
-                return ast.UnaryOp(ast.USub(), second) if minus and second else first or second
+                return (
+                    ast.UnaryOp(ast.USub(), second)
+                    if minus and second
+                    else first or second
+                )
             return ast.BinOp(first, op, second)
     return None

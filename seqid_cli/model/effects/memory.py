@@ -16,7 +16,9 @@ from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array
 
-NOTHING = 1e-30  # share of the past that is forgotten; keeps products out of the denormals
+NOTHING = (
+    1e-30  # share of the past that is forgotten; keeps products out of the denormals
+)
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,9 @@ class Bristles:
     distance: float
     takes: ClassVar[tuple[str, ...]] = ("q",)
 
-    def of_scene(self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]) -> Array:
+    def of_scene(
+        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
+    ) -> Array:
         """Return the deflection (N,) of a joint."""
         return deflection(scene.motion.q[:, joint], self.distance)
 
@@ -43,7 +47,9 @@ class Rate:
         """The quantity that is differentiated."""
         return (self.of,)
 
-    def of_scene(self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]) -> Array:
+    def of_scene(
+        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
+    ) -> Array:
         """Return the derivative (N,) at a joint, N m/s or N m/s^2."""
         torque = scene.load if self.of == "load" else scene.modelled
         return self.of_series(torque[:, joint], scene.motion)
@@ -60,7 +66,9 @@ class Late:
     seconds: float
     takes: ClassVar[tuple[str, ...]] = ("tau",)
 
-    def of_scene(self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]) -> Array:
+    def of_scene(
+        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
+    ) -> Array:
         """Return the late torque (N,) of a joint."""
         return self.of_series(scene.modelled[:, [joint]], scene.motion)[:, 0]
 
@@ -77,7 +85,9 @@ class FrictionSlope:
     per: float
     takes: ClassVar[tuple[str, ...]] = ("q", "dq", "ddq")
 
-    def of_scene(self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]) -> Array:
+    def of_scene(
+        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
+    ) -> Array:
         """Return the slope (N,) N m s/rad of a joint."""
         return scene.friction_slope(joint, np.asarray(remembered[self.lead]) * self.per)
 

@@ -34,7 +34,7 @@ from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-USUAL_TOP_SPEED = 1.0  # rad/s, of a joint whose friction and speed limit nobody knows
+USUAL_TOP_SPEED = 1.0  # rad/s, of a joint whose friction and speed limit are not known
 # Quantities that follow from the motion of the instant alone.
 INSTANT = {
     "q",

@@ -12,7 +12,7 @@ besides name what no formula of a robot file can:
     load_is_modelled  1, and 0 where a torque sensor behind the gear measures the load
     asin(x)         the arc sine
 
-Of a log nobody knows the temperature of, a law of the temperature adds nothing.
+Where no temperature is known, a law of the temperature adds nothing.
 """
 
 import ast

@@ -23,7 +23,6 @@ from seqid_cli.model.effects.law import (
     PLACES,
     Law,
     catalogue_symbol,
-    names_in,
     tree_of,
 )
 from seqid_cli.model.effects.memory import Bristles, FrictionSlope, Late, Memory, Rate
@@ -356,7 +355,7 @@ class _Writer:
         if law.note:
             before, behind = syntax.comment
             code.instant.append(f"{before}{plain(title)}: {plain(law.note)}{behind}")
-        symbols = law.symbols
+        symbols = {symbol.name for symbol in law.symbols}
         terms = [
             (float(number), term)
             for number, term in zip(c, law.terms, strict=True)
@@ -389,7 +388,7 @@ class _Writer:
             factor = syntax.factor(tree, named)
             written.append(syntax.statement(f"tau[{j}] += {real(number)} * {factor}"))
 
-        conditions = [syntax.known.format(j=k) for k in self._warm_joints(j, law)]
+        conditions = [syntax.known.format(j=k) for k in law.temperatures(j)]
         if timing:
             conditions.insert(0, f"{syntax.state}as_logged")
         instant = symbols <= INSTANT and not law.memories
@@ -397,16 +396,6 @@ class _Writer:
         target += syntax.block(
             plain(title), written, f" {syntax.also} ".join(conditions)
         )
-
-    def _warm_joints(self, j: int, law: Law) -> list[int]:
-        """Joints whose temperature a law takes."""
-        found = set()
-        for text in (*law.terms, *law.parts.values()):
-            for name in names_in(text):
-                symbol = None if name in law.numbers else catalogue_symbol(name)
-                if symbol is not None and symbol.name == "temperature":
-                    found.add(j if symbol.joint is None else symbol.joint)
-        return sorted(found)
 
     def _quantity(self, j: int, name: str) -> str:
         """The text of a quantity of the joint, or of the one whose number its name ends with."""

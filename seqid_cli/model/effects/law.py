@@ -36,6 +36,14 @@ Value = Array | float
 Lookup = Callable[[str], Value]  # the value of a name
 Compiled = Callable[[Lookup], Value]
 
+
+def _power(base: Value, exponent: Value) -> Value:
+    """Raise to a power; the operator of arrays has a short way for 1, 2 and 0.5."""
+    if isinstance(base, np.ndarray):
+        return np.asarray(base**exponent)
+    return np.asarray(np.power(base, exponent))
+
+
 _NUMPY = {"min": "minimum", "max": "maximum", "asin": "arcsin"}
 _CALLS: Mapping[str, Callable[..., Value]] = {
     name: getattr(np, _NUMPY.get(name, name)) for name in CATALOGUE_FUNCTIONS
@@ -45,7 +53,7 @@ _OPERATORS: Mapping[type[ast.operator], Callable[[Value, Value], Value]] = {
     ast.Sub: np.subtract,
     ast.Mult: np.multiply,
     ast.Div: np.divide,
-    ast.Pow: np.power,
+    ast.Pow: _power,
 }
 
 
@@ -73,18 +81,37 @@ class Law:
     memories: Mapping[str, Memory] = field(default_factory=dict)
     note: str = ""
 
-    def columns(self, scene: Scene, joint: int) -> Array:
-        """Evaluate the terms of a joint: torque (N, k) per unit coefficient, unfiltered."""
+    def columns(
+        self,
+        scene: Scene,
+        joint: int,
+        shared: dict[int, dict[str, Value]] | None = None,
+    ) -> Array:
+        """Evaluate the terms of a joint: torque (N, k) per unit coefficient, unfiltered.
+
+        `shared` holds parts that laws of other joints have evaluated, by the parts' identity.
+        """
         remembered: dict[str, Value] = {}
         for name, memory in self.memories.items():
             remembered[name] = memory.of_scene(scene, joint, remembered)
+        if shared is not None and id(self.parts) in shared:
+            remembered |= shared[id(self.parts)]
         names = self._lookup(remembered, lambda name: quantity(scene, joint, name))
+        if shared is not None and self.parts and self._parts_name_joints:
+            shared[id(self.parts)] = {name: names(name) for name in self.parts}
 
-        X = np.empty((scene.samples, len(self.terms)))
-        for k, term in enumerate(self.terms):
-            X[:, k] = compiled(term)(names)
-        if "temperature" in self.symbols:
-            X[~np.isfinite(quantity(scene, joint, "temperature"))] = 0.0
+        torques = [compiled(term)(names) for term in self.terms]
+        computed = (
+            not isinstance(tree_of(self.terms[0]), ast.Name) if self.terms else False
+        )
+        if len(torques) == 1 and computed and np.ndim(torques[0]):
+            X = np.asarray(torques[0])[:, None]  # the usual case costs no copy
+        else:
+            X = np.empty((scene.samples, len(torques)))
+            for k, torque in enumerate(torques):
+                X[:, k] = torque
+        for j in self.temperatures(joint):
+            X[~np.isfinite(quantity(scene, j, "temperature"))] = 0.0
         return X
 
     def of_values(self, values: Mapping[str, Value]) -> Array:
@@ -93,18 +120,22 @@ class Law:
         return np.asarray(compiled(self.terms[0])(names))
 
     @property
-    def symbols(self) -> set[str]:
-        """Names of the quantities that terms, parts and memories take, without a joint's number."""
-        found = set()
-        for text in (*self.terms, *self.parts.values(), *self._of_memories()):
-            for name in names_in(text):
-                symbol = None if name in self.numbers else catalogue_symbol(name)
-                if symbol is not None:
-                    found.add(symbol.name)
-        return found
+    def _parts_name_joints(self) -> bool:
+        """Whether parts are the same at every joint: their quantities are of named joints."""
+        taken = symbols_in(tuple(self.parts.values()), frozenset(self.numbers))
+        return all(symbol.joint is not None for symbol in taken)
 
-    def _of_memories(self) -> list[str]:
-        return [text for memory in self.memories.values() for text in memory.takes]
+    @property
+    def symbols(self) -> frozenset[Symbol]:
+        """Quantities that terms, parts and memories take."""
+        taken = [text for memory in self.memories.values() for text in memory.takes]
+        texts = (*self.terms, *self.parts.values(), *taken)
+        return symbols_in(texts, frozenset(self.numbers))
+
+    def temperatures(self, joint: int) -> list[int]:
+        """Return the joints whose temperature the law of a joint takes."""
+        warm = (symbol for symbol in self.symbols if symbol.name == "temperature")
+        return sorted({joint if s.joint is None else s.joint for s in warm})
 
     def _lookup(self, values: Mapping[str, Value], elsewhere: Lookup) -> Lookup:
         known: dict[str, Value] = {**self.numbers, **values}
@@ -115,7 +146,8 @@ class Law:
             return known[name]
 
         for name, text in self.parts.items():
-            known[name] = compiled(text)(lookup)
+            if name not in known:
+                known[name] = compiled(text)(lookup)
         return lookup
 
 
@@ -132,6 +164,14 @@ def names_in(text: str) -> frozenset[str]:
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
     return frozenset(node.id for node in nodes if id(node) not in called)
+
+
+@lru_cache(maxsize=256)
+def symbols_in(texts: tuple[str, ...], numbers: frozenset[str]) -> frozenset[Symbol]:
+    """Return the quantities that texts name, but for names of numbers."""
+    names = frozenset[str]().union(*map(names_in, texts)) - numbers
+    found = (catalogue_symbol(name) for name in names)
+    return frozenset(symbol for symbol in found if symbol is not None)
 
 
 @lru_cache(maxsize=256)

@@ -8,7 +8,8 @@ import re
 
 import numpy as np
 
-from seqid_cli.export.laws import BaseModel, code_of, lags_of, late_lines
+from seqid_cli.export.composition import BaseModel, lags_of
+from seqid_cli.export.laws import code_of, late_lines
 from seqid_cli.export.model import ExportModel
 from seqid_cli.export.syntax import Syntax, c99, python
 from seqid_cli.export.text import plain, rendered

@@ -21,7 +21,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from seqid_cli.model.effects.declared import BodyTerm, Deviation
-from seqid_cli.model.effects.law import Law, Value
+from seqid_cli.model.effects.law import Evaluated, Law
 from seqid_cli.model.effects.scene import Scene, Scenes, moves
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
 from seqid_cli.model.effects.units import Value
@@ -207,7 +207,7 @@ class Effect:
         laws = self.laws(scene.robot, joint, settings)
         if laws is None:
             raise NotImplementedError(f"{self.name} has neither laws nor columns")
-        shared: dict[int, dict[str, Value]] = {}
+        shared: dict[int, dict[str, Evaluated]] = {}
         return {j: law.columns(scene, j, shared) for j, law in laws.items()}
 
     def steady_columns(self, scene: Scene, joint: AnyJoint, settings: Settings) -> Columns:

@@ -32,12 +32,12 @@ CATALOGUE_SYMBOLS = ("coulomb_share", "rotor", "load_is_modelled", "sign_width")
 _NUMBERED = re.compile(rf"({'|'.join(CATALOGUE_SYMBOLS)})(?:_([1-9][0-9]{{0,2}}))?")
 CATALOGUE_FUNCTIONS = (*FUNCTIONS, "asin")
 
-Value = Array | float
-Lookup = Callable[[str], Value]  # the value of a name
-Compiled = Callable[[Lookup], Value]
+Evaluated = Array | float
+Lookup = Callable[[str], Evaluated]  # the value of a name
+Compiled = Callable[[Lookup], Evaluated]
 
 
-def _power(base: Value, exponent: Value) -> Value:
+def _power(base: Evaluated, exponent: Evaluated) -> Evaluated:
     """Raise to a power; the operator of arrays has a short way for 1, 2 and 0.5."""
     if isinstance(base, np.ndarray):
         return np.asarray(base**exponent)
@@ -45,10 +45,10 @@ def _power(base: Value, exponent: Value) -> Value:
 
 
 _NUMPY = {"min": "minimum", "max": "maximum", "asin": "arcsin"}
-_CALLS: Mapping[str, Callable[..., Value]] = {
+_CALLS: Mapping[str, Callable[..., Evaluated]] = {
     name: getattr(np, _NUMPY.get(name, name)) for name in CATALOGUE_FUNCTIONS
 }
-_OPERATORS: Mapping[type[ast.operator], Callable[[Value, Value], Value]] = {
+_OPERATORS: Mapping[type[ast.operator], Callable[[Evaluated, Evaluated], Evaluated]] = {
     ast.Add: np.add,
     ast.Sub: np.subtract,
     ast.Mult: np.multiply,
@@ -85,13 +85,13 @@ class Law:
         self,
         scene: Scene,
         joint: int,
-        shared: dict[int, dict[str, Value]] | None = None,
+        shared: dict[int, dict[str, Evaluated]] | None = None,
     ) -> Array:
         """Evaluate the terms of a joint: torque (N, k) per unit coefficient, unfiltered.
 
         `shared` holds parts that laws of other joints have evaluated, by the parts' identity.
         """
-        remembered: dict[str, Value] = {}
+        remembered: dict[str, Evaluated] = {}
         for name, memory in self.memories.items():
             remembered[name] = memory.of_scene(scene, joint, remembered)
         if shared is not None and id(self.parts) in shared:
@@ -114,7 +114,7 @@ class Law:
             X[~np.isfinite(quantity(scene, j, "temperature"))] = 0.0
         return X
 
-    def of_values(self, values: Mapping[str, Value]) -> Array:
+    def of_values(self, values: Mapping[str, Evaluated]) -> Array:
         """Evaluate the only term with values (N, ...) of the names that it has."""
         names = self._lookup(values, values.__getitem__)
         return np.asarray(compiled(self.terms[0])(names))
@@ -122,7 +122,9 @@ class Law:
     @property
     def _parts_name_joints(self) -> bool:
         """Whether parts are the same at every joint: their quantities are of named joints."""
-        taken = symbols_in(tuple(self.parts.values()), frozenset(self.numbers))
+        taken = symbols_in(
+            tuple(self.parts.values()), frozenset({*self.numbers, *self.parts})
+        )
         return all(symbol.joint is not None for symbol in taken)
 
     @property
@@ -130,17 +132,18 @@ class Law:
         """Quantities that terms, parts and memories take."""
         taken = [text for memory in self.memories.values() for text in memory.takes]
         texts = (*self.terms, *self.parts.values(), *taken)
-        return symbols_in(texts, frozenset(self.numbers))
+        named = {*self.numbers, *self.parts, *self.memories}
+        return symbols_in(texts, frozenset(named))
 
     def temperatures(self, joint: int) -> list[int]:
         """Return the joints whose temperature the law of a joint takes."""
         warm = (symbol for symbol in self.symbols if symbol.name == "temperature")
         return sorted({joint if s.joint is None else s.joint for s in warm})
 
-    def _lookup(self, values: Mapping[str, Value], elsewhere: Lookup) -> Lookup:
-        known: dict[str, Value] = {**self.numbers, **values}
+    def _lookup(self, values: Mapping[str, Evaluated], elsewhere: Lookup) -> Lookup:
+        known: dict[str, Evaluated] = {**self.numbers, **values}
 
-        def lookup(name: str) -> Value:
+        def lookup(name: str) -> Evaluated:
             if name not in known:
                 known[name] = elsewhere(name)
             return known[name]
@@ -230,7 +233,7 @@ def _compiled(node: ast.expr) -> Compiled:
     raise AssertionError(ast.dump(node))
 
 
-def quantity(scene: Scene, joint: int, name: str) -> Value:
+def quantity(scene: Scene, joint: int, name: str) -> Evaluated:
     """Return a quantity (N,) of the joint, or of the one whose number its name ends with."""
     if name.startswith("sign("):
         symbol = symbol_of(name[len("sign(") : -1])

@@ -2,7 +2,7 @@
 
 import re
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from seqid_cli.export.formats import export
 from seqid_cli.model.effects import registry
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
+from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.quadratic_drag import QuadraticDrag
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
@@ -300,6 +301,32 @@ def test_a_feed_forward_leaves_out_delays_and_lags(plain: Plain) -> None:
         )
 
 
+def test_the_observer_knows_what_a_spring_holds(plain: Plain) -> None:
+    """An arm that rests on a spring, by torque of an offset channel, is not pushed."""
+    items = [
+        fitted(CATALOGUE[name], CASES[name][0]) for name in ("spring", "torque_bias")
+    ]
+    module = module_of(plain.robot, with_effects(plain.stages, plain.robot, items))
+    q, rest = plain.rows[0, :2], np.zeros(2)
+    tau = module.torque(q, rest, rest)
+    assert np.abs(tau - module.rigid_torque(q, rest, rest)).max() > 0.5
+    observer = module.Observer(q, tau)
+    for _ in range(200):
+        pushed = observer.update(q, tau, 1e-3)
+    assert not pushed.any()
+    np.testing.assert_allclose(observer.external, 0.0, atol=1e-9)
+
+
+class Named(QuadraticDrag):
+    """One whose parts have names that code has for something else."""
+
+    name = "mine"
+
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
+        parts = {"load": "dq * abs(dq)", "double": "load + 0.0 * tau"}
+        return {joint: Law(terms=("double",), parts=parts)}
+
+
 class Silent(Effect):
     """A package's effect whose law is known to itself alone."""
 
@@ -342,12 +369,13 @@ def test_an_effect_without_a_law_is_refused_by_its_name(
     assert "left out: mine" in export(robot, stages, kind="MJCF").text
 
 
+@pytest.mark.parametrize("kind", [Declaring, Named])
 def test_a_packages_effect_with_a_law_is_written(
-    plain: Plain, monkeypatch: pytest.MonkeyPatch
+    plain: Plain, monkeypatch: pytest.MonkeyPatch, kind: type[Effect]
 ) -> None:
-    monkeypatch.setattr(registry, "own_effect", lambda asked, robot: Declaring())
+    monkeypatch.setattr(registry, "own_effect", lambda asked, robot: kind())
     robot = replace(plain.robot, effects=(OwnEffect("mine"),))
-    assert plain.missed([fitted(Declaring(), case(1, 0.3))], robot=robot) < CLOSE
+    assert plain.missed([fitted(kind(), case(1, 0.3))], robot=robot) < CLOSE
 
 
 def test_a_line_whose_phase_is_of_each_log_is_a_comment(plain: Plain) -> None:

@@ -210,7 +210,8 @@ class _Writer:
         code.based |= bool(symbols & {"load", "tau"})
 
         lines = [
-            self._remembered(j, name, memory) for name, memory in law.memories.items()
+            self._remembered(j, _local(name), memory)
+            for name, memory in law.memories.items()
         ]
         remembered = set(law.memories) | set(law.parts)
 
@@ -319,7 +320,7 @@ class _Writer:
                 yield syntax.value(name, late_text(self.syntax, j, seconds))
             case FrictionSlope(lead=lead, per=per):
                 width = real(self.base.sign_width[j])
-                yield syntax.value("lead", f"{real(per)} * {lead}")
+                yield syntax.value("lead", f"{real(per)} * {_local(lead)}")
                 slowest = call("max", width, f"2.0 * {call('abs', f'ddq[{j}]')} * dt")
                 yield syntax.value(
                     "half", call("max", slowest, f"0.5 * {call('abs', 'lead')}")

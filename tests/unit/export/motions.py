@@ -37,10 +37,6 @@ CUTOFF_HZ = 10.0
 START_S = 40.0  # on the session's clock
 END_S = 0.5  # where `predict` differentiates what it has mirrored at the log's end
 SETTLED_S = 1.5  # from which states have forgotten how they began
-STEP = (
-    "static ARM_state s; if (row == 0) ARM_start(&s, x);"
-    f" ARM_step(&s, x, x + N, x + 2 * N, x + 3 * N, x[4 * N], {1.0 / RATE_HZ!r}, y);"
-)
 
 
 @dataclass(frozen=True)
@@ -148,7 +144,9 @@ def module_of(robot: Robot, stages: Stages) -> ModuleType:
     return module
 
 
-def stepped(module: ModuleType, rows: Array, *, as_logged: bool = True) -> Array:
+def stepped(
+    module: ModuleType, rows: Array, *, as_logged: bool = True, rate_hz: float = RATE_HZ
+) -> Array:
     """Return the torque (N, n) of a module's model over rows."""
     n = module.N
     model = module.Model(rows[0, :n], as_logged=as_logged)
@@ -157,7 +155,7 @@ def stepped(module: ModuleType, rows: Array, *, as_logged: bool = True) -> Array
             row[:n],
             row[n : 2 * n],
             row[2 * n : 3 * n],
-            1.0 / RATE_HZ,
+            1.0 / rate_hz,
             row[4 * n],
             row[3 * n : 4 * n],
         )
@@ -166,12 +164,18 @@ def stepped(module: ModuleType, rows: Array, *, as_logged: bool = True) -> Array
     return np.array(found)
 
 
-def exported(folder: Path, robot: Robot, stages: Stages, rows: Array) -> Array:
+def exported(
+    folder: Path, robot: Robot, stages: Stages, rows: Array, *, rate_hz: float = RATE_HZ
+) -> Array:
     """Return the torque (N, n) of exported code: of C where there is a compiler."""
     if CC is None:
-        return stepped(module_of(robot, stages), rows)
+        return stepped(module_of(robot, stages), rows, rate_hz=rate_hz)
     header = export(robot, stages, kind="C header").text
-    return run_c(folder, robot, header, STEP, rows)
+    body = (
+        "static ARM_state s; if (row == 0) ARM_start(&s, x);"
+        f" ARM_step(&s, x, x + N, x + 2 * N, x + 3 * N, x[4 * N], {1.0 / rate_hz!r}, y);"
+    )
+    return run_c(folder, robot, header, body, rows)
 
 
 def low_passed(scene: Scene, whole: Array, smooth: Array, item: Fitted) -> Array:

@@ -13,6 +13,9 @@ from msgspec.structs import replace as replace_struct
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.code import identifier
 from seqid_cli.export.formats import export
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects import registry
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
@@ -22,11 +25,15 @@ from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis, SmoothTerm
 from seqid_cli.model.torque import TorqueModel
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import Nuisance, Stages
 from seqid_cli.robot.formula import parse_formula
 from seqid_cli.robot.types import OwnEffect, Robot
 from tests import Array
+from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_GANTRY, urdf_gantry
+from tests.plants.robots.stages import SAMPLES
 from tests.unit.export.arms import made
 from tests.unit.export.compiled import run_c
 from tests.unit.export.motions import (
@@ -420,3 +427,34 @@ def test_every_field_of_the_state_is_described(plain: Plain) -> None:
     described = re.compile(rf"{comment}\n{declaration}|{declaration}[^\S\n]*{comment}")
     assert ";" in fields
     assert not described.sub("", fields).strip()
+
+
+def test_an_exported_file_says_of_a_log_what_predict_says(tmp_path: Path) -> None:
+    """Of a recorded log, from its file to the torque; without effects all of it is missed."""
+    robot = sample_robot("two_joint")
+    golden = read_parameters(SAMPLES / "two_joint" / "golden.json").stages
+    names = (
+        "stribeck",
+        "load_dependent_friction",
+        "presliding_hysteresis",
+        "joint_elasticity",
+    )
+    items = [fitted(CATALOGUE[name], CASES[name][0]) for name in names]
+    stages = with_effects(golden, robot, items)
+    log = read_recording(
+        sorted((SAMPLES / "two_joint" / "validation").iterdir())[0], robot
+    )
+    (said,) = predict([log], robot, stages, options=InertiaOptions())
+
+    rows = np.hstack(
+        [said.q, said.dq, said.ddq, np.zeros_like(said.q), said.t[:, None]]
+    )
+    smooth_items = with_effects(without_friction(golden), robot, items[-1:])
+    smooth = exported(tmp_path, robot, smooth_items, rows, rate_hz=log.rate_hz)
+    whole = exported(tmp_path, robot, stages, rows, rate_hz=log.rate_hz)
+    lowpass = Lowpass(said.cutoff_hz, log.rate_hz)
+    found = lowpass(smooth) + lowpass(whole - smooth, times=2)
+
+    used = said.used & (said.t > 2.0)
+    missed = np.sqrt(np.mean((found - said.predicted)[used] ** 2, axis=0))
+    assert (missed < 1e-3 * np.sqrt(np.mean(said.predicted[used] ** 2, axis=0))).all()

@@ -18,12 +18,7 @@ from seqid_cli.export.syntax import Syntax
 from seqid_cli.export.text import plain, real
 from seqid_cli.model.effects.declared import BodyTerm, Deviation, Play, Twist
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
-from seqid_cli.model.effects.law import (
-    PLACES,
-    Law,
-    catalogue_symbol,
-    tree_of,
-)
+from seqid_cli.model.effects.law import PLACES, Law, catalogue_symbol, tree_of
 from seqid_cli.model.effects.memory import Bristles, FrictionSlope, Late, Memory, Rate
 from seqid_cli.model.effects.smooth import DEGREE, Axis, SmoothTerm
 from seqid_cli.model.torque import TorqueModel
@@ -32,18 +27,8 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 # Quantities that follow from the motion of the instant alone.
-INSTANT = {
-    "q",
-    "dq",
-    "ddq",
-    "theta",
-    "load",
-    "friction",
-    "tau",
-    "coulomb_share",
-    "rotor",
-}
-INSTANT |= {"load_is_modelled", "sign_width"}
+INSTANT = {"q", "dq", "ddq", "theta", "load", "friction", "tau"}
+INSTANT |= {"coulomb_share", "rotor", "load_is_modelled", "sign_width"}
 # Names of the templates, which the parts of a law must not take.
 TAKEN = {"q", "dq", "ddq", "dt", "s", "tau", "load", "friction", "modelled", "time"}
 TAKEN |= {"temperature", "double", "const", "static", "int", "float", "if", "else"}
@@ -112,15 +97,11 @@ class _Writer:
     def effect(self, item: FittedEffect) -> None:
         """Write an effect of the catalogue, of a robot file or of a package."""
         refuse_without_law(item, self.robot)
-        effect, at, c = (
-            item.effect,
-            (self.robot, item.joint, item.settings),
-            item.coefficients,
-        )
+        effect, c = item.effect, item.coefficients
+        at = (self.robot, item.joint, item.settings)
         for j, law in (effect.laws(*at) or {}).items():
-            self._law(
-                f"{effect.name}, {self._title(j)}", j, law, c, timing=is_timing(effect)
-            )
+            title = f"{effect.name}, {self._title(j)}"
+            self._law(title, j, law, c, timing=is_timing(effect))
         for number, term in zip(c, effect.body_terms(*at) or (), strict=False):
             self._body(float(number), term)
         deviation = effect.deviation(*at)
@@ -137,21 +118,16 @@ class _Writer:
         code.based |= bool(measures & {"load", "load_size"})
         timed = measures & {"temperature", "time", "session_time"}
         lines = code.session if timed else code.instant
-        known = [
-            syntax.known.format(j=axis.joint)
-            for axis in term.axes
-            if axis.measure == "temperature"
-        ]
+        warm = [axis.joint for axis in term.axes if axis.measure == "temperature"]
+        known = [syntax.known.format(j=joint) for joint in warm]
+
         taken = [self._axis(axis) for axis in term.axes]
-        factor = (
-            self._quantity(term.joint, "sign(dq)")
-            if term.factor == "direction"
-            else "1.0"
-        )
         sizes = [axis.size for axis in term.axes]
-        knots = [
-            np.pad(np.array(axis.knots), DEGREE, mode="edge") for axis in term.axes
-        ]
+        ends = DEGREE  # times more that either end counts as a knot
+        knots = [np.pad(np.array(x.knots), ends, mode="edge") for x in term.axes]
+        factor = "1.0"
+        if term.factor == "direction":
+            factor = self._quantity(term.joint, "sign(dq)")
         if len(taken) == 1:  # along a second axis of no length
             taken, sizes, knots = [*taken, "0.0"], [*sizes, 1], [*knots, np.zeros(0)]
         first = ("knots_1", str(sizes[0]), taken[0])
@@ -223,8 +199,8 @@ class _Writer:
             return self._quantity(j, name)
 
         written = [line for group in lines for line in group]
-        for name, text in law.parts.items():
-            text = syntax.term(tree_of(text), named)
+        for name, part in law.parts.items():
+            text = syntax.term(tree_of(part), named)
             written.append(syntax.value(_local(name), text))
         for number, term in terms:
             tree = tree_of(term)

@@ -65,7 +65,8 @@ class Syntax:
             case ast.Name(id=name):
                 return named(name)
             case ast.UnaryOp(op=ast.USub(), operand=inner):
-                return f"(-{self.factor(inner, named)})"
+                text = self.factor(inner, named)
+                return f"(-({text}))" if text.startswith("-") else f"(-{text})"
             case ast.UnaryOp(operand=inner):
                 return self.factor(inner, named)
             case ast.BinOp(left=left, op=ast.Pow(), right=right):

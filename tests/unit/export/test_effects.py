@@ -202,13 +202,15 @@ def test_effects_of_an_arm_with_coupled_rotors_and_slides(tmp_path: Path) -> Non
 
 def test_formulas_of_a_robot_file_are_written_out(plain: Plain) -> None:
     text = (
-        "c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2 + c3*max(theta, tau)/(1 + abs(friction_1))"
+        "c7*(-v*q)**2 + c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2"
+        " + c3*max(theta, tau)/(1 + abs(friction_1))"
         " - (c4*sin(t) - 2*c5*sqrt(abs(q))*sign(ddq))/3 + c6*(temperature_2 - 20)*dq"
     )
-    asked = OwnEffect("drag", 1, parse_formula(text, 2, ("w",)), {"w": (0.1, 1.0)})
+    ranges = {"v": (-1.0, 1.0), "w": (0.1, 1.0)}
+    asked = OwnEffect("drag", 1, parse_formula(text, 2, ("v", "w")), ranges)
     robot = replace(plain.robot, effects=(asked,))
     effect = registry.catalogue_of(robot)["drag"]
-    item = fitted(effect, case(1, 0.1, 0.5, 0.02, 0.3, 0.2, 0.05, w=0.5))
+    item = fitted(effect, case(1, 0.1, 0.5, 0.02, 0.3, 0.2, 0.05, 0.3, v=-0.4, w=0.5))
     assert plain.missed([item], robot=robot) < CLOSE
     plain.check_both_forms([item], robot=robot)
 

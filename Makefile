@@ -125,7 +125,7 @@ study-truth: $(DEV) ## does `good` mean good: drawn arms with imperfections, int
 
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)
-	$(BIN)/python -m tests.studies --only ingestion kernels whole_run smoother discovery
+	$(BIN)/python -m tests.studies --only ingestion kernels whole_run smoother discovery exported_step
 
 .PHONY: fuzz
 fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $(OUT)/fuzz

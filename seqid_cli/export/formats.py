@@ -23,13 +23,14 @@ FORMATS: Mapping[str, str] = {
     ".h": "C header",
     ".py": "numpy module",
 }
-# Of each format: the module and the function that write it, and effects that it has a place for.
-_WRITERS: Mapping[str, tuple[str, str, tuple[str, ...]]] = {
+# Of each format: the module and the function that write it, and effects that it has a place for
+# (None: for every one).
+_WRITERS: Mapping[str, tuple[str, str, tuple[str, ...] | None]] = {
     "URDF": ("urdf", "urdf", ()),
     "MJCF": ("mjcf", "mjcf", ("spring", "backlash")),
     "ROS 2 parameters": ("text", "ros2_parameters", ()),
-    "C header": ("code", "c_header", ("spring",)),
-    "numpy module": ("code", "numpy_module", ("spring",)),
+    "C header": ("code", "c_header", None),
+    "numpy module": ("code", "numpy_module", None),
 }
 
 

@@ -10,9 +10,9 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody, bodies_of_urdf
 from seqid_cli.model.bodies.nearest import Identified, NearestBodies, identified, nearest_bodies
-from seqid_cli.model.effects.fitted import FittedEffect, fitted_effects
+from seqid_cli.model.effects.fitted import Fitted, FittedEffect, fitted_effects
 from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.model.torque import friction_surfaces
+from seqid_cli.model.torque import TorqueModel, friction_surfaces
 from seqid_cli.params.results.export import ExportedFriction, ExportedParameter
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gear_ratios
@@ -39,6 +39,8 @@ class ExportModel:
     deviations: tuple[ExportedParameter, ...]  # of every identified base parameter
     springs: Array  # (n, 4) torque of a joint by powers of its position, N m, N m/rad ...
     gaps: Array  # (n,) rad, backlash
+    effects: tuple[Fitted, ...]  # that code says
+    base: TorqueModel  # without effects, as they see it
     observer: Thresholds  # when a momentum observer raises an alarm
     notes: tuple[str, ...]  # what the reader of the file has to know
 
@@ -60,13 +62,14 @@ class ExportModel:
 
 
 def export_model(
-    robot: Robot, stages: Stages, holds: Collection[str], errors: Mapping[str, float] | None
+    robot: Robot, stages: Stages, holds: Collection[str] | None, errors: Mapping[str, float] | None
 ) -> ExportModel:
     """Find physically consistent parameters of a whole arm.
 
     `stages`: whatever was identified. Without an inertia stage the URDF must say what is missing.
-    `holds`: effects that the format has a place for. `errors`: RMS error of the torque of each
-    joint [N m] on new logs; those of the inertia stage if left out.
+    `holds`: effects that the format has a place for, None where it has one for every effect.
+    `errors`: RMS error of the torque of each joint [N m] on new logs; those of the inertia stage if
+    left out.
     """
     if stages.inertia is None and robot.nominal is None:
         message = "the file holds no inertia stage, and the robot file names no URDF with inertials"
@@ -75,8 +78,8 @@ def export_model(
     rigid = stages.inertia or stages.gravity
     coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
     coupling: Coupling = "gyroscopic" if coupled else "diagonal"
-    added, springs, gaps, notes = _effects(stages, robot, holds, coupling)
-    demand = identified(stages, robot, more=added)
+    effects = _effects(stages, robot, holds, coupling)
+    demand = identified(stages, robot, more=effects.parameters)
     urdf = None if robot.urdf is None else read_urdf_text(robot.urdf)
     links = () if urdf is None else bodies_of_urdf(urdf, robot.joint_names)
     kept = np.array([body.kept for body in links]) if links else np.zeros((robot.n, PER_LINK))
@@ -95,23 +98,42 @@ def export_model(
         surfaces=surfaces,
         friction=friction,
         deviations=demand.deviations(nearest.links + kept, nearest.rotor),
-        springs=springs,
-        gaps=gaps,
+        springs=effects.springs,
+        gaps=effects.gaps,
+        effects=effects.coded,
+        base=TorqueModel.from_stages(stages, robot),
         observer=thresholds(robot, stages, surfaces, mass, errors),
-        notes=(*found, *_notes_on_friction(robot, friction), *notes),
+        notes=(*found, *_notes_on_friction(robot, friction), *effects.notes),
     )
 
 
-def _effects(
-    stages: Stages, robot: Robot, holds: Collection[str], coupling: Coupling
-) -> tuple[Array, Array, Array, list[str]]:
-    """Add up standard parameters (11 n,), rotors last, springs and gaps that the format `holds`.
+@dataclass(frozen=True, kw_only=True)
+class _Effects:
+    """Effects of a file in one format.
 
-    A payload counts as it was in the last log. Behind them come notes.
+    `parameters` (11 n,) are standard parameters to be added, rotors last; `springs` and `gaps` as
+    in `ExportModel`; `coded` are effects that code has to say.
     """
-    n, notes = robot.n, []
+
+    parameters: Array
+    springs: Array
+    gaps: Array
+    coded: tuple[Fitted, ...]
+    notes: tuple[str, ...]
+
+
+def _effects(
+    stages: Stages, robot: Robot, holds: Collection[str] | None, coupling: Coupling
+) -> _Effects:
+    """Say what becomes of each effect in a format that `holds` some, or, None, every one.
+
+    A payload counts as it was in the last log.
+    """
+    n = robot.n
     parameters, springs, gaps = np.zeros((PER_LINK + 1) * n), np.zeros((n, 4)), np.zeros(n)
     last = slice(PER_LINK * (n - 1), PER_LINK * n)
+    coded: list[Fitted] = []
+    notes = []
     for item in fitted_effects(stages, robot, unexplained=True):
         name, fate, j = "a smooth term of no known cause", _LEFT_OUT, item.joint or 0
         if isinstance(item, FittedEffect):
@@ -120,14 +142,23 @@ def _effects(
             if name == "payload" or (name == "rotor_inertia" and diagonal):
                 parameters[last if name == "payload" else PER_LINK * n + j] += c.squeeze()
                 fate = "added to the inertial parameters"
-            elif name in holds:
+            elif holds is not None and name in holds:
                 fate = "written as it is"
                 if name == "backlash":
                     gaps[j] += c[0]
                 else:
                     springs[j, : len(c)] += c[[1, 0, 3, 2][: len(c)]]
+        if holds is None and fate == _LEFT_OUT:
+            coded.append(item)
+            fate = "written as it is"
         notes.append(f"{fate}: {name} ({robot.name_of(item.joint) or 'all joints'})")
-    return parameters, springs, gaps, notes
+    return _Effects(
+        parameters=parameters,
+        springs=springs,
+        gaps=gaps,
+        coded=tuple(coded),
+        notes=tuple(notes),
+    )
 
 
 def _notes_on_links(

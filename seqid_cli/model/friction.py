@@ -98,6 +98,15 @@ class FrictionSurface:
         """Return the factor (N,) that temperatures make of the surface's friction."""
         return np.asarray(1.0 + self.per_kelvin * self.kelvin(celsius))
 
+    def coulomb(self, q: Array) -> Array:
+        """Return twice the Coulomb friction (N,) N m at positions q (N,), the mean of both ways."""
+        slow = np.full_like(q, self.scaling.speed[0])
+        return np.asarray(self.torque(q, slow) - self.torque(q, -slow))
+
+    def mean_coulomb(self, places: int) -> float:
+        """Return the mean of the same over so many places of the identified positions."""
+        return float(np.mean(self.coulomb(np.linspace(*self.scaling.position, places))))
+
     @property
     def orders(self) -> tuple[int, int]:
         """Orders m and l."""

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 
 from tests import ROOT
-from tests.benchmarks import discovery, ingestion, kernels, whole_run
+from tests.benchmarks import discovery, exported, ingestion, kernels, whole_run
 from tests.studies import bands, recorded, tables, unseen
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
@@ -35,6 +35,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # pa
     "whole_run": (COSTS, whole_run.study),
     "smoother": (COSTS, kernels.smoother),
     "discovery": (COSTS, discovery.study),
+    "exported_step": ("export.md", exported.study),
 }
 SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig
 

@@ -6,17 +6,21 @@ exactly, T [s] being the drive's time constant. To first order the same as torqu
 T. Khalil, Dombre, "Modeling, identification and control of robots", 2002.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.signal import lfilter
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
-from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled, steady_change
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.measurement import ModelledTorque, steady_change, touched
+from seqid_cli.model.effects.memory import Rate
 from seqid_cli.model.effects.scene import Joint, Scene
-from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
-class ActuatorLag(TorqueMeasurement):
+class ActuatorLag(ModelledTorque):
     """Command minus torque of a first-order drive; of one joint, or one lag of all (joint None)."""
 
     name = "actuator_lag"
@@ -28,10 +32,10 @@ class ActuatorLag(TorqueMeasurement):
         "frequency 1/(2 pi T), where a lag attenuates and a delay does not"
     )
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
         """Time derivative of the modelled torque."""
-        rate, valid = scene.motion.rate_hz, scene.motion.valid
-        return of_modelled(scene, joint, lambda tau: differentiate(tau, rate, valid)[0])
+        law = Law(terms=("tau_rate",), memories={"tau_rate": Rate("tau")})
+        return dict.fromkeys(touched(robot, joint), law)
 
     def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """The same from the torque a little later on the way."""

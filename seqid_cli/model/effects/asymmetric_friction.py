@@ -11,13 +11,11 @@ identification package for the da Vinci Research Kit", IEEE RA-L 4(4), 2019; Bon
 compensation in robotics: an overview", CDC 2005.
 """
 
-import numpy as np
+from collections.abc import Mapping
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Settings
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.typing import Array
-
-PLACES = 65  # over which the mean is taken
+from seqid_cli.model.effects.law import Law
+from seqid_cli.robot.types import Robot
 
 
 class AsymmetricFriction(FrictionLaw):
@@ -37,22 +35,6 @@ class AsymmetricFriction(FrictionLaw):
         "three speeds"
     )
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Whether the joint moves, by Coulomb friction at the place, and its speed."""
-        moving, speed = np.abs(scene.sign[:, joint]), np.abs(scene.motion.dq[:, joint])
-        return np.stack([moving * _over_position(scene, joint), speed], axis=1)
-
-
-def _over_position(scene: Scene, joint: int) -> Array:
-    """Coulomb friction (N,) at the place of every sample over its mean; 1 where none is told."""
-    surface, q = scene.model.surfaces[joint], scene.motion.q[:, joint]
-    if surface is None or len(surface.speeds) == 0:
-        return np.ones_like(q)
-    low, high = surface.scaling.position
-
-    def level(places: Array) -> Array:
-        slow = np.full_like(places, surface.scaling.speed[0])
-        return np.asarray(surface.torque(places, slow) - surface.torque(places, -slow))
-
-    mean = float(np.mean(level(np.linspace(low, high, PLACES))))
-    return level(np.clip(q, low, high)) / mean if mean > 0.0 else np.ones_like(q)
+        return {joint: Law(terms=("abs(sign(dq)) * coulomb_share", "abs(dq)"))}

@@ -16,11 +16,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from seqid_cli.model.effects.declared import Play
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
 from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
 from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.motion.motion import Motion
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 SMALLEST, LARGEST = 2e-4, 2e-2  # rad
@@ -79,6 +81,10 @@ class Backlash(Effect):
             flown = (-inertia * differentiate(x, motion.rate_hz, motion.valid)[1] for x in leads)
             scene.memo[key] = tuple(motion.filtered(x, times=self.passes) for x in flown)
         return scene.memo[key]
+
+    def deviation(self, robot: Robot, joint: int, settings: Settings) -> Play:
+        """Flight between the flanks of the trial gap."""
+        return Play(settings["trial_gap"])
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Torque per unit gap, on all joints."""

@@ -12,9 +12,13 @@ Khalil, "Direct calculation of minimum set of inertial parameters of serial robo
 Robotics and Automation 6(3), 1990.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from seqid_cli.model.effects.declared import BodyTerm
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
+from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.regressor import gravity_regressor, inverse_dynamics
@@ -84,22 +88,46 @@ class BaseTilt(Effect):
         tilted = alone or moments <= most_moment * largest * tilt
         return bool(tilted) and super().plausible(scenes, joint, settings, c)
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """Gravity torque of two directions square to gravity, less what is lost along it."""
-        q, phi = scene.motion.q, scene.model.phi
-        new = int(settings["upright"])
-        if phi is None:
-            return {j: np.zeros((scene.samples, 2 + 2 * new)) for j in range(scene.robot.n)}
-        chain, gravity, still = scene.robot.chain, scene.robot.gravity, np.zeros_like(q)
+    def body_terms(self, robot: Robot, joint: Joint, settings: Settings) -> list[BodyTerm]:
+        """Return two directions square to gravity, less what is lost along it."""
+        gravity = robot.gravity
         across = [np.cross(axis, gravity) for axis in tilt_axes(gravity)]
         around = np.array([settings.get(name, 0.0) for name in AROUND])
         angle = float(np.linalg.norm(around))
         lost = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2  # (1 - cos(a)) / a^2
         turned = np.sinc(angle / np.pi) * np.array(across) - lost * around[:, None] * gravity
-        columns = [inverse_dynamics(chain, g, phi, q, still, still) for g in turned]
-        for moment in first_link_moments(scene.robot, across[0], q).T if new else ():
-            columns.append(np.column_stack([moment, still[:, 1:]]))
-        return {j: np.stack([x[:, j] for x in columns], axis=1) for j in range(scene.robot.n)}
+        moments = 2 * int(settings["upright"])
+        return [*(BodyTerm(gravity=g) for g in turned), *[BodyTerm()] * moments]
+
+    def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
+        """Return the first link's moments, where they are new: a sine and cosine of its angle."""
+        if not settings["upright"]:
+            return {}
+        across = np.cross(tilt_axes(robot.gravity)[0], robot.gravity)
+        places = np.zeros((2, robot.n))
+        places[1, 0] = 0.5 * np.pi
+        (cos_1, cos_2), (sin_1, sin_2) = first_link_moments(robot, across, places).tolist()
+        numbers = {"cos_1": cos_1, "cos_2": cos_2, "sin_1": sin_1, "sin_2": sin_2}
+        terms = "0.0", "0.0", *(f"cos_{k} * cos(q) + sin_{k} * sin(q)" for k in (1, 2))
+        return {0: Law(terms=terms, numbers=numbers)}
+
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+        """Gravity torque of the turned directions, and the moments."""
+        q, phi, robot = scene.motion.q, scene.model.phi, scene.robot
+        terms = self.body_terms(robot, joint, settings)
+        result = {j: np.zeros((scene.samples, len(terms))) for j in range(robot.n)}
+        if phi is None:
+            return result
+        still = np.zeros_like(q)
+        for k, term in enumerate(terms):
+            if term.gravity.any():
+                torque = inverse_dynamics(robot.chain, term.gravity, phi, q, still, still)
+                for j, column in result.items():
+                    column[:, k] = torque[:, j]
+        for j, law in self.laws(robot, joint, settings).items():
+            result[j] += law.columns(scene, j)
+        return result
+
 
 
 def first_joint_upright(robot: Robot) -> bool:

@@ -6,11 +6,13 @@ A [N m], B [N m/s]; t [s] counts from the first log where the logs share a clock
 start of each. Beyond the recorded session (`duration`) the offset is held.
 """
 
-import numpy as np
+from collections.abc import Mapping
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Effect, GridAxes, Setting, Settings
+from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.measurement import touched
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes, session
+from seqid_cli.model.effects.scene import Joint, Scenes, session
+from seqid_cli.robot.types import Robot
 
 
 class Drift(Effect):
@@ -34,7 +36,7 @@ class Drift(Effect):
         """The session's end."""
         return {"duration": [session(scenes)]}
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """One and time."""
-        t = np.clip(scene.time, 0.0, settings["duration"])
-        return dict.fromkeys(touched(scene, joint), np.column_stack([np.ones_like(t), t]))
+    def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
+        """Return one and time."""
+        law = Law(terms=("1.0", "min(max(t, 0.0), duration)"), numbers=settings)
+        return dict.fromkeys(touched(robot, joint), law)

@@ -7,9 +7,12 @@ An effect is a torque that is linear in a few coefficients once its settings are
 Coefficients come out of a least squares, settings (a Stribeck speed, a stiffness, a frequency) are
 searched: first over a grid, then by variable projection. The sign convention is that of the
 measured torque: tau_measured = model + tau_effect.
+
+An effect says its law once, as formulas (`laws`): columns are evaluated from them, and exported
+code is written from them. What no formula says is declared as a `deviation` of a link or as
+`body_terms`, and has columns of its own.
 """
 
-import abc
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -17,6 +20,8 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
+from seqid_cli.model.effects.declared import BodyTerm, Deviation
+from seqid_cli.model.effects.law import Evaluated, Law
 from seqid_cli.model.effects.scene import Scene, Scenes, moves
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
 from seqid_cli.model.effects.units import Value
@@ -96,7 +101,7 @@ class Setting:
         return float(np.exp(x)) if self.logarithmic else float(x)
 
 
-class Effect(abc.ABC):
+class Effect:
     """A physical effect; subclasses are stateless and live in one file each."""
 
     name: str  # as the contract spells it
@@ -169,9 +174,22 @@ class Effect(abc.ABC):
         """Return the linear parameters, in the order of the columns; by default `linear`."""
         return self.linear
 
-    @abc.abstractmethod
+    def laws(self, robot: Robot, joint: AnyJoint, settings: Settings) -> Mapping[int, Law] | None:
+        """Return the law at every joint that is touched; None where formulas do not say it."""
+        return None
+
+    def deviation(self, robot: Robot, joint: AnyJoint, settings: Settings) -> Deviation | None:
+        """Return how the joint's link is not where its encoder says; None where it is."""
+        return None
+
+    def body_terms(
+        self, robot: Robot, joint: AnyJoint, settings: Settings
+    ) -> Sequence[BodyTerm] | None:
+        """Return what each coefficient changes in the rigid body; None where that stays."""
+        return None
+
     def columns(self, scene: Scene, joint: AnyJoint, settings: Settings) -> Columns:
-        """Compute the torque per unit coefficient.
+        """Compute the torque per unit coefficient; by default that of the `laws`.
 
         Parameters
         ----------
@@ -186,6 +204,11 @@ class Effect(abc.ABC):
         mapping of joint index to (N, k) array
             For every joint whose torque is touched; unfiltered.
         """
+        laws = self.laws(scene.robot, joint, settings)
+        if laws is None:
+            raise NotImplementedError(f"{self.name} has neither laws nor columns")
+        shared: dict[int, dict[str, Evaluated]] = {}
+        return {j: law.columns(scene, j, shared) for j, law in laws.items()}
 
     def steady_columns(self, scene: Scene, joint: AnyJoint, settings: Settings) -> Columns:
         """Compute the same of joints at constant speeds, whose samples are places, not times."""
@@ -300,14 +323,6 @@ class FrictionLaw(Effect):
     family = "friction"
     drive = True
     needs: tuple[Literal["motion", "load"], ...] = ("motion",)
-
-    @abc.abstractmethod
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
-        """Compute the torque (N, k) per unit coefficient at the joint, unfiltered."""
-
-    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
-        """The law at the joint alone."""
-        return {joint: self.law(scene, joint, settings)}
 
 
 def rotor_hidden(robot: Robot, joint: int) -> bool:

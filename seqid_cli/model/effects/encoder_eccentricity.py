@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.declared import Wave
 from seqid_cli.model.effects.effect import Coefficient, Columns, GridAxes, Setting, Settings
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.scene import Scene, Scenes
@@ -52,10 +53,14 @@ class EncoderEccentricity(MeasurementEffect):
         slow = [order / gear for order in ORDERS] if gear > FINE_GEAR else []
         return {"order": [*ORDERS, *slow]}
 
+    def deviation(self, robot: Robot, joint: int, settings: Settings) -> Wave:
+        """Sine and cosine of the angle that the encoder reports."""
+        return Wave(settings["order"] * float(gear_ratios(robot)[joint]))
+
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Minus the derivative of the modelled torque along the error and its derivatives."""
         motion = scene.motion
-        k = settings["order"] * float(scene.gear[joint])
+        k = self.deviation(scene.robot, joint, settings).rate
         p, dp, ddp = (k * x[:, joint] for x in (motion.q, motion.dq, motion.ddq))
         sin, cos = np.sin(p), np.cos(p)
         errors = [

@@ -6,8 +6,12 @@ and that no other period of the motion shows, and are left out. Haddadin, De Luc
 33(6), 2017.
 """
 
-from seqid_cli.model.effects.effect import Columns, Effect, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from collections.abc import Mapping
+
+from seqid_cli.model.effects.effect import Effect, Settings
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.scene import Joint, Scenes
+from seqid_cli.robot.types import Robot
 
 
 class ExternalContact(Effect):
@@ -22,7 +26,7 @@ class ExternalContact(Effect):
         "not repeat"
     )
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
         """No torque is touched."""
         return {}
 

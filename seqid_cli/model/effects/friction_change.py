@@ -9,10 +9,13 @@ experiment design for identification of wear in a robot joint under load and tem
 uncertainties based on friction data", IEEE/ASME Trans. Mechatronics 19(5), 2014.
 """
 
-import numpy as np
+
+from collections.abc import Mapping
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.scene import Joint, Scenes
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
@@ -39,9 +42,9 @@ class FrictionChange(FrictionLaw):
         """Return 1: when it happened, which no channel tells; laws with a cause do without."""
         return 1
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Direction and velocity."""
-        return np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
+        return {joint: Law(terms=("sign(dq)", "dq"))}
 
     def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask that friction, the change included, still takes power from the motion."""

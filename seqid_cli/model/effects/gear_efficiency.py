@@ -12,11 +12,13 @@ Duclusaud et al., "Extended friction models for the physics simulation of servo 
 2410.08650, 2024.
 """
 
-import numpy as np
+
+from collections.abc import Mapping
 
 from seqid_cli.model.effects.effect import Coefficient, Settings
 from seqid_cli.model.effects.gear_load import LoadLoss
-from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.scene import Joint
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -38,12 +40,14 @@ class GearEfficiency(LoadLoss):
         "half-sum of both torques keeps a share of the load only where the two losses differ"
     )
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Magnitude of the load times direction, where the gear drives and where it is driven."""
-        load, sign = self.load(scene, joint, settings), scene.sign[:, joint]
-        loss = np.abs(load) * sign
-        drives = load * sign > 0.0
-        return np.stack([np.where(drives, loss, 0.0), np.where(drives, 0.0, loss)], axis=1)
+        load, numbers = self.load(settings)
+        # Both are the same size; where the gear drives they have the same sign, else opposite ones.
+        parts = {"load_j": load, "loss": "0.5 * abs(load_j) * sign(dq)"}
+        parts["driven"] = "0.5 * load_j * abs(sign(dq))"
+        terms = "loss + driven", "loss - driven"
+        return {joint: Law(terms=terms, parts=parts, numbers=numbers)}
 
     def values(
         self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array

@@ -11,10 +11,10 @@ that the logs show. Hamon, Gautier, Garrec, "New dry friction model with load- a
 velocity-dependence and dynamic identification of multi-DOF robots", ICRA 2011.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from seqid_cli.model.effects.effect import FrictionLaw, Grid, Setting, Settings, rotor_hidden
-from seqid_cli.model.effects.scene import Scene, Scenes
+from seqid_cli.model.effects.scene import Scenes
 from seqid_cli.model.effects.sensitivity import link_inertia
 from seqid_cli.typing import Array
 
@@ -47,10 +47,14 @@ class LoadLoss(FrictionLaw):
         """The rotor inertia, where there is one to search."""
         return self.settings if ROTOR in settings else ()
 
-    def load(self, scene: Scene, joint: int, settings: Settings) -> Array:
-        """Torque (N,) N m that the gear passes to the link."""
-        load, rotor = scene.load[:, joint], settings.get(ROTOR, 0.0)
-        return load if scene.sensor is not None else load - rotor * scene.motion.ddq[:, joint]
+    def load(self, settings: Settings) -> tuple[str, Mapping[str, float]]:
+        """Return the formula of the torque [N m] that the gear passes to the link, and its numbers.
+
+        A torque sensor behind the gear does not see a rotor, whoever is looking for one.
+        """
+        if ROTOR not in settings:
+            return "load", {}
+        return f"(load - {ROTOR} * load_is_modelled * ddq)", settings
 
     def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask for bounded losses, and for a link that has inertia of its own."""

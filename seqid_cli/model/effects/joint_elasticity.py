@@ -21,16 +21,19 @@ Jubien, Janot, "New iterative learning identification and model based control of
 actual motor torque data", IROS 2013.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.linalg.blas import dtbsv
 
+from seqid_cli.model.effects.declared import Twist
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.memory import FrictionSlope, Rate
 from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
 from seqid_cli.model.effects.units import Value
-from seqid_cli.motion.filters.differentiation import differentiate, runs
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -80,15 +83,27 @@ class JointElasticity(Effect):
             settings = {"trial_stiffness": float(unit * share**2), "encoder_side": float(link)}
             yield {**settings, "damping_ratio": ratio}
 
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law] | None:
+        """Rotor and friction on the motor's motion, where the encoder is on the link."""
+        if settings["encoder_side"] <= 0.5:
+            return None
+        slope = FrictionSlope(lead="load_rate", per=1.0 / settings["trial_stiffness"])
+        rates = {"load_rate": Rate("load"), "load_bend": Rate("load", 2)}
+        term = "rotor * load_bend + slope * load_rate"
+        return {joint: Law(terms=(term,), memories={**rates, "slope": slope})}
+
+    def deviation(self, robot: Robot, joint: int, settings: Settings) -> Twist | None:
+        """Twist of the gear, where the encoder is on the motor."""
+        if settings["encoder_side"] > 0.5:
+            return None
+        return Twist(settings["trial_stiffness"], settings.get("damping_ratio", BLUNT))
+
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Torque per unit compliance, on all joints (link's side: on its own)."""
-        if settings["encoder_side"] > 0.5:  # rotor and friction on the motor's motion
-            motion = scene.motion
-            speed, acceleration = differentiate(scene.load[:, joint], motion.rate_hz, motion.valid)
-            slope = scene.friction_slope(joint, speed / settings["trial_stiffness"])
-            return {joint: (scene.rotor[joint] * acceleration + slope * speed)[:, None]}
-        damping = settings.get("damping_ratio", BLUNT)
-        bent = twist(scene, joint, settings["trial_stiffness"], damping)
+        twisted = self.deviation(scene.robot, joint, settings)
+        if twisted is None:
+            return super().columns(scene, joint, settings)
+        bent = twist(scene, joint, twisted.stiffness, twisted.damping_ratio)
         return link_deviation(scene, joint, bent)
 
     def values(

@@ -9,12 +9,13 @@ Hamon, Gautier, Garrec, "New dry friction model with load- and velocity-dependen
 identification of multi-DOF robots", ICRA 2011.
 """
 
-import numpy as np
+
+from collections.abc import Mapping
 
 from seqid_cli.model.effects.effect import Coefficient, Settings
 from seqid_cli.model.effects.gear_load import LoadLoss
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.typing import Array
+from seqid_cli.model.effects.law import Law
+from seqid_cli.robot.types import Robot
 
 
 class LoadDependentFriction(LoadLoss):
@@ -29,6 +30,7 @@ class LoadDependentFriction(LoadLoss):
         "lower each"
     )
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Magnitude of the load times direction."""
-        return (np.abs(self.load(scene, joint, settings)) * scene.sign[:, joint])[:, None]
+        load, numbers = self.load(settings)
+        return {joint: Law(terms=(f"abs({load}) * sign(dq)",), numbers=numbers)}

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.effect import AnyJoint, Columns, Effect, Settings
+from seqid_cli.model.effects.memory import Late, Rate
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -49,14 +50,33 @@ class TorqueMeasurement(MeasurementEffect):
         return replace(recording, tau=tau)
 
 
-def touched(scene: Scene, joint: Joint) -> list[int]:
+class ModelledTorque(TorqueMeasurement):
+    """One whose column is a function of the modelled torque: its law has one term."""
+
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+        """Evaluate the law of the torque as it should be."""
+        laws = self.laws(scene.robot, joint, settings)
+        assert laws is not None
+        law = next(iter(laws.values()))  # the same at every joint
+
+        def changed(tau: Array) -> Array:
+            values = {"tau": tau}
+            for name, memory in law.memories.items():
+                assert isinstance(memory, Late | Rate)
+                values[name] = memory.of_series(tau, scene.motion)
+            return law.of_values(values)
+
+        return of_modelled(scene, joint, changed)
+
+
+def touched(robot: Robot, joint: Joint) -> list[int]:
     """Joints that an effect of one joint, or of all, touches."""
-    return list(range(scene.robot.n)) if joint is None else [joint]
+    return list(range(robot.n)) if joint is None else [joint]
 
 
 def steady_change(scene: Scene, joint: Joint, seconds: float = 0.0) -> Columns:
     """Change of the torque of steady motion over `seconds`, SMALL_S at least, (N, 1) per second."""
-    motion, which = scene.motion, touched(scene, joint)
+    motion, which = scene.motion, touched(scene.robot, joint)
     seconds = seconds if abs(seconds) > SMALL_S else SMALL_S
     later = replace(scene, motion=replace(motion, q=motion.q + seconds * motion.dq))
     now, then = ((one.carried + one.friction)[:, which] for one in (scene, later))
@@ -71,7 +91,7 @@ def of_modelled(scene: Scene, joint: Joint, function: Callable[[Array], Array]) 
     motion that was low-passed once, friction has steps: what friction adds to the column is
     low-passed once here, so that one pass more treats both like measured torque.
     """
-    which = touched(scene, joint)
+    which = touched(scene.robot, joint)
     carried = scene.carried[:, which]
     smooth = function(carried)
     stepped = function(carried + scene.friction[:, which]) - smooth

@@ -10,10 +10,14 @@ a dynamic friction model with nonlinear viscous and thermal dependency for a mot
 drive gear", ICRA 2018.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.scene import Joint, Scenes
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 TAKEN = ((0.85, 1.15), (1.8, 2.2))  # exponents that go by other names
@@ -37,10 +41,9 @@ class NonlinearViscous(FrictionLaw):
         low = 0.0 if settings["exponent"] < 1.0 else -np.inf
         return (Coefficient("viscous_torque", "N m", low=low),)
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Power of the speed times direction."""
-        power = np.abs(scene.motion.dq[:, joint]) ** settings["exponent"]
-        return (power * scene.sign[:, joint])[:, None]
+        return {joint: Law(terms=("abs(dq) ** exponent * sign(dq)",), numbers=settings)}
 
     def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask for an exponent that is neither viscous friction's nor quadratic drag's."""

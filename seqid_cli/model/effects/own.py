@@ -7,17 +7,17 @@ Every X_k follows from the formula's text (`robot.formula`); nothing of it is ev
 
 import ast
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import entry_points
 
 import numpy as np
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Over, Setting, Settings
+from seqid_cli.model.effects.law import Law, factor_of
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
-from seqid_cli.robot.formula import FUNCTIONS, Formula, symbol_of
+from seqid_cli.robot.formula import Formula
 from seqid_cli.robot.types import OwnEffect, Robot
-from seqid_cli.typing import Array
 
 GROUP = "seqid.effects"  # of entry points
 GRID = 5  # values of a setting that are tried first
@@ -31,16 +31,6 @@ _MEASURE: Mapping[str, Over] = {
     "load": "load",
     "temperature": "temperature",
     "t": "session_time",
-}
-_FUNCTIONS = {
-    name: getattr(np, {"min": "minimum", "max": "maximum"}.get(name, name)) for name in FUNCTIONS
-}
-_OPERATORS: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
-    ast.Add: np.add,
-    ast.Sub: np.subtract,
-    ast.Mult: np.multiply,
-    ast.Div: np.divide,
-    ast.Pow: np.power,
 }
 
 
@@ -116,14 +106,16 @@ class FormulaEffect(Effect):
             for s in self.settings
         }
 
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
+        """Return what the formula has beside each of its coefficients."""
+        factors = [factor_of(self.formula.tree, c) for c in self.formula.coefficients]
+        terms = tuple(ast.unparse(factor) for factor in factors if factor is not None)
+        return {joint: Law(terms=terms, numbers=settings)}
+
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Evaluate every term; raises ConfigError where one is no finite number."""
-        names = self.formula.coefficients
-        X = np.empty((scene.samples, len(names)))
         with np.errstate(all="ignore"):
-            for k, own in enumerate(np.eye(len(names))):  # linear in its coefficients
-                numbers = {**settings, **dict(zip(names, own, strict=True))}
-                X[:, k] = _evaluated(self.formula.tree, scene, joint, numbers)
+            X = self.laws(scene.robot, joint, settings)[joint].columns(scene, joint)
         bad = len(X) - int(np.isfinite(X).all(axis=1).sum())
         if not bad:
             return {joint: X}
@@ -131,41 +123,3 @@ class FormulaEffect(Effect):
         message = f"effect {self.name!r}: {self.formula.text!r} is no finite number at {many}"
         hint = "Keep divisors and arguments of log and sqrt away from zero, as in abs(dq) + 0.01."
         raise ConfigError(message, where=str(scene.robot.source), hint=hint)
-
-
-def _evaluated(node: ast.expr, scene: Scene, joint: int, numbers: Settings) -> Array:
-    """Evaluate a tree that was checked, with `numbers` for its settings and coefficients."""
-
-    def of(part: ast.expr) -> Array:
-        return _evaluated(part, scene, joint, numbers)
-
-    match node:
-        case ast.Constant(value=value):
-            return np.asarray(float(value))  # type: ignore[arg-type]
-        case ast.Name(id=name):
-            return np.asarray(numbers[name] if name in numbers else _quantity(scene, joint, name))
-        case ast.UnaryOp(op=op, operand=inner):
-            return np.asarray((-1.0 if isinstance(op, ast.USub) else 1.0) * of(inner))
-        case ast.BinOp(left=left, op=op, right=right):
-            return np.asarray(_OPERATORS[type(op)](of(left), of(right)))
-        case ast.Call(func=ast.Name(id=name), args=[first, *more]):
-            if name == "sign" and isinstance(first, ast.Name) and first.id not in numbers:
-                symbol = symbol_of(first.id)
-                if symbol is not None and symbol.name == "dq":
-                    return scene.sign[:, joint if symbol.joint is None else symbol.joint]
-            return np.asarray(_FUNCTIONS[name](*map(of, [first, *more])))
-    raise AssertionError(ast.dump(node))
-
-
-def _quantity(scene: Scene, joint: int, name: str) -> Array:
-    """One quantity (N,) of the joint, or of the one that its name ends with."""
-    symbol = symbol_of(name)
-    assert symbol is not None
-    own = joint if symbol.joint is None else symbol.joint
-    if symbol.name == "t":
-        return scene.time
-    if symbol.name == "theta":
-        return np.asarray(scene.gear[own] * scene.angle[:, own])
-    holder = scene.motion if symbol.name in {"q", "dq", "ddq"} else scene
-    held = getattr(holder, "modelled" if symbol.name == "tau" else symbol.name)
-    return np.asarray(held[:, own])

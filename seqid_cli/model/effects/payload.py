@@ -11,10 +11,12 @@ inertial parameters of industrial manipulators", ICRA 2007.
 
 import numpy as np
 
+from seqid_cli.model.effects.declared import BodyTerm
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.robot.regressor import PER_LINK, torque_regressor
+from seqid_cli.robot.types import Robot
 
 
 class Payload(Effect):
@@ -35,6 +37,10 @@ class Payload(Effect):
     def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """From any log on."""
         return {"from_log": sorted({float(scene.log) for scene in scenes})}
+
+    def body_terms(self, robot: Robot, joint: Joint, settings: Settings) -> list[BodyTerm]:
+        """Return the parameters of the last link, one by one, as from `from_log` on."""
+        return [BodyTerm(last_link=unit) for unit in np.eye(PER_LINK)]
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Last link's columns of the regressor, for every joint."""

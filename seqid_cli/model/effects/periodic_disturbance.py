@@ -11,7 +11,7 @@ A line is not taken for a disturbance if the motion makes it: if it is missing i
 if its phase wanders, or if the modelled torque has a line there of comparable size.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -20,6 +20,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import periodogram
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
@@ -174,16 +175,27 @@ class PeriodicDisturbance(Effect):
             if coherence >= COHERENT and alike and np.median(left) > OF_MOTION * np.median(motion):
                 yield {"frequency": frequency, **fixed}
 
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
+        """Sine and cosine; nothing where every log has a phase of its own."""
+        logs = round(settings["clocks"])
+        frequency = settings["frequency"]
+        if logs:
+            note = f"a line of {frequency:.6g} Hz whose phase is another in every log: no torque"
+            return {joint: Law(terms=("0.0",) * (2 * logs), note=note)}
+        numbers = {"turning": 2.0 * np.pi * frequency}
+        terms = "sin(turning * t)", "cos(turning * t)"
+        return {joint: Law(terms=terms, numbers=numbers)}
+
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Sine and cosine; zero for a log whose phase is not known."""
         logs = round(settings["clocks"])
-        phase = 2.0 * np.pi * settings["frequency"] * scene.time
-        line = np.column_stack([np.sin(phase), np.cos(phase)])
-        if logs == 0:
-            return {joint: line if scene.shared_clock else np.zeros_like(line)}
-        wide = np.zeros((scene.samples, 2 * logs))
-        if 0 <= scene.log < logs and not scene.shared_clock:
-            wide[:, 2 * scene.log : 2 * scene.log + 2] = line
+        known = scene.shared_clock if logs == 0 else not scene.shared_clock
+        line = self.laws(scene.robot, joint, {**settings, "clocks": 0.0})[joint]
+        if logs == 0 and known:
+            return {joint: line.columns(scene, joint)}
+        wide = np.zeros((scene.samples, 2 * max(logs, 1)))
+        if 0 <= scene.log < logs and known:
+            wide[:, 2 * scene.log : 2 * scene.log + 2] = line.columns(scene, joint)
         return {joint: wide}
 
     def values(

@@ -8,13 +8,15 @@ holds it already. Popovic, Goldenberg, "Modeling of friction using spectral anal
 Robotics and Automation 14(1), 1998.
 """
 
+from collections.abc import Mapping
 from itertools import product
 
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
-from seqid_cli.model.effects.scene import Scene, Scenes, travel
-from seqid_cli.typing import Array
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.scene import Scenes, travel
+from seqid_cli.robot.types import Robot
 
 WAVES = (1.0, 2.0, 3.0, 5.0)  # per turn of the joint
 
@@ -50,9 +52,10 @@ class PositionDependentFriction(FrictionLaw):
         period = 2.0 * travel(scenes, joint) if slides else 2.0 * np.pi
         return {"period": (period,), "waves": WAVES}
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Direction of motion times cosines and sines."""
-        order = np.arange(1, round(settings["waves"]) + 1)
-        phase = 2.0 * np.pi / settings["period"] * np.outer(scene.motion.q[:, joint], order)
-        waves: Array = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
-        return scene.sign[:, [joint]] * waves
+        waves = range(1, round(settings["waves"]) + 1)
+        parts = {"turn": "rate * q", "way": "sign(dq)"}
+        terms = [f"way * {wave}({k} * turn)" for k, wave in product(waves, ("cos", "sin"))]
+        numbers = {"rate": 2.0 * np.pi / settings["period"]}
+        return {joint: Law(terms=tuple(terms), parts=parts, numbers=numbers)}

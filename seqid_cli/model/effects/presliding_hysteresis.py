@@ -14,15 +14,19 @@ model", Aerospace Corp. TOR-0158, 1968; Canudas de Wit, Olsson, Astrom, Lischins
 control of systems with friction", IEEE Trans. Autom. Control 40(3), 1995.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
-from seqid_cli.model.effects.scene import Scene, Scenes, travel
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.memory import Bristles
+from seqid_cli.model.effects.scene import Scenes, travel
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 DISTANCES = 11
 SHORTEST, LONGEST = 1e-4, 0.2  # of the joint's travel, at most of 1 rad
-NOTHING = 1e-30  # share of the past that is forgotten; keeps products out of the denormals
 
 
 class PreslidingHysteresis(FrictionLaw):
@@ -48,33 +52,12 @@ class PreslidingHysteresis(FrictionLaw):
         distances = np.maximum(np.geomspace(SHORTEST, LONGEST, DISTANCES) * scale, 1e-7)
         return {"presliding_distance": [float(x) for x in distances]}
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Deflection less the step that the base model has."""
-        x = deflection(scene.motion.q[:, joint], settings["presliding_distance"])
-        return (x - scene.sign[:, joint])[:, None]
+        bristles = Bristles(settings["presliding_distance"])
+        return {joint: Law(terms=("bristle - sign(dq)",), memories={"bristle": bristles})}
 
     def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask for friction that settles within the way: else it would be a spring."""
         settles = settings["presliding_distance"] < 0.5 * travel(scenes, joint)
         return settles and super().plausible(scenes, joint, settings, c)
-
-
-def deflection(q: Array, distance: float) -> Array:
-    """Deflection (N,) of Dahl's bristles as a share of their largest: within +-1, from 0 on.
-
-    Each sample maps the deflection before it affinely, x <- keep x + gain. Maps are composed by
-    doubling, in log2(N) sweeps over all samples, so there is no loop over time. Positions q (N,)
-    [rad] are taken as monotonic between samples; `distance` is z_max [rad].
-    """
-    way = np.diff(q, prepend=q[:1]) / distance
-    keep = np.exp(-np.abs(way))
-    gain = -np.sign(way) * np.expm1(-np.abs(way))
-    shift = 1
-    while shift < len(q):
-        gain[shift:] += keep[shift:] * gain[:-shift]
-        keep[shift:] = keep[shift:] * keep[:-shift]
-        keep[keep < NOTHING] = 0.0
-        if not keep[shift:].any():
-            break
-        shift *= 2
-    return np.asarray(np.clip(gain, -1.0, 1.0))  # rounding

@@ -6,11 +6,12 @@ c [N m s^2/rad^2] is the drag coefficient. Kermani, Patel, Moallem, "Friction id
 compensation in robotic manipulators", IEEE Trans. Instrum. Meas. 56(6), 2007.
 """
 
-import numpy as np
+
+from collections.abc import Mapping
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Settings
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.typing import Array
+from seqid_cli.model.effects.law import Law
+from seqid_cli.robot.types import Robot
 
 
 class QuadraticDrag(FrictionLaw):
@@ -26,7 +27,6 @@ class QuadraticDrag(FrictionLaw):
         "limit to the limit; repeated after ten minutes of motion"
     )
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Speed times velocity."""
-        v = scene.motion.dq[:, joint]
-        return (v * np.abs(v))[:, None]
+        return {joint: Law(terms=("dq * abs(dq)",))}

@@ -10,9 +10,14 @@ Murphy, Wen, Saridis, "Simulation and analysis of flexibly jointed manipulators"
 Rotor1D.
 """
 
+import numpy as np
+
+from seqid_cli.model.effects.declared import BodyTerm
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.regressor import rotor_regressor
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
@@ -49,6 +54,13 @@ class RotorInertia(Effect):
         if settings["coupling"] > 0.5:
             return bool(c[0] >= 0.0)
         return known is None or bool(c[0] >= -known)
+
+    def body_terms(self, robot: Robot, joint: int, settings: Settings) -> list[BodyTerm]:
+        """Return the armature, or the rotor that turns the link before the joint."""
+        gear, own = gear_ratios(robot), np.eye(robot.n)[joint]
+        if settings["coupling"] <= 0.5:
+            return [BodyTerm(armature=gear**2 * own)]
+        return [BodyTerm(rotor=np.where(robot.chain.prismatic, 0.0, gear * own))]
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Acceleration times the square of the gear ratio, or the couplings alone."""

@@ -11,10 +11,12 @@ compensators see Klimchik et al., "Identification of geometrical and elastostati
 heavy industrial robots", ICRA 2013.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.effect import Coefficient, Effect, Setting, Settings
+from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -43,13 +45,12 @@ class Spring(Effect):
             return (*linear, Coefficient("cubic_stiffness", "N m/rad^3"), squared)
         return linear
 
-    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Position, one, its cube and its square."""
-        q = scene.motion.q[:, joint]
-        terms = [q, np.ones_like(q)]
+        terms: tuple[str, ...] = ("q", "1.0")
         if settings["cubic"] > 0.5:
-            terms += [q**3, q**2]
-        return {joint: np.stack(terms, axis=1)}
+            terms += ("q * q * q", "q * q")
+        return {joint: Law(terms=terms)}
 
     def values(
         self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array

@@ -8,11 +8,15 @@ Canudas de Wit, "A survey of models, analysis tools and compensation methods for
 machines with friction", Automatica 30(7), 1994.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
-from seqid_cli.model.effects.scene import Scene, Scenes, top_speed
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.scene import Scenes, top_speed
 from seqid_cli.model.friction import SLIDES
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 ABOVE = 1.5  # times the speed from which samples count
@@ -46,10 +50,10 @@ class Stribeck(FrictionLaw):
         speeds = np.clip(np.geomspace(slow, FASTEST_SHARE * top, SPEEDS), 1e-6, 100.0)
         return {"stribeck_speed": [float(x) for x in speeds], "exponent": EXPONENTS}
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Hump times direction."""
-        ratio = np.abs(scene.motion.dq[:, joint]) / settings["stribeck_speed"]
-        return (np.exp(-(ratio ** settings["exponent"])) * scene.sign[:, joint])[:, None]
+        term = "exp(-((abs(dq) / stribeck_speed) ** exponent)) * sign(dq)"
+        return {joint: Law(terms=(term,), numbers=settings)}
 
     def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask for more friction at low speed, and that the hump ends within the speeds seen.

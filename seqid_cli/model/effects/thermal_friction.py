@@ -13,11 +13,15 @@ modeling and identification of load and temperature effects", J. Dyn. Sys. Meas.
 2012.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
+from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, session
 from seqid_cli.model.effects.smooth import Axis
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 LEAST_KELVIN = 2.0  # of change, below which a logged temperature says nothing
@@ -80,13 +84,14 @@ class ThermalFriction(FrictionLaw):
             "reference_temperature": [_reference(scenes, joint) if logged else 0.0],
         }
 
-    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Direction and velocity, each times the temperature or the warm-up."""
+        heat = "exp(-t / warm_up_time)"
         if settings["logged"]:
-            heat = _celsius(scene, joint) - settings["reference_temperature"]
-        else:
-            heat = np.exp(-scene.time / settings["warm_up_time"])
-        return heat[:, None] * np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
+            heat = "temperature - reference_temperature"
+        terms = "heat * sign(dq)", "heat * dq"
+        return {joint: Law(terms=terms, parts={"heat": heat}, numbers=settings)}
+
 
 
 def _celsius(scene: Scene, joint: int) -> Array:

@@ -12,18 +12,14 @@ A delay and a lag agree to first order and part in the second, d^2/2 against T^2
 derivative.
 """
 
-import numpy as np
-from scipy.ndimage import shift
+from collections.abc import Mapping
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
-from seqid_cli.model.effects.measurement import (
-    SMALL_S,
-    TorqueMeasurement,
-    of_modelled,
-    steady_change,
-)
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.measurement import SMALL_S, ModelledTorque, steady_change, touched
+from seqid_cli.model.effects.memory import Late, Rate, delayed
 from seqid_cli.model.effects.scene import Joint, Scene
-from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 LARGEST_S = 0.1
@@ -31,7 +27,7 @@ LARGEST_S = 0.1
 CONSISTENT = 1.5  # ratio of d to d_0 beyond which the column does not belong to the coefficient
 
 
-class TimeSkew(TorqueMeasurement):
+class TimeSkew(ModelledTorque):
     """Modelled torque, shifted, minus itself; of one joint, or one delay of all (joint None)."""
 
     name = "time_skew"
@@ -46,12 +42,15 @@ class TimeSkew(TorqueMeasurement):
         "log a common trigger"
     )
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
         """Change of the modelled torque per second of delay."""
-        rate, valid, around = scene.motion.rate_hz, scene.motion.valid, settings["around"]
-        if abs(around) < SMALL_S:
-            return of_modelled(scene, joint, lambda tau: -differentiate(tau, rate, valid)[0])
-        return of_modelled(scene, joint, lambda tau: (delayed(tau, around, rate) - tau) / around)
+        around = settings["around"]
+        law = Law(terms=("-tau_rate",), memories={"tau_rate": Rate("tau")})
+        if abs(around) >= SMALL_S:
+            memories = {"tau_late": Late(around)}
+            terms = ("(tau_late - tau) / around",)
+            law = Law(terms=terms, numbers=settings, memories=memories)
+        return dict.fromkeys(touched(robot, joint), law)
 
     def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """The same from the torque a little earlier on the way."""
@@ -60,10 +59,3 @@ class TimeSkew(TorqueMeasurement):
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Shift back."""
         return delayed(tau, -float(c[0]), rate_hz)
-
-
-def delayed(values: Array, delay_s: float, rate_hz: float) -> Array:
-    """Values (N, k) as they were `delay_s` before, held at the ends, by cubic splines."""
-    if not len(values):
-        return values.copy()
-    return np.asarray(shift(values, (delay_s * rate_hz, 0.0), order=3, mode="nearest"))

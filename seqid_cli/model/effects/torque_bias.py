@@ -6,11 +6,13 @@ A [N m] is there in every state, at rest too. On a joint whose range is small it
 same as a gravity parameter.
 """
 
-import numpy as np
+from collections.abc import Mapping
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
+from seqid_cli.model.effects.effect import Coefficient, Settings
+from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.measurement import TorqueMeasurement, touched
-from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.model.effects.scene import Joint
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
@@ -27,9 +29,9 @@ class TorqueBias(TorqueMeasurement):
         "slow sweep over the joint's whole range"
     )
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """Ones."""
-        return {j: np.ones((scene.samples, 1)) for j in touched(scene, joint)}
+    def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
+        """Return ones."""
+        return dict.fromkeys(touched(robot, joint), Law(terms=("1.0",)))
 
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Subtract the offset."""

@@ -7,13 +7,17 @@ invisible: it scales every inertial parameter. Gautier, Briot, "New method for g
 of the joint drive gains of robots using a known payload mass", IROS 2011.
 """
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
-from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
-from seqid_cli.model.effects.scene import Joint, Scene
+from collections.abc import Mapping
+
+from seqid_cli.model.effects.effect import Coefficient, Settings
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.measurement import ModelledTorque, touched
+from seqid_cli.model.effects.scene import Joint
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
-class TorqueConstant(TorqueMeasurement):
+class TorqueConstant(ModelledTorque):
     """Torque in proportion to the modelled one."""
 
     name = "torque_constant"
@@ -25,9 +29,9 @@ class TorqueConstant(TorqueMeasurement):
         "the known mass fixes the absolute gain of each joint that carries it"
     )
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """Modelled torque."""
-        return of_modelled(scene, joint, lambda tau: tau)
+    def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
+        """Return the modelled torque."""
+        return dict.fromkeys(touched(robot, joint), Law(terms=("tau",)))
 
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Divide by the factor, unless it is no factor at all."""

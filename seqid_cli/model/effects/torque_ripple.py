@@ -21,7 +21,7 @@ Piccoli, Yim, "Anticogging: torque ripple suppression, modeling, and parameter s
 Mech. Des. 123(1), 2001.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -29,8 +29,11 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from scipy.optimize import minimize_scalar
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Scene, Scenes
+from seqid_cli.robot.base_parameters import gear_ratios
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 BINS_PER_CYCLE = 4
@@ -149,6 +152,7 @@ def _refined(profile: Profile, order: float, width: float) -> float:
 
 
 LAWS = ("constant", "torque", "direction", "load")
+SCALES = ("", "tau * ", "sign(dq) * ", "load * ")  # of the ripple, by law
 PEAKS = 4  # per law
 USUAL = (1.0, 2.0)  # cycles per motor turn: eccentricity of the drive, a strain wave's two lobes
 LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
@@ -219,11 +223,16 @@ class TorqueRipple(Effect):
             return whole
         return order
 
-    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Sine and cosine of the angle, times the law's multiplier."""
-        p = settings["order"] * scene.gear[joint] * _angle(scene, joint, settings["lag"])
-        m = multiplier(scene, joint, int(settings["law"]))
-        return {joint: np.stack([m * np.sin(p), m * np.cos(p)], axis=1)}
+        parts = {"turn": "order * theta"}
+        if settings["lag"]:
+            parts["turn"] = "order * (theta - lag * gear * dq)"
+        scale = SCALES[int(settings["law"])]
+        terms = tuple(f"{scale}{wave}(turn)" for wave in ("sin", "cos"))
+        numbers = {**settings, "gear": float(gear_ratios(robot)[joint])}
+        return {joint: Law(terms=terms, parts=parts, numbers=numbers)}
+
 
 
 def _profiles(

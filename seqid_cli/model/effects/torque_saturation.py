@@ -12,18 +12,22 @@ The cubic law is the first term of any saturation that is odd in the current. Pi
 Appl. 25(2), 1989, has the linear law that it departs from.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, GridAxes, Setting, Settings
-from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.effect import Coefficient, GridAxes, Setting, Settings
+from seqid_cli.model.effects.law import Law
+from seqid_cli.model.effects.measurement import ModelledTorque, touched
+from seqid_cli.model.effects.scene import Joint, Scenes
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 LOSSES_AT_PEAK = (0.0, 0.1)  # b_0 tau_peak^2
 CONSISTENT = 4.0  # ratio of b to b_0 beyond which the column does not belong to the coefficient
 
 
-class TorqueSaturation(TorqueMeasurement):
+class TorqueSaturation(ModelledTorque):
     """Torque constant that falls with the square of the current."""
 
     name = "torque_saturation"
@@ -44,9 +48,17 @@ class TorqueSaturation(TorqueMeasurement):
         peak = max(float(np.max(torque, initial=0.0)) for torque in seen)
         return {"around": [loss / peak**2 for loss in LOSSES_AT_PEAK] if peak > 0.0 else [0.0]}
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """Measured minus true torque per unit of b."""
-        return of_modelled(scene, joint, lambda tau: _excess(tau, settings["around"]))
+    def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
+        """Measured minus true torque per unit of b; beyond the law's largest torque it is held."""
+        law = Law(terms=("tau * tau * tau",))
+        b = settings["around"]
+        if b > 0.0:
+            numbers = {"root": float(np.sqrt(3.0 * b))}
+            parts = {"x": "min(max(1.5 * root * tau, -1.0), 1.0)"}
+            parts["measured"] = "2.0 * sin(asin(x) / 3.0) / root"
+            # The same as (measured - true) / b, which loses its digits where both are small.
+            law = Law(terms=("measured * measured * measured",), parts=parts, numbers=numbers)
+        return dict.fromkeys(touched(robot, joint), law)
 
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Apply the law, held where it would fall again."""
@@ -54,14 +66,3 @@ class TorqueSaturation(TorqueMeasurement):
         top = 1.0 / np.sqrt(3.0 * b) if b > 0.0 else np.inf
         held = np.clip(tau, -top, top)
         return np.asarray(held * (1.0 - b * held**2))
-
-
-def _excess(tau: Array, b: float) -> Array:
-    """Measured minus true torque per unit of b; beyond the law's largest torque it is held."""
-    x = 1.5 * np.sqrt(3.0 * b) * tau
-    if b == 0.0 or np.max(np.abs(x), initial=0.0) < 1e-4:
-        return np.asarray(tau**3)
-    inside = np.clip(x, -1.0, 1.0)
-    measured = 2.0 / np.sqrt(3.0 * b) * np.sin(np.arcsin(inside) / 3.0)
-    true = inside / (1.5 * np.sqrt(3.0 * b))
-    return np.asarray((measured - true) / b)

@@ -21,11 +21,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, top_speed
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import slowest_near
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 RATIOS = (-1.0, -0.4, -0.15, 0.15, 0.4, 1.0)
@@ -72,15 +74,21 @@ class TransmissionCoupling(Effect):
         """Return the neighbour's velocity."""
         return Axis("velocity", joint + int(settings["neighbour"]))
 
-    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """What direction, rate and acceleration of the combination add, on both joints."""
-        partner, ratio, width = _drive(scene, joint, settings)
-        pair = [joint, partner]
-        own, other = np.stack([scene.motion.dq[:, pair], scene.motion.ddq[:, pair]]).T
-        both = own + ratio * other
-        drive = np.column_stack([np.tanh(both[:, 0] / width), both])
-        already = np.column_stack([scene.sign[:, joint], own])
-        return {joint: drive - already, partner: ratio * drive}
+        k, partner = joint + 1, joint + int(settings["neighbour"])
+        parts = {
+            "u": f"dq_{k} + ratio * dq_{partner + 1}",
+            "du": f"ddq_{k} + ratio * ddq_{partner + 1}",
+            "width": f"sqrt(sign_width_{k} ** 2 + (ratio * sign_width_{partner + 1}) ** 2)",
+            "way": "tanh(u / width)",
+        }
+        own = f"way - sign(dq_{k})", f"u - dq_{k}", f"du - ddq_{k}"
+        other = "ratio * way", "ratio * u", "ratio * du"
+        return {
+            joint: Law(terms=own, parts=parts, numbers=settings),
+            partner: Law(terms=other, parts=parts, numbers=settings),
+        }
 
     def guessed(self, scene: Scene, joint: int, settings: Settings) -> Mapping[int, Mask]:
         """Where the drive sticks, though both joints move."""

@@ -12,8 +12,9 @@ from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.gear_efficiency import GearEfficiency
 from seqid_cli.model.effects.gear_load import ROTOR as REFLECTED
 from seqid_cli.model.effects.load_dependent_friction import LoadDependentFriction
+from seqid_cli.model.effects.memory import deflection
 from seqid_cli.model.effects.nonlinear_viscous import NonlinearViscous
-from seqid_cli.model.effects.presliding_hysteresis import PreslidingHysteresis, deflection
+from seqid_cli.model.effects.presliding_hysteresis import PreslidingHysteresis
 from seqid_cli.model.effects.quadratic_drag import QuadraticDrag
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.stribeck import Stribeck

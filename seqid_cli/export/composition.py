@@ -1,0 +1,176 @@
+"""What exported code composes torque of: the model without effects, and lines of effects.
+
+`predict` adds effects to a model that knows nothing of them (`model.effects.apply`): each sees the
+load and the torque of the `BaseModel`. Exported code does the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.model.effects.effect import Effect
+from seqid_cli.model.effects.fitted import Fitted, FittedEffect
+from seqid_cli.model.effects.scene import DEFAULT_SIGN_SHARE
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.robot.base_parameters import gear_ratios
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+
+USUAL_TOP_SPEED = 1.0  # rad/s, of a joint whose friction and speed limit are not known
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseModel:
+    """The model without effects, as `predict` has it; what effects see.
+
+    Attributes
+    ----------
+    links : (n, 10) array
+        Standard parameters, zero without a rigid-body stage.
+    armature : (n,) array
+        Inertias of rotors as the joints feel them, kg m^2.
+    rotor : (n,) array
+        Gear ratio times rotor inertia where rotors turn the links before their joints, else zero.
+    sign_width : (n,) array
+        Speeds over which the direction of motion changes, rad/s.
+    delays_s : (n,) array
+        By which the logged torque is late against the positions, s.
+    """
+
+    links: Array
+    armature: Array
+    rotor: Array
+    sign_width: Array
+    delays_s: Array
+
+    @classmethod
+    def of_model(cls, model: TorqueModel) -> BaseModel:
+        """Return the numbers of a model."""
+        robot, n = model.robot, model.robot.n
+        gear = gear_ratios(robot)
+        rotor = np.zeros(n) if model.rotor is None else model.rotor
+        turning = model.coupling == "gyroscopic"
+        widths = [
+            DEFAULT_SIGN_SHARE * (joint.velocity_limit or USUAL_TOP_SPEED)
+            if surface is None
+            else surface.sign_width
+            for joint, surface in zip(robot.joints, model.surfaces, strict=True)
+        ]
+        return cls(
+            links=np.zeros((n, 10)) if model.phi is None else model.phi,
+            armature=np.asarray(gear**2 * rotor),
+            rotor=np.where(robot.chain.prismatic, 0.0, turning * gear * rotor),
+            sign_width=np.array(widths),
+            delays_s=np.zeros(n) if model.delays_s is None else model.delays_s,
+        )
+
+
+@dataclass(kw_only=True)
+class Code:
+    """Effects as lines of one language, and what of the file they need.
+
+    Attributes
+    ----------
+    instant : list of str
+        Lines that add to `tau` what follows from the motion of the instant.
+    session : list of str
+        Lines that add what needs a temperature, the time or a memory.
+    waves : list of str
+        Lines that add up the errors of encoders in `x`, `v` and `a`.
+    deviations : list of str
+        Lines that add up the twists and plays of gears there.
+    inertias : list of int
+        Joints whose links' inertia the deviations take.
+    bristles : int
+        How many deflections of bristles the state holds.
+    twisted : list of int
+        Joints of the twists that it holds.
+    played : list of (int, float)
+        Joints of the gears with backlash, and half their gaps, rad.
+    wavy : list of int
+        Joints whose friction feels the error of their encoder.
+    based : bool
+        Whether anything needs the load or the torque without effects.
+    rates : bool
+        Whether the torque of the last steps is kept.
+    longest_s : float
+        The longest delay that torque is kept for, 0 where none is.
+    splines : bool
+        Whether smooth terms are among them.
+    armature, rotor, gravity : array
+        What effects add to the rigid body: see `BodyTerm`.
+    """
+
+    instant: list[str] = field(default_factory=list)
+    session: list[str] = field(default_factory=list)
+    waves: list[str] = field(default_factory=list)
+    deviations: list[str] = field(default_factory=list)
+    inertias: list[int] = field(default_factory=list)
+    bristles: int = 0
+    rates: bool = False
+    longest_s: float = 0.0
+    splines: bool = False
+    armature: Array
+    rotor: Array
+    gravity: Array
+    based: bool = False
+    twisted: list[int] = field(default_factory=list)
+    played: list[tuple[int, float]] = field(default_factory=list)
+    wavy: list[int] = field(default_factory=list)
+
+    @property
+    def twists(self) -> int:
+        """How many twists the state holds."""
+        return len(self.twisted)
+
+    @property
+    def plays(self) -> int:
+        """How many gears with backlash the state holds."""
+        return len(self.played)
+
+    @property
+    def moved(self) -> bool:
+        """Whether links deviate from where their encoders say."""
+        return bool(self.waves or self.deviations)
+
+
+def is_timing(effect: Effect) -> bool:
+    """Whether an effect shapes the logged torque in time, which a feed-forward does not want."""
+    return effect.family == "measurement" and effect.timing
+
+
+def lags_of(effects: Sequence[Fitted], base: BaseModel) -> list[str]:
+    """Say what shapes the logged torque in time."""
+    laws = [item.effect for item in effects if isinstance(item, FittedEffect)]
+    named = dict.fromkeys(effect.name for effect in laws if is_timing(effect))
+    late = ["late against the positions"] if base.delays_s.any() else []
+    return [*late, *(f"shaped by {name}" for name in named)]
+
+
+def refuse_without_law(item: FittedEffect, robot: Robot) -> None:
+    """Raise ConfigError if an effect says nothing that code can be written from."""
+    effect, at = item.effect, (robot, item.joint, item.settings)
+    said = (effect.laws(*at), effect.deviation(*at), effect.body_terms(*at))
+    if any(part is not None for part in said) and _columns_are_of_the_law(type(effect)):
+        return
+    place = robot.name_of(item.joint) or "all joints"
+    message = f"effect {effect.name!r} ({place}) declares no law that code can be written from"
+    hint = "Give its class `laws` (docs/own_effects.md), or export a form that leaves effects out:"
+    raise ConfigError(
+        message, where=str(robot.source), hint=f"{hint} URDF, MJCF, ROS 2."
+    )
+
+
+def _columns_are_of_the_law(kind: type[Effect]) -> bool:
+    """Whether no class has columns of its own beside a law that it only inherits."""
+    declaring = ("laws", "deviation", "body_terms")
+    for each in kind.__mro__:
+        if any(name in vars(each) for name in declaring):
+            return True
+        if "columns" in vars(each):
+            return False
+    return False

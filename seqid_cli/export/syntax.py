@@ -1,0 +1,143 @@
+"""How terms of laws are written in C99 and in Python with numpy: the same text but for this."""
+
+import ast
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from seqid_cli.export.text import real
+from seqid_cli.model.effects.law import direction_of
+
+Named = Callable[[str], str]  # the text that stands for a name, "sign(dq)" among them
+
+_OPERATORS: Mapping[type[ast.operator], str] = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Syntax:
+    """A language that code is exported in.
+
+    Attributes
+    ----------
+    functions : mapping
+        What the functions of a term are called, and `power`.
+    helper : str
+        What stands before the names of functions that the file itself has.
+    state : str
+        What stands before the fields of the state.
+    let, comment, end : str
+        How a value gets its name, how a comment begins, how a statement and a comment end.
+    braces : bool
+        Whether blocks stand in braces, or are indented alone.
+    known, also : str
+        Whether a temperature was given and is a number; how two conditions are joined.
+    """
+
+    functions: Mapping[str, str]
+    helper: str
+    state: str
+    let: str
+    comment: tuple[str, str]
+    end: str
+    braces: bool
+    known: str
+    also: str
+
+    def term(self, tree: ast.expr, named: Named) -> str:
+        """Write a tree; operations within others stand in brackets."""
+        text = self.factor(tree, named)
+        return (
+            text[1:-1] if isinstance(tree, ast.BinOp) and text.startswith("(") else text
+        )
+
+    def factor(self, tree: ast.expr, named: Named) -> str:
+        """Write a tree as it can stand within another, in brackets if it is an operation."""
+        direction = direction_of(tree)
+        if direction is not None:
+            return named(f"sign({direction})")
+        match tree:
+            case ast.Constant(value=value):
+                return real(float(value))  # type: ignore[arg-type]
+            case ast.Name(id=name):
+                return named(name)
+            case ast.UnaryOp(op=ast.USub(), operand=inner):
+                text = self.factor(inner, named)
+                return f"(-({text}))" if text.startswith("-") else f"(-{text})"
+            case ast.UnaryOp(operand=inner):
+                return self.factor(inner, named)
+            case ast.BinOp(left=left, op=ast.Pow(), right=right):
+                base, exponent = self.factor(left, named), self.factor(right, named)
+                return self.call("power", base, exponent)
+            case ast.BinOp(left=left, op=op, right=right):
+                first, second = self.factor(left, named), self.factor(right, named)
+                return f"({first} {_OPERATORS[type(op)]} {second})"
+            case ast.Call(func=ast.Name(id=name), args=arguments):
+                return self.call(name, *(self.term(each, named) for each in arguments))
+        raise AssertionError(ast.dump(tree))
+
+    def call(self, name: str, *arguments: str) -> str:
+        """Write the call of a function of terms, or of one that the file has."""
+        function = self.functions.get(name, f"{self.helper}{name}")
+        return f"{function}({', '.join(arguments)})"
+
+    def value(self, name: str, text: str) -> str:
+        """Give a value a name."""
+        return f"{self.let}{name} = {text}{self.end}"
+
+    def statement(self, text: str) -> str:
+        """Write a statement."""
+        return f"{text}{self.end}"
+
+    def block(self, title: str, lines: Sequence[str], condition: str = "") -> list[str]:
+        """Write lines under a comment, and under a condition if there is one."""
+        before, behind = self.comment
+        if self.braces:
+            opening = f"if ({condition}) {{" if condition else "{"
+            inner = [f"    {line}" for line in lines]
+            return [f"{opening} {before}{title}{behind}", *inner, "}"]
+        if condition:
+            return [
+                f"if {condition}:  {before}{title}",
+                *(f"    {line}" for line in lines),
+            ]
+        return [f"{before}{title}", *lines]
+
+
+def c99(prefix: str) -> Syntax:
+    """Return C99, for functions that begin with a prefix."""
+    names = ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "asin")
+    functions = {name: name for name in names}
+    functions |= {"abs": "fabs", "min": "fmin", "max": "fmax", "power": "pow"}
+    return Syntax(
+        functions=functions,
+        helper=f"{prefix}_seqid_",
+        state="s->",
+        let="const double ",
+        comment=("/* ", " */"),
+        end=";",
+        braces=True,
+        known="temperature && isfinite(temperature[{j}])",
+        also="&&",
+    )
+
+
+def python() -> Syntax:
+    """Return Python with numpy."""
+    names = ("abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "power")
+    functions = {name: f"np.{name}" for name in names}
+    functions |= {"min": "np.minimum", "max": "np.maximum", "asin": "np.arcsin"}
+    return Syntax(
+        functions=functions,
+        helper="_",
+        state="self.",
+        let="",
+        comment=("# ", ""),
+        end="",
+        braces=False,
+        known="temperature is not None and np.isfinite(temperature[{j}])",
+        also="and",
+    )

@@ -1,0 +1,50 @@
+"""What effects declare that is no formula: links that deviate, bodies and gravity that change."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from seqid_cli.typing import Array
+
+
+@dataclass(frozen=True)
+class Twist:
+    """The link lags by the twist of a spring and damper, per unit of compliance.
+
+    `stiffness` N m/rad and `damping_ratio`, of critical, shape it.
+    """
+
+    stiffness: float
+    damping_ratio: float
+
+
+@dataclass(frozen=True)
+class Play:
+    """The link flies from flank to flank of a `gap` rad, per unit of it."""
+
+    gap: float
+
+
+@dataclass(frozen=True)
+class Wave:
+    """The measured angle is wrong by sine and cosine of `rate` times itself; rotors feel it too."""
+
+    rate: float
+
+
+Deviation = Twist | Play | Wave
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyTerm:
+    """What one coefficient changes in the rigid body, per unit of it; a torque linear in each.
+
+    `last_link` (10,) standard parameters added to the last link, `armature` (n,) kg m^2 and
+    `rotor` (n,) kg m^2, gear ratio times rotor inertia that turns the link before its joint;
+    `gravity` (3,) m/s^2 in the base frame, which the links feel besides.
+    """
+
+    last_link: Array = field(default_factory=lambda: np.zeros(10))
+    armature: Array | None = None
+    rotor: Array | None = None
+    gravity: Array = field(default_factory=lambda: np.zeros(3))

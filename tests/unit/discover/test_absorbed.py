@@ -28,8 +28,8 @@ SAMPLES = ROOT / "sample_logs"
 ORDERS = FrictionOptions(position_order=4, velocity_order=3)
 SLOWEST, FASTEST = 0.4, 3.0  # rad/s, between the trials' slowest and fastest
 ONE, LIFT = ("one_joint", "joint_1"), ("six_joint", "shoulder_lift")
-# Stage; sample robot and joint; settings; coefficients; how well friction is known. Gravity is known
-# as well as its stage says.
+# Stage; sample robot and joint; settings; coefficients; how well friction is known. Gravity is
+# known as well as its stage says.
 EFFECTS = {
     "stribeck": ("friction", ONE, {"stribeck_speed": 0.6, "exponent": 2.0}, (0.01,), 0.05),
     "nonlinear_viscous": ("friction", ONE, {"exponent": 0.5}, (0.01,), 0.05),

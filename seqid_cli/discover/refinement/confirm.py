@@ -1,15 +1,15 @@
 """What held-out logs say of a refinement: opened after the last decision on the logs to fit.
 
 They choose no effect, no setting and no value. By a rule that is fixed beforehand they take out
-what they do not confirm: the round of the smallest gain among those whose gain is not certainly
-more than nothing, as long as there is one. What was added after it is then fitted again to the logs
-to fit, on top of a model that never had the effect, and measured again. So every effect that stays
-is confirmed beside those that stay, and the error after is that of the model that is written.
+what they do not confirm: the effect of the smallest gain among those whose gain is not certainly
+more than nothing, as long as there is one. The rest of its round and what was added after it are
+then fitted again to the logs to fit, on top of a model that never had the effect, and measured
+again. So every effect that stays is confirmed beside those that stay, and the error after is that
+of the model that is written.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 from msgspec import structs
@@ -67,8 +67,8 @@ def confirm(
     Returns
     -------
     Confirmed
-        Each round's gain is beside the model before it, and is confirmed where that is certainly
-        more than nothing.
+        Each effect's gain is beside the model before its round, with the round's other effects; it
+        is confirmed where that is certainly more than nothing.
 
     Raises
     ------
@@ -138,13 +138,14 @@ class _Errors:
         """Squared errors of the stages of a file."""
         return self._of(stages, stages)
 
-    def all_of(self, came: Stages, models: Sequence[Refitted]) -> list[HeldOutError]:
-        """Squared errors of models, of which all are on the same samples."""
-        while True:
+    def measure(self, came: Stages, models: Sequence[Refitted]) -> None:
+        """Measure models beforehand, so that all are measured on the same samples."""
+        pieces = None
+        while pieces != self._pieces:  # the first that needs pieces has the others measured again
             pieces = self._pieces
-            found = [self.of(came), *map(self.of_model, models)]
-            if pieces == self._pieces:
-                return found
+            self.of(came)
+            for model in models:
+                self.of_model(model)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -178,24 +179,21 @@ def _settled(
     steps, taken_out = list(found.steps), list[RefinementRound]()
     while True:
         steps = _measured(found, steps, errors)
-        unsure = [number for number, step in enumerate(steps) if _unconfirmed(step)]
+        unsure = [
+            (number, told)
+            for number, step in enumerate(steps)
+            for told in step.rounds
+            if not told.confirmed
+        ]
         if keep_unconfirmed or not unsure:
             return steps, taken_out
 
-        number = min(unsure, key=lambda k: min(map(_gain, _unconfirmed(steps[k]))))
-        gone = _unconfirmed(steps[number])
-        taken_out += [structs.replace(told, reason=_why(told)) for told in gone]
-        rest = steps[number].without(gone)
+        # One at a time: what stands in for another one is confirmed once that is gone.
+        number, weakest = min(unsure, key=lambda pair: pair[1].held_out_gain or 0.0)
+        taken_out.append(structs.replace(weakest, reason=_why(weakest)))
+        rest = steps[number].without(weakest)
         later = steps[number + 1 :] if rest is None else [rest, *steps[number + 1 :]]
         steps = found.fitted_again(steps[:number], later)
-
-
-def _unconfirmed(step: Step) -> list[RefinementRound]:
-    return [told for told in step.rounds if not told.confirmed]
-
-
-def _gain(told: RefinementRound) -> float:
-    return 0.0 if told.held_out_gain is None else told.held_out_gain
 
 
 def _why(told: RefinementRound) -> str:
@@ -211,16 +209,17 @@ def _measured(found: Refinement, steps: Sequence[Step], errors: _Errors) -> list
         return []
 
     robot = found.material.robot
-    models = [found.without(steps), *(step.model for step in steps)]
-    _, *of_models = errors.all_of(found.came, models)
+    start = found.without(steps)
+    errors.measure(found.came, [start, *(model for step in steps for model in step.models)])
     measured = []
-    for step, (before, after) in zip(steps, pairwise(of_models), strict=True):
+    for step, last in zip(steps, [start, *(step.model for step in steps)], strict=False):
         rounds = []
-        for told in step.rounds:
+        befores = step.beside or (last,) * len(step.rounds)
+        for told, before in zip(step.rounds, befores, strict=True):
             joints = range(robot.n)
             if told.joint is not None:
                 joints = range(at := robot.joint_names.index(told.joint), at + 1)
-            change = gain(before, after, joints)
+            change = gain(errors.of_model(before), errors.of_model(step.model), joints)
             rounds.append(
                 structs.replace(
                     told,

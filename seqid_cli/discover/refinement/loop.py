@@ -40,7 +40,8 @@ class Step:
     """What one round has added, and the model with it.
 
     A round adds one effect, at one joint or at several; or a smooth term. `rounds` tells of each
-    effect in the order of `effects`. `kept`: the stages stayed as they were in the fit.
+    effect in the order of `effects`. `kept`: the stages stayed as they were in the fit. Of several
+    effects `beside` has, in the same order, the model with the others of the round alone.
     """
 
     rounds: tuple[RefinementRound, ...]
@@ -48,21 +49,26 @@ class Step:
     smooth: SmoothFunction | None = None
     kept: bool
     model: Refitted
+    beside: tuple[Refitted, ...] = ()
 
-    def without(self, gone: Sequence[RefinementRound]) -> Step | None:
-        """Return the step without some of its effects; None if none is left.
+    @property
+    def models(self) -> tuple[Refitted, ...]:
+        """The model with the round, and those without one of its effects."""
+        return (self.model, *self.beside)
 
-        Its model is as it was: `again` fits the step to what is left.
+    def without(self, gone: RefinementRound) -> Step | None:
+        """Return the step without one of its effects; None if none is left.
+
+        Its models are as they were: `again` fits the step to what is left.
         """
-        left = [number for number, told in enumerate(self.rounds) if told not in gone]
+        left = [number for number, told in enumerate(self.rounds) if told is not gone]
         if not left:
             return None
 
-        effects = tuple(self.effects[number] for number in left) if self.effects else ()
         return replace(
             self,
             rounds=tuple(self.rounds[number] for number in left),
-            effects=effects,
+            effects=tuple(self.effects[number] for number in left),
         )
 
     def again(self, material: Material, before: Refitted) -> Step:
@@ -71,15 +77,21 @@ class Step:
             term = fitted_smooth(material, before, self.smooth)
             return replace(self, model=replace(before, effects=(*before.effects, term)))
 
-        late = {effect.key for effect in self.effects} & self.model.late
-        model = refitted(
-            material,
-            before,
-            (*before.candidates, *self.effects),
-            late=before.late | late,
-            kept=self.kept,
-        )
-        return replace(self, model=model)
+        late = self.model.late
+
+        def fitted(effects: Sequence[Candidate]) -> Refitted:
+            return refitted(
+                material,
+                before,
+                (*before.candidates, *effects),
+                late=before.late | ({effect.key for effect in effects} & late),
+                kept=self.kept,
+            )
+
+        others: list[tuple[Candidate, ...]] = []
+        if len(self.effects) > 1:
+            others = [tuple(x for x in self.effects if x is not one) for one in self.effects]
+        return replace(self, model=fitted(self.effects), beside=tuple(map(fitted, others)))
 
 
 @dataclass
@@ -231,14 +243,20 @@ class Account:
         """The model as it stands; before the first effect by the same recipe as this one."""
         return self.loop.model if self.kept or self.loop.added else self.loop.anew
 
-    def but(self, number: int) -> Account:
-        """Return the account without one of its effects."""
-        left = [other for other in range(len(self.added)) if other != number]
-        return replace(
-            self,
-            taken=tuple(self.taken[other] for other in left),
-            added=tuple(self.added[other] for other in left),
-        )
+    @cached_property
+    def others(self) -> tuple[Account, ...]:
+        """The account without each of its effects, one at a time."""
+        accounts = []
+        for number in range(len(self.added)):
+            left = [other for other in range(len(self.added)) if other != number]
+            accounts.append(
+                replace(
+                    self,
+                    taken=tuple(self.taken[other] for other in left),
+                    added=tuple(self.added[other] for other in left),
+                )
+            )
+        return tuple(accounts)
 
     def with_simpler(self, number: int) -> Account | None:
         """Return the account with an effect's form of fewer coefficients, None if there is none."""
@@ -259,7 +277,7 @@ class Account:
     def _judged(self, number: int) -> Judgement:
         """Compare the model with one that is fitted without the effect."""
         several = len(self.added) > 1
-        before = self.loop.error_of(self.but(number).model if several else self.without)
+        before = self.loop.error_of(self.others[number].model if several else self.without)
         after = self.loop.error_of(self.model)
         taken = self.taken[number]
         joints = joints_below(taken.term.channels, self.loop.material.robot.n)
@@ -341,7 +359,7 @@ class Decision:
                 account = simpler
                 continue
             refused.append((account.taken[number], judged, account.fault_of(number)))
-            account = account.but(number)
+            account = account.others[number]
         return cls(account=account, refused=tuple(refused))
 
 

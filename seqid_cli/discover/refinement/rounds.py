@@ -174,12 +174,14 @@ def _write(loop: Refinement, found: Investigation, decision: Decision) -> None:
             _round(loop, found, taken, number=loop.added + 1, reason=reason)
             for taken in account.taken
         ]
+        several = len(account.added) > 1
         loop.steps.append(
             Step(
                 rounds=tuple(told),
                 effects=account.added,
                 kept=account.kept,
                 model=account.model,
+                beside=tuple(other.model for other in account.others) if several else (),
             )
         )
     for taken, _, reason in decision.refused:

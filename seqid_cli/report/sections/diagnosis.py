@@ -138,7 +138,8 @@ def closed_loop(collection: Collection) -> Section:
         "Effects were chosen on blocks of time that were left out of the logs to fit. The held-out "
         "logs were opened after the last decision; what they do not confirm is taken out. Both "
         "errors are measured there, where joints slide, on the same samples. The noise floor "
-        "estimates what torque noise and encoder alone leave. The gain is the part of the error's variance that the refined model takes away, "
+        "estimates what torque noise and encoder alone leave. The gain is the part of the error's "
+        "variance that the refined model takes away, "
         "with its 95 % interval."
     )
     added = [(words.effect_at(item.effect, item.joint), item) for item in loop.rounds]

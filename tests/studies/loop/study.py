@@ -58,7 +58,7 @@ def run_case(case: Condition, cache: Path) -> Result:
     file = file_of(robot, stages, logs.earlier)
     clock = time.process_time()
     found = refine(logs.training, robot, file, earlier=logs.earlier, options=options)
-    loop = confirm(found, logs.held_out)
+    loop = confirm(found, logs.held_out).loop
     seconds = time.process_time() - clock
     options = on_the_same_samples(options, stages, robot)
     material = Material(logs.training, logs.earlier, robot, options)

@@ -107,7 +107,6 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
     """
     tried, above = list[Candidate](), set[Key]()
     rest, looked = [*map(effect_of, found.found.effects)], True
-    several = len(rest) > 1 or loop.material.options.with_unexplained
     while True:
         known = [*loop.model.candidates, *tried]
         effects = [x for x in found.found.effects if effect_of(x).key not in above]
@@ -131,7 +130,7 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
 
         full = bool(decision.account.added) and len(found.model.terms) >= Options.most
         ended = len(left) == len(hypothesis) and (full or not looked)
-        if several and (loop.model.stages is not stages or ended):
+        if loop.model.stages is not stages or ended:
             model, material = loop.model, loop.material
             asked = material.now(model), material.robot, model.stages, material.options
             found, looked = investigate_beside(found, *asked, candidates=rest)

@@ -66,7 +66,8 @@ def run_case(case: Condition, cache: Path) -> Result:
     error = held_out_error(logs.held_out, robot, told, options=options.motion)
     kind, joint, _ = case.effects[0]
     after = loop.after[name := robot.joint_names[joint]]
-    rounds = [(f"{r.effect}@{r.joint}", r) for r in (*loop.rounds, *loop.refused)]
+    tried = (*loop.rounds, *loop.unconfirmed, *loop.refused)
+    rounds = [(f"{r.effect}@{r.joint}", r) for r in tried]
     return Result(
         kind=kind,
         rig=case.rig,

@@ -38,14 +38,14 @@ from seqid_cli.shares import percent
 
 @dataclass(frozen=True, kw_only=True)
 class Confirmed:
-    """The model that a refinement ends with, and what is told of it."""
+    """The model that a refinement ends with, and what is said of it."""
 
     stages: Stages
     loop: ClosedLoop
 
 
 def confirm(
-    found: Refinement,
+    refinement: Refinement,
     held_out: Sequence[Recording],
     whole: WholeLogs | None = None,
     *,
@@ -55,7 +55,7 @@ def confirm(
 
     Parameters
     ----------
-    found : Refinement
+    refinement : Refinement
         What was decided on the logs to fit.
     held_out : sequence of Recording
         With torque or current; before and after are measured on the same samples of them.
@@ -75,31 +75,31 @@ def confirm(
     InputError
         No held-out log has a measured torque.
     """
-    robot, options = found.material.robot, found.material.options
+    robot, options = refinement.material.robot, refinement.material.options
     held_out, notes = usable_logs(held_out, robot)
-    motion = with_own_cutoffs(held_out, robot, found.came, options.motion)
+    motion = with_own_cutoffs(held_out, robot, refinement.came, options.motion)
     errors = _Errors(logs=held_out, robot=robot, options=motion, whole=whole)
-    steps, taken_out = _settled(found, errors, keep_unconfirmed=keep_unconfirmed)
+    steps, taken_out = _settled(refinement, errors, keep_unconfirmed=keep_unconfirmed)
 
-    model = steps[-1].model if steps else found.start
-    before = errors.of(found.came)
+    model = steps[-1].model if steps else refinement.start
+    before = errors.of(refinement.came)
     after = errors.of_model(model) if steps else before
-    floor = _floor(found, model, held_out, motion)
+    floor = _floor(refinement, model, held_out, motion)
 
     names = robot.joint_names
     new = after.rmse()
     judged = [j for j in range(robot.n) if np.isfinite(new[j])]
     changes = {names[j]: gain(before, after, [j]) for j in judged}
     times = {names[j]: float(new[j] / floor.rms[j]) for j in judged}
-    rounds = [told for step in steps for told in step.rounds]
+    rounds = [entry for step in steps for entry in step.rounds]
     return Confirmed(
         stages=with_effects(model, robot),
         loop=ClosedLoop(
-            verdict="good" if all(told.confirmed for told in rounds) else "poor",
+            verdict="good" if all(entry.confirmed for entry in rounds) else "poor",
             rounds=rounds,
             unconfirmed=taken_out,
-            refused=found.refused,
-            stopped_at=_stopped_at(found),
+            refused=refinement.refused,
+            stopped_at=_stopped_at(refinement),
             before=before.by_joint(names),
             after=after.by_joint(names),
             noise_floor={names[j]: float(floor.rms[j]) for j in judged},
@@ -107,7 +107,7 @@ def confirm(
             gain_interval={name: g.limits for name, g in changes.items() if g.limits},
             evaluated_on=list(dict.fromkeys(str(log.path) for log in held_out)),
             notes=[
-                *found.notes,
+                *refinement.notes,
                 *notes,
                 *errors.notes,
                 *_taken_out_note(taken_out, rounds),
@@ -128,7 +128,7 @@ class _Errors:
     options: InertiaOptions
     whole: WholeLogs | None
     _pieces: bool = False
-    _found: dict[int, tuple[object, HeldOutError]] = field(default_factory=dict)
+    _measured_models: dict[int, tuple[object, HeldOutError]] = field(default_factory=dict)
 
     def of_model(self, model: Refitted) -> HeldOutError:
         """Squared errors of a model, block by block."""
@@ -156,10 +156,10 @@ class _Errors:
         return (f"errors are of {which} held-out logs",)
 
     def _of(self, key: object, stages: Stages) -> HeldOutError:
-        known = self._found.get(id(key))
+        known = self._measured_models.get(id(key))
         if known is None:
             known = key, self._measured(stages)
-            self._found[id(key)] = known
+            self._measured_models[id(key)] = known
         return known[1]
 
     def _measured(self, stages: Stages) -> HeldOutError:
@@ -168,22 +168,22 @@ class _Errors:
                 return errors[0]
             # A model that cannot be predicted part by part: all are measured on the pieces.
             self._pieces = True
-            self._found.clear()
+            self._measured_models.clear()
         return held_out_error(self.logs, self.robot, stages, self.options)
 
 
 def _settled(
-    found: Refinement, errors: _Errors, *, keep_unconfirmed: bool
+    refinement: Refinement, errors: _Errors, *, keep_unconfirmed: bool
 ) -> tuple[list[Step], list[RefinementRound]]:
     """Return the rounds that stay, each effect with what it gains, and the effects taken out."""
-    steps, taken_out = list(found.steps), list[RefinementRound]()
+    steps, taken_out = list(refinement.steps), list[RefinementRound]()
     while True:
-        steps = _measured(found, steps, errors)
+        steps = _measured(refinement, steps, errors)
         unsure = [
-            (number, told)
+            (number, entry)
             for number, step in enumerate(steps)
-            for told in step.rounds
-            if not told.confirmed
+            for entry in step.rounds
+            if not entry.confirmed
         ]
         if keep_unconfirmed or not unsure:
             return steps, taken_out
@@ -193,36 +193,36 @@ def _settled(
         taken_out.append(structs.replace(weakest, reason=_why(weakest)))
         rest = steps[number].without(weakest)
         later = steps[number + 1 :] if rest is None else [rest, *steps[number + 1 :]]
-        steps = found.fitted_again(steps[:number], later)
+        steps = refinement.fitted_again(steps[:number], later)
 
 
-def _why(told: RefinementRound) -> str:
+def _why(entry: RefinementRound) -> str:
     """Return why an effect does not stay."""
-    if told.interval and told.interval[1] < 0.0:
+    if entry.interval and entry.interval[1] < 0.0:
         return "the held-out logs are predicted worse with it"
     return "its gain on the held-out logs is not certainly more than nothing"
 
 
-def _measured(found: Refinement, steps: Sequence[Step], errors: _Errors) -> list[Step]:
+def _measured(refinement: Refinement, steps: Sequence[Step], errors: _Errors) -> list[Step]:
     """Return the rounds, each effect with what it gains on the held-out logs."""
     if not steps:
         return []
 
-    robot = found.material.robot
-    start = found.without(steps)
-    errors.measure(found.came, [start, *(model for step in steps for model in step.models)])
+    robot = refinement.material.robot
+    start = refinement.without(steps)
+    errors.measure(refinement.came, [start, *(model for step in steps for model in step.models)])
     measured = []
     for step, last in zip(steps, [start, *(step.model for step in steps)], strict=False):
         rounds = []
         befores = step.beside or (last,) * len(step.rounds)
-        for told, before in zip(step.rounds, befores, strict=True):
+        for entry, before in zip(step.rounds, befores, strict=True):
             joints = range(robot.n)
-            if told.joint is not None:
-                joints = range(at := robot.joint_names.index(told.joint), at + 1)
+            if entry.joint is not None:
+                joints = range(at := robot.joint_names.index(entry.joint), at + 1)
             change = gain(errors.of_model(before), errors.of_model(step.model), joints)
             rounds.append(
                 structs.replace(
-                    told,
+                    entry,
                     held_out_gain=change.value,
                     interval=change.limits,
                     confirmed=change.certain,
@@ -232,12 +232,12 @@ def _measured(found: Refinement, steps: Sequence[Step], errors: _Errors) -> list
     return measured
 
 
-def _stopped_at(found: Refinement) -> StoppedAt | None:
+def _stopped_at(refinement: Refinement) -> StoppedAt | None:
     """Return the limit of rounds where it has left effects untried."""
-    limit, robot = found.material.options.max_effects, found.material.robot
-    if limit is None or not found.untried:
+    limit, robot = refinement.material.options.max_effects, refinement.material.robot
+    if limit is None or not refinement.untried:
         return None
-    places = [(effect.effect.name, robot.name_of(effect.joint)) for effect in found.untried]
+    places = [(effect.effect.name, robot.name_of(effect.joint)) for effect in refinement.untried]
     untried = [EffectOfPlace(effect=name, joint=joint) for name, joint in dict.fromkeys(places)]
     return StoppedAt(rounds=limit, untried=untried)
 
@@ -248,7 +248,7 @@ def _taken_out_note(
     """Say how the model came about where something was taken out of it."""
     if not taken_out:
         return ()
-    places = (f"{told.effect} at {told.joint or 'the whole arm'}" for told in taken_out)
+    places = (f"{entry.effect} at {entry.joint or 'the whole arm'}" for entry in taken_out)
     names = ", ".join(places)
     note = f"taken out, as the held-out logs do not confirm it: {names}"
     if rounds:
@@ -274,10 +274,11 @@ def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
 
 
 def _floor(
-    found: Refinement, model: Refitted, held_out: Sequence[Recording], options: InertiaOptions
+    refinement: Refinement, model: Refitted, held_out: Sequence[Recording], options: InertiaOptions
 ) -> NoiseFloor:
     """Noise floor of the held-out logs; the training logs help to find it."""
-    material = replace(found.material, options=replace(found.material.options, motion=options))
+    material = refinement.material
+    material = replace(material, options=replace(material.options, motion=options))
     logs = (*held_out, *material.training)
     freed = [material.without(log, model.stages, model.effects) for log in logs]
     scenes = scenes_of(freed, material.robot, model.stages, options=options)

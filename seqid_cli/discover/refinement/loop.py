@@ -61,7 +61,7 @@ class Step:
 
         Its models are as they were: `again` fits the step to what is left.
         """
-        left = [number for number, told in enumerate(self.rounds) if told is not gone]
+        left = [number for number, entry in enumerate(self.rounds) if entry is not gone]
         if not left:
             return None
 
@@ -145,11 +145,11 @@ class Refinement:
 
     def fitted_again(self, steps: Sequence[Step], later: Sequence[Step]) -> list[Step]:
         """Return steps and `later` ones, these fitted again to the training logs on top of them."""
-        found = list(steps)
+        path = list(steps)
         for step in later:
-            before = found[-1].model if found else self.start
-            found.append(step.again(self.material, before))
-        return found
+            before = path[-1].model if path else self.start
+            path.append(step.again(self.material, before))
+        return path
 
     def error_of(self, model: Refitted) -> HeldOutError:
         """Squared errors of a model on the logs that are fitted."""
@@ -316,12 +316,14 @@ class Account:
     @property
     def accepted(self) -> bool:
         """Whether all its effects are worth it."""
-        return not any(judged.fault for judged in self.judgements) and not self.losing
+        faults = any(judgement.fault for judgement in self.judgements)
+        return not faults and not self.losing
 
     @property
     def weakest(self) -> int:
         """Number of the effect that is least worth it: with a fault, and of the least gain."""
-        faulty = [number for number, own in enumerate(self.judgements) if own.fault]
+        judgements = enumerate(self.judgements)
+        faulty = [number for number, judgement in judgements if judgement.fault]
         numbers = faulty or range(len(self.added))
         return min(numbers, key=lambda number: self.judgements[number].change.value)
 
@@ -353,12 +355,13 @@ class Decision:
         refused = []
         while account.added and not account.accepted:
             number = account.weakest
-            judged = account.judgements[number]
-            simpler = account.with_simpler(number) if judged.gains and not judged.shown else None
+            judgement = account.judgements[number]
+            unclear = judgement.gains and not judgement.shown
+            simpler = account.with_simpler(number) if unclear else None
             if simpler is not None:
                 account = simpler
                 continue
-            refused.append((account.taken[number], judged, account.fault_of(number)))
+            refused.append((account.taken[number], judgement, account.fault_of(number)))
             account = account.others[number]
         return cls(account=account, refused=tuple(refused))
 

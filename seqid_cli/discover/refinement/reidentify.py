@@ -257,11 +257,15 @@ def refitted(
 
 
 def fitted_smooth(material: Material, model: Refitted, what: SmoothFunction) -> SmoothTerm:
-    """Fit a smooth term to what a model with its effects leaves of the training logs."""
+    """Fit a smooth term to what a model with its effects leaves of the training logs.
+
+    It is fitted beside exactly these stages, which stay as they are: beside a base that moves it
+    would count on what the base has moved by.
+    """
     scenes = scenes_of(
         material.now(model), material.robot, model.stages, options=material.options.motion
     )
-    fit = Model(Ground.of(rows_of(scenes), model.stages), HELD)
+    fit = Model(Ground.of(rows_of(scenes), model.stages), FIRM)
     term = smooth_term(fit.ground.stage, what, fit.ground.size)
     fit.terms.append(term)
     fit.settle()

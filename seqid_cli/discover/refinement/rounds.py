@@ -123,8 +123,8 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
         rest = [other for other in rest if not any(map(other.is_same_as, tried))]
         stages = loop.model.stages
         decision = _decided(loop, found, hypothesis)
-        for taken, judged, _ in decision.refused:
-            if judged.unjudged and not judged.gains:
+        for taken, judgement, _ in decision.refused:
+            if judgement.unjudged and not judgement.gains:
                 above.add(effect_of(taken).key)
         _write(loop, found, decision)
 
@@ -169,14 +169,14 @@ def _write(loop: Refinement, found: Investigation, decision: Decision) -> None:
     account = decision.account
     if account.added:
         reason = LATE if account.kept else ALL_ALONG
-        told = [
-            _round(loop, found, taken, number=loop.added + 1, reason=reason)
-            for taken in account.taken
+        number = loop.added + 1
+        entries = [
+            _round(loop, found, taken, number=number, reason=reason) for taken in account.taken
         ]
         several = len(account.added) > 1
         loop.steps.append(
             Step(
-                rounds=tuple(told),
+                rounds=tuple(entries),
                 effects=account.added,
                 kept=account.kept,
                 model=account.model,

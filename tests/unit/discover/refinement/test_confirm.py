@@ -12,8 +12,10 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import confirm as confirming
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import HeldOutError, held_out_error
-from seqid_cli.discover.refinement.loop import Step
+from seqid_cli.discover.refinement.loop import Step, with_effects
+from seqid_cli.discover.refinement.reidentify import Material, Refitted
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
+from seqid_cli.discover.select.smooth import smooth_functions
 from seqid_cli.params.evidence_schema import RefinementRound
 from tests.unit.discover.refinement.plants import recorded
 
@@ -188,3 +190,37 @@ def test_what_stood_on_something_that_is_gone_may_go_as_well() -> None:
     path = path_of("a", "b", "c")
     errors = {"": 1.0, "a": 0.5, "ab": 0.6, "abc": 0.3, "ac": 0.55}
     assert settled(path, errors) == (["a"], ["b", "c"])
+
+
+@pytest.mark.slow
+def test_a_smooth_term_is_fitted_again_to_the_training_logs() -> None:
+    """On top of a model without the effect it takes in what the effect left."""
+    logs = recorded((ELBOW,))
+    options = on_the_same_samples(DiscoverOptions(), logs.file().stages, logs.robot)
+    material = Material(tuple(logs.training), logs.earlier, logs.robot, options)
+    before = Refitted(logs.file().stages, ())
+    rows = material.ground(before.stages).stage.rows
+    speed = next(
+        what for what in smooth_functions(rows, 1) if what.quantities == ("velocity",)
+    )
+    step = Step(
+        rounds=(RefinementRound(effect="unexplained", joint="elbow"),),
+        smooth=speed,
+        kept=True,
+        model=before,
+    )
+
+    after = step.again(material, before).model
+    assert after.stages is before.stages
+    (term,) = after.effects
+    assert (term.joint, term.quantities) == (1, ("velocity",))
+    errors = [
+        held_out_error(
+            logs.training,
+            logs.robot,
+            with_effects(model, logs.robot),
+            options=options.motion,
+        ).rmse()
+        for model in (before, after)
+    ]
+    assert errors[1][1] < 0.8 * errors[0][1]

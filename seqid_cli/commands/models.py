@@ -101,7 +101,7 @@ _HELD_OUT = f"--holdout {SIX}/changed/held_out.parquet -r {SIX}/robot.toml -p in
 
 
 @command(
-    "logs holdout robot parameters output rounds with_unexplained"
+    "logs holdout robot parameters output rounds with_unexplained keep_unconfirmed"
     " source cutoff_hz time_source strict",
     f"seqid refine {SIX}/changed/fourier.parquet {_HELD_OUT} -o refined.json",
     f"seqid refine {SIX}/changed/fourier.parquet {SIX}/changed/trapezoids.parquet {_HELD_OUT}"
@@ -112,18 +112,31 @@ def refine(
     holdout: list[str] = option(
         ...,
         "--holdout LOG",
-        "Log, folder or glob that is opened after the last decision, and only reported on;"
+        "Log, folder or glob that is opened after the last decision, and confirms what was added;"
         " repeat it for several.",
     ),
-    rounds: int = option(4, "--rounds N", "At most this many effects.", min=1, max=100),
+    rounds: int | None = option(
+        None,
+        "--rounds N",
+        "At most this many rounds, each of one effect, at one joint or at several; no limit if"
+        " left out.",
+        min=1,
+        max=100,
+    ),
     with_unexplained: bool = option(
         False, "--with-unexplained", "Add a smooth term where no known effect explains."
+    ),
+    keep_unconfirmed: bool = option(
+        False,
+        "--keep-unconfirmed",
+        "Leave effects in the model that the held-out logs do not confirm.",
     ),
 ) -> int:
     """Add the effects that a model lacks, as long as left-out blocks are predicted better.
 
-    The held-out logs decide nothing: they are opened last, and confirm each effect or do not.
-    With --strict the exit code is 1 if nothing helped, or if they do not confirm all of it.
+    The held-out logs choose nothing: they are opened last. What they do not confirm is taken out
+    and listed; the rest is fitted again without it. With --strict the exit code is 1 if nothing
+    stays, or if something stays that they do not confirm.
     """
     told, file = called(context, "discover.refine")
     loop = file.closed_loop

@@ -88,7 +88,8 @@ def refine(
     logs : path, table, recording, or a sequence of them
         Logs to fit; effects are chosen on left-out blocks of them.
     holdout : path, table, recording, or a sequence of them
-        Logs that are opened after the last decision, and only reported on.
+        Logs that are opened after the last decision: they choose nothing, and what they do not
+        confirm is taken out.
     parameters : path or ParameterFile, or a sequence of them
         As in `diagnose`; logs of earlier stages are read again where they are still there.
     """
@@ -100,7 +101,7 @@ def refine(
     inputs = prepare(logs, robot, parameters, options, needs=needs, stored=False, **keywords)
     search = replace(_search(inputs, options), max_effects=options.rounds)
     search = replace(search, with_unexplained=options.with_unexplained)
-    file = _refined(inputs, held_out, search)
+    file = _refined(inputs, held_out, search, keep_unconfirmed=options.keep_unconfirmed)
     if target is not None:
         write_json_atomic(target, file, inputs=[*inputs.sources, *files])
     return file
@@ -116,7 +117,11 @@ def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
 
 
 def _refined(
-    inputs: Inputs, held_out: Sequence[Path | Recording], search: DiscoverOptions
+    inputs: Inputs,
+    held_out: Sequence[Path | Recording],
+    search: DiscoverOptions,
+    *,
+    keep_unconfirmed: bool,
 ) -> ParameterFile:
     from seqid_cli.discover.excerpts import by_digest, one_each, take_excerpts
     from seqid_cli.discover.refinement.confirm import confirm
@@ -140,13 +145,20 @@ def _refined(
     training.tell("detail", text=f"{len(fitted.recordings)} logs to fit, {count} of earlier stages")
     decided = decide(fitted.recordings, robot, previous, earlier=earlier, options=search)
 
-    # Nothing is decided any more: now the held-out logs are opened.
+    # Nothing is chosen any more: now the held-out logs are opened. They take out what they do not
+    # confirm, by a rule that is fixed.
     kept_out = LogSet.of(replace(inputs, logs=tuple(held_out), missing=()))
     unseen = take_excerpts(kept_out, robot, stages, options=motion, places=False)
     held = {sha256: some[0].path for sha256, some in by_digest(unseen.recordings).items()}
     check_unseen(held.items(), {**found.paths, **at_hand})
     whole = WholeLogs(tuple(files), robot, inputs.options.time_source)
-    loop = confirm(decided, unseen.recordings, whole if unseen.surveys else None)
+    confirmed = confirm(
+        decided,
+        unseen.recordings,
+        whole if unseen.surveys else None,
+        keep_unconfirmed=keep_unconfirmed,
+    )
+    loop = confirmed.loop
     verdicts = [*physics_verdicts(stages, robot), *training.verdicts(), *kept_out.verdicts()]
     both = [*one_each(fitted), *one_each(unseen)]
     loop = structs.replace(
@@ -161,4 +173,4 @@ def _refined(
             *(*found.notes, *unread, *training.notes(), *kept_out.notes(), *loop.notes),
         ],
     )
-    return refined(previous, robot_id(robot), training.inputs("effects"), decided.stages, loop)
+    return refined(previous, robot_id(robot), training.inputs("effects"), confirmed.stages, loop)

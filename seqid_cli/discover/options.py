@@ -18,16 +18,26 @@ class DiagnoseOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RefineOptions(DiagnoseOptions):
-    """At most `rounds` effects, and smooth terms `with_unexplained` where none explains."""
+    """What a refinement adds.
 
-    rounds: int = 4
+    At most `rounds` times an effect, at one joint or at several, or without a limit; smooth terms
+    `with_unexplained` where none explains. What the held-out logs do not confirm is taken out,
+    unless `keep_unconfirmed` asks for it.
+    """
+
+    rounds: int | None = None
     with_unexplained: bool = False
+    keep_unconfirmed: bool = False
 
 
 @dataclass(frozen=True)
 class DiscoverOptions:
-    """How effects are looked for; refinement adds at most `max_effects` (see `RefineOptions`)."""
+    """How effects are looked for.
+
+    Refinement adds effects in at most `max_effects` rounds, without a limit if that is None (see
+    `RefineOptions`).
+    """
 
     motion: InertiaOptions = field(default_factory=lambda: InertiaOptions(source="needed"))
-    max_effects: int = 4
+    max_effects: int | None = None
     with_unexplained: bool = False

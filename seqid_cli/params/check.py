@@ -126,10 +126,13 @@ def _session(key: str, session: schema.EffectSession) -> Iterator[_Problem]:
 
 
 def _closed_loop(key: str, loop: schema.ClosedLoop) -> Iterator[_Problem]:
-    for name, tried in (("rounds", loop.rounds), ("refused", loop.refused)):
+    lists = {"rounds": loop.rounds, "unconfirmed": loop.unconfirmed, "refused": loop.refused}
+    for name, tried in lists.items():
         for index, each in enumerate(tried):
-            if each.accepted != (name == "rounds"):
+            if each.accepted != (name != "refused"):
                 yield f"{key}.{name}[{index}].accepted", f"contradicts its place in {name}"
+            if name == "unconfirmed" and each.confirmed:
+                yield f"{key}.{name}[{index}].confirmed", f"contradicts its place in {name}"
 
 
 def _evidence(key: str, shown: EvidenceEntry) -> Iterator[_Problem]:

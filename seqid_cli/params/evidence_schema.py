@@ -42,9 +42,10 @@ class RivalEntry(Struct, kw_only=True):
 
 
 class RefinementRound(Struct, kw_only=True):
-    """One round of refinement: an effect was tried.
+    """An effect that was tried in a round of refinement, at one joint or of the whole arm.
 
-    Gains are shares of the squared error that the effect took away where its joints slide:
+    The same effect at several joints is one round: `round` is its number, from 1, null where it was
+    refused. Gains are shares of the squared error that the effect took away where its joints slide:
     `training_gain`, on left-out blocks of the logs that were fitted, decided; `held_out_gain` was
     looked at afterwards, and `confirmed` says whether it is certainly more than nothing. Intervals
     are 95 % (empty: not known), `interval` that of the held-out gain. `evidence` and `rivals` are
@@ -53,6 +54,7 @@ class RefinementRound(Struct, kw_only=True):
 
     effect: str
     joint: str | None = None
+    round: int | None = None
     accepted: bool = True
     confirmed: bool | None = None
     training_gain: float | None = None

@@ -400,21 +400,39 @@ class JointRmse(Struct, kw_only=True, omit_defaults=True):
     share_outside: float | None = None
 
 
+class EffectOfPlace(Struct, kw_only=True):
+    """An effect by its name, at a joint or, where that is null, of the whole arm."""
+
+    effect: str
+    joint: str | None = None
+
+
+class StoppedAt(Struct, kw_only=True):
+    """The limit of rounds that a refinement has reached, and what it had found and not tried."""
+
+    rounds: int
+    untried: list[EffectOfPlace]
+
+
 class ClosedLoop(Struct, kw_only=True):
     """What refinement did, measured on the held-out logs alone.
 
-    `rounds` are the effects that were added, in order; `refused` those that were tried and did not
-    help. The `verdict` is poor if a round is not confirmed or one of `verdicts` is poor, which say
-    what is wrong with the logs. `before` is by the model as it came in,
-    `after` by the refined one; `gain_interval` is of 1 - (after / before)^2, 95 %. All are over the
-    same samples, those in which a joint slides. `noise_floor` is what torque noise and encoder
-    alone leave there, N m, estimated by itself, with its 95 % interval. `held_out` identifies the
-    logs that `evaluated_on` names.
+    `rounds` are the effects that the model has, in the order in which they were added;
+    `unconfirmed` those that were added and taken out again, as the held-out logs do not confirm
+    them; `refused` those that were tried and did not help. The `verdict` is poor if an effect of
+    `rounds` is not confirmed or one of `verdicts` is poor, which say what is wrong with the logs.
+    `stopped_at` is null where no limit of rounds has stopped the search. `before` is by the model
+    as it came in, `after` by the one that is written; `gain_interval` is of
+    1 - (after / before)^2, 95 %. All are over the same samples, those in which a joint slides.
+    `noise_floor` is what torque noise and encoder alone leave there, N m, estimated by itself, with
+    its 95 % interval. `held_out` identifies the logs that `evaluated_on` names.
     """
 
     verdict: Literal["good", "poor"] = "good"
     rounds: list[RefinementRound]
+    unconfirmed: list[RefinementRound] = []
     refused: list[RefinementRound] = []
+    stopped_at: StoppedAt | None = None
     before: dict[str, JointRmse] = {}
     after: dict[str, JointRmse] = {}
     noise_floor: dict[str, float] = {}
@@ -427,8 +445,8 @@ class ClosedLoop(Struct, kw_only=True):
     notes: list[str] = []
 
     @property
-    def unconfirmed(self) -> list[RefinementRound]:
-        """The effects that were added, but that the held-out logs do not confirm."""
+    def doubtful(self) -> list[RefinementRound]:
+        """The effects that the model has, but that the held-out logs do not confirm."""
         return [item for item in self.rounds if item.confirmed is False]
 
 

@@ -175,6 +175,7 @@ def _model_points(collection: Collection, judged: bool) -> Iterator[Point]:
     if (loop := model.file.closed_loop) is not None:
         yield from _poor(loop.verdicts, "the refinement", path)
         yield from (Point(weight, text, path) for text in unconfirmed(loop))
+        yield from (Point("open", text, path) for text in not_kept(loop))
     for name in ("friction", "gravity", "imu", "inertia"):
         stage = getattr(stages, name)
         for verdict in stage.verdicts if stage else []:
@@ -201,9 +202,22 @@ def _model_points(collection: Collection, judged: bool) -> Iterator[Point]:
 
 
 def unconfirmed(loop: ClosedLoop) -> list[str]:
-    """Return, in words, what the held-out logs do not confirm: a sentence or none."""
-    names = [effect_at(item.effect, item.joint) for item in loop.unconfirmed]
+    """Return, in words, what the model has unconfirmed by held-out logs: a sentence or none."""
+    names = [effect_at(item.effect, item.joint) for item in loop.doubtful]
     return [f"the held-out logs do not confirm {listed(names)}"] if names else []
+
+
+def not_kept(loop: ClosedLoop) -> list[str]:
+    """Return, in words, what a refinement has left out of its model: a sentence for each cause."""
+    said = []
+    if loop.unconfirmed:
+        names = [effect_at(item.effect, item.joint) for item in loop.unconfirmed]
+        said.append(f"not kept, as the held-out logs do not confirm it: {listed(names)}")
+    if loop.stopped_at is not None:
+        names = [effect_at(item.effect, item.joint) for item in loop.stopped_at.untried]
+        limit = f"the limit of rounds ({loop.stopped_at.rounds})"
+        said.append(f"the refinement stopped at {limit}; not tried: {listed(names)}")
+    return said
 
 
 def _diagnosis_points(collection: Collection) -> Iterator[Point]:

@@ -13,6 +13,7 @@ from msgspec import structs
 
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import rounds as deciding
+from seqid_cli.discover.refinement.confirm import Confirmed
 from seqid_cli.discover.refinement.held_out import WholeLogs
 from seqid_cli.discover.refinement.log_sets import find_earlier
 from seqid_cli.identify.options import InertiaOptions
@@ -23,9 +24,11 @@ from seqid_cli.params.schema import (
     SCHEMA,
     ClosedLoop,
     EffectOfJoint,
+    EffectOfPlace,
     InputLog,
     Parameter,
     ParameterFile,
+    StoppedAt,
 )
 from seqid_cli.robot.types import Robot
 from tests import ROOT
@@ -59,11 +62,17 @@ class Library:
         return SimpleNamespace(stages=structs.replace(file.stages, effects=self.effects))
 
     def confirm(
-        self, found: object, held_out: Sequence[Recording], whole: WholeLogs | None
-    ) -> ClosedLoop:
+        self,
+        found: SimpleNamespace,
+        held_out: Sequence[Recording],
+        whole: WholeLogs | None,
+        *,
+        keep_unconfirmed: bool,
+    ) -> Confirmed:
         assert whole is None
         self.held_out = [str(log.path) for log in held_out]
-        return self.loop
+        self.keep_unconfirmed = keep_unconfirmed
+        return Confirmed(stages=found.stages, loop=self.loop)
 
 
 @pytest.fixture
@@ -89,6 +98,16 @@ def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
         with_unexplained=True,
     )
     assert reader.time_source == "log"
+    assert not library.keep_unconfirmed
+
+
+def test_what_it_passes_on_where_nothing_is_said(rig: Rig, library: Library) -> None:
+    """No limit of rounds; what is not confirmed stays only where that is asked for."""
+    assert rig.run(*BASE).code == 0
+    assert library.options.max_effects is None
+    assert not library.keep_unconfirmed
+    assert rig.run(*BASE, "--keep-unconfirmed").code == 0
+    assert library.keep_unconfirmed
 
 
 def test_the_document(rig: Rig, library: Library) -> None:
@@ -109,10 +128,27 @@ def test_the_document(rig: Rig, library: Library) -> None:
 DOUBTFUL = structs.replace(
     LOOP.rounds[0], held_out_gain=0.02, interval=[-0.3, 0.34], confirmed=False
 )
+NOT_KEPT = structs.replace(
+    DOUBTFUL,
+    joint="shoulder",
+    reason="its gain on the held-out logs is not certainly more than nothing",
+)
+STOPPED = StoppedAt(
+    rounds=2,
+    untried=[
+        EffectOfPlace(effect="presliding_hysteresis", joint="shoulder"),
+        EffectOfPlace(effect="presliding_hysteresis", joint="elbow"),
+        EffectOfPlace(effect="payload"),
+    ],
+)
 SCREENS = {  # what a refinement found
     "refine": LOOP,
     "refine_refused": structs.replace(LOOP, rounds=[], after=LOOP.before),
     "refine_nothing": structs.replace(LOOP, rounds=[], refused=[], after=LOOP.before),
+    "refine_not_kept": structs.replace(LOOP, unconfirmed=[NOT_KEPT], stopped_at=STOPPED),
+    "refine_nothing_kept": structs.replace(
+        LOOP, rounds=[], unconfirmed=[NOT_KEPT], refused=[], after=LOOP.before
+    ),
     "refine_unconfirmed": structs.replace(LOOP, verdict="poor", rounds=[DOUBTFUL], refused=[]),
 }
 

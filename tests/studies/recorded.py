@@ -257,9 +257,9 @@ def closed(case: Case) -> Closed:
     between = time.process_time()
     options = DiscoverOptions(max_effects=MOST)
     decided = refine(train, robot, file, earlier=earlier, options=options)
-    loop = confirm(decided, rest)
+    done = confirm(decided, rest)
     took = between - start, time.process_time() - between
-    return Closed(case.name, robot, named, decided.stages.effects or [], loop, *took)
+    return Closed(case.name, robot, named, done.stages.effects or [], done.loop, *took)
 
 
 def rendered(found: Closed) -> str:
@@ -279,6 +279,8 @@ def rendered(found: Closed) -> str:
     lines = [table(header, rows), "", note]
     if whole := _named(found, None):
         lines.append(f"Of the whole arm: {whole}.")
+    if gone := [f"{r.effect} at {r.joint or 'the whole arm'}" for r in loop.unconfirmed]:
+        lines.append(f"Not confirmed, and taken out: {', '.join(gone)}.")
     if refused := [f"{r.effect} at {r.joint or 'the whole arm'}" for r in loop.refused]:
         lines.append(f"Refused: {', '.join(refused)}.")
     lines.append(f"CPU time of refine {found.refined_s:.0f} s.")

@@ -8,7 +8,14 @@ from seqid_cli.model.effects.units import UNEXPLAINED, UNTOLD, smooth_in_words
 from seqid_cli.params.evidence_schema import EvidenceEntry, RefinementRound
 from seqid_cli.params.results import diagnosis, tables
 from seqid_cli.params.results.tables import values
-from seqid_cli.params.schema import ClosedLoop, EffectOfJoint, ParameterFile, RobotId
+from seqid_cli.params.schema import (
+    ClosedLoop,
+    EffectOfJoint,
+    EffectOfPlace,
+    ParameterFile,
+    RobotId,
+    StoppedAt,
+)
 
 _EVENTS_SHOWN = 10
 _COLUMNS, _ROWS = 56, 7  # of a chart
@@ -176,7 +183,14 @@ def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> No
     added = f"Added: {_named(loop.rounds)}" if loop.rounds else diagnosis.nothing_added(loop)
     screen.result(f"{added}.")
     if loop.unconfirmed:
-        screen.warn(f"verdict poor: the held-out logs do not confirm {_named(loop.unconfirmed)}")
+        screen.result(
+            f"Not kept, as the held-out logs do not confirm it: {_named(loop.unconfirmed)}"
+            " (--keep-unconfirmed keeps it)."
+        )
+    if loop.stopped_at is not None:
+        screen.warn(stopped_sentence(loop.stopped_at))
+    if loop.doubtful:
+        screen.warn(f"verdict poor: the held-out logs do not confirm {_named(loop.doubtful)}")
     elif loop.rounds and not loop.verdicts:
         screen.result("Verdict good: the held-out logs confirm what was added.")
     show_poor(screen, loop.verdicts, "refinement")
@@ -193,8 +207,21 @@ def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> No
     screen.remark(*loop.notes)
 
 
-def _named(rounds: Sequence[RefinementRound]) -> str:
-    return ", ".join(effect_at(item.effect, item.joint) for item in rounds)
+def stopped_sentence(stopped: StoppedAt) -> str:
+    """Return at which limit of rounds a refinement stopped, and what it has not tried."""
+    limit = f"the limit of rounds (--rounds {stopped.rounds})"
+    return f"stopped at {limit}; found and not tried: {_named(stopped.untried)}"
+
+
+def _named(rounds: Sequence[RefinementRound | EffectOfPlace]) -> str:
+    """Return effects with their places, an effect at several joints once."""
+    joints: dict[tuple[str, bool], list[str]] = {}
+    for item in rounds:
+        of_effect = joints.setdefault((item.effect, item.joint is None), [])
+        if item.joint is not None:
+            of_effect.append(item.joint)
+    named = (effect_at(effect, ", ".join(places)) for (effect, _), places in joints.items())
+    return "; ".join(named) if max(map(len, joints.values())) > 1 else ", ".join(named)
 
 
 def text_chart(

@@ -23,6 +23,8 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of, shared_starts
 from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Model
 from seqid_cli.discover.select.results import Key
+from seqid_cli.discover.select.smooth import SmoothFunction
+from seqid_cli.discover.select.terms import smooth_term
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
@@ -33,6 +35,7 @@ from seqid_cli.identify.rigid.simultaneous import TERMS, identify_simultaneous, 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import session_of, without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
+from seqid_cli.model.effects.smooth import SmoothTerm
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
@@ -251,6 +254,22 @@ def refitted(
     firm.settle()
     pairs = zip(_effects_of(material, fit), map(firm.coefficients, firm.terms), strict=True)
     return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
+
+
+def fitted_smooth(material: Material, model: Refitted, what: SmoothFunction) -> SmoothTerm:
+    """Fit a smooth term to what a model with its effects leaves of the training logs.
+
+    It is fitted beside exactly these stages, which stay as they are: beside a base that moves it
+    would count on what the base has moved by.
+    """
+    scenes = scenes_of(
+        material.now(model), material.robot, model.stages, options=material.options.motion
+    )
+    fit = Model(Ground.of(rows_of(scenes), model.stages), FIRM)
+    term = smooth_term(fit.ground.stage, what, fit.ground.size)
+    fit.terms.append(term)
+    fit.settle()
+    return what.fitted(fit.coefficients(term)[: what.size])
 
 
 def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:

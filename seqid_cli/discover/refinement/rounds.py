@@ -1,9 +1,9 @@
 """Refinement: add what a model lacks, as long as left-out blocks of time are predicted better.
 
-The effects that an investigation names are tried one after the other, and fitted anew together
-with the model (see `reidentify`). One that does not help the model fitted anew, or by which other
-joints lose more than its own gain, is refused, with that reason. Held-out logs play no part in
-this: what they say of the result is in `confirm`.
+The effects that an investigation names are tried one after the other, each at all joints at which
+it is found, and fitted anew together with the model (see `reidentify`). One that does not help the
+model fitted anew, or by which other joints lose more than its own gain, is refused, with that
+reason. Held-out logs play no part in this: what they say of the result is in `confirm`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,17 +16,25 @@ from seqid_cli.discover.evidence import evidence_of, rivals_of
 from seqid_cli.discover.investigate import Investigation, investigate, investigate_beside
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.held_out import Gain, likelier
-from seqid_cli.discover.refinement.loop import LATE, Account, Refinement, effect_of
+from seqid_cli.discover.refinement.loop import (
+    ALL_ALONG,
+    LATE,
+    Account,
+    Decision,
+    Refinement,
+    Step,
+    effect_of,
+)
 from seqid_cli.discover.refinement.reidentify import Material, Refitted, key_of
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import named
+from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Key, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.prediction.predict import slides_from
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
-from seqid_cli.model.effects.smooth import SmoothTerm
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import ParameterFile, Stages
@@ -55,7 +63,7 @@ def refine(
     known = fitted_effects(file.stages, robot, unexplained=True)
     bare = msgspec.structs.replace(file.stages, effects=None)
     start = Refitted(bare, tuple(known), _late(file, known, robot))
-    loop = Refinement(material, file.stages, [start], start, notes=notes)
+    loop = Refinement(material=material, came=file.stages, start=start, notes=notes)
     found = investigate(material.now(start), robot, bare, options, least=0.0)
     if found.found.effects or (options.with_unexplained and found.found.smooth):
         loop.material = _heard(material, found)
@@ -91,39 +99,92 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
     """Try the effects that are found, the largest evidence first; return what is found at last.
 
-    What the stages had taken in of one that is added looks like a second effect, until they are
-    identified without it: then the rest are judged anew. Before what is small, more is looked for.
-    What lies above the low-pass at one setting is not tried at another.
+    The same effect at several joints is one hypothesis and one round. What the stages had taken in
+    of one that is added looks like a second effect, until they are identified without it: then the
+    rest are judged anew. Before what is small, more is looked for, and so it is where a search
+    ended because it may take no more terms. What lies above the low-pass at one setting is not
+    tried at another.
     """
-    refused, above = list[Candidate](), set[Key]()
+    tried, above = list[Candidate](), set[Key]()
     rest, looked = [*map(effect_of, found.found.effects)], True
-    several = len(rest) > 1 or loop.material.options.with_unexplained
-    while loop.added < loop.material.options.max_effects:
-        known = [*loop.model.candidates, *refused]
-        tried = [x for x in found.found.effects if effect_of(x).key not in above]
-        left = [x for x in tried if not any(map(effect_of(x).is_same_as, known))]
+    while True:
+        known = [*loop.model.candidates, *tried]
+        effects = [x for x in found.found.effects if effect_of(x).key not in above]
+        left = [x for x in effects if not any(map(effect_of(x).is_same_as, known))]
         if not left:
             break
-        taken = max(left, key=lambda taken: taken.evidence)
+        if loop.stopped:
+            loop.untried = _each_once([*map(effect_of, left), *rest])
+            break
+
         step("trying effects", loop.added, loop.added + max(len(left), len(rest)))
-        rest = [other for other in rest if not other.is_same_as(effect_of(taken))]
+        hypothesis = _one_hypothesis(left)
+        tried += map(effect_of, hypothesis)
+        rest = [other for other in rest if not any(map(other.is_same_as, tried))]
         stages = loop.model.stages
-        account = _account(loop, found, taken)
-        told = _round(loop, found, taken, accepted=account.accepted, reason=account.reason)
-        loop.rounds.append(told)
-        if account.accepted:
-            loop.without = loop.without if loop.added else account.without
-            loop.steps.append(account.model)
-        else:
-            refused.append(effect_of(taken))
-            if account.unjudged:
+        decision = _decided(loop, found, hypothesis)
+        for taken, judgement, _ in decision.refused:
+            if judgement.unjudged and not judgement.gains:
                 above.add(effect_of(taken).key)
-        if several and (loop.model.stages is not stages or (len(left) == 1 and not looked)):
+        _write(loop, found, decision)
+
+        full = bool(decision.account.added) and len(found.model.terms) >= Options.most
+        ended = len(left) == len(hypothesis) and (full or not looked)
+        if loop.model.stages is not stages or ended:
             model, material = loop.model, loop.material
             asked = material.now(model), material.robot, model.stages, material.options
             found, looked = investigate_beside(found, *asked, candidates=rest)
             rest = [*map(effect_of, found.found.effects)] if looked else rest
     return found
+
+
+def _one_hypothesis(left: Sequence[Taken]) -> tuple[Taken, ...]:
+    """Return the effect of the largest evidence, at all joints at which it is found, once at each.
+
+    One of the whole arm stands by itself.
+    """
+    ranked = sorted(left, key=lambda taken: -taken.evidence)
+    first = ranked[0]
+    if first.term.joint is None:
+        return (first,)
+
+    at_joint: dict[int, Taken] = {}
+    for taken in ranked:
+        if taken.term.name == first.term.name and taken.term.joint is not None:
+            at_joint.setdefault(taken.term.joint, taken)
+    return tuple(at_joint.values())
+
+
+def _each_once(effects: Sequence[Candidate]) -> list[Candidate]:
+    """Return effects without those that are the same as one before."""
+    different: list[Candidate] = []
+    for effect in effects:
+        if not any(map(effect.is_same_as, different)):
+            different.append(effect)
+    return different
+
+
+def _write(loop: Refinement, found: Investigation, decision: Decision) -> None:
+    """Write down what a round has added and what it has refused."""
+    account = decision.account
+    if account.added:
+        reason = LATE if account.kept else ALL_ALONG
+        number = loop.added + 1
+        entries = [
+            _round(loop, found, taken, number=number, reason=reason) for taken in account.taken
+        ]
+        several = len(account.added) > 1
+        loop.steps.append(
+            Step(
+                rounds=tuple(entries),
+                effects=account.added,
+                kept=account.kept,
+                model=account.model,
+                beside=tuple(other.model for other in account.others) if several else (),
+            )
+        )
+    for taken, _, reason in decision.refused:
+        loop.refused.append(_round(loop, found, taken, reason=reason))
 
 
 def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Recording, ...]:
@@ -135,30 +196,44 @@ def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Record
     return tuple(replace(log, valid=own) for log, own in zip(logs, valid, strict=True))
 
 
-def _account(loop: Refinement, found: Investigation, taken: Taken) -> Account:
-    """Whether an effect was there all along, or came late, and what the model with it does.
+def _decided(
+    loop: Refinement, found: Investigation, hypothesis: tuple[Taken, ...]
+) -> Decision:
+    """Decide whether effects were there all along, or came late, and which of them are added.
 
     What is in the file's own logs was there all along. Else the account holds that explains the
     logs of all stages better; without these the one that the base speaks for. Every stage again
     is costly, and not asked for where nothing speaks for it.
     """
-    candidate, late = effect_of(taken), loop.model.late
-    known = loop.model.candidates
-    plain = replace(candidate, absorbed="")  # beside a file that has absorbed nothing of it
-    after = Account(loop, taken, (*known, plain), late | {candidate.key}, kept=True)
-    early = Account(loop, taken, (*known, candidate), late, kept=False)
+    candidates = tuple(map(effect_of, hypothesis))
+    # Beside a file that has absorbed nothing of them.
+    plain = tuple(replace(candidate, absorbed="") for candidate in candidates)
+    after = Account(loop=loop, taken=hypothesis, added=plain, kept=True)
+    early = Account(loop=loop, taken=hypothesis, added=candidates, kept=False)
+
     hold, n = found.model.hold, found.ground.n
-    loose = max(hold.rigid, *(hold.of(c % n) for c in taken.term.channels)) > 1.0
-    freed = bool(candidate.absorbed) or loose  # the base had to leave the file there
+    channels = frozenset[int]().union(*(taken.term.channels for taken in hypothesis))
+    loose = max(hold.rigid, *(hold.of(c % n) for c in channels)) > 1.0
+    # The base had to leave the file there.
+    freed = any(candidate.absorbed for candidate in candidates) or loose
     if loop.material.known or (freed and not loop.logs_before):
-        return early
-    had = [*known, candidate]  # what the model has not may have made up for the file there
-    near = [x for x in found.found.taken if x.term.channels & taken.term.channels]
+        return Decision.of(early)
+
+    had = [*loop.model.candidates, *candidates]
+    # What the model has not may have made up for the file there.
+    near = [x for x in found.found.taken if x.term.channels & channels]
     made_up = any(x.term.smooth or not any(map(effect_of(x).is_same_as, had)) for x in near)
-    if not (loop.logs_before and (after.accepted or freed or made_up)):
-        return after
-    lately, along = (loop.error_everywhere(one.model) for one in (after, early))
-    return after if likelier(lately, along) else early
+    late = Decision.of(after)
+    if not (loop.logs_before and (late.account.added or freed or made_up)):
+        return late
+    along = Decision.of(early)
+    if not late.account.added or not along.account.added:
+        # Nothing to compare: the errors of both with all effects of the hypothesis decide.
+        models = after.model, early.model
+    else:
+        models = late.account.model, along.account.model
+    errors = (loop.error_everywhere(model) for model in models)
+    return late if likelier(*errors) else along
 
 
 def _predicted(taken: Taken) -> Gain:
@@ -167,14 +242,20 @@ def _predicted(taken: Taken) -> Gain:
 
 
 def _round(
-    loop: Refinement, found: Investigation, taken: Taken, *, accepted: bool, reason: str
+    loop: Refinement,
+    found: Investigation,
+    taken: Taken,
+    *,
+    number: int | None = None,
+    reason: str,
 ) -> RefinementRound:
-    """What was tried, and what the decision rests on."""
+    """Return what was tried, and what the decision rests on; refused without a `number`."""
     robot, term, change = loop.material.robot, taken.term, _predicted(taken)
     return RefinementRound(
         effect="unexplained" if term.smooth else term.name,
         joint=robot.name_of(term.joint),
-        accepted=accepted,
+        round=number,
+        accepted=number is not None,
         training_gain=change.value,
         training_interval=change.limits,
         reason=reason,
@@ -186,12 +267,19 @@ def _round(
 def _add_smooth(loop: Refinement, found: Investigation) -> None:
     """Add smooth terms of no known cause where they predict left-out blocks."""
     for taken in found.found.smooth:
-        sure = _predicted(taken).certain
-        reason = "" if sure else "does not certainly predict left-out blocks better"
-        loop.rounds.append(_round(loop, found, taken, accepted=sure, reason=reason))
-        if sure:
-            what, model = taken.term.what, loop.model
-            assert isinstance(what, SmoothFunction)
-            c = what.mixing @ taken.one.gained.coefficients
-            term = SmoothTerm(what.joint, what.quantities, what.axes, what.factor, c)
-            loop.steps.append(replace(model, effects=(*model.effects, term)))
+        if not _predicted(taken).certain:
+            reason = "does not certainly predict left-out blocks better"
+            loop.refused.append(_round(loop, found, taken, reason=reason))
+            continue
+
+        what, model = taken.term.what, loop.model
+        assert isinstance(what, SmoothFunction)
+        term = what.fitted(taken.one.gained.coefficients[: what.size])
+        loop.steps.append(
+            Step(
+                rounds=(_round(loop, found, taken, number=loop.added + 1, reason=""),),
+                smooth=what,
+                kept=True,
+                model=replace(model, effects=(*model.effects, term)),
+            )
+        )

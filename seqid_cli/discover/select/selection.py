@@ -252,11 +252,12 @@ class Selection:
         return _ranked(bare.linear, self._search.at(joint, bare))
 
     def largest(self) -> Selected:
-        """Of the effects that were taken the one of the largest gain, with its rivals."""
+        """Return the effect of the largest gain, with its rivals, and the same at other joints."""
         weighed = [Weighed(term, self.model) for term in self.model.terms if not term.smooth]
         told = [own for own in weighed if self.is_told(own, 0.0)]
-        first = sorted(told, key=lambda own: _by_gain(own.one))[:1]
-        return Selected(self.model, tuple(map(self.taken_of, first)), {})
+        told.sort(key=lambda own: _by_gain(own.one))
+        alike = [own for own in told if own.term.name == told[0].term.name]
+        return Selected(self.model, tuple(map(self.taken_of, alike)), {})
 
     def is_told(self, own: Weighed, least: float) -> bool:
         """Whether a term is worth it beside all others, likely, and by itself."""

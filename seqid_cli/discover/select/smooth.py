@@ -13,7 +13,15 @@ from scipy.linalg import eigh
 
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import Axis, Factor, Measure, greville, shape, splines
+from seqid_cli.model.effects.smooth import (
+    Axis,
+    Factor,
+    Measure,
+    SmoothTerm,
+    greville,
+    shape,
+    splines,
+)
 from seqid_cli.model.friction_basis import tensor
 from seqid_cli.typing import Array, Index
 
@@ -63,6 +71,10 @@ class SmoothFunction:
         """Torque (N,) N m of coefficients c (k,) by joint, low-passed."""
         torque = shape(scene, self.joint, self.axes, self.factor) @ (self.mixing @ c)
         return {self.joint: scene.motion.filtered(torque, times=2)}
+
+    def fitted(self, c: Array) -> SmoothTerm:
+        """Return the term of coefficients c (k,)."""
+        return SmoothTerm(self.joint, self.quantities, self.axes, self.factor, self.mixing @ c)
 
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:

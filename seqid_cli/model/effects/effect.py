@@ -247,6 +247,10 @@ class Effect:
         """Return the grid's values of each setting; the default `grid` is their product."""
         return {setting.name: setting.grid for setting in self.settings if setting.grid}
 
+    def simpler(self, settings: Settings) -> dict[str, float] | None:
+        """Return settings of the same effect with fewer coefficients; None where there are none."""
+        return None
+
     def reached(self, settings: Settings, *, points: int = 15) -> Grid:
         """Yield settings at which a search from a grid's may end, `points` to every interval."""
         yield dict(settings)

@@ -52,6 +52,11 @@ class PositionDependentFriction(FrictionLaw):
         period = 2.0 * travel(scenes, joint) if slides else 2.0 * np.pi
         return {"period": (period,), "waves": WAVES}
 
+    def simpler(self, settings: Settings) -> dict[str, float] | None:
+        """Return the next smaller number of waves."""
+        fewer = [waves for waves in WAVES if waves < settings["waves"]]
+        return {**settings, "waves": fewer[-1]} if fewer else None
+
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Direction of motion times cosines and sines."""
         waves = range(1, round(settings["waves"]) + 1)

@@ -7,7 +7,13 @@ over the logs, where the file does not know it), a_c [N m/K] and a_v [N m s/(rad
 viscous friction change with it. Without a sensor the gear warms up with the time constant T_w [s]
 on the clock that the logs share, t [s] since the first of them began, and a_c [N m], a_v
 [N m s/rad] is what a cold start adds. Logs that share no clock count as begun equally
-cold. Simoni, Beschi, Legnani, Visioli, "Modelling the temperature in joint friction of industrial
+cold.
+
+A time constant is told from a drift, or from any other change of friction, only where the logs see
+the warm-up go by: several time constants within a log, or logs on a shared clock that cover one.
+Longer ones are not tried.
+
+Simoni, Beschi, Legnani, Visioli, "Modelling the temperature in joint friction of industrial
 manipulators", Robotica 37(5), 2019; Bittencourt, Gunnarsson, "Static friction in a robot joint:
 modeling and identification of load and temperature effects", J. Dyn. Sys. Meas. Control 134(5),
 2012.
@@ -24,6 +30,8 @@ from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
+# Time constants within one log: after three of them 95 % of the warm-up is over.
+SEVERAL = 3.0
 LEAST_KELVIN = 2.0  # of change, below which a logged temperature says nothing
 SHORTEST_S, LONGEST_S = 5.0, 1e5
 TIME_CONSTANTS = 8
@@ -75,14 +83,21 @@ class ThermalFriction(FrictionLaw):
         return coulomb, Coefficient("viscous_when_cold", "N m s/rad")
 
     def axes(self, scenes: Scenes, joint: int) -> GridAxes:
-        """Time constants around the session's length; with a temperature they do nothing."""
-        span, logged = session(scenes), _logged(scenes, joint)
-        times = [span] if logged else np.geomspace(0.04 * span, 2.0 * span, TIME_CONSTANTS)
+        """Time constants that the logs cover; with a temperature they do nothing."""
+        span, logged, longest = session(scenes), _logged(scenes, joint), longest_warm_up(scenes)
+        times = [span] if logged else np.geomspace(0.04 * span, longest, TIME_CONSTANTS)
+        if not logged and longest < SHORTEST_S:
+            times = []
         return {
             "warm_up_time": [float(np.clip(time, SHORTEST_S, LONGEST_S)) for time in times],
             "logged": [float(logged)],
             "reference_temperature": [_reference(scenes, joint) if logged else 0.0],
         }
+
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+        """Return whether the logs cover the time constant as well."""
+        covered = settings["logged"] or settings["warm_up_time"] <= longest_warm_up(scenes)
+        return bool(covered) and super().plausible(scenes, joint, settings, c)
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Direction and velocity, each times the temperature or the warm-up."""
@@ -92,6 +107,16 @@ class ThermalFriction(FrictionLaw):
         terms = "heat * sign(dq)", "heat * dq"
         return {joint: Law(terms=terms, parts={"heat": heat}, numbers=settings)}
 
+
+
+def longest_warm_up(scenes: Scenes) -> float:
+    """Return the longest time constant [s] that logs without a temperature can tell.
+
+    Several logs on a shared clock must cover it; within one log, or where each log begins a clock
+    of its own, it must go by several times.
+    """
+    on_one_clock = len(scenes) > 1 and all(scene.shared_clock for scene in scenes)
+    return session(scenes) if on_one_clock else session(scenes) / SEVERAL
 
 
 def _celsius(scene: Scene, joint: int) -> Array:

@@ -231,6 +231,8 @@ def causes_in_words(one: ChangedValues) -> str:
 def nothing_added(loop: ClosedLoop) -> str:
     """Return why a refinement added nothing."""
     why = "no effect predicts left-out blocks better" if loop.refused else "nothing was found"
+    if loop.unconfirmed:
+        why = "the held-out logs confirm nothing"
     return f"Nothing was added: {why}"
 
 

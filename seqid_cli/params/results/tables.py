@@ -154,13 +154,21 @@ def loop_errors(loop: ClosedLoop, robot: RobotId) -> Values:
 def rounds(loop: ClosedLoop) -> Values:
     """Effects that were tried in a refinement, and what became of them."""
     rows = []
-    for x in (*loop.rounds, *loop.refused):
-        gains = (x.training_gain, x.training_interval, x.held_out_gain, x.interval)
-        outcome = f"refused: {x.reason or 'no gain'}"
-        if x.accepted:
-            outcome = f"added, {'confirmed' if x.confirmed else 'not confirmed'}"
-            outcome += f": {x.reason}" if x.reason else ""
-        rows.append((x.effect, x.joint or "whole arm", *gains, outcome))
+    outcomes = {
+        "added": loop.rounds,
+        "not kept": loop.unconfirmed,
+        "refused": loop.refused,
+    }
+    for outcome, tried in outcomes.items():
+        for x in tried:
+            said, why = outcome, x.reason
+            if outcome == "added":
+                said = f"added, {'confirmed' if x.confirmed else 'not confirmed'}"
+            elif outcome == "refused":
+                why = x.reason or "no gain"
+            said += f": {why}" if why else ""
+            gains = (x.training_gain, x.training_interval, x.held_out_gain, x.interval)
+            rows.append((x.effect, x.joint or "whole arm", *gains, said))
     titles = "effect | joint | gain left out | 95 % interval | gain held out | 95 % interval"
     return values(f"{titles} | outcome", "effect text share shares share shares text", rows)
 

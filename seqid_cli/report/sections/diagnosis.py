@@ -20,7 +20,7 @@ from seqid_cli.params.results.tables import Values
 from seqid_cli.report import words
 from seqid_cli.report.chart import dots, figure, padded, small_panel
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.judgement import known_effects, unconfirmed, unexplained
+from seqid_cli.report.judgement import known_effects, not_kept, unconfirmed, unexplained
 from seqid_cli.report.sections.parameters import value_rows
 from seqid_cli.report.views import VALUE_HEADS, Figure, Group, Section, Table, lacking, table
 
@@ -136,9 +136,10 @@ def closed_loop(collection: Collection) -> Section:
         return lacking("loop", title, "No refined file is among the files given.", call)
     lead = (
         "Effects were chosen on blocks of time that were left out of the logs to fit. The held-out "
-        "logs were opened after the last decision: both errors are measured there, where joints "
-        "slide, on the same samples. The noise floor estimates what torque noise and encoder alone "
-        "leave. The gain is the part of the error's variance that the refined model takes away, "
+        "logs were opened after the last decision; what they do not confirm is taken out. Both "
+        "errors are measured there, where joints slide, on the same samples. The noise floor "
+        "estimates what torque noise and encoder alone leave. The gain is the part of the error's "
+        "variance that the refined model takes away, "
         "with its 95 % interval."
     )
     added = [(words.effect_at(item.effect, item.joint), item) for item in loop.rounds]
@@ -150,7 +151,7 @@ def closed_loop(collection: Collection) -> Section:
     group = Group(
         "loop-errors",
         f"Added: {words.listed([name for name, _ in added])}" if added else nothing_added(loop),
-        lead="; ".join([*unconfirmed(loop), *faults]),
+        lead="; ".join([*unconfirmed(loop), *not_kept(loop), *faults]),
         badge="poor" if loop.verdict == "poor" else "",
         figures=[_over_floor("RMS error on held-out logs", errors, loop.noise_floor), *shown],
         tables=[

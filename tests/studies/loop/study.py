@@ -58,7 +58,7 @@ def run_case(case: Condition, cache: Path) -> Result:
     file = file_of(robot, stages, logs.earlier)
     clock = time.process_time()
     found = refine(logs.training, robot, file, earlier=logs.earlier, options=options)
-    loop = confirm(found, logs.held_out)
+    loop = confirm(found, logs.held_out).loop
     seconds = time.process_time() - clock
     options = on_the_same_samples(options, stages, robot)
     material = Material(logs.training, logs.earlier, robot, options)
@@ -66,7 +66,8 @@ def run_case(case: Condition, cache: Path) -> Result:
     error = held_out_error(logs.held_out, robot, told, options=options.motion)
     kind, joint, _ = case.effects[0]
     after = loop.after[name := robot.joint_names[joint]]
-    rounds = [(f"{r.effect}@{r.joint}", r) for r in (*loop.rounds, *loop.refused)]
+    tried = (*loop.rounds, *loop.unconfirmed, *loop.refused)
+    rounds = [(f"{r.effect}@{r.joint}", r) for r in tried]
     return Result(
         kind=kind,
         rig=case.rig,

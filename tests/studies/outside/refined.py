@@ -52,7 +52,8 @@ def refined_case(seed: int, folder: Path) -> dict[str, Any]:
     ]
     best = min(told, key=lambda rms: float(sum(rms**2)), default=None)
     closed = loop.closed_loop
-    row["added"] = [(r.effect, r.joint, r.confirmed, r.reason) for r in closed.rounds]
+    added = (*closed.rounds, *closed.unconfirmed)
+    row["added"] = [(r.effect, r.joint, r.confirmed, r.reason) for r in added]
     row["refused"] = [(r.effect, r.joint, r.reason) for r in closed.refused]
     before = {joint: error.rmse for joint, error in closed.before.items()}
     worst = max(before, key=lambda joint: before[joint] / closed.noise_floor[joint])

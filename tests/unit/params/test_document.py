@@ -163,6 +163,9 @@ def test_what_is_no_parameter_file(tmp_path: Path, text: str | bytes, message: s
 
 
 LOOP, ELBOW = "closed_loop", "stages.friction.joints.elbow"
+GONE = "$.closed_loop.unconfirmed[0]"
+NOT_KEPT = {"effect": "spring", "joint": "shoulder", "accepted": True, "confirmed": False}
+STOPPED = {"rounds": 1, "untried": [{"effect": "spring", "joint": "knee"}]}
 SHOWN = f"{LOOP}.rounds.0.evidence"
 SESSION, IT = "stages.effects.0.session", "$.stages.effects[0].session"
 WRONG = [  # a key of the full file, its value, what is said of it, or of another key: $...
@@ -186,6 +189,10 @@ WRONG = [  # a key of the full file, its value, what is said of it, or of anothe
     (f"{SHOWN}.of", "knee", "joint 'knee'"),
     (f"{SHOWN}.after", [0.1], "$.closed_loop.rounds[0].evidence: x, count, before and"),
     (f"{LOOP}.rounds.0.accepted", False, ""),
+    (f"{LOOP}.unconfirmed", [NOT_KEPT | {"accepted": False}], f"{GONE}.accepted: contradicts"),
+    (f"{LOOP}.unconfirmed", [NOT_KEPT | {"confirmed": True}], f"{GONE}.confirmed: contradicts"),
+    (f"{LOOP}.unconfirmed", [NOT_KEPT | {"joint": "knee"}], f"{GONE}.joint: joint 'knee'"),
+    (f"{LOOP}.stopped_at", STOPPED, "$.closed_loop.stopped_at.untried[0].joint: joint 'knee'"),
     (f"{LOOP}.refused.0.interval", [1.0], "mu"),
     (f"{LOOP}.before", {"knee": {"rmse": 1.0}}, "joint 'knee'"),
     (f"{LOOP}.gain_interval.elbow", [0.2, 0.1], "must be two numbers"),

@@ -11,7 +11,7 @@ from seqid_cli.params.check import check_consistency
 from seqid_cli.params.io import Document, Source, read_any
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.results.prediction import FileId, PredictionFile
-from seqid_cli.params.schema import ParameterFile, Verdict
+from seqid_cli.params.schema import EffectOfPlace, ParameterFile, StoppedAt, Verdict
 from seqid_cli.report.collection import collect
 from seqid_cli.report.judgement import Judgement, judge
 from seqid_cli.report.sections.diagnosis import closed_loop
@@ -172,7 +172,12 @@ def of_refinement() -> Iterator[tuple[str, Documents]]:
     doubtful = replace(loop, verdict="poor", rounds=[replace(loop.rounds[0], confirmed=False)])
     stuck = Verdict(joint="elbow", good=False, reason="is stuck")
     faulty = replace(loop, verdict="poor", verdicts=[stuck])
-    for name, outcome in (("not confirmed", doubtful), ("of faulty logs", faulty)):
+    gone = replace(loop.rounds[0], confirmed=False, held_out_gain=0.02, interval=[-0.3, 0.34])
+    untried = [EffectOfPlace(effect="presliding_hysteresis", joint="shoulder")]
+    stopped = StoppedAt(rounds=1, untried=untried)
+    unkept = replace(loop, rounds=[], unconfirmed=[gone], stopped_at=stopped)
+    outcomes = {"not confirmed": doubtful, "of faulty logs": faulty, "not kept": unkept}
+    for name, outcome in outcomes.items():
         model = source("refined.json", replace(refined, closed_loop=outcome))
         tested = source("prediction.json", made_with(prediction_file(), model))
         yield f"a refinement {name}", [model]
@@ -254,4 +259,9 @@ def test_what_is_poor_of_a_refinement_leads_its_section() -> None:
     assert leads == {
         "a refinement not confirmed": (added, doubt),
         "a refinement of faulty logs": (added, "elbow: is stuck"),
+        "a refinement not kept": (
+            "Nothing was added: the held-out logs confirm nothing",
+            "not kept, as the held-out logs do not confirm it: stribeck at elbow; the refinement "
+            "stopped at the limit of rounds (1); not tried: presliding hysteresis at shoulder",
+        ),
     }

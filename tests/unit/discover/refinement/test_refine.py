@@ -61,7 +61,7 @@ def test_what_came_late_leaves_the_file_as_it_is(
     found = refine(
         changed("fourier", "trapezoids"), RIG.robot, before, earlier=first_logs(), options=OPTIONS
     )
-    stages, loop = found.stages, confirm(found, unseen)
+    stages, loop = found.stages, confirm(found, unseen).loop
     assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, LATE)]
     for name in ("friction", "gravity", "inertia"):
         assert getattr(stages, name) == getattr(before.stages, name)
@@ -77,7 +77,7 @@ def test_what_came_late_leaves_the_file_as_it_is(
     left = np.array([loop.after["joint_1"].rmse])
     above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left)
     monkeypatch.setattr("seqid_cli.discover.refinement.confirm.noise_floor", lambda *_, **__: above)
-    doubtful = confirm(found, unseen)
+    doubtful = confirm(found, unseen).loop
     assert doubtful.noise_floor["joint_1"] == 2.0 * left[0] > doubtful.after["joint_1"].rmse
     assert any("doubtful" in note for note in doubtful.notes)
 
@@ -95,7 +95,7 @@ def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:
     file = identified(logs)
     training = changed("fourier", "trapezoids")
     found = refine(training, RIG.robot, file, earlier=logs, options=OPTIONS)
-    stages, loop = found.stages, confirm(found, changed("held_out"))
+    stages, loop = found.stages, confirm(found, changed("held_out")).loop
     assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, ALL_ALONG)]
     assert stages.gravity != file.stages.gravity
     assert stages.inertia != file.stages.inertia
@@ -171,7 +171,7 @@ def test_a_few_seconds_are_enough_for_a_large_effect(before: ParameterFile) -> N
     short = log.t < log.t[0] + 6.0
     cut = replace(log, **{x: getattr(log, x)[short] for x in ("t", "q", "tau", "valid")})
     found = refine([cut], RIG.robot, before, earlier={}, options=OPTIONS)
-    loop = confirm(found, changed("held_out"))
+    loop = confirm(found, changed("held_out")).loop
     assert [(r.effect, r.accepted) for r in loop.rounds] == [("spring", True)]
     assert loop.after["joint_1"].rmse < 0.6 * loop.before["joint_1"].rmse
 
@@ -217,7 +217,8 @@ def test_logs_too_long_to_be_held_are_fitted_in_pieces_and_judged_as_a_whole(
     assert len(fitted.recordings) == 2
     robot, file, options = training.robot, training.file, replace(OPTIONS, max_effects=1)
     found = refine(fitted.recordings, robot, file, earlier={}, options=options)
-    loop = confirm(found, held.recordings, held_out.WholeLogs((path,), robot))
+    done = confirm(found, held.recordings, held_out.WholeLogs((path,), robot))
+    loop = done.loop
 
     (told,) = [r for r in loop.rounds if r.accepted]
     assert (told.effect, told.joint) == ("stribeck", "elbow")

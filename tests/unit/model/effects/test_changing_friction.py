@@ -75,6 +75,41 @@ def test_the_time_constant_comes_back_from_the_clock(trials: list[Scene]) -> Non
     assert c == pytest.approx([-COULOMB_SLOPE * rise, -VISCOUS_SLOPE * rise], rel=0.1)
 
 
+def times(scenes: list[Scene]) -> list[float]:
+    """Return the time constants that are tried, s."""
+    return [point["warm_up_time"] for point in ThermalFriction().grid(scenes, 0, [])]
+
+
+def test_a_warm_up_longer_than_the_log_is_not_tried() -> None:
+    """Out of a log of 6 s none of 11 s, nor any other: it has to go by several times."""
+    effect, short = ThermalFriction(), [scene_of(wander(6.0))]
+    assert times(short) == []
+    settings = {"warm_up_time": 11.0, "logged": 0.0, "reference_temperature": 0.0}
+    assert not effect.plausible(short, 0, settings, np.ones(2))
+
+    long = [scene_of(wander(60.0))]
+    assert 19.0 < max(times(long)) <= 20.0
+    assert effect.plausible(long, 0, settings, np.ones(2))
+    assert not effect.plausible(long, 0, {**settings, "warm_up_time": 30.0}, np.ones(2))
+
+
+def test_logs_on_one_clock_cover_a_warm_up_together(trials: list[Scene]) -> None:
+    assert all(scene.shared_clock for scene in trials)
+    span = (LOGS - 1) * APART + SECONDS
+    assert max(times(trials)) == pytest.approx(span, rel=0.01)
+    apart = [replace(scene, start=0.0, shared_clock=False) for scene in trials]
+    assert times(apart) == []
+
+
+def test_a_logged_temperature_needs_no_time(trials: list[Scene]) -> None:
+    effect, warm = ThermalFriction(), logged(trials[-1])
+    surfaces = tuple(replace(surface, temperature=12.0) for surface in warm.model.surfaces)
+    known = replace(warm, model=replace(warm.model, surfaces=surfaces))
+    (point,) = effect.grid([known], 0, [])
+    assert point["logged"] == 1.0
+    assert effect.plausible([known], 0, {**point, "warm_up_time": 1e4}, np.ones(2))
+
+
 def test_damaged_temperature_is_not_used(trials: list[Scene]) -> None:
     """Not numbers, or not degrees Celsius."""
     effect, hot = ThermalFriction(), {"warm_up_time": 100.0, "logged": 1.0}

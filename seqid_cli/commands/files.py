@@ -6,9 +6,10 @@ from typing import Literal
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED, called
-from seqid_cli.commands.options import OUTPUT, command, only, option
+from seqid_cli.commands.options import OUTPUT, SIX, command, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
-from seqid_cli.export.formats import FORMATS
+from seqid_cli.errors import UsageError
+from seqid_cli.export.formats import BY_TARGET, BY_TITLE, FORMATS
 from seqid_cli.params.files import By
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.comparison import ComparisonFile, Difference
@@ -68,10 +69,11 @@ def report(
 
 
 @command(
-    "parameters robot output strict",
+    "parameters robot output target replay no_replay strict",
     "seqid export inertia.json -r sample_logs/six_joint/robot.toml -o six_joint.urdf",
     f"seqid export inertia.json -r {_TWO}/robot.toml -o two_joint.xml",
     f"seqid export refined.json -r {_TWO}/robot.toml -o two_joint.h --strict",
+    f"seqid export refined.json -r {SIX}/robot.toml --target ur-friction -o friction.json",
 )
 def export(
     context: typer.Context,
@@ -79,14 +81,30 @@ def export(
         ..., metavar="FILE...", help="Parameter file; several are joined."
     ),
     output: Path = option(..., "-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}."),
+    target: str | None = option(
+        None, "--target NAME", f"The form, whatever the suffix: {', '.join(BY_TARGET)}."
+    ),
+    replay: list[Path] = option(
+        [],
+        "--replay LOG",
+        "Log to run what was written over, once per file, folder or glob; by default the"
+        " held-out ones of the file.",
+    ),
+    no_replay: bool = option(False, "--no-replay", "Do not run what was written over logs."),
 ) -> int:
-    """Write an identified arm as URDF, MJCF, ROS 2 parameters or C.
+    """Write an identified arm as URDF, MJCF, ROS 2 parameters, C, or what a controller takes.
 
     Links get inertial parameters that a body can have, with the identified torque, as near as
-    possible to those of the URDF. Friction becomes Coulomb and viscous friction where the format
-    knows no other.
+    possible to those of the URDF. A form that cannot hold the whole model gets the links and the
+    Coulomb and viscous friction that lose least of its torque, and says how much that is. What was
+    written is run over held-out logs: exits with 1 where it is worse than it states.
     """
+    if replay and no_replay:
+        raise UsageError("--replay and --no-replay exclude each other", hint="Give one of them.")
     told, file = called(context, "export.export")
+    if not file.joints:
+        _show_end(told.screen, file, output)
+        return told.ended()
     screen, rows = told.screen, []
     for name, link in file.joints.items():
         center, fit = " ".join(number(x) for x in link.center_of_mass), link.friction
@@ -94,17 +112,54 @@ def export(
         if fit is not None:
             share = fit.rms_misfit / fit.rms if fit.rms > 0.0 else 0.0
             friction = (fit.coulomb, fit.viscous, share)
-        rows.append((name, link.mass, center, link.armature, *friction))
+        loss = (file.loss.get(name),) if file.loss else ()
+        rows.append((name, link.mass, center, link.armature, *friction, *loss))
     titles = "joint | mass [kg] | centre of mass [m] | armature | Coulomb | viscous | misfit"
-    screen.values(tables.values(titles, "text number4 text number number number share", rows))
-    if file.exact:
+    kinds = "text number4 text number number number share"
+    if file.loss:
+        titles, kinds = f"{titles} | loss [N m]", f"{kinds} number"
+    screen.values(tables.values(titles, kinds, rows))
+    if file.loss:
+        screen.note("loss: RMS of the file's torque that this form does not have")
+    if BY_TITLE[file.format].extent == "whole":
+        screen.result("the torque is exactly that of the file, with or without bodies that have it")
+    elif file.exact:
         screen.result("the identified base parameters are met exactly by bodies that can exist")
     else:
         _show_deviations(screen, file)
+    failed = _show_replay(screen, file)
+    _show_end(screen, file, output)
+    code = told.ended(untrusted=file.largest_deviation > MAX_STD_ERRORS)
+    return EXIT_UNTRUSTED if failed else code
+
+
+def _show_end(screen: Screen, file: ExportFile, output: Path) -> None:
     for note in file.notes:
         screen.note(f"note: {note}")
     screen.note(f"written: {output} ({file.format})")
-    return told.ended(untrusted=file.largest_deviation > MAX_STD_ERRORS)
+
+
+def _show_replay(screen: Screen, file: ExportFile) -> bool:
+    """Show what the written file makes of logs; return whether it is worse than it states."""
+    if file.replay is None:
+        return False
+    rows = [
+        (name, joint.file_rmse, joint.export_rmse, joint.loss, joint.samples)
+        for name, joint in file.replay.joints.items()
+    ]
+    if rows:
+        count = len(file.replay.logs)
+        screen.result(f"replayed over {count} log{'s' if count > 1 else ''}, RMS errors in N m:")
+        titles = "joint | parameter file | written file | loss there | samples"
+        screen.values(tables.values(titles, "text number number number count", rows))
+    for text in file.replay.failures:
+        screen.warn(text)
+    if file.replay.failures:
+        screen.note(
+            "do: export again and do not edit what was written; where a form loses too much for its"
+            " use, export to C or numpy, which hold the whole model"
+        )
+    return not file.replay.passed
 
 
 def _show_deviations(screen: Screen, file: ExportFile) -> None:

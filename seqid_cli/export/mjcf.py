@@ -8,18 +8,81 @@ own between two stiff stops. Capsules along the links show the arm, without mass
 
 import numpy as np
 
+from seqid_cli.errors import ConfigError
 from seqid_cli.export.model import ExportModel
-from seqid_cli.export.text import rendered
+from seqid_cli.export.targets import position_gains
+from seqid_cli.export.text import real, rendered
 from seqid_cli.model.bodies.pseudo_inertia import Body
+from seqid_cli.robot.types import Joint
 from seqid_cli.typing import Array
 
 _FULL = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # entries of an inertia in MuJoCo's order
 
 
-def mjcf(
-    model: ExportModel, *, share: float = 0.01, min_length: float = 1e-3, thickness: float = 0.1
+def mjcf(model: ExportModel) -> str:
+    """Return the arm as an MJCF document whose actuators take torques."""
+    return _document(model, ['<motor name="NAME_motor" joint="NAME" />'] * model.robot.n)
+
+
+def mjcf_with_positions(model: ExportModel) -> str:
+    """Return the arm with actuators that take positions, as stiff as `position_gains` says."""
+    stiffness, damping = position_gains(model)
+    lines = [
+        f'<position name="NAME_position" joint="NAME" kp="{real(kp)}" kv="{real(kv)}" />'
+        for kp, kv in zip(stiffness, damping, strict=True)
+    ]
+    return _document(model, lines)
+
+
+def mjcf_with_dc_motors(model: ExportModel) -> str:
+    """Return the arm with DC motors that take a voltage, by the drive data of the robot file.
+
+    Raises
+    ------
+    ConfigError
+        The robot file does not give torque constant, gear ratio and winding resistance of
+        every joint, or the MuJoCo that is installed knows no `dcmotor`.
+    """
+    lines = [_dc_motor(joint, model) for joint in model.robot.joints]
+    text = _document(model, lines)
+    try:
+        import mujoco
+    except ImportError:
+        return text
+    try:
+        mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        message = f"MuJoCo {mujoco.__version__} does not take DC motors: {error}"
+        hint = "Install MuJoCo 3.6 or later, or export to --target mujoco."
+        raise ConfigError(message.splitlines()[0], hint=hint) from error
+    return text
+
+
+def _dc_motor(joint: Joint, model: ExportModel) -> str:
+    constant, resistance = joint.torque_constant, joint.winding_resistance
+    ratio = joint.gear_ratio
+    if constant is None or resistance is None or ratio is None:
+        message = f"joint {joint.name}: a DC motor needs torque_constant, gear_ratio and"
+        hint = "Give them in the robot file, or export to --target mujoco."
+        where = str(model.robot.source)
+        raise ConfigError(f"{message} winding_resistance", where=where, hint=hint)
+    supply = joint.supply_voltage
+    limits = "" if supply is None else f' ctrlrange="{real(-supply)} {real(supply)}"'
+    return (
+        f'<dcmotor name="NAME_dcmotor" joint="NAME" gear="{real(ratio)}"'
+        f' motorconst="{real(constant)}" resistance="{real(resistance)}"{limits} />'
+    )
+
+
+def _document(
+    model: ExportModel,
+    actuators: list[str],
+    *,
+    share: float = 0.01,
+    min_length: float = 1e-3,
+    thickness: float = 0.1,
 ) -> str:
-    """Return the arm as an MJCF document.
+    """Return the arm as an MJCF document; NAME in an actuator is that of its joint.
 
     `share`: of the motor's armature that a link gets which plays; only relative acceleration feels
     it. Links of `min_length` m are drawn, `thickness` of their length thick.
@@ -38,6 +101,7 @@ def mjcf(
         springs=list(map(_spring, model.springs)),
         gaps=np.where(model.armature > 0.0, model.gaps, 0.0),
         share=share,
+        actuators=actuators,
     )
 
 

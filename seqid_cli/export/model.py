@@ -1,7 +1,8 @@
 """The exported model, whatever the format: bodies, rotors, friction, and effects left out."""
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -21,7 +22,34 @@ from seqid_cli.robot.types import Array, Robot
 from seqid_cli.robot.urdf import UrdfText, read_urdf_text
 
 _POSITIONS, _SPEEDS = 41, 60
-_LEFT_OUT = "cannot be written to a model file and is left out"
+LEFT_OUT = "cannot be written to a model file and is left out"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loss:
+    """What a form loses of the file's torque, while joints slide.
+
+    `rms` (n,) N m (N where prismatic) is on the motions that the numbers are fitted to,
+    `replayed_rms` on those of the logs to replay; NaN for a joint that never slides there.
+    """
+
+    rms: Array
+    replayed_rms: Array
+    logs: int
+    made: bool
+
+    def stated(self, names: Sequence[str]) -> dict[str, float | None]:
+        """Return the loss of each joint, None where it is not known."""
+        return _by_joint(names, self.rms)
+
+    def on_replayed(self, names: Sequence[str]) -> dict[str, float | None]:
+        """Return the loss of each joint on the logs to replay, None where it is not known."""
+        return _by_joint(names, self.replayed_rms)
+
+
+def _by_joint(names: Sequence[str], values: Array) -> dict[str, float | None]:
+    pairs = zip(names, values.tolist(), strict=True)
+    return {name: None if math.isnan(value) else value for name, value in pairs}
 
 
 @dataclass(frozen=True)
@@ -37,12 +65,18 @@ class ExportModel:
     surfaces: tuple[FrictionSurface | None, ...]
     friction: tuple[ExportedFriction | None, ...]
     deviations: tuple[ExportedParameter, ...]  # of every identified base parameter
+    added: Array  # (11 n,) what effects add to the standard parameters, rotors last
     springs: Array  # (n, 4) torque of a joint by powers of its position, N m, N m/rad ...
     gaps: Array  # (n,) rad, backlash
     effects: tuple[Fitted, ...]  # that code says
     base: TorqueModel  # without effects, as they see it
     observer: Thresholds  # when a momentum observer raises an alarm
     notes: tuple[str, ...]  # what the reader of the file has to know
+    loss: Loss | None = None  # against the file; None where it has not been looked at
+    refitted: bool = False  # whether the numbers are those that lose least, not the file's own
+    # Of code, whose links have exactly the file's torque: the nearest bodies that can exist.
+    physical: NearestBodies | None = None
+    writes_offset: bool = False  # whether the form has a place for a constant torque
 
     @property
     def bodies(self) -> Array:
@@ -98,12 +132,41 @@ def export_model(
         surfaces=surfaces,
         friction=friction,
         deviations=demand.deviations(nearest.links + kept, nearest.rotor),
+        added=effects.parameters,
         springs=effects.springs,
         gaps=effects.gaps,
         effects=effects.coded,
         base=TorqueModel.from_stages(stages, robot),
         observer=thresholds(robot, stages, surfaces, mass, errors),
         notes=(*found, *_notes_on_friction(robot, friction), *effects.notes),
+    )
+
+
+def with_file_torque(model: ExportModel, stages: Stages) -> ExportModel:
+    """Return the model with link parameters whose torque is exactly the file's.
+
+    Code computes torques from any numbers. Those of the nearest bodies that can exist may be
+    a standard error away in a direction that matters: they are for simulators. With P, E of
+    the base parameters and phi of the nearest bodies, phi + P (pi - E phi) has the torque of
+    pi, and the bodies' own numbers for all that torque does not show. An arm whose inertia
+    was not identified keeps the bodies' one.
+    """
+    if stages.inertia is None and stages.gravity is None:
+        return model
+    demand = identified(stages, model.robot, more=model.added)
+    n = model.robot.n
+    standard = np.concatenate([model.bodies.ravel(), model.nearest.rotor])
+    gap = demand.whole_values - demand.basis.expression @ standard
+    rows = np.arange(demand.basis.size) if stages.inertia else np.array(demand.rows)
+    standard = standard + demand.basis.representative[:, rows] @ gap[rows]
+    links = standard[: PER_LINK * n].reshape(n, PER_LINK) - model.kept
+    nearest = replace(model.nearest, links=links, rotor=standard[PER_LINK * n :], exact=True)
+    phi, rotor = links + model.kept, nearest.rotor
+    return replace(
+        model,
+        nearest=nearest,
+        physical=model.nearest,
+        deviations=demand.deviations(phi, rotor),
     )
 
 
@@ -135,7 +198,7 @@ def _effects(
     coded: list[Fitted] = []
     notes = []
     for item in fitted_effects(stages, robot, unexplained=True):
-        name, fate, j = "a smooth term of no known cause", _LEFT_OUT, item.joint or 0
+        name, fate, j = "a smooth term of no known cause", LEFT_OUT, item.joint or 0
         if isinstance(item, FittedEffect):
             name, c = item.effect.name, item.coefficients
             diagonal = coupling == "diagonal" and not item.settings.get("coupling")
@@ -148,7 +211,7 @@ def _effects(
                     gaps[j] += c[0]
                 else:
                     springs[j, : len(c)] += c[[1, 0, 3, 2][: len(c)]]
-        if holds is None and fate == _LEFT_OUT:
+        if holds is None and fate == LEFT_OUT:
             coded.append(item)
             fate = "written as it is"
         notes.append(f"{fate}: {name} ({robot.name_of(item.joint) or 'all joints'})")

@@ -41,11 +41,14 @@ def plain(text: str) -> str:
 def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
     """Return the remarks that a reader of any exported file needs, a line each."""
     state = "exactly" if model.nearest.exact else "but for the deviations that follow"
-    lines = [
-        f"Inertial parameters of {model.robot.name!r} identified by seqid {__version__}.",
+    bodies = [
         "Every link is physically consistent; what torque does not show is nearest to the prior.",
         f"The identified base parameters are met {state}.",
     ]
+    if model.physical is not None:
+        bodies = ["The torque is exactly that of the file; no body need have these parameters."]
+    name = f"Inertial parameters of {model.robot.name!r} identified by seqid {__version__}."
+    lines = [name, *bodies]
     lines += [
         f"{d.name}: identified {d.identified:.6g} {d.unit}, exported {d.exported:.6g}"
         f" ({d.std_errors:+.2f} standard errors)"
@@ -59,9 +62,35 @@ def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
         for joint, fit in zip(model.robot.joints, model.friction, strict=True)
         if fit is not None
     ]
+    lines += _loss_lines(model)
     if model.coupling == "gyroscopic":
         lines.append("Rotors turn the links that carry them as well; an armature leaves that out.")
     return [plain(line) for line in [*lines, *model.notes]]
+
+
+def joint_remarks(model: ExportModel) -> list[str]:
+    """Return the remarks of a file that holds friction and armatures alone, a line each."""
+    name = f"Friction and armatures of {model.robot.name!r} identified by seqid {__version__}."
+    return [plain(line) for line in [name, *_loss_lines(model), *model.notes]]
+
+
+def _loss_lines(model: ExportModel) -> list[str]:
+    """Say what the form loses of the file's torque, a line for each joint that loses any."""
+    if model.loss is None:
+        return []
+    source = "made motions" if model.loss.made else f"{model.loss.logs} of the file's logs"
+    lines = []
+    if model.refitted:
+        least = "Links and friction are those that lose least of the file's torque"
+        lines.append(f"{least} on {source}.")
+    for joint, rms in zip(model.robot.joints, model.loss.rms, strict=True):
+        unit = joint.unit("N m")
+        if np.isnan(rms):
+            lines.append(f"{joint.name}: what this form loses is not known, it slides nowhere")
+        else:
+            lost = f"{rms:.3g} {unit} RMS of the file's torque"
+            lines.append(f"{joint.name}: loses {lost} ({source})")
+    return lines
 
 
 def ros2_parameters(model: ExportModel) -> str:

@@ -20,9 +20,10 @@ Their variances make the error grow outside: by the spread of friction over posi
 about the slope, by what friction changes near the slowest speed.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
@@ -42,6 +43,28 @@ PATCHES = 1.0 / (np.sqrt(2.0 * np.pi) * FADE)  # independent patches of position
 NEW_GROUND = float(np.sqrt((PATCHES + 1.0) / (PATCHES - 1.0)))
 BELOW, ABOVE, FASTER, SLOWER = range(4)  # the coefficients of the extension of one direction
 EXTENSION_SIZE = 4  # their number
+
+
+class FrictionLaw(Protocol):
+    """Friction of one joint as a prediction needs it, whoever states it."""
+
+    @property
+    def sign_width(self) -> float:
+        """Speed [rad/s; m/s where prismatic] over which the torque changes its sign."""
+        ...
+
+    @property
+    def per_kelvin(self) -> float:
+        """Share by which friction changes per kelvin."""
+        ...
+
+    def torque(self, q: Array, v: Array) -> Array:
+        """Return the torque (N,) N m at positions and velocities (N,)."""
+        ...
+
+    def warmed(self, celsius: Array) -> Array:
+        """Return the factor (N,) that temperatures make of friction."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -275,10 +298,10 @@ class FrictionSurface:
         return np.array([spread, spread, doubt, change])
 
 
-def friction_torque(surfaces: list[FrictionSurface | None], q: Array, dq: Array) -> Array:
+def friction_torque(laws: Sequence[FrictionLaw | None], q: Array, dq: Array) -> Array:
     """Friction torque (N, n) N m; zero for a joint whose friction is not known."""
     torque = np.zeros(q.shape)
-    for j, surface in enumerate(surfaces):
-        if surface is not None:
-            torque[:, j] = surface.torque(q[:, j], dq[:, j])
+    for j, law in enumerate(laws):
+        if law is not None:
+            torque[:, j] = law.torque(q[:, j], dq[:, j])
     return torque

@@ -9,6 +9,7 @@ where samples are many per period of the cut-off, what would be folded back is l
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Self
@@ -17,7 +18,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, minimum_filter1d
 from scipy.signal import firwin
 
-from seqid_cli.model.friction import FrictionSurface, friction_torque
+from seqid_cli.model.friction import FrictionLaw, FrictionSurface, friction_torque
 from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import RigidStage, Stages
@@ -211,7 +212,7 @@ def slowest_near(
 
 
 def sampled_friction(
-    surfaces: list[FrictionSurface | None], motion: Motion, *, dense: float = 80.0
+    surfaces: Sequence[FrictionLaw | None], motion: Motion, *, dense: float = 80.0
 ) -> Array:
     """Friction torque of a motion, its step at reversals kept below half of the rate.
 
@@ -230,7 +231,7 @@ def sampled_friction(
     return _warmed(torque, surfaces, motion)
 
 
-def _warmed(torque: Array, surfaces: list[FrictionSurface | None], motion: Motion) -> Array:
+def _warmed(torque: Array, surfaces: Sequence[FrictionLaw | None], motion: Motion) -> Array:
     """Friction torque (N, n) N m at the temperatures of the joints, where they were logged."""
     if motion.celsius is None:
         return torque
@@ -252,7 +253,7 @@ def _near_reversals(motion: Motion, j: int, width: float, *, wide: float = 3.0) 
     return np.asarray(binary_dilation(found, np.ones(2 * HALF + 1, dtype=np.bool_)))
 
 
-def _band_limited(surface: FrictionSurface, q: Array, dq: Array, near: Index) -> Array:
+def _band_limited(surface: FrictionLaw, q: Array, dq: Array, near: Index) -> Array:
     """Low-passed friction at samples `near` (M,) of a motion (N,)."""
     used = np.unique(near[:, None] + np.arange(-HALF, HALF + 1))
     q, dq = (x[used[:, None] + KNOTS] @ WEIGHTS for x in (q, dq))

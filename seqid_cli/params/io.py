@@ -132,7 +132,7 @@ def _schema_of(
     return name[0], name["kind"], int(name["version"])
 
 
-def check_robot(file: ParameterFile, robot: "Robot", *, where: str = "") -> tuple[str, ...]:
+def check_robot(file: OfRobot, robot: "Robot", *, where: str = "") -> tuple[str, ...]:
     """Return warnings if the robot file has changed since; raises ConfigError for another robot."""
     mine, theirs = list(robot.joint_names), file.robot.joints
     if mine != theirs:

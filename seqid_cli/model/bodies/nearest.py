@@ -31,7 +31,8 @@ class Identified:
 
     `values`, `errors` (b,) and `covariance` (b, b) are of the base parameters `rows` of `basis`,
     the ones that the logs determined; `moves` (n, b) is the part of these errors that each joint's
-    torque constant has. `known` (n,) kg m^2 are rotor inertias of the robot file and `free` lists
+    torque constant has. `whole_values` are those of the whole basis, as the file's torque has them.
+    `known` (n,) kg m^2 are rotor inertias of the robot file and `free` lists
     joints whose rotor inertia was identified.
     """
 
@@ -43,6 +44,7 @@ class Identified:
     moves: Array
     known: Array
     free: tuple[int, ...]
+    whole_values: Array
 
     @property
     def held_covariance(self) -> Array:
@@ -102,6 +104,7 @@ def identified(
         moves=moves,
         known=np.where(known, phi[first:], 0.0) if stages.inertia else known_rotors(robot),
         free=tuple(int(j) for j in np.flatnonzero(seen)),
+        whole_values=np.asarray(values),
     )
 
 

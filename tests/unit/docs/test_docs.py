@@ -50,7 +50,7 @@ COMPLETED: dict[str, dict[str, Path]] = {
     "docs/own_robot.md": {name: SIX / name for name in ("robot.toml", "six_joint.urdf")}
 }
 # Commands with made-up logs and files: they are parsed only.
-MADE_UP = ("logs/monday", "logs/tuesday", "logs/friday", "LOG")
+MADE_UP = ("logs/monday", "logs/tuesday", "logs/friday", "LOG", "load.json")
 
 
 @pytest.fixture(scope="module")

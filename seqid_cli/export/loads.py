@@ -1,0 +1,85 @@
+"""A load at the flange in the words of robot controllers.
+
+It comes from the result of `seqid payload`, or from the payload effect of a refined file, as
+the nearest body that can exist. `payload.result` says what the words are.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from seqid_cli.errors import ConfigError
+from seqid_cli.export.formats import BY_TITLE, Format
+from seqid_cli.model.effects.fitted import FittedEffect, fitted_effects
+from seqid_cli.params.io import Document, Source, check_robot, read_any
+from seqid_cli.params.results.payload import PayloadFile
+from seqid_cli.params.schema import ParameterFile
+from seqid_cli.robot.types import Robot
+
+# Of each form: the key under which a result of `seqid payload` has it.
+_SETTINGS = {"UR payload": "urscript", "Franka load": "libfranka"}
+
+
+def read_load(paths: Sequence[Path]) -> Source[Document]:
+    """Read the one file that says what the robot carries.
+
+    Raises
+    ------
+    ConfigError
+        There is more than one, or it is neither a payload result nor a parameter file.
+    """
+    sources = read_any(paths)
+    kinds = (PayloadFile, ParameterFile)
+    if len(sources) != 1 or not isinstance(sources[0].content, kinds):
+        message = (
+            "a load comes from one file: of seqid payload, or a refined parameter file"
+        )
+        hint = "Run seqid payload on logs with the load, and give its result."
+        raise ConfigError(message, where=", ".join(map(str, paths)), hint=hint)
+    return sources[0]
+
+
+def load_setting(source: Source[Document], robot: Robot, kind: str) -> str:
+    """Return the line with which a controller is told of a load.
+
+    Raises
+    ------
+    ConfigError
+        The file knows of no load, or its logs do not determine mass and centre of mass.
+    """
+    form: Format = BY_TITLE[kind]
+    key, content = _SETTINGS[form.title], source.content
+    if isinstance(content, PayloadFile):
+        check_robot(content, robot, where=source.path)
+        settings = content.settings
+    else:
+        assert isinstance(content, ParameterFile)
+        check_robot(content, robot, where=source.path)
+        settings = _of_effects(content, robot, source.path)
+    if key not in settings:
+        message = "mass and centre of mass of the load are not determined"
+        hint = "Record moves with the load in more poses, and run seqid payload."
+        raise ConfigError(message, where=source.path, hint=hint)
+    return settings[key] + "\n"
+
+
+def _of_effects(file: ParameterFile, robot: Robot, where: str) -> dict[str, str]:
+    """Return the settings of the payloads that a refined file found, all together."""
+    from seqid_cli.payload.result import carried, settings_of
+
+    found = [
+        item
+        for item in fitted_effects(file.stages, robot)
+        if isinstance(item, FittedEffect) and item.effect.name == "payload"
+    ]
+    if not found:
+        message = "the file holds no payload effect"
+        hint = "Run seqid payload on logs with the load, and give its result."
+        raise ConfigError(message, where=where, hint=hint)
+    phi = np.sum([item.coefficients for item in found], axis=0)
+    covariance = np.sum([item.covariance for item in found], axis=0)
+    if phi[0] <= 0.0:
+        return {}
+    values, _, _ = carried(phi, covariance)
+    return settings_of(values[0], values[1:4], values[4:].reshape(3, 3).tolist())

@@ -1,0 +1,203 @@
+"""What was written, run over logs: is it as near to the measured torque as its file.
+
+Nothing that is in memory takes part: a C header is compiled, a module imported, model files
+are read by the libraries that others read them with. The low-pass is that of `seqid predict`:
+links and rotors once, friction and effects twice. Samples are those at which a joint slides.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from seqid_cli.export.motions import FullModel
+from seqid_cli.export.written import Steps, WrittenArm, read_written
+from seqid_cli.logs.read import read_recording
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.torque import sampled_friction
+from seqid_cli.motion.motion import Motion
+from seqid_cli.params.results.export import ReplayedJoint
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+
+# By how much a written form may be worse than what it states: rounding, other libraries'
+# friction at a reversal and the log's own chance stay far below.
+MAX_RATIO = 1.1
+# N m; below it, errors are those of numbers with 15 digits, and their ratio says nothing.
+_NOTHING = 1e-6
+
+
+@dataclass
+class _DeferredFriction:
+    """Friction of one joint of a written form, asked for first and answered later.
+
+    A module for numpy takes one state of all joints at a time: what is asked of single joints
+    is put together, so that it runs once for all of them.
+    """
+
+    sign_width: float
+    per_kelvin: float = 0.0  # warmth is an effect of the form, if it knows of it
+    asked: list[tuple[Array, Array]] = field(default_factory=list)
+    answers: list[Array] = field(default_factory=list)
+
+    def torque(self, q: Array, v: Array) -> Array:
+        """Return the torque (N,) N m that was answered, or zeros while it is asked for."""
+        if self.answers:
+            return self.answers.pop(0)
+        self.asked.append((q, v))
+        return np.zeros(len(q))
+
+    def warmed(self, celsius: Array) -> Array:
+        """Return the factor (N,) of temperatures: none here."""
+        return np.ones(len(celsius))
+
+
+def _friction(
+    arm: WrittenArm, widths: Sequence[float], motion: Motion
+) -> tuple[Array, Array]:
+    """Return the friction (N, n) N m of a written form, as it is and sampled as predictions do.
+
+    The latter's steps at reversals are kept below half of the rate.
+    """
+    laws = [_DeferredFriction(width) for width in widths]
+    sampled_friction(laws, motion)
+    lengths = [[len(q) for q, _ in law.asked] for law in laws]
+    q, v = np.zeros((2, max(map(sum, lengths)), len(laws)))
+    for j, law in enumerate(laws):
+        q[: sum(lengths[j]), j] = np.concatenate([asked for asked, _ in law.asked])
+        v[: sum(lengths[j]), j] = np.concatenate([asked for _, asked in law.asked])
+    torque = arm.friction(q, v)
+    for j, law in enumerate(laws):
+        ends = np.cumsum(lengths[j])
+        law.answers = np.split(torque[: ends[-1], j], ends[:-1])
+    # What is asked of each joint first are the samples themselves.
+    plain = torque[: motion.samples].copy()
+    return plain, sampled_friction(laws, motion)
+
+
+def replayed(
+    path: Path,
+    kind: str,
+    full: FullModel,
+    logs: Sequence[Path],
+    loss: Mapping[str, float | None],
+) -> dict[str, ReplayedJoint]:
+    """Run a written file over logs, and compare its errors with those of its parameter file.
+
+    Parameters
+    ----------
+    path, kind : Path, str
+        The written file, and the title of its form.
+    full : FullModel
+        The parameter file's model.
+    logs : sequence of paths
+        Logs with torque.
+    loss : mapping
+        What the form's numbers lose of the file's torque on these logs, by joint, N m.
+
+    Raises
+    ------
+    SeqidError
+        The written file cannot be run, or a log cannot be read.
+    """
+    robot = full.robot
+    squares = np.zeros((2, robot.n))
+    counts = np.zeros(robot.n)
+    with read_written(path, kind, robot) as arm:
+        for log_path in logs:
+            log = read_recording(log_path, robot)
+            motion = full.motion(log)
+            assert motion.tau is not None
+            by_file, sliding = full.predicted(log, motion)
+            # A form that is slow to run is looked at on the first part of a log.
+            run = slice(arm.most_samples)
+            scene = full.scene(log, motion)
+            by_form = _torque(arm, full, motion.part(run), _steps(scene, run))
+            by_file, sliding = by_file[run], sliding[run]
+            if len(sliding) < log.q.shape[0]:
+                sliding[-2 * motion.lowpass.settling :] = False  # the filter's end
+            for row, predicted in enumerate((by_file, by_form)):
+                error = np.where(sliding, motion.tau[run] - predicted, 0.0)
+                squares[row] += np.square(error).sum(axis=0)
+            counts += sliding.sum(axis=0)
+    rmse = np.sqrt(squares / np.maximum(counts, 1.0))
+    return {
+        name: ReplayedJoint(
+            file_rmse=float(rmse[0, j]) if counts[j] else None,
+            export_rmse=_finite(rmse[1, j]) if counts[j] else None,
+            loss=loss.get(name),
+            samples=int(counts[j]),
+        )
+        for j, name in enumerate(robot.joint_names)
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _torque(arm: WrittenArm, full: FullModel, motion: Motion, steps: Steps) -> Array:
+    """Return the torque (N, n) N m of a written form on a motion, filtered as predictions are."""
+    widths = [0.0 if s is None else s.sign_width for s in full.model.surfaces]
+    rigid = arm.rigid(motion.q, motion.dq, motion.ddq)
+    plain, friction = _friction(arm, widths, motion)
+    known = motion.filtered(rigid) + motion.filtered(friction, times=2)
+    if not arm.steps:
+        # What delays the logged torque is the log's own matter, and no model file's.
+        return full.model.late(known, motion)
+    # Effects are filtered like friction; what the measurement does, delays and lags, acts on
+    # the modelled torque, which is low-passed once already.
+    measured = arm.stepped(steps, as_logged=True)
+    physical = measured
+    if arm.delays(steps):
+        physical = arm.stepped(steps, as_logged=False)
+    effects = physical - rigid - plain
+    return (
+        known + motion.filtered(effects, times=2) + motion.filtered(measured - physical)
+    )
+
+
+def _steps(scene: Scene, run: slice) -> Steps:
+    motion, temperature = scene.motion, scene.temperature
+    return Steps(
+        q=motion.q[run],
+        dq=motion.dq[run],
+        ddq=motion.ddq[run],
+        time=scene.time[run],
+        temperature=None if temperature is None else temperature[run],
+        period=1.0 / motion.rate_hz,
+    )
+
+
+def allowed_rmse(joint: ReplayedJoint) -> float | None:
+    """Return the error [N m] up to which a form is as good as it states."""
+    if joint.file_rmse is None:
+        return None
+    return MAX_RATIO * math.hypot(joint.file_rmse, joint.loss or 0.0) + _NOTHING
+
+
+def failures(
+    joints: Mapping[str, ReplayedJoint], robot: Robot, path: Path
+) -> list[str]:
+    """Return a message for every joint at which a written form is worse than it states."""
+    found: list[str] = []
+    for joint in robot.joints:
+        result = joints[joint.name]
+        allowed = allowed_rmse(result)
+        if allowed is None:
+            continue
+        error, unit = result.export_rmse, joint.unit("N m")
+        if error is not None and error <= allowed:
+            continue
+        lost = ""
+        if result.loss:
+            lost = f" and the {result.loss:.3g} {unit} that the form loses there"
+        stated = "no number" if error is None else f"{error:.3g} {unit}"
+        found.append(
+            f"{path}: {joint.name}: the written form errs by {stated} on the replayed logs,"
+            f" the parameter file by {result.file_rmse:.3g} {unit}{lost};"
+            f" at most {allowed:.3g} {unit} is allowed"
+        )
+    return found

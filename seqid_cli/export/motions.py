@@ -155,12 +155,15 @@ class FullModel:
 class TorqueSamples:
     """A thinned motion (N samples) and the file's own torque (N, n) N m on it.
 
-    `torque` is without the effects that the form holds as they are, and not late; `left_out`
-    (N, n) N m is what these effects add to it as far as the form's static torque lacks it.
+    `torque` is without the effects that the form holds as they are, and not late; `measured`
+    (N, n) N m is what was measured of it: the same plus what the whole file leaves of the log, and
+    the same where nothing was measured. `left_out` (N, n) N m is what the held effects add to it as
+    far as the form's static torque lacks it.
     """
 
     motion: Motion
     torque: Array
+    measured: Array
     sliding: Mask
     left_out: Array
 
@@ -201,6 +204,9 @@ class Motions:
                 left_out = (
                     full.predicted(log, motion, effects=shown, late=False)[0] - torque
                 )
+            measured = torque
+            if motion.tau is not None and log.tau is not None and log.tau.any():
+                measured = torque + motion.tau - full.predicted(log, motion)[0]
             per_period = motion.rate_hz / motion.lowpass.cutoff_hz
             step = 1
             if motion.lowpass.active:
@@ -208,6 +214,7 @@ class Motions:
             yield TorqueSamples(
                 motion=thinned(motion, step) if step > 1 else motion,
                 torque=torque[::step],
+                measured=measured[::step],
                 sliding=sliding[::step],
                 left_out=left_out[::step],
             )

@@ -2,7 +2,7 @@
 
 URDF, MJCF and parameter files know links, an armature, Coulomb and viscous friction. With H
 the regressor of the base parameters pi (Eq. 4), s the sign of a joint's velocity and tau the
-torque of the whole file on the motions of its logs,
+torque that the file's logs have measured (that of the whole file on motions without logs),
 
     min over pi, c_j, d_j of   sum_j |tau_j - H_j pi - c_j s_j - d_j dq_j - o_j|^2 / sigma_j^2
                              + w |pi - pi_file|^2_C + w (the surface's own friction),
@@ -251,7 +251,7 @@ def _equations(
         H = base_regressor(robot, demand.basis, motion.q, motion.dq, motion.ddq)
         H = motion.filtered(np.ascontiguousarray(H))
         rotors = motion.filtered(reflected * motion.ddq)
-        target = part.torque - rotors - H @ fixed
+        target = part.measured - rotors - H @ fixed
         friction = _friction_columns(part)
         share = independent_share(motion)
         for j in range(n):

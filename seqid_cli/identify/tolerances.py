@@ -72,6 +72,32 @@ def deviation_torques(
     return found
 
 
+@dataclass(frozen=True)
+class FrameTolerance:
+    """Standard deviations of a link's frame: `turn` rad and `place` m, about and along each axis."""
+
+    turn: float
+    place: float
+
+
+def frame_tolerance(robot: Robot, link: int) -> FrameTolerance:
+    """Return how far a link's frame may be beside where the robot file has it.
+
+    What is found against gravity and the axes of joints, an IMU's mounting say, is as wrong as they
+    are. Errors of the frames up to the link are independent of each other.
+    """
+    frames = link + 1
+    zeros = [joint.position_zero_error for joint in robot.joints[:frames]]
+    turn = np.hypot(
+        robot.geometry_error_rad * np.sqrt(frames),
+        np.hypot(robot.gravity_error, np.linalg.norm(zeros)),
+    )
+    # A frame that is turned takes what is fixed to it along, by as much as the link is long.
+    reach = float(np.linalg.norm(robot.chain.position[link]))
+    place = np.hypot(robot.geometry_error_m * np.sqrt(frames), turn * reach)
+    return FrameTolerance(turn=float(turn), place=float(place))
+
+
 def _of_gravity(robot: Robot) -> Iterator[Deviation]:
     if robot.gravity_error <= 0.0 or not robot.gravity.any():
         return

@@ -26,6 +26,7 @@ from seqid_cli.identify.imu_calibration.segments import (
 )
 from seqid_cli.identify.imu_calibration.solve import Fit, fit_constants
 from seqid_cli.identify.log_set import mapped
+from seqid_cli.identify.tolerances import frame_tolerance
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.imu.link_velocity import axes_in_link
@@ -119,6 +120,9 @@ def calibration_of(
     edges = sampling * segments[0].readings.period * any(s.by_edges for s in segments)
     delay_error = float(np.hypot(sigma[6], edges))
     delay_known = delay_error < max_delay_error_s
+    tolerance = frame_tolerance(robot, imu.after_joint)
+    turn_errors = np.hypot(sigma[:3], tolerance.turn)
+    lever_errors = np.hypot(sigma[3:6], tolerance.place)
     fields, open_channels = _of_sensors(imu, fit)
     # One-sided noise densities from the raw readings' white noise per sample.
     found = [s.readings.noise * np.sqrt(2 * s.readings.period) for s in segments]
@@ -130,7 +134,7 @@ def calibration_of(
     return schema.ImuCalibration(
         rotation=constants.R.tolist(),
         std_error_deg=worst,
-        std_errors_deg=np.degrees(np.minimum(sigma[:3], np.pi)).tolist(),
+        std_errors_deg=np.degrees(np.minimum(turn_errors, np.pi)).tolist(),
         configurations=len(pairs) or len({s.log for s in segments if s.moving}),
         condition=_condition(pairs) if pairs else 0.0,
         references=_references(pairs, robot.joint_names),
@@ -143,7 +147,7 @@ def calibration_of(
         gyro_delay_std_error_s=float(sigma[-1]) if imu.gyro else None,
         acceleration_std_error=_acceleration_error(robot, imu, fit),
         lever=_listed(constants.lever, lever),
-        lever_std_errors=_listed(sigma[3:6], lever),
+        lever_std_errors=_listed(lever_errors, lever),
         accelerometer_noise=noise[:k],
         gyro_noise=noise[k:],
         samples=fit.kept,

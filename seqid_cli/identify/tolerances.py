@@ -74,7 +74,7 @@ def deviation_torques(
 
 @dataclass(frozen=True)
 class FrameTolerance:
-    """Standard deviations of a link's frame: `turn` rad and `place` m, about and along each axis."""
+    """Standard deviations of a link's frame: `turn` rad about and `place` m along each axis."""
 
     turn: float
     place: float

@@ -7,12 +7,13 @@ import pytest
 
 from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
-from seqid_cli.identify.nuisances import EVEN_TERMS, PRIORS, friction_rms
+from seqid_cli.identify.nuisances import PRIORS, friction_rms
 from seqid_cli.identify.regression.least_squares import Accumulator, Prior, solve
 from seqid_cli.identify.rigid.gravity import GravityRows
 from seqid_cli.identify.rigid.posterior import friction_covariance
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
+from seqid_cli.params.schema import FrictionStage
 from seqid_cli.robot.base_parameters import base_parameters
 from tests import Array
 from tests.plants.arms.rigs import MOMENT, one_joint
@@ -53,11 +54,12 @@ def errors_of(seed: int) -> tuple[Array, Array, Array, Array]:
     surface = surface_of(POSITIVE + off[0], NEGATIVE + off[1], SPREAD**2 * np.eye(12))
     robot = robot_of("one", one_joint())
     held = HeldJoints(robot, base_parameters(robot, rotor=()), np.zeros(2))
-    rows = GravityRows(held, [surface])
+    rows = GravityRows(held, [surface], FrictionStage(joints={}))
     joints = [Accumulator(rows.columns)]
     rows.add_joint(trials(rng), joints)
-    weights = 1.0 / PRIORS.even_std(friction_rms(surface))
-    prior = Prior(np.pad(np.diag(weights), ((0, 0), (2, 0))), np.zeros(EVEN_TERMS))
+    # No temperature is logged: what friction has per kelvin is any number, and is zero.
+    weights = np.append(1.0 / PRIORS.even_std(friction_rms(surface)), 1.0)
+    prior = Prior(np.pad(np.diag(weights), ((0, 0), (2, 0))), np.zeros(len(weights)))
     free = solve(joints, prior=prior, nuisances=slice(2, None))
     by_friction = friction_covariance(rows.sensitivity(free), [surface], rows.columns)
     total = np.diag(free.covariance + by_friction)[:2]

@@ -99,10 +99,6 @@ def test_losses_of_the_xmate_beside_its_torque_sensors(logs: Sequence[str]) -> N
     assert {f.joint for f in found.findings} == {"joint_2", "joint_3", "joint_4"}
 
 
-@pytest.mark.xfail(
-    reason="files that were identified with delays are judged too tightly",
-    strict=False,
-)
 def test_nothing_is_told_of_joints_that_the_file_predicts_better() -> None:
     """13 s for seven joints: what predicts other blocks better than chance may be overfitted."""
     found = diagnosed(XMATE, ["train.parquet"], load=False)

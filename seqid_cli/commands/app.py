@@ -13,7 +13,8 @@ from typer._click.exceptions import ClickException, NoArgsIsHelpError
 from typer.core import TyperGroup, TyperOption
 
 from seqid_cli import __version__
-from seqid_cli.commands.screen.layout import shortened, visible
+from seqid_cli.commands.screen.layout import can_be_steered, shortened
+from seqid_cli.commands.screen.messages import write_error
 from seqid_cli.commands.screen.streams import cannot_be_written, to_nowhere
 from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 
@@ -148,9 +149,12 @@ def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> int:
     """Write an error as a message; returns its exit code."""
     if "--debug" in arguments:
         traceback.print_exception(problem)
-    message, hint = (shortened(text, _LONGEST) for text in (str(problem), problem.hint))
-    text = f"{name}: error: {message}\n" + (f"  hint: {hint}\n" if hint else "")
-    sys.stderr.write(visible(text))
+    write_error(
+        name,
+        shortened(str(problem), _LONGEST),
+        shortened(problem.hint, _LONGEST),
+        color=can_be_steered(sys.stderr) and "--no-color" not in arguments,
+    )
     if "--json" in arguments:
         error = {"code": problem.exit_code, "message": problem.message}
         error |= {"hint": problem.hint, "where": problem.where}

@@ -46,19 +46,19 @@ class Told:
 
     def __call__(self, progress: "Progress") -> None:
         """Take what is told."""
-        with self.line.hidden():
-            if progress.state == "note":
+        if progress.state == "note":
+            with self.line.hidden():
                 self.screen.note(progress.text)
-            elif progress.state == "detail":
-                self.screen.detail(progress.text)
-            elif progress.state == "failed":
-                self.partial = True
-            elif (log := progress.note) is not None:
-                path = str(log.path)
-                self.screen.detail(f"{path}: {log.samples} samples at {log.rate_hz:.6g} Hz")
-                self.screen.said.update(f"{path}: {text}" for text in log.mended)
-                self.findings += log.findings
-                self.partial |= bool(log.partial)
+        elif progress.state == "detail":
+            self._detail(progress.text)
+        elif progress.state == "failed":
+            self.partial = True
+        elif (log := progress.note) is not None:
+            path = str(log.path)
+            self._detail(f"{path}: {log.samples} samples at {log.rate_hz:.6g} Hz")
+            self.screen.said.update(f"{path}: {text}" for text in log.mended)
+            self.findings += log.findings
+            self.partial |= bool(log.partial)
         self.line.show(progress.done, progress.total, Path(progress.log).name)
 
     def warn(self, message: Warning | str, category: type[Warning], *more: Any) -> None:
@@ -68,6 +68,11 @@ class Told:
                 self.screen.warn(str(message))
             else:
                 sys.stderr.write(warnings.formatwarning(message, category, *more[:2]))
+
+    def _detail(self, text: str) -> None:
+        if self.screen.verbose:  # else the line would blink for nothing
+            with self.line.hidden():
+                self.screen.detail(text)
 
     def tell_output(self, following: str = "") -> None:
         """Say where the result went and which command to type next."""
@@ -106,7 +111,10 @@ def called(context: typer.Context, name: str) -> tuple[Told, Any]:
     """
     package, function = name.split(".")
     given, screen = context.params, screen_of(context)
-    told = Told(screen, ProgressLine(sys.stderr, enabled=not screen.quiet), given)
+    line = ProgressLine(
+        sys.stderr, enabled=not screen.quiet, color=screen.color_messages
+    )
+    told = Told(screen, line, given)
     with warnings.catch_warnings(), contextlib.closing(told.line), heard_by(told.line.show):
         warnings.simplefilter("always", SeqidWarning)
         warnings.showwarning = told.warn  # type: ignore[assignment]

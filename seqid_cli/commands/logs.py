@@ -8,7 +8,6 @@ import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED, called
 from seqid_cli.commands.options import LOGS, OUTPUT, SIX, command, found_robot, option
-from seqid_cli.commands.screen.layout import visible
 from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.screen.show_inspection import show_inspection
 from seqid_cli.errors import UsageError
@@ -53,8 +52,7 @@ def inspect(
         told.screen.note(f"written: {output}")
     for finding in report.findings:
         if finding.code == "unreadable":
-            said = f"seqid inspect: error: {finding.log}: {finding.message}\n"
-            sys.stderr.write(visible(f"{said}  hint: {finding.remedy}\n"))
+            told.screen.error(f"{finding.log}: {finding.message}", hint=finding.remedy)
             return EXIT_UNREADABLE
     grave = ("error", "warning") if strict else ("error",)
     lacking = strict and any(part.status != "recorded" for part in report.planned)

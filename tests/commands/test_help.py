@@ -144,3 +144,18 @@ def test_mistakes_are_found_before_heavy_imports(tmp_path: Path) -> None:
     codes, out, modules = run(tmp_path, *MISTAKES)
     assert (codes, out) == ([2] * len(MISTAKES), "")
     assert not modules & HEAVY
+
+
+def test_rich_is_imported_where_a_table_is_drawn(tmp_path: Path) -> None:
+    """Not with a command that prints JSON."""
+    golden = str(ROOT / "sample_logs" / "one_joint" / "golden.json")
+    compared = ["compare", golden, golden]
+    codes, out, modules = run(tmp_path, [*compared, "--json"])
+    assert codes == [0]
+    assert out.startswith("{")
+    assert "rich" not in modules
+    codes, out, modules = run(tmp_path, compared)
+    assert codes == [0]
+    assert "friction" in out
+    assert "rich" in modules
+    assert "\x1b" not in out

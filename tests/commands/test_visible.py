@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from seqid_cli.commands.screen.drawing import table_text, with_colored_label
 from seqid_cli.commands.screen.layout import visible, visible_cell
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import Screen
@@ -88,21 +89,112 @@ def test_a_verdict_names_every_reason() -> None:
     assert texts == ["good", "poor: x; y", "-"]
 
 
-def test_progress_shows_after_a_second_and_vanishes() -> None:
-    stream, now = io.StringIO(), [0.0]
-    stream.isatty = lambda: True  # type: ignore[method-assign]
+class Terminal(io.StringIO):
+    """A text that takes itself for a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+ERASED = "\x1b[2K"  # the last that a line of progress writes
+
+
+def test_progress_shows_after_a_while_and_vanishes() -> None:
+    stream, now = Terminal(), [0.0]
     line = ProgressLine(stream, enabled=True, clock=lambda: now[0])
     line.show(1, 4, "a.mcap")
     with line.hidden():
         assert stream.getvalue() == ""
-    now[0] = 1.5
-    line.show(2, 4, "b.mcap")
-    assert "[########........] 2/4 b.mcap  2 s, about 2 s left" in stream.getvalue()
+    now[0] = 1.0
+    line.show(2, 4, "[b].mcap")
+    assert "2/4 [b].mcap 0:00:00 -:--:-- left" in stream.getvalue()
+    with line.hidden():
+        assert stream.getvalue().endswith(ERASED)
+    now[0] = 4.0
+    line.show(3, 4, EVIL)
     line.close()
-    assert stream.getvalue().endswith("\x1b[2K")
-    before = stream.getvalue()
-    line.show(3, 4, "c.mcap")
-    assert stream.getvalue() == before
+    shown = stream.getvalue()
+    assert "3/4 a\\u001..." in shown  # a name is written out before it is shortened
+    assert "0:00:03 0:00:03 left" in shown
+    assert not re.search("\x1b\\]|[\x00\x07\x9b\u202e]|\x1b\\[[0-9;]*m", shown)  # no colour
+    assert shown.endswith(ERASED)
+    line.show(4, 4, "c.mcap")
+    assert stream.getvalue() == shown
+
+
+@pytest.mark.parametrize("name", ["NO_COLOR", "TERM"])
+def test_progress_writes_nothing_where_controls_are_unwanted(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(name, "dumb")
+    forbidden, pipe = Terminal(), io.StringIO()
+    for stream in (forbidden, pipe):
+        now = [0.0]
+        line = ProgressLine(stream, enabled=True, clock=lambda now=now: now[0])
+        now[0] = 1.0
+        line.show(1, 2, "a.mcap")
+        line.close()
+    assert forbidden.getvalue() == pipe.getvalue() == ""
+
+
+def test_a_terminal_gets_colours_unless_they_are_unwanted(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = ["report", "no.json", "-o", "page.html"]
+    plain = rig.run(*asked)
+    assert plain.err.startswith("seqid report: error: ")
+
+    def shown(*more: str) -> str:
+        stream = Terminal()
+        with monkeypatch.context() as patch:
+            patch.setattr("sys.stderr", stream)
+            assert rig.run(*asked, *more).code == 2
+        return stream.getvalue()
+
+    assert "seqid report: \x1b[1;31merror\x1b[0m: " in shown()
+    assert re.sub("\x1b\\[[0-9;]*m", "", shown()) == plain.err
+    assert shown("--no-color") == plain.err
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert shown() == plain.err
+
+
+PATH = "recordings/monday/joint_1_forward_and_backward.parquet"
+
+
+def test_a_table_takes_names_as_they_are_and_breaks_no_path() -> None:
+    """Brackets are no markup; without a terminal every word can be searched for and copied."""
+    heads = ("log", "verdict", "RMS error N m", "reason")
+    reason = "the [bold]torque[/bold] of joint [1] does not depend on its speed :warning:"
+    rows = [(PATH, "good", "0.25", "-"), ("[red]b[/red]", "poor", "12.5", reason)]
+    assert table_text(heads, rows).splitlines() == [
+        f"{'log':54}  verdict  RMS error N m  reason",
+        f"{PATH}  good              0.25  -",
+        f"{'[red]b[/red]':54}  poor              12.5  {reason}",
+    ]
+    for width in (40, 60, 80, 100):
+        text = table_text(heads, rows, width=width)
+        words = {word for row in rows for cell in row for word in cell.split()}
+        assert words <= set(text.split())
+        assert max(map(len, text.splitlines())) <= max(width, len(f"{PATH}  [bold]torque[/bold]"))
+        narrow = table_text(heads, rows, width=width, whole_words=False)
+        assert max(map(len, narrow.splitlines())) <= width
+
+
+def test_a_coloured_message_is_one_line() -> None:
+    message = f"seqid x: error: {PATH} [b]\t{PATH}" + " and more" * 20
+    shown = with_colored_label(message, "error", start=len("seqid x: "))
+    assert shown == message.expandtabs().replace("error", "\x1b[1;31merror\x1b[0m")
+
+
+def test_a_coloured_table_is_the_plain_one_but_for_its_colours() -> None:
+    heads, rows = ("joint", "verdict"), [("a", "good"), ("b", "usable: x")]
+    text = table_text(heads, rows, color=True)
+    assert "\x1b[32mgood" in text
+    assert "\x1b[33musable: x" in text
+    without = re.sub("\x1b\\[[0-9;]*m", "", text)
+    assert [line.rstrip() for line in without.splitlines()] == (
+        table_text(heads, rows).splitlines()
+    )
 
 
 @pytest.mark.parametrize(

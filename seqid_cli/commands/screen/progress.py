@@ -1,77 +1,117 @@
-"""One line on a terminal's stderr that tells how far a command is, once it takes half a second."""
+"""One line on a terminal's stderr that tells how far a command is."""
 
 import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import TextIO
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TextIO
 
-from seqid_cli.commands.screen.layout import shortened
+from seqid_cli.commands.screen.layout import can_be_steered, shortened, visible_cell
 
-_PATIENCE_S = _TICK_S = 0.5
-_CELLS, _TEXT = 16, 30
-_CLEAR = "\r\x1b[2K"
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+PATIENCE_S = 0.5  # a command that is faster needs no line, and no import of rich
+NAME_WIDTH = 30  # characters: with bar and times the line fits 80 columns
+
+
+@dataclass(frozen=True)
+class Step:
+    """How many parts of how many are done, and what comes next; of 0 where nobody knows."""
+
+    done: int
+    total: int
+    text: str
 
 
 class ProgressLine:
-    """Draws `[#####...] 3/12 name  8 s, about 24 s left` over itself, twice a second.
+    """Draws parts, what comes next and times over itself, while a command takes long.
 
-    Draws nothing where no terminal listens.
+    Draws nothing where no terminal listens, and where NO_COLOR forbids controls.
     """
 
     def __init__(
-        self, stream: TextIO, *, enabled: bool, clock: Callable[[], float] = time.monotonic
+        self,
+        stream: TextIO,
+        *,
+        enabled: bool,
+        color: bool = False,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._stream, self._clock = stream, clock
-        self._enabled = enabled and stream.isatty()
-        self._state: tuple[int, int, str] = (0, 0, "starting")
-        self._start = self._began = self._told = clock()  # of all, of these parts, of the last
-        self._drawn = False
-        self._lock, self._closed = threading.RLock(), threading.Event()
+        self._stream = stream
+        self._enabled = enabled and can_be_steered(stream)
+        self._color = color
+        self._clock = clock
+        self._start_s = clock()
+        self._step = Step(0, 0, "starting")
+        self._bar: Progress | None = None
+        self._task: TaskID | None = None
+        # Steps come from the thread that works; the timer has its own.
+        self._lock = threading.RLock()
+        self._timer = threading.Timer(PATIENCE_S, self._draw)
+        self._timer.daemon = True
         if self._enabled:
-            threading.Thread(target=self._tick, daemon=True).start()
+            self._timer.start()
 
     def show(self, done: int, total: int, text: str) -> None:
         """Say that `done` of `total` parts are finished and what comes next."""
-        self._told = self._clock()
-        if total != self._state[1] or done < self._state[0]:
-            self._began = self._told
-        self._state = (done, total, text)
-        self._draw()
+        with self._lock:
+            before = self._step
+            self._step = Step(done, total, text)
+            if self._bar is None:
+                self._draw()
+            elif total != before.total or done < before.done:
+                self._begin_parts()
+            elif self._task is not None:
+                self._bar.update(self._task, completed=done, description=self._words())
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:
         """Remove the line while other text is written in the block."""
         with self._lock:
-            if self._drawn:
-                self._stream.write(_CLEAR)
-                self._stream.flush()
-                self._drawn = False
+            if self._bar is not None:
+                self._bar.stop()
             yield
+            if self._bar is not None and self._enabled:
+                self._bar.start()
 
     def close(self) -> None:
         """Remove the line for good."""
-        self._closed.set()
-        with self.hidden():
+        self._timer.cancel()
+        with self._lock:
             self._enabled = False
-
-    def _tick(self) -> None:
-        while not self._closed.wait(_TICK_S):
-            self._draw()
+            if self._bar is not None:
+                self._bar.stop()
 
     def _draw(self) -> None:
-        now = self._clock()
+        """Draw the line for the first time, if the command has taken long enough."""
         with self._lock:
-            if not self._enabled or now - self._start < _PATIENCE_S:
+            early = self._clock() - self._start_s < PATIENCE_S
+            if not self._enabled or self._bar is not None or early:
                 return
-            done, total, text = self._state
-            filled = min(_CELLS, _CELLS * done // max(total, 1))
-            bar = "#" * filled + "." * (_CELLS - filled)
-            times = f"{now - self._start:.0f} s"
-            left = (self._told - self._began) * (total - done) / max(done, 1)
-            if left > now - self._told:
-                times += f", about {left - now + self._told:.0f} s left"
-            text = (f"{done}/{total} " if total else "") + shortened(text, _TEXT)
-            self._stream.write(f"{_CLEAR}{f'[{bar}] {text}  {times}'[:79]}")
-            self._stream.flush()
-            self._drawn = True
+            from seqid_cli.commands.screen.progress_bar import progress_bar
+
+            self._bar = progress_bar(self._stream, color=self._color, clock=self._clock)
+            self._begin_parts()
+            self._bar.start()
+
+    def _begin_parts(self) -> None:
+        """Count parts anew, and the time that they take."""
+        if self._bar is None:
+            return
+        if self._task is not None:
+            self._bar.remove_task(self._task)
+        self._task = self._bar.add_task(
+            self._words(),
+            total=self._step.total or None,
+            completed=self._step.done,
+        )
+        # The first mark on the clock: the next part that is done gives a speed.
+        self._bar.advance(self._task, 0)
+
+    def _words(self) -> str:
+        name = shortened(visible_cell(self._step.text), NAME_WIDTH)
+        if self._step.total == 0:
+            return name
+        return f"{self._step.done}/{self._step.total} {name}"

@@ -1,6 +1,5 @@
 """What the user sees: results on stdout, everything else on stderr."""
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,6 +8,7 @@ import typer
 
 from seqid_cli import shares
 from seqid_cli.commands.screen import layout
+from seqid_cli.commands.screen.messages import write_error, write_warning
 from seqid_cli.params.encode import encode
 from seqid_cli.params.results.tables import Values
 
@@ -17,7 +17,9 @@ from seqid_cli.params.results.tables import Values
 class Screen:
     """How one command talks to its user.
 
-    With `json`, stdout carries one JSON document and nothing else.
+    With `json`, stdout carries one JSON document and nothing else. `color` is of stdout,
+    `color_messages` of stderr. `said` are the warnings and remarks, each of which is said
+    once.
     """
 
     command: str
@@ -25,15 +27,23 @@ class Screen:
     verbose: bool = False
     json: bool = False
     color: bool = False
-    said: set[str] = field(default_factory=set)  # of warnings and remarks, each once
+    color_messages: bool = False
+    said: set[str] = field(default_factory=set)
 
-    def table(self, columns: layout.Row, rows: Sequence[layout.Row]) -> None:
+    def table(self, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print a result as a table."""
         if self.json or not rows:
             return
-        cells = [[layout.visible_cell(cell) for cell in row] for row in rows]
-        width = layout.width_of(sys.stdout)
-        sys.stdout.write(layout.format_table(columns, cells, width=width, color=self.color))
+        from seqid_cli.commands.screen.drawing import table_text
+
+        text = table_text(
+            [layout.visible_cell(head) for head in columns],
+            [[layout.visible_cell(cell) for cell in row] for row in rows],
+            width=layout.width_of(sys.stdout),
+            whole_words=not sys.stdout.isatty(),
+            color=self.color,
+        )
+        sys.stdout.write(text)
 
     def values(self, found: Values) -> None:
         """Print values under their heads."""
@@ -43,8 +53,7 @@ class Screen:
     def result(self, line: str) -> None:
         """Print one line of the result."""
         if not self.json:
-            shown = layout.folded(layout.visible(line), layout.width_of(sys.stdout))
-            sys.stdout.write(f"{shown}\n")
+            sys.stdout.write(f"{layout.folded(layout.visible(line), sys.stdout)}\n")
 
     def document(self, document: object) -> None:
         """Print the result as JSON where that was asked for."""
@@ -53,20 +62,26 @@ class Screen:
 
     def warn(self, message: str) -> None:
         """Say what may be wrong, once."""
-        if message not in self.said:
-            self.said.add(message)
-            line = f"seqid {self.command}: warning: {layout.visible(message)}"
-            sys.stderr.write(layout.folded(line, layout.width_of(sys.stderr)) + "\n")
+        if message in self.said:
+            return
+        self.said.add(message)
+        write_warning(f"seqid {self.command}", message, color=self.color_messages)
+
+    def error(self, message: str, hint: str) -> None:
+        """Say why a command could not run, and what to do."""
+        name = f"seqid {self.command}"
+        write_error(name, message, hint, color=self.color_messages)
 
     def remark(self, *messages: str) -> None:
         """Say what a result remarks, unless it was said before."""
         for message in messages:
             if message not in self.said:
                 self.said.add(message)
-                self.note(layout.folded(f"note: {message}", layout.width_of(sys.stderr)))
+                line = layout.visible(f"note: {message}")
+                self.note(layout.folded(line, sys.stderr))
 
     def note(self, message: str) -> None:
-        """Say what is good to know."""
+        """Say what is good to know; commands to copy stay in one line."""
         if not self.quiet:
             sys.stderr.write(f"{layout.visible(message)}\n")
 
@@ -78,10 +93,16 @@ class Screen:
 
 def screen_of(context: typer.Context) -> Screen:
     """Return the screen that the command line and the environment ask for."""
-    given = context.params
-    plain = given["no_color"] or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
-    flags = {name: given[name] for name in ("quiet", "verbose", "json")}
-    return Screen(context.info_name or "", **flags, color=not plain and sys.stdout.isatty())
+    options = context.params
+    colorful = not options["no_color"]
+    return Screen(
+        command=context.info_name or "",
+        quiet=options["quiet"],
+        verbose=options["verbose"],
+        json=options["json"],
+        color=colorful and layout.can_be_steered(sys.stdout),
+        color_messages=colorful and layout.can_be_steered(sys.stderr),
+    )
 
 
 def number(value: float | None, digits: int = 3) -> str:

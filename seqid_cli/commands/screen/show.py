@@ -12,7 +12,7 @@ from seqid_cli.params.results.tables import of_joints, values
 
 
 def show_stages(screen: Screen, stages: schema.Stages, robot: schema.RobotId) -> None:
-    """Print the stages of a robot that are there."""
+    """Print those stages of a robot that have been identified."""
     if stages.friction is not None:
         _friction(screen, stages.friction, robot)
     if stages.imu is not None:
@@ -23,7 +23,7 @@ def show_stages(screen: Screen, stages: schema.Stages, robot: schema.RobotId) ->
 
 
 def verdict_text(verdicts: Sequence[schema.Verdict], joint: str) -> str:
-    """Return `good`, or `usable` or `poor` and why, or a dash where nothing was judged."""
+    """Return the worst verdict on a joint, and why it is no better; a dash without any."""
     level = worst_level(verdict for verdict in verdicts if verdict.joint == joint)
     if level is None:
         return "-"
@@ -33,7 +33,7 @@ def verdict_text(verdicts: Sequence[schema.Verdict], joint: str) -> str:
 
 
 def show_poor(screen: Screen, verdicts: Sequence[schema.Verdict], whole: str) -> None:
-    """Print what is poor, of a document that has no line for every joint."""
+    """Print the verdicts that are not good, of a document without a line per joint."""
     show_verdicts(screen, [verdict for verdict in verdicts if not verdict.good], whole)
 
 
@@ -45,37 +45,65 @@ def show_verdicts(
     *,
     shown: Collection[str] = (),
 ) -> None:
-    """Print the verdicts on other joints than those `shown`, or on the `whole`, and the notes."""
+    """Print the verdicts and the notes.
+
+    `whole` names what a verdict without a joint is on; joints in `shown` are left out, as
+    a table has their verdicts.
+    """
     for name in dict.fromkeys(verdict.joint for verdict in verdicts):
         if name not in shown:
             screen.result(f"{name or whole}: {verdict_text(verdicts, name)}")
     screen.remark(*notes)
 
 
-def _friction(screen: Screen, stage: schema.FrictionStage, robot: schema.RobotId) -> None:
+def _friction(
+    screen: Screen, stage: schema.FrictionStage, robot: schema.RobotId
+) -> None:
+    """Print a row per joint: the orders of its surface, its errors and its verdict."""
     rows = []
-    for name, x in stage.joints.items():
+    for name, joint in stage.joints.items():
         # The classical fit has no measured friction to ask Eq. 11 of.
-        largest = None if x.criterion_met is None else x.max_error
-        errors = (x.rmse, x.held_out_rmse, largest)
-        orders, verdict = (x.position_order, x.velocity_order), verdict_text(stage.verdicts, name)
-        rows.append((name, orders, *errors, verdict))
-    titles = "joint | orders | RMS error [{unit}] | held-out [{unit}] | Eq. 11 | verdict"
-    screen.values(of_joints(titles, "text text number number share text", rows, robot))
+        largest_error = None if joint.criterion_met is None else joint.max_error
+        row = (
+            name,
+            (joint.position_order, joint.velocity_order),
+            joint.rmse,
+            joint.held_out_rmse,
+            largest_error,
+            verdict_text(stage.verdicts, name),
+        )
+        rows.append(row)
+    titles = (
+        "joint | orders | RMS error [{unit}] | held-out [{unit}] | Eq. 11 | verdict"
+    )
+    kinds = "text text number number share text"
+    screen.values(of_joints(titles, kinds, rows, robot))
     show_verdicts(screen, stage.verdicts, "friction", stage.notes, shown=stage.joints)
 
 
-def _rigid(screen: Screen, name: str, stage: schema.RigidStage, robot: schema.RobotId) -> None:
+def _rigid(
+    screen: Screen, name: str, stage: schema.RigidStage, robot: schema.RobotId
+) -> None:
+    """Print the parameters of a stage, then a row per joint: its error and verdict."""
     if not stage.parameters:
         screen.result(f"{name}: nothing to identify on this robot")
-    rows = [(x.name, x.value, x.std_error, x.unit) for x in stage.parameters]
+    parameters = [
+        (parameter.name, parameter.value, parameter.std_error, parameter.unit)
+        for parameter in stage.parameters
+    ]
     titles = "parameter | value | std error | unit"
-    screen.values(values(titles, "text number5 number2 text", rows))
+    screen.values(values(titles, "text number5 number2 text", parameters))
+
     if stage.parameters:
-        screen.result(f"{name}: rank {stage.rank}, condition {number(stage.condition)}")
+        condition = number(stage.condition)
+        screen.result(f"{name}: rank {stage.rank}, condition {condition}")
     if stage.not_excited:
         screen.result(f"not excited by these logs: {', '.join(stage.not_excited)}")
-    joints = [(joint, x, verdict_text(stage.verdicts, joint)) for joint, x in stage.rmse.items()]
+
+    joints = [
+        (joint, rmse, verdict_text(stage.verdicts, joint))
+        for joint, rmse in stage.rmse.items()
+    ]
     titles = "joint | RMS error [{unit}] | verdict"
     screen.values(of_joints(titles, "text number text", joints, robot))
     show_verdicts(screen, stage.verdicts, name, stage.notes, shown=stage.rmse)
@@ -83,64 +111,96 @@ def _rigid(screen: Screen, name: str, stage: schema.RigidStage, robot: schema.Ro
 
 
 def _imu(screen: Screen, stage: schema.ImuStage) -> None:
+    """Print a row per IMU: the errors of its mounting and its verdict."""
     rows = []
-    for name, x in stage.imus.items():
-        errors, verdict = (x.std_error_deg, x.axis_rmse_deg), verdict_text(stage.verdicts, name)
-        rows.append((name, *errors, x.configurations, verdict))
+    for name, imu in stage.imus.items():
+        row = (
+            name,
+            imu.std_error_deg,
+            imu.axis_rmse_deg,
+            imu.configurations,
+            verdict_text(stage.verdicts, name),
+        )
+        rows.append(row)
     titles = "imu | std error deg | axis error deg | configurations | verdict"
     screen.values(values(titles, "text number number count text", rows))
     show_verdicts(screen, stage.verdicts, "imu", stage.notes, shown=stage.imus)
 
 
-@dataclass(frozen=True)
-class _TwoErrors:
-    """Standard errors of one joint's acceleration: by the source that was taken, and another."""
+@dataclass(frozen=True, kw_only=True)
+class _AccelerationErrors:
+    """Standard errors of one joint's acceleration: by the chosen source, and by another.
+
+    In rad/s^2, or in m/s^2 of a joint that slides.
+    """
 
     joint: str
-    taken: float
+    chosen: float
     other: float
 
 
-def _medians(errors: Sequence[_TwoErrors], robot: schema.RobotId, other: str) -> str:
-    """Say the medians of both errors, unit by unit."""
-    by_unit: dict[str, list[_TwoErrors]] = {}
-    for error in errors:
-        by_unit.setdefault(robot.unit("rad/s^2", error.joint), []).append(error)
-    text = ""
-    for unit, own in by_unit.items():
-        now = number(median(error.taken for error in own), 2)
-        before = number(median(error.other for error in own), 2)
-        text += f"; acceleration known to {now} {unit}, {other} {before} (medians)"
-    return text
+def show_motion(
+    screen: Screen, uses: Sequence[schema.MotionUse], robot: schema.RobotId
+) -> None:
+    """Say which source the motion came from and what that gained.
 
-
-def show_motion(screen: Screen, uses: Sequence[schema.MotionUse], robot: schema.RobotId) -> None:
-    """Say which source the motion came from and what that gained, and warn of IMUs left aside."""
-    for warning, count in Counter(w for use in uses for w in use.warnings).items():
-        if count > 1:
-            screen.warn(f"{warning} ({count} of {len(uses)} logs)")
-        else:
-            log = next(use.log for use in uses if warning in use.warnings)
-            screen.warn(f"{log}: {warning}")
+    Warns of IMUs that were left aside. Says nothing where no IMU could take part.
+    """
+    _warn_of_imus(screen, uses)
     if not any(use.imus or use.warnings or use.fused_error for use in uses):
-        return  # no IMU could take part
-    parts = []
-    for (source, imus), count in Counter((use.source, tuple(use.imus)) for use in uses).items():
+        return
+
+    sources = Counter((use.source, tuple(use.imus)) for use in uses)
+    shares = []
+    for (source, imus), count in sources.items():
         names = f" ({', '.join(imus)})" if imus else ""
-        parts.append(f"{source}{names} in {count} of {len(uses)} logs")
+        shares.append(f"{source}{names} in {count} of {len(uses)} logs")
+
     with_imus = [
-        _TwoErrors(joint, error, use.encoder_error[joint])
+        _AccelerationErrors(joint=joint, chosen=error, other=use.encoder_error[joint])
         for use in uses
         for joint, error in use.acceleration_error.items()
         if use.imus
     ]
     # Both errors below the encoders' own cut-off, where the IMUs would have made it worse.
     by_encoders = [
-        _TwoErrors(joint, use.encoder_error[joint], error)
+        _AccelerationErrors(joint=joint, chosen=use.encoder_error[joint], other=error)
         for use in uses
         for joint, error in use.fused_error.items()
         if not use.imus
     ]
-    gain = _medians(with_imus, robot, "by the encoders alone")
-    gain = gain or _medians(by_encoders, robot, "with the IMUs as well")
-    screen.note(f"motion: {', '.join(parts)}{gain}")
+    if with_imus:
+        gain = _median_errors(with_imus, robot, "by the encoders alone")
+    else:
+        gain = _median_errors(by_encoders, robot, "with the IMUs as well")
+    screen.note(f"motion: {', '.join(shares)}{gain}")
+
+
+def _warn_of_imus(screen: Screen, uses: Sequence[schema.MotionUse]) -> None:
+    """Say why IMUs were left aside; what several logs share is said once."""
+    counts = Counter(warning for use in uses for warning in use.warnings)
+    for warning, count in counts.items():
+        if count > 1:
+            screen.warn(f"{warning} ({count} of {len(uses)} logs)")
+        else:
+            log = next(use.log for use in uses if warning in use.warnings)
+            screen.warn(f"{log}: {warning}")
+
+
+def _median_errors(
+    errors: Sequence[_AccelerationErrors], robot: schema.RobotId, other_source: str
+) -> str:
+    """Return the medians of both errors in words, unit by unit."""
+    by_unit: dict[str, list[_AccelerationErrors]] = {}
+    for error in errors:
+        unit = robot.unit("rad/s^2", error.joint)
+        by_unit.setdefault(unit, []).append(error)
+
+    text = ""
+    for unit, alike in by_unit.items():
+        chosen = number(median(error.chosen for error in alike), 2)
+        other = number(median(error.other for error in alike), 2)
+        text += (
+            f"; acceleration known to {chosen} {unit}, {other_source} {other} (medians)"
+        )
+    return text

@@ -250,7 +250,7 @@ def motions_of(
         recordings=tuple(made_motions(full)),
         made=True,
         held_out=others,
-        notes=(f"{reason}: {made}, so that what is lost is less sure",),
+        notes=(f"{reason}: {made}, so that what is lost is known less well",),
     )
 
 

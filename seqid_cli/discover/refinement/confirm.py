@@ -214,8 +214,8 @@ def _measured(refinement: Refinement, steps: Sequence[Step], errors: _Errors) ->
     measured = []
     for step, last in zip(steps, [start, *(step.model for step in steps)], strict=False):
         rounds = []
-        befores = step.beside or (last,) * len(step.rounds)
-        for entry, before in zip(step.rounds, befores, strict=True):
+        earlier = step.beside or (last,) * len(step.rounds)
+        for entry, before in zip(step.rounds, earlier, strict=True):
             joints = range(robot.n)
             if entry.joint is not None:
                 joints = range(at := robot.joint_names.index(entry.joint), at + 1)

@@ -3,6 +3,7 @@
 import difflib
 import importlib
 import json
+import os
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
@@ -96,6 +97,10 @@ def _guarded(arguments: Sequence[str]) -> int:
     name = f"seqid {arguments[0]}" if arguments and arguments[0] in COMMANDS else "seqid"
     problem: SeqidError
     try:
+        if "SOURCE_DATE_EPOCH" in os.environ:  # where it is wrong, libraries fail to import
+            from seqid_cli.params.dates import source_date_epoch
+
+            source_date_epoch()
         return invoke(arguments)
     except NoArgsIsHelpError as error:
         error.show()

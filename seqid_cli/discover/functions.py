@@ -14,6 +14,7 @@ from seqid_cli.discover.refinement.log_sets import check_unseen, find_earlier, h
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.options import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike, optional
+from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import present, refined, robot_id
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
@@ -57,6 +58,7 @@ def diagnose(
     said = [*held.notes(arm), *found.notes]
     file = structs.replace(
         found,
+        created=given.created(inputs.documents),
         robot=robot_id(arm),
         inputs=given.inputs(),
         parameters=inputs.ids(),
@@ -161,4 +163,6 @@ def _refined(
             *(*found.notes, *unread, *training.notes(), *kept_out.notes(), *loop.notes),
         ],
     )
-    return refined(previous, robot_id(robot), training.inputs("effects"), decided.stages, loop)
+    created = created_from([previous], [*training.times_s(), *kept_out.times_s()])
+    read = training.inputs("effects")
+    return refined(previous, robot_id(robot), read, decided.stages, loop, created=created)

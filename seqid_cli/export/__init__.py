@@ -49,7 +49,7 @@ def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
     write_text_atomic(target, done.text)
     model = done.model
     return ExportFile(
-        **head(EXPORT_SCHEMA),
+        **head(EXPORT_SCHEMA, previous.created),
         robot=robot_id(arm),
         format=kind,
         path=str(target),

@@ -271,7 +271,12 @@ def _added(
     for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")
     file = with_stage(
-        inputs.previous, robot_id(inputs.robot), logs.inputs(next(iter(new))), improved, **new
+        inputs.previous,
+        robot_id(inputs.robot),
+        logs.inputs(next(iter(new))),
+        improved,
+        created=logs.created(inputs.documents),
+        **new,
     )
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)

@@ -51,12 +51,17 @@ class OfRobot(Written, kw_only=True):
 
 
 class InputLog(Struct, kw_only=True):
-    """One log that a stage read."""
+    """One log that a stage read.
+
+    `recorded` are its first and last stamp: dates in UTC where the stamps are dates, else seconds
+    of the log's own clock. Files of before it was known have none.
+    """
 
     path: str
     sha256: str
     samples: int
     stage: str = ""
+    recorded: list[str | float] = []
 
 
 Level = Literal["good", "usable", "poor"]

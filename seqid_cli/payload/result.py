@@ -46,7 +46,7 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> payload.PayloadFile
     entry, settings = _entry(fit, names[-1])
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return payload.PayloadFile(
-        **head(payload.PAYLOAD_SCHEMA),
+        **head(payload.PAYLOAD_SCHEMA, given.created(inputs.documents)),
         robot=robot_id(inputs.robot),
         inputs=given.inputs(),
         models=inputs.ids(),

@@ -2,7 +2,6 @@
 
 import importlib
 import inspect as signatures
-import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -64,9 +63,7 @@ def test_the_result_is_the_commands(tmp_path: Path, capsys: pytest.CaptureFixtur
     found = identify.friction(logs, ROBOT, output=by_function)
     assert capsys.readouterr() == ("", "")
     assert found.stages.friction is not None
-    one, other = (json.loads(path.read_text()) for path in (by_hand, by_function))
-    assert one.pop("created") <= other.pop("created")
-    assert one == other
+    assert by_hand.read_bytes() == by_function.read_bytes()
 
 
 @pytest.fixture(scope="module")

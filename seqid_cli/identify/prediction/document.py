@@ -73,7 +73,7 @@ def prediction_file(
         *physics_verdicts(stages, robot),
     ]
     return PredictionFile(
-        **head(prediction.PREDICTION_SCHEMA),
+        **head(prediction.PREDICTION_SCHEMA, logs.created(inputs.documents)),
         robot=robot_id(robot),
         inputs=logs.inputs(),
         parameters=inputs.ids(),

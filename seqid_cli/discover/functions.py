@@ -11,11 +11,12 @@ from msgspec import structs
 
 from seqid_cli.discover.options import DiagnoseOptions, DiscoverOptions, RefineOptions
 from seqid_cli.discover.refinement.log_sets import check_unseen, find_earlier, held_out_logs
+from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.options import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike, optional
 from seqid_cli.params.dates import created_from
-from seqid_cli.params.document import present, refined, robot_id
+from seqid_cli.params.document import present, refined, robot_id, used_settings
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.diagnosis import DiagnosisFile
@@ -32,6 +33,8 @@ def diagnose(
     robot: PathLike | Robot,
     parameters: Models,
     options: DiagnoseOptions = DiagnoseOptions(),
+    *,
+    settings: DiscoverSettings = DiscoverSettings(),
     **keywords: Unpack[Keywords],
 ) -> DiagnosisFile:
     """Find out which physical effects a model lacks; nothing is changed.
@@ -64,7 +67,8 @@ def diagnose(
         parameters=inputs.ids(),
         stages=list(present(stages)),
         motion=motion_uses(one_each(held), arm, stages.imu, options=search.motion),
-        verdicts=[*physics_verdicts(stages, arm), *given.verdicts()],
+        verdicts=[*physics_verdicts(stages, arm, settings.judging), *given.verdicts()],
+        settings=used_settings(settings),
         notes=[*said, *given.notes(said)],
     )
     if inputs.output is not None:
@@ -79,6 +83,8 @@ def refine(
     robot: PathLike | Robot,
     parameters: Models,
     options: RefineOptions = RefineOptions(),
+    *,
+    settings: DiscoverSettings = DiscoverSettings(),
     **keywords: Unpack[Keywords],
 ) -> ParameterFile:
     """Add the effects that a model lacks, as long as left-out blocks are predicted better.
@@ -102,7 +108,7 @@ def refine(
     inputs = prepare(logs, robot, parameters, options, needs=needs, stored=False, **keywords)
     search = replace(_search(inputs, options), max_effects=options.rounds)
     search = replace(search, with_unexplained=options.with_unexplained)
-    file = _refined(inputs, held_out, search)
+    file = _refined(inputs, held_out, search, settings)
     if target is not None:
         write_json_atomic(target, file, inputs=[*inputs.sources, *files])
     return file
@@ -118,7 +124,10 @@ def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
 
 
 def _refined(
-    inputs: Inputs, held_out: Sequence[Path | Recording], search: DiscoverOptions
+    inputs: Inputs,
+    held_out: Sequence[Path | Recording],
+    search: DiscoverOptions,
+    settings: DiscoverSettings,
 ) -> ParameterFile:
     from seqid_cli.discover.excerpts import by_digest, one_each, take_excerpts
     from seqid_cli.discover.refinement.confirm import confirm
@@ -149,7 +158,8 @@ def _refined(
     check_unseen(held.items(), {**found.paths, **at_hand})
     whole = WholeLogs(tuple(files), robot, inputs.options.time_source)
     loop = confirm(decided, unseen.recordings, whole if unseen.surveys else None)
-    verdicts = [*physics_verdicts(stages, robot), *training.verdicts(), *kept_out.verdicts()]
+    physics = physics_verdicts(stages, robot, settings.judging)
+    verdicts = [*physics, *training.verdicts(), *kept_out.verdicts()]
     both = [*one_each(fitted), *one_each(unseen)]
     loop = structs.replace(
         loop,
@@ -157,6 +167,7 @@ def _refined(
         held_out=kept_out.inputs(),
         motion=motion_uses(both, robot, stages.imu, options=motion),
         verdicts=verdicts,
+        settings=used_settings(settings),
         notes=[
             *(f"fitted: {note}" for note in fitted.notes(robot)),
             *(f"held out: {note}" for note in unseen.notes(robot)),

@@ -8,6 +8,7 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.params import schema
 from seqid_cli.params.dates import created_from, now
 from seqid_cli.params.schema import ClosedLoop, InputLog, ParameterFile, RobotId, Stages
+from seqid_cli.settings import Settings, entries
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
@@ -46,6 +47,15 @@ def robot_id(robot: "Robot") -> RobotId:
     """Return the identity of a robot in the form of documents."""
     names, slides = list(robot.joint_names), [j.name for j in robot.joints if j.prismatic]
     return RobotId(name=robot.name, joints=names, sha256=robot.sha256, prismatic=slides)
+
+
+def used_settings(settings: Settings) -> schema.UsedSettings:
+    """Return settings in the form of documents."""
+    shown = list(entries(settings))
+    return schema.UsedSettings(
+        changed={entry.name: entry.value for entry in shown if entry.changed},
+        values={entry.name: entry.value for entry in shown},
+    )
 
 
 def present(stages: Stages) -> dict[str, object]:

@@ -64,6 +64,13 @@ class InputLog(Struct, kw_only=True):
     recorded: list[str | float] = []
 
 
+class UsedSettings(Struct, kw_only=True):
+    """Settings that a result was made with: all of them, and those that are not the defaults."""
+
+    changed: dict[str, float]
+    values: dict[str, float]
+
+
 Level = Literal["good", "usable", "poor"]
 LEVELS: tuple[Level, ...] = ("good", "usable", "poor")  # the best first
 
@@ -210,6 +217,7 @@ class FrictionStage(Struct, kw_only=True):
     cutoff_hz: float | None = None
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None
 
 
 class MotionUse(Struct, kw_only=True):
@@ -283,6 +291,7 @@ class RigidStage(Struct, kw_only=True):
     bands: BandCalibration | None = None
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None
 
 
 class AxisReference(Struct, kw_only=True):
@@ -362,6 +371,7 @@ class ImuStage(Struct, kw_only=True):
     cutoff_hz: float | None = None
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None
 
 
 class EffectSession(Struct, kw_only=True):
@@ -430,6 +440,7 @@ class ClosedLoop(Struct, kw_only=True):
     motion: list[MotionUse] = []
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None
 
     @property
     def unconfirmed(self) -> list[RefinementRound]:

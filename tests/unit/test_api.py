@@ -31,6 +31,7 @@ ENCODER = identify.PredictOptions(source="encoder")
 ON_SCREEN_ONLY = {"context", "strict", "form", "explain"}
 ON_SCREEN_ONLY |= {"quiet", "verbose", "json", "no_color", "debug"}
 OTHERWISE = {"jobs", "engine", "scheduler"}  # an executor
+OTHERWISE |= {"set_values", "show_settings"}  # settings
 WITHOUT = {"completion", "init", "run"}  # a shell's script, a template, and the others in a row
 
 

@@ -3,7 +3,7 @@
 A command has one frozen `Settings` class. Its fields are groups, and the fields of a group are
 the numbers: `judging.max_gravity_factor` is the field `max_gravity_factor` of the group
 `judging`. A number that is out of its bounds, or none, cannot be made part of a group, so that
-no algorithm meets one. Numbers that nobody would turn stay constants beside their use.
+no algorithm meets one. Other numbers stay constants beside their use.
 """
 
 import difflib

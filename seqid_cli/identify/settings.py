@@ -21,7 +21,7 @@ class JudgingSettings(Group):
         unit="of the usual friction",
         reason="negative friction that is too small to mean anything",
         low=0.0,
-        high=1.0,
+        high=10.0,
     )
     driving_cells: float = setting(
         0.02,

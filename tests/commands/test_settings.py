@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from tests.commands.conftest import ONE_JOINT, Rig
 from tests.unit.docs import settings as page
 
@@ -50,7 +52,7 @@ def test_settings_decide_and_stand_in_the_result(rig: Rig) -> None:
         "surface.sign_narrowness": 50.0,
     }
     joints = [stage["joints"]["joint_1"] for stage in found]
-    assert joints[1]["sign_width"] == joints[0]["sign_width"] / 2.0
+    assert joints[1]["sign_width"] == pytest.approx(joints[0]["sign_width"] / 2.0)
     assert not changed["verdicts"][0]["good"]
 
 

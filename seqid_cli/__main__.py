@@ -38,7 +38,6 @@ def _run(argv: Sequence[str] | None) -> int:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     # Arrow's own pool reserves a gibibyte of address space, which `ulimit -v` counts.
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
-    os.environ.pop("SOURCE_DATE_EPOCH", None)  # a library fails to import where it is no number
     from seqid_cli.commands.app import run
 
     return run(arguments)

@@ -3,14 +3,16 @@
 import difflib
 import importlib
 import json
+import os
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import typer
 from typer._click import Command, Context, HelpFormatter, Parameter
 from typer._click.exceptions import ClickException, NoArgsIsHelpError
-from typer.core import TyperGroup, TyperOption
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from seqid_cli import __version__
 from seqid_cli.commands.screen.layout import can_be_steered, shortened
@@ -69,13 +71,24 @@ class LazyGroup(TyperGroup):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
 
+def command_function(name: str) -> Any:
+    """Import the function of one command."""
+    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name][0]}")
+    return getattr(module, name.replace("-", "_"))
+
+
 def load_command(name: str) -> Command:
     """Build the parser of one command."""
-    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name][0]}")
-    function = getattr(module, name.replace("-", "_"))
+    function = command_function(name)
     examples = "\n".join(f"  {example}" for example in function.examples)
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    app.command(name, context_settings=_SETTINGS, epilog=f"\b\nExamples:\n{examples}")(function)
+    kind: type[TyperCommand] = TyperCommand
+    if function.settings is not None:
+        from seqid_cli.commands.settings import command_with
+
+        kind = command_with(function.settings)
+    epilog = f"\b\nExamples:\n{examples}"
+    app.command(name, cls=kind, context_settings=_SETTINGS, epilog=epilog)(function)
     return typer.main.get_command(app)
 
 
@@ -97,6 +110,10 @@ def _guarded(arguments: Sequence[str]) -> int:
     name = f"seqid {arguments[0]}" if arguments and arguments[0] in COMMANDS else "seqid"
     problem: SeqidError
     try:
+        if "SOURCE_DATE_EPOCH" in os.environ:  # where it is wrong, libraries fail to import
+            from seqid_cli.params.dates import source_date_epoch
+
+            source_date_epoch()
         return invoke(arguments)
     except NoArgsIsHelpError as error:
         error.show()

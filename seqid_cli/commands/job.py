@@ -17,6 +17,7 @@ from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.errors import SeqidError, SeqidWarning, UsageError
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.schema import Verdict
+from seqid_cli.settings import overridden
 from seqid_cli.working import heard_by
 
 if TYPE_CHECKING:
@@ -134,6 +135,9 @@ def _arguments(function: Callable[..., object], told: Told) -> dict[str, Any]:
         form = type(taken["options"].default)
         names = {field.name for field in fields(form)} & told.given.keys()
         found["options"] = form(**{name: told.given[name] for name in names})
+    if "settings" in taken:
+        defaults = taken["settings"].default
+        found["settings"] = overridden(defaults, told.given.get("set_values") or ())
     return found | ({"on_progress": told} if "logs" in told.given else {})
 
 

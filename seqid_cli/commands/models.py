@@ -9,8 +9,11 @@ from seqid_cli.commands.options import MODEL, ROBOT, SIX, command, only, option
 from seqid_cli.commands.screen.render import number
 from seqid_cli.commands.screen.show import show_motion, show_poor, show_verdicts, verdict_text
 from seqid_cli.commands.screen.show_diagnosis import show_diagnosis, show_refinement
+from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.errors import UsageError
+from seqid_cli.identify.settings import PredictSettings
 from seqid_cli.params.results import tables
+from seqid_cli.payload.settings import PayloadSettings
 
 _VALIDATION = f"{SIX}/validation -r {SIX}/robot.toml -p inertia.json"
 
@@ -21,6 +24,7 @@ _VALIDATION = f"{SIX}/validation -r {SIX}/robot.toml -p inertia.json"
     f"seqid predict {_VALIDATION} -o prediction.json",
     f"seqid predict {_VALIDATION} --torques torques.parquet --json",
     f"seqid predict {_VALIDATION} --torques torques.mcap",
+    settings=PredictSettings(),
 )
 def predict(
     context: typer.Context,
@@ -58,6 +62,7 @@ def predict(
     "logs robot parameters output source cutoff_hz time_source strict explain",
     f"seqid diagnose {_VALIDATION} -o diagnosis.json",
     f"seqid diagnose {SIX}/changed -r {SIX}/robot.toml -p inertia.json --strict --json",
+    settings=DiscoverSettings(),
 )
 def diagnose(
     context: typer.Context,
@@ -106,6 +111,7 @@ _HELD_OUT = f"--holdout {SIX}/changed/held_out.parquet -r {SIX}/robot.toml -p in
     f"seqid refine {SIX}/changed/fourier.parquet {_HELD_OUT} -o refined.json",
     f"seqid refine {SIX}/changed/fourier.parquet {SIX}/changed/trapezoids.parquet {_HELD_OUT}"
     " --rounds 2 --json",
+    settings=DiscoverSettings(),
 )
 def refine(
     context: typer.Context,
@@ -150,6 +156,7 @@ def refine(
     "logs robot parameters output friction_change source cutoff_hz time_source skip_failed strict",
     f"seqid payload {_VALIDATION} -o payload.json",
     f"seqid payload {_VALIDATION} --friction-change 0.1 --json",
+    settings=PayloadSettings(),
 )
 def payload(
     context: typer.Context,

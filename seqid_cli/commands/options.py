@@ -11,23 +11,29 @@ import typer
 
 from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.errors import UsageError
+from seqid_cli.settings import Settings
 
 Run = Callable[..., int]
 SIX = "sample_logs/six_joint"  # in examples
 
 
-def command(names: str, *examples: str) -> Callable[[Run], Run]:
+def command(
+    names: str, *examples: str, settings: Settings | None = None
+) -> Callable[[Run], Run]:
     """Make a function a command with examples that its help shows.
 
     `names` are its arguments in this order, its own and those of `_shared`; the latter reach it in
-    `context.params` alone, where all are.
+    `context.params` alone, where all are. With `settings`, its defaults, it has --set and
+    --show-settings as well.
     """
 
     def decorate(run: Run) -> Run:
         own = inspect.signature(run, eval_str=True).parameters
         known = {**inspect.signature(_shared).parameters, **own}
         asked = [known[name].replace(kind=inspect.Parameter.KEYWORD_ONLY) for name in names.split()]
-        screen = inspect.signature(_of_the_screen).parameters.values()
+        screen = [*inspect.signature(_of_the_screen).parameters.values()]
+        if settings is not None:
+            screen = [*inspect.signature(_of_settings).parameters.values(), *screen]
 
         needs_robot = "robot" in known and known["robot"].default is ROBOT
 
@@ -39,7 +45,8 @@ def command(names: str, *examples: str) -> Callable[[Run], Run]:
             return run(context, **{name: given[name] for name in given if name in own})
 
         signature = inspect.Signature([own["context"], *asked, *screen])
-        vars(decorated).update(__signature__=signature, examples=examples)
+        about = {"__signature__": signature, "examples": examples, "settings": settings}
+        vars(decorated).update(about)
         return decorated
 
     return decorate
@@ -187,6 +194,18 @@ def _shared(
     strict: bool = option(False, "--strict", "Exit with 1 when a verdict is poor."),
 ) -> None:
     """Arguments that commands share, with their defaults."""
+
+
+def _of_settings(
+    *,
+    set_values: list[str] = option(
+        [], "--set NAME=VALUE", "Another value for a setting; repeat it for several."
+    ),
+    show_settings: bool = option(
+        False, "--show-settings", "Show the settings, with units and reasons, and stop."
+    ),
+) -> None:
+    """Options of commands with settings."""
 
 
 def _of_the_screen(

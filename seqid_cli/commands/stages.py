@@ -8,6 +8,13 @@ import typer
 from seqid_cli.commands.job import called
 from seqid_cli.commands.options import ADDED_TO, SIX, command, option
 from seqid_cli.commands.screen.show import show_stages
+from seqid_cli.identify.settings import (
+    FrictionSettings,
+    GravitySettings,
+    ImuCalibSettings,
+    InertiaSettings,
+    SimultaneousSettings,
+)
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.schema import Stages
 
@@ -22,6 +29,7 @@ _NEXT_PREDICT = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
     f"seqid friction {SIX}/friction -r {SIX}/robot.toml -o friction.json",
     f"seqid friction '{SIX}/friction/*' -r {SIX}/robot.toml --position-order 4 --velocity-order 5"
     " --json",
+    settings=FrictionSettings(),
 )
 def friction(
     context: typer.Context,
@@ -53,6 +61,7 @@ def friction(
     f"seqid gravity {SIX}/gravity {SIX}/friction -r {SIX}/robot.toml -p friction.json"
     " -o gravity.json",
     f"seqid gravity {SIX}/gravity -r {SIX}/robot.toml -p friction.json --strict",
+    settings=GravitySettings(),
 )
 def gravity(context: typer.Context) -> int:
     """Identify the gravity parameters, given the friction.
@@ -68,6 +77,7 @@ def gravity(context: typer.Context) -> int:
     f"logs robot parameters output {_SHARED} strict",
     f"seqid imu-calib {SIX}/imu -r {SIX}/robot.toml -p gravity.json -o imu.json",
     f"seqid imu-calib {SIX}/imu -r {SIX}/robot.toml --json",
+    settings=ImuCalibSettings(),
 )
 def imu_calib(context: typer.Context, parameters: list[Path] | None = ADDED_TO) -> int:
     """Find how accelerometers and IMUs are mounted on the links, and what they are like.
@@ -82,6 +92,7 @@ def imu_calib(context: typer.Context, parameters: list[Path] | None = ADDED_TO) 
     f"logs robot parameters output source {_SHARED} consistent strict",
     f"seqid inertia {SIX}/inertia -r {SIX}/robot.toml -p imu.json -o inertia.json",
     f"seqid inertia {SIX}/inertia -r {SIX}/robot.toml -p gravity.json --motion encoder --strict",
+    settings=InertiaSettings(),
 )
 def inertia(context: typer.Context) -> int:
     """Identify the inertia parameters, given friction and gravity.
@@ -95,6 +106,7 @@ def inertia(context: typer.Context) -> int:
     "logs robot parameters output offset source cutoff_hz time_source consistent strict",
     f"seqid simultaneous {SIX}/inertia -r {SIX}/robot.toml -o simultaneous.json",
     f"seqid simultaneous {SIX}/friction {SIX}/inertia -r {SIX}/robot.toml --json",
+    settings=SimultaneousSettings(),
 )
 def simultaneous(
     context: typer.Context,

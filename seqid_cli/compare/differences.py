@@ -21,6 +21,7 @@ from msgspec.structs import replace
 from seqid_cli.errors import UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.params import schema
+from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import check_same_robot, head, poor_because, present
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results import comparison
@@ -69,7 +70,7 @@ def compared(a: Source[Document], b: Source[Document], rule: RuleEntry) -> Compa
         found = [*_diagnoses(left, right, rule)]
     changed = sum(item.different for item in found)
     return ComparisonFile(
-        **head(comparison.COMPARISON_SCHEMA),
+        **head(comparison.COMPARISON_SCHEMA, created_from([left, right])),
         kind=kind,
         a=a.path,
         b=b.path,

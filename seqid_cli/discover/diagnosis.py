@@ -35,6 +35,7 @@ from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
 from seqid_cli.model.effects.units import UNTOLD, Value
+from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import diagnosis
 from seqid_cli.params.schema import Stages
@@ -90,7 +91,7 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     named_joints = {*(part.joint for part in rest), *(one.joint for one in changed)}
     visible = sorted(found.found.visible.items(), key=lambda x: x[1])
     return diagnosis.DiagnosisFile(
-        **head(diagnosis.DIAGNOSIS_SCHEMA),
+        **head(diagnosis.DIAGNOSIS_SCHEMA, now()),
         robot=robot_id(robot),
         inputs=[],
         parameters=[],

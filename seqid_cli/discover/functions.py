@@ -11,10 +11,12 @@ from msgspec import structs
 
 from seqid_cli.discover.options import DiagnoseOptions, DiscoverOptions, RefineOptions
 from seqid_cli.discover.refinement.log_sets import check_unseen, find_earlier, held_out_logs
+from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.options import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike, optional
-from seqid_cli.params.document import present, refined, robot_id
+from seqid_cli.params.dates import created_from
+from seqid_cli.params.document import present, refined, robot_id, used_settings
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.diagnosis import DiagnosisFile
@@ -31,6 +33,8 @@ def diagnose(
     robot: PathLike | Robot,
     parameters: Models,
     options: DiagnoseOptions = DiagnoseOptions(),
+    *,
+    settings: DiscoverSettings = DiscoverSettings(),
     **keywords: Unpack[Keywords],
 ) -> DiagnosisFile:
     """Find out which physical effects a model lacks; nothing is changed.
@@ -57,12 +61,14 @@ def diagnose(
     said = [*held.notes(arm), *found.notes]
     file = structs.replace(
         found,
+        created=given.created(inputs.documents),
         robot=robot_id(arm),
         inputs=given.inputs(),
         parameters=inputs.ids(),
         stages=list(present(stages)),
         motion=motion_uses(one_each(held), arm, stages.imu, options=search.motion),
-        verdicts=[*physics_verdicts(stages, arm), *given.verdicts()],
+        verdicts=[*physics_verdicts(stages, arm, settings.judging), *given.verdicts()],
+        settings=used_settings(settings),
         notes=[*said, *given.notes(said)],
     )
     if inputs.output is not None:
@@ -77,6 +83,8 @@ def refine(
     robot: PathLike | Robot,
     parameters: Models,
     options: RefineOptions = RefineOptions(),
+    *,
+    settings: DiscoverSettings = DiscoverSettings(),
     **keywords: Unpack[Keywords],
 ) -> ParameterFile:
     """Add the effects that a model lacks, as long as left-out blocks are predicted better.
@@ -101,7 +109,9 @@ def refine(
     inputs = prepare(logs, robot, parameters, options, needs=needs, stored=False, **keywords)
     search = replace(_search(inputs, options), max_effects=options.rounds)
     search = replace(search, with_unexplained=options.with_unexplained)
-    file = _refined(inputs, held_out, search, keep_unconfirmed=options.keep_unconfirmed)
+    file = _refined(
+        inputs, held_out, search, settings, keep_unconfirmed=options.keep_unconfirmed
+    )
     if target is not None:
         write_json_atomic(target, file, inputs=[*inputs.sources, *files])
     return file
@@ -120,6 +130,7 @@ def _refined(
     inputs: Inputs,
     held_out: Sequence[Path | Recording],
     search: DiscoverOptions,
+    settings: DiscoverSettings,
     *,
     keep_unconfirmed: bool,
 ) -> ParameterFile:
@@ -159,7 +170,8 @@ def _refined(
         keep_unconfirmed=keep_unconfirmed,
     )
     loop = confirmed.loop
-    verdicts = [*physics_verdicts(stages, robot), *training.verdicts(), *kept_out.verdicts()]
+    physics = physics_verdicts(stages, robot, settings.judging)
+    verdicts = [*physics, *training.verdicts(), *kept_out.verdicts()]
     both = [*one_each(fitted), *one_each(unseen)]
     loop = structs.replace(
         loop,
@@ -167,10 +179,13 @@ def _refined(
         held_out=kept_out.inputs(),
         motion=motion_uses(both, robot, stages.imu, options=motion),
         verdicts=verdicts,
+        settings=used_settings(settings),
         notes=[
             *(f"fitted: {note}" for note in fitted.notes(robot)),
             *(f"held out: {note}" for note in unseen.notes(robot)),
             *(*found.notes, *unread, *training.notes(), *kept_out.notes(), *loop.notes),
         ],
     )
-    return refined(previous, robot_id(robot), training.inputs("effects"), confirmed.stages, loop)
+    created = created_from([previous], [*training.times_s(), *kept_out.times_s()])
+    read = training.inputs("effects")
+    return refined(previous, robot_id(robot), read, confirmed.stages, loop, created=created)

@@ -99,7 +99,7 @@ def export(
         result, why = _replay(goal, form, previous, arm, chosen, lost_here)
         notes += [*said, *why]
     return ExportFile(
-        **head(EXPORT_SCHEMA),
+        **head(EXPORT_SCHEMA, previous.created),
         robot=robot_id(arm),
         format=kind,
         path=str(goal),

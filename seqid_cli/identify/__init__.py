@@ -19,13 +19,29 @@ from seqid_cli.identify.options import (
     RigidOptions,
     SimultaneousOptions,
 )
+from seqid_cli.identify.settings import (
+    FrictionSettings,
+    GravitySettings,
+    ImuCalibSettings,
+    InertiaSettings,
+    JudgingSettings,
+    PredictSettings,
+    SimultaneousSettings,
+)
 
 __all__ = [
     "FrictionOptions",
+    "FrictionSettings",
+    "GravitySettings",
+    "ImuCalibSettings",
+    "InertiaSettings",
+    "JudgingSettings",
     "LogOptions",
     "PredictOptions",
+    "PredictSettings",
     "RigidOptions",
     "SimultaneousOptions",
+    "SimultaneousSettings",
     "friction",
     "gravity",
     "imu_calib",

@@ -22,13 +22,12 @@ from seqid_cli.errors import SeqidError
 from seqid_cli.identify.options import RigidOptions
 from seqid_cli.identify.regression.equations import open_if_long, survey_of
 from seqid_cli.identify.rigid.cutoff_choice import (
-    LIMITS,
     SAMPLES_PER_CUTOFF,
     CutoffChoice,
-    CutoffLimits,
     Trial,
     choose_cutoff,
 )
+from seqid_cli.identify.settings import CutoffSettings
 from seqid_cli.logs.pieces import Range, cut, read_pieces, whole_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
@@ -141,7 +140,7 @@ def identification_options(
     trial: Trial | None = None,
     *,
     most_values: float = 1e6,
-    limits: CutoffLimits = LIMITS,
+    limits: CutoffSettings = CutoffSettings(),
 ) -> MotionOptions:
     """Return how all logs of an identification are filtered, whatever their order.
 
@@ -156,7 +155,7 @@ def identification_options(
         Without one the motion alone decides.
     most_values : float
         Samples times joints that cut-offs are tried on: pieces of logs that have more.
-    limits : CutoffLimits
+    limits : CutoffSettings
         What makes a cut-off admissible.
     """
     if options.cutoff_hz is not None:
@@ -205,7 +204,7 @@ def _by_posterior(
     start_hz: float,
     *,
     highest_hz: float,
-    limits: CutoffLimits,
+    limits: CutoffSettings,
     most_rows: float = 2e4,
 ) -> CutoffChoice:
     """Choose the cut-off by what is identified from pieces of the logs.

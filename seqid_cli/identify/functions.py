@@ -24,11 +24,27 @@ from seqid_cli.identify.options import (
     SimultaneousOptions,
     documented,
 )
+from seqid_cli.identify.settings import (
+    FrictionSettings,
+    GravitySettings,
+    ImuCalibSettings,
+    InertiaSettings,
+    JudgingSettings,
+    PredictSettings,
+    SimultaneousSettings,
+)
 from seqid_cli.logs.given import Logs, PathLike, optional, warn
-from seqid_cli.params.document import present, robot_id, stale_stages, with_stage
+from seqid_cli.params.document import (
+    present,
+    robot_id,
+    stale_stages,
+    used_settings,
+    with_stage,
+)
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.settings import Settings
 
 if TYPE_CHECKING:
     from seqid_cli.identify.log_set import LogSet
@@ -40,6 +56,8 @@ def friction(
     logs: Logs,
     robot: PathLike | Robot,
     options: FrictionOptions = FrictionOptions(),
+    *,
+    settings: FrictionSettings = FrictionSettings(),
     **keywords: Unpack[ParallelKeywords],
 ) -> ParameterFile:
     """Identify joint friction over position and velocity (Eq. 7-11).
@@ -53,9 +71,10 @@ def friction(
     from seqid_cli.identify.friction_surface.stage import identify_friction as identified
 
     def find(given: LogSet) -> Identified:
-        return Identified(Stages(friction=identified(given, inputs.robot, options=options)))
+        stage = identified(given, inputs.robot, options=options, settings=settings)
+        return Identified(Stages(friction=stage))
 
-    return _added(inputs, find)
+    return _added(inputs, find, settings, settings.judging)
 
 
 @documented(ParallelKeywords)
@@ -64,6 +83,8 @@ def gravity(
     robot: PathLike | Robot,
     parameters: Models,
     options: LogOptions = LogOptions(),
+    *,
+    settings: GravitySettings = GravitySettings(),
     **keywords: Unpack[ParallelKeywords],
 ) -> ParameterFile:
     """Identify the gravity parameters, given the friction (Eq. 12-19).
@@ -79,10 +100,10 @@ def gravity(
     from seqid_cli.identify.rigid.gravity import identify_gravity as identified
 
     def find(given: LogSet) -> Identified:
-        result = identified(given, inputs.robot, inputs.stages)
+        result = identified(given, inputs.robot, inputs.stages, settings)
         return Identified(Stages(gravity=result.gravity), Stages(friction=result.friction))
 
-    return _added(inputs, find)
+    return _added(inputs, find, settings, settings.judging)
 
 
 @documented(ParallelKeywords)
@@ -91,6 +112,8 @@ def imu_calib(
     robot: PathLike | Robot,
     parameters: Models = (),
     options: LogOptions = LogOptions(),
+    *,
+    settings: ImuCalibSettings = ImuCalibSettings(),
     **keywords: Unpack[ParallelKeywords],
 ) -> ParameterFile:
     """Find how IMUs sit on their links and what they are like (Eq. 29-38).
@@ -115,9 +138,10 @@ def imu_calib(
             for text in layout_statements(imu):
                 given.tell("note", text=f"{imu.name}: {text}")
         filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
-        return Identified(Stages(imu=calibrate_imus(given, inputs.robot, options=filtering)))
+        stage = calibrate_imus(given, inputs.robot, options=filtering, settings=settings)
+        return Identified(Stages(imu=stage))
 
-    return _added(inputs, find, imus=True)
+    return _added(inputs, find, settings, imus=True)
 
 
 @documented(ParallelKeywords)
@@ -126,6 +150,8 @@ def inertia(
     robot: PathLike | Robot,
     parameters: Models,
     options: RigidOptions = RigidOptions(),
+    *,
+    settings: InertiaSettings = InertiaSettings(),
     **keywords: Unpack[ParallelKeywords],
 ) -> ParameterFile:
     """Identify the inertia parameters, given friction and gravity (Eq. 22-26).
@@ -147,16 +173,18 @@ def inertia(
 
     def find(given: LogSet) -> Identified:
         arm, known = inputs.robot, inputs.stages
-        trial = InertiaTrial(arm, known, options.source)
-        motion = identification_options(inputs.logs, arm, options, known.imu, trial)
-        rigid = InertiaOptions(motion, options.source)
+        trial = InertiaTrial(arm, known, options.source, settings)
+        motion = identification_options(
+            inputs.logs, arm, options, known.imu, trial, limits=settings.cutoff
+        )
+        rigid = InertiaOptions(motion, options.source, settings=settings)
         result = identify_inertia(given, arm, known, options=rigid, compare=True)
         stage = result.inertia
         if options.consistent:
             stage = made_consistent(stage, known, arm)
         return Identified(Stages(inertia=stage), Stages(friction=result.friction))
 
-    return _added(inputs, find)
+    return _added(inputs, find, settings, settings.judging)
 
 
 @documented(Keywords)
@@ -165,6 +193,8 @@ def simultaneous(
     robot: PathLike | Robot,
     parameters: Models = (),
     options: SimultaneousOptions = SimultaneousOptions(),
+    *,
+    settings: SimultaneousSettings = SimultaneousSettings(),
     **keywords: Unpack[Keywords],
 ) -> ParameterFile:
     """Identify everything in one classical least squares (Eq. 5-6).
@@ -186,15 +216,23 @@ def simultaneous(
     def find(given: LogSet) -> Identified:
         arm, imu = inputs.robot, inputs.stages.imu
         trial = SimultaneousTrial(arm, imu, options.source, offset=options.offset)
-        motion = identification_options(inputs.logs, arm, options, imu, trial)
+        motion = identification_options(
+            inputs.logs, arm, options, imu, trial, limits=settings.cutoff
+        )
         friction, inertia = identify_simultaneous(
-            given, arm, options=motion, imu=imu, source=options.source, offset=options.offset
+            given,
+            arm,
+            options=motion,
+            imu=imu,
+            source=options.source,
+            offset=options.offset,
+            settings=settings,
         )
         if options.consistent:
             inertia = made_consistent(inertia, Stages(), arm)
         return Identified(Stages(friction=friction, inertia=inertia))
 
-    return _added(inputs, find)
+    return _added(inputs, find, settings, settings.judging)
 
 
 @documented(ParallelKeywords)
@@ -204,6 +242,7 @@ def predict(
     parameters: Models,
     options: PredictOptions = PredictOptions(),
     *,
+    settings: PredictSettings = PredictSettings(),
     torques: PathLike | None = None,
     **keywords: Unpack[ParallelKeywords],
 ) -> PredictionFile:
@@ -236,7 +275,9 @@ def predict(
     motion, given = inherited(inputs.stages, options.cutoff_hz), LogSet.of(inputs)
     rigid, unexplained = InertiaOptions(motion, options.source), options.with_unexplained
     found = predicted(given, inputs.robot, inputs.stages, options=rigid, unexplained=unexplained)
-    file = prediction_file(inputs, given, found, table, motion.origin, unexplained=unexplained)
+    file = prediction_file(
+        inputs, given, found, table, motion.origin, unexplained=unexplained, settings=settings
+    )
     if target is not None:
         write_json_atomic(target, file, inputs=inputs.sources)
     return file
@@ -250,7 +291,12 @@ class Identified(NamedTuple):
 
 
 def _added(
-    inputs: Inputs, find: Callable[[LogSet], Identified], *, imus: bool | None = None
+    inputs: Inputs,
+    find: Callable[[LogSet], Identified],
+    settings: Settings,
+    judging: JudgingSettings = JudgingSettings(),
+    *,
+    imus: bool | None = None,
 ) -> ParameterFile:
     """Find new stages, judge them, and add them to those before; `imus` is as of `LogSet.of`."""
     from seqid_cli.identify.judging import judged
@@ -265,13 +311,19 @@ def _added(
     for name in present(identified.stages):
         stage = getattr(identified.stages, name)
         notes = [*stage.notes, *logs.notes(stage.notes)]
-        noted[name] = replace(stage, notes=notes)
-    new = present(judged(Stages(**noted), before, inputs.robot, logs.verdicts()))
+        noted[name] = replace(stage, notes=notes, settings=used_settings(settings))
+    found = judged(Stages(**noted), before, inputs.robot, logs.verdicts(), limits=judging)
+    new = present(found)
 
     for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")
     file = with_stage(
-        inputs.previous, robot_id(inputs.robot), logs.inputs(next(iter(new))), improved, **new
+        inputs.previous,
+        robot_id(inputs.robot),
+        logs.inputs(next(iter(new))),
+        improved,
+        created=logs.created(inputs.documents),
+        **new,
     )
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)

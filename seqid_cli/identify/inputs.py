@@ -62,6 +62,11 @@ class Inputs:
         """Files that no output may replace."""
         return [*(log for log in self.logs if isinstance(log, Path)), *self.parameters]
 
+    @property
+    def documents(self) -> list[ParameterFile]:
+        """The parameter files themselves."""
+        return [file for _, file in self.models]
+
     def ids(self) -> list[FileId]:
         """The parameter files, as documents list them."""
         return [model_id(name, file, self.parameters) for name, file in self.models]

@@ -7,12 +7,12 @@ is the same wherever it shows, and its size is of the order of the URDF's. The l
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.identify.regression.noise_level import postures
+from seqid_cli.identify.settings import JudgingSettings
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params import schema
@@ -24,39 +24,18 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
-
-@dataclass(frozen=True)
-class Limits:
-    """What a result must keep to.
-
-    A result must be impossible by `clear_sigma` standard errors. Friction drives a joint where it
-    is negative by `driving_share` of the usual friction, in more than `driving_cells` of the
-    positions and speeds looked at. Gravity of two stages may differ by `max_difference` of a
-    joint's gravity torque, and by a factor `max_factor` from the URDF's; below the correlation
-    `min_correlation` with that it points elsewhere.
-    Joints with less than `light_share` of the largest gravity torque, or `min_torque` N m, are not
-    compared. They are looked at in so many `positions`, `speeds` and `postures`.
-    """
-
-    clear_sigma: float = 4.0
-    driving_share: float = 0.03
-    driving_cells: float = 0.02
-    max_difference: float = 0.25
-    max_factor: float = 2.5
-    min_correlation: float = 0.3
-    light_share: float = 0.05
-    min_torque: float = 1e-3
-    positions: int = 33
-    speeds: int = 9
-    postures: int = 60
-
-
-LIMITS = Limits()
+# How many positions and speeds of a friction surface, and postures of the arm, are looked at.
+POSITIONS, SPEEDS, POSTURES = 33, 9, 60
 Stage = schema.FrictionStage | schema.RigidStage | schema.ImuStage
 
 
 def judged(
-    new: schema.Stages, before: schema.Stages, robot: Robot, of_logs: Sequence[schema.Verdict] = ()
+    new: schema.Stages,
+    before: schema.Stages,
+    robot: Robot,
+    of_logs: Sequence[schema.Verdict] = (),
+    *,
+    limits: JudgingSettings = JudgingSettings(),
 ) -> schema.Stages:
     """Add to the verdicts of new stages those by physics, those `of_logs`, that of the whole."""
     friction, gravity = new.friction or before.friction, new.gravity or before.gravity
@@ -66,7 +45,7 @@ def judged(
         if stage is not None:
             verdicts = [
                 *stage.verdicts,
-                *_physics(stage, known, robot),
+                *_physics(stage, known, robot, limits),
                 *of_logs,
                 *_inherited(name, known),
             ]
@@ -88,12 +67,19 @@ def _inherited(name: str, known: schema.Stages) -> Iterator[schema.Verdict]:
         yield schema.Verdict(good=False, level="usable", reason=reason)
 
 
-def physics_verdicts(stages: schema.Stages, robot: Robot) -> list[schema.Verdict]:
+def physics_verdicts(
+    stages: schema.Stages, robot: Robot, limits: JudgingSettings = JudgingSettings()
+) -> list[schema.Verdict]:
     """Judge stages that a command builds on as `judged` does, whatever logs they are used on."""
     # By the robot as it is now: its gear ratios or gravity may not be those of the identification.
     # Each reason comes once per joint.
     there = (stages.friction, stages.gravity, stages.inertia)
-    found = [v for stage in there if stage is not None for v in _physics(stage, stages, robot)]
+    found = [
+        verdict
+        for stage in there
+        if stage is not None
+        for verdict in _physics(stage, stages, robot, limits)
+    ]
     return list({(v.joint, v.reason): v for v in found}.values())
 
 
@@ -110,22 +96,27 @@ def as_a_whole(verdicts: Sequence[schema.Verdict]) -> list[schema.Verdict]:
     return [*of_joints, schema.Verdict(good=False, level=level, reason=reason)]
 
 
-def _physics(stage: Stage, known: schema.Stages, robot: Robot) -> Iterator[schema.Verdict]:
+def _physics(
+    stage: Stage, known: schema.Stages, robot: Robot, limits: JudgingSettings
+) -> Iterator[schema.Verdict]:
     if isinstance(stage, schema.FrictionStage):
-        yield from friction_verdicts(stage, robot)
+        yield from friction_verdicts(stage, robot, limits)
     elif isinstance(stage, schema.RigidStage) and stage.parameters:
-        q = postures(robot, count=LIMITS.postures)
+        q = postures(robot, count=POSTURES)
         samples = dict(enumerate((q, own) for own in _gravity(robot, stage, q).T))
         if stage is not known.gravity:
-            yield from inertia_verdicts(stage, robot)
+            yield from inertia_verdicts(stage, robot, limits)
             if known.gravity is not None and known.gravity.parameters:
-                yield from _gravity_verdicts(samples, robot, known.gravity, IN_LOGS)
+                yield from _gravity_verdicts(samples, robot, known.gravity, IN_LOGS, limits)
         elif known.friction is not None:
-            yield from _gravity_verdicts(_measured(known.friction, robot), robot, stage, IN_TRIALS)
-        yield from _gravity_verdicts(samples, robot, None, NOT_NOMINAL)
+            trials = _measured(known.friction, robot)
+            yield from _gravity_verdicts(trials, robot, stage, IN_TRIALS, limits)
+        yield from _gravity_verdicts(samples, robot, None, NOT_NOMINAL, limits)
 
 
-def friction_verdicts(stage: schema.FrictionStage, robot: Robot) -> Iterator[schema.Verdict]:
+def friction_verdicts(
+    stage: schema.FrictionStage, robot: Robot, limits: JudgingSettings = JudgingSettings()
+) -> Iterator[schema.Verdict]:
     """Judge whether friction brakes, and whether the gravity beside it is of the URDF's size."""
     for name, joint in stage.joints.items():
         surface = FrictionSurface.from_stage(joint)
@@ -133,14 +124,14 @@ def friction_verdicts(stage: schema.FrictionStage, robot: Robot) -> Iterator[sch
         levels = [level.speed for level in joint.speeds if level.speed > joint.sign_width]
         speeds = np.array(levels or [high])
         if joint.parameters:  # a law over speed, of one level alone
-            speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, LIMITS.speeds)
-        q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, LIMITS.positions), speeds))
+            speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, SPEEDS)
+        q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, POSITIONS), speeds))
         # The mean of both directions: what is the same in both is an offset and takes no energy.
         value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
         error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
         usual = float(np.sqrt(np.mean(value**2)))
-        drives = (value < -LIMITS.clear_sigma * error) & (value < -LIMITS.driving_share * usual)
-        if np.mean(drives) > LIMITS.driving_cells:
+        drives = (value < -limits.clear_sigma * error) & (value < -limits.driving_share * usual)
+        if np.mean(drives) > limits.driving_cells:
             worst = int(np.argmin(np.where(drives, value, np.inf)))
             reason = (
                 f"its friction is {value[worst]:.3g} +- {error[worst]:.2g} {joint.unit} at "
@@ -148,7 +139,7 @@ def friction_verdicts(stage: schema.FrictionStage, robot: Robot) -> Iterator[sch
                 "current is wrong, or it is another joint's"
             )
             yield schema.Verdict(joint=name, good=False, reason=reason)
-    yield from _gravity_verdicts(_measured(stage, robot), robot, None, NOT_NOMINAL)
+    yield from _gravity_verdicts(_measured(stage, robot), robot, None, NOT_NOMINAL, limits)
 
 
 Samples = dict[int, tuple[Array, Array]]  # joint: postures (N, n), gravity torque of it (N,)
@@ -163,7 +154,7 @@ def _measured(stage: schema.FrictionStage, robot: Robot) -> Samples:
         if joint is None or not groups:
             continue
         first, last = joint.position_range
-        q = np.linspace(first, last, LIMITS.positions)
+        q = np.linspace(first, last, POSITIONS)
         places = [np.array(group.configuration) for group in groups]
         torques = [
             gravity_columns(robot, j, place, q) @ np.array(group.p_xi)
@@ -200,33 +191,39 @@ NOT_NOMINAL = (
 
 
 def _gravity_verdicts(
-    samples: Samples, robot: Robot, stage: schema.RigidStage | None, text: str
+    samples: Samples,
+    robot: Robot,
+    stage: schema.RigidStage | None,
+    text: str,
+    limits: JudgingSettings,
 ) -> Iterator[schema.Verdict]:
     """Judge gravity by a stage's, or by the URDF's inertials; `text` says how it differs."""
     if not samples or (stage is None and robot.nominal is None):
         return
-    largest = float(np.abs(_gravity(robot, stage, postures(robot, count=LIMITS.postures))).max())
+    largest = float(np.abs(_gravity(robot, stage, postures(robot, count=POSTURES))).max())
     for j, (q, own) in samples.items():
         told = _gravity(robot, stage, q)[:, j]
         rms = float(np.sqrt(np.mean(told**2)))
-        if rms < max(LIMITS.min_torque, LIMITS.light_share * largest):
+        if rms < max(limits.min_gravity_torque, limits.light_share * largest):
             continue
         off, size = (float(np.sqrt(np.mean(x**2))) / rms for x in (own - told, own))
         ratio = float(own @ told) / float(told @ told)
-        differs = off > LIMITS.max_difference
+        differs = off > limits.max_gravity_difference
         if stage is None:
-            differs = not 1.0 / LIMITS.max_factor < size < LIMITS.max_factor
-            differs |= ratio < LIMITS.min_correlation * size
+            differs = not 1.0 / limits.max_gravity_factor < size < limits.max_gravity_factor
+            differs |= ratio < limits.min_gravity_correlation * size
         if differs:
             reason = text.format(percent(off, 0), ratio)
             yield schema.Verdict(joint=robot.joint_names[j], good=False, reason=reason)
 
 
-def inertia_verdicts(stage: schema.RigidStage, robot: Robot) -> Iterator[schema.Verdict]:
+def inertia_verdicts(
+    stage: schema.RigidStage, robot: Robot, limits: JudgingSettings = JudgingSettings()
+) -> Iterator[schema.Verdict]:
     """Judge whether rotors and the inertia that each drive feels are positive."""
     for p in stage.parameters:
         rotor = p.terms and all(x > 0.0 and name.startswith("Ia_") for name, x in p.terms.items())
-        if rotor and p.value < -LIMITS.clear_sigma * p.std_error:
+        if rotor and p.value < -limits.clear_sigma * p.std_error:
             found = f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}"
             reason = f"{found}: a rotor cannot have negative inertia"
             yield schema.Verdict(joint=p.joint, good=False, reason=reason)
@@ -237,7 +234,7 @@ def inertia_verdicts(stage: schema.RigidStage, robot: Robot) -> Iterator[schema.
         return
     links, rotors = standard_parameters(stage, robot.n)
     standard = np.concatenate([links.ravel(), rotors])
-    q = postures(robot, count=LIMITS.postures)
+    q = postures(robot, count=POSTURES)
     still = np.zeros_like(q)
     at_rest = standard_regressor(robot, q, still, still, coupling="diagonal")
     for j, name in enumerate(robot.joint_names):
@@ -248,12 +245,12 @@ def inertia_verdicts(stage: schema.RigidStage, robot: Robot) -> Iterator[schema.
         H = standard_regressor(robot, q, still, pushed, coupling="diagonal")[:, j] - at_rest[:, j]
         felt, columns = H @ standard, H @ basis.representative[:, own]
         variance = np.sum((columns @ np.array(stage.covariance)) * columns, axis=1)
-        error = LIMITS.clear_sigma * np.sqrt(np.maximum(variance, 0.0))
+        error = limits.clear_sigma * np.sqrt(np.maximum(variance, 0.0))
         worst = int(np.argmax(felt + error))
         if felt[worst] < -error[worst]:  # in every posture
             reason = (
                 f"the inertia that its drive feels is at most {felt[worst]:.3g} +- "
-                f"{error[worst] / LIMITS.clear_sigma:.2g}: it cannot be negative. Check sign and "
+                f"{error[worst] / limits.clear_sigma:.2g}: it cannot be negative. Check sign and "
                 "unit of the torque, torque_constant, gear_ratio and rotor_inertia"
             )
             yield schema.Verdict(joint=name, good=False, reason=reason)

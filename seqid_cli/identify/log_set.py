@@ -18,10 +18,12 @@ from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.given import warn
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.storage.files import time_of_log
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.params.dates import created_from, recorded_between
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.params.schema import InputLog, Verdict
+from seqid_cli.params.schema import InputLog, Verdict, Written
 from seqid_cli.robot.types import Robot
 from seqid_cli.scale import Reply, answer, ordered
 
@@ -57,6 +59,7 @@ class LogSet:
     findings: list[InspectionFinding] = field(default_factory=list)
     read: list[LogNote] = field(default_factory=list)
     _first: dict[str, Path] = field(default_factory=dict)  # log of each content, by SHA-256
+    _times_s: list[float] = field(default_factory=list)  # of the logs read, see `times_s`
 
     @classmethod
     def of(cls, inputs: Inputs, *, imus: bool | None = None) -> "LogSet":
@@ -74,19 +77,38 @@ class LogSet:
         return self.mapped(_itself)
 
     def again(self, *, imus: bool) -> Iterator[Recording]:
-        """Read the logs once more, without account."""
+        """Read the logs once more, without account but of their dates."""
         for log in self.logs:
             if isinstance(log, Recording):
-                yield log
+                held = log
             else:
-                yield read_screened(log, self.robot, time_source=self.time_source, imus=imus)[0]
+                held = read_screened(log, self.robot, time_source=self.time_source, imus=imus)[0]
+            self._date(held.path, (held.start, held.start + float(held.t[-1])))
+            yield held
 
     def inputs(self, stage: str = "") -> list[InputLog]:
         """Return the logs read so far, as documents list them."""
         return [
-            InputLog(path=str(log.path), sha256=log.sha256, samples=log.samples, stage=stage)
+            InputLog(
+                path=str(log.path),
+                sha256=log.sha256,
+                samples=log.samples,
+                stage=stage,
+                recorded=recorded_between(*log.stamps_s) if log.stamps_s else [],
+            )
             for log in self.read
         ]
+
+    def times_s(self) -> list[float]:
+        """Return the times of the logs read so far that have one [s, Unix].
+
+        It is a log's last stamp where its stamps are dates, else when its file was last modified.
+        """
+        return list(self._times_s)
+
+    def created(self, documents: Iterable[Written]) -> str:
+        """Return the date of a result that is made of the logs read so far and of documents."""
+        return created_from(documents, self.times_s(), otherwise=self.robot.source)
 
     def notes(self, known: Sequence[str] = ()) -> list[str]:
         """Return notes on the logs for the result, but for those it has already (`known`)."""
@@ -154,6 +176,11 @@ class LogSet:
             hint = getattr(errors[0], "hint", "")
             raise InputError(f"none of the {len(errors)} logs can be used: {errors[0]}", hint=hint)
 
+    def _date(self, path: Path, stamps_s: tuple[float, float] | None) -> None:
+        time = time_of_log(path, stamps_s)
+        if time is not None:
+            self._times_s.append(time)
+
     def _leave_out(self, text: str) -> None:
         self.left_out.append(text)
         warn(f"left out: {text}")
@@ -161,6 +188,7 @@ class LogSet:
     def _done(self, note: LogNote) -> None:
         """Take account of a log that was read, and warn of what cannot wait for the result."""
         self.read.append(note)
+        self._date(note.path, note.stamps_s)
         self.findings += note.findings
         self.tell("done", log=str(note.path), note=note)
         for finding in note.findings:
@@ -205,9 +233,26 @@ def _text(alike: Sequence[InspectionFinding]) -> str:
 def _note_of(log: Recording | SurveyedLog) -> LogNote:
     """Return the summary of a log for progress and documents."""
     if isinstance(log, SurveyedLog):
-        return LogNote(log.path, log.sha256, log.samples, log.rate_hz, log.warnings, log.partial)
-    about = log.path, log.sha256, len(log.t), log.rate_hz, log.health.warnings, log.partial
-    return LogNote(*about, mended=log.health.mended)
+        first_s = log.start_ns * 1e-9
+        return LogNote(
+            path=log.path,
+            sha256=log.sha256,
+            samples=log.samples,
+            rate_hz=log.rate_hz,
+            warnings=log.warnings,
+            partial=log.partial,
+            stamps_s=(first_s, first_s + (log.samples - 1) * log.step_s),
+        )
+    return LogNote(
+        path=log.path,
+        sha256=log.sha256,
+        samples=len(log.t),
+        rate_hz=log.rate_hz,
+        warnings=log.health.warnings,
+        partial=log.partial,
+        mended=log.health.mended,
+        stamps_s=(log.start, log.start + float(log.t[-1])),
+    )
 
 
 def _itself(log: Recording, _: int) -> Recording:

@@ -8,6 +8,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict, TypeVar
 
+from seqid_cli.identify.settings import InertiaSettings
 from seqid_cli.motion.options import MotionOptions
 
 TimeSource = Literal["header", "log"]
@@ -78,12 +79,15 @@ class InertiaOptions:
 
     `neighbours` are multiples of the cut-off at which the inertia stage looks at its parameters
     again (see `cutoff_check`); a log that is passed over is not looked at again.
+
+    `settings` are the inertia stage's.
     """
 
     motion: MotionOptions = field(default_factory=MotionOptions)
     source: str = "auto"
     slides_from: tuple[float, ...] | None = None
     neighbours: tuple[float, ...] = (0.7, 1.4)
+    settings: InertiaSettings = field(default_factory=InertiaSettings)
 
 
 if TYPE_CHECKING:
@@ -111,6 +115,7 @@ ENTRIES = {
     "robot": "path or Robot\n    The robot file.",
     "parameters": "path or ParameterFile, or a sequence of them\n    What the result is added to.",
     "options": "{default}\n    Its docstring says what can be set.",
+    "settings": "{default}\n    Numbers that decide; `--show-settings` of the command lists them.",
     "output": "path, optional\n    Where the document is written as well.",
     "on_progress": "callable, optional\n    Given a `Progress` before and after each log.",
     "executor": "concurrent.futures.Executor, optional\n    Who reads and reduces the logs (see "

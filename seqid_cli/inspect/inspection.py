@@ -19,9 +19,11 @@ from seqid_cli.logs.left_out import in_logged_posture, standing_joints
 from seqid_cli.logs.pieces import read_parts
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import TorqueLackingError
+from seqid_cli.logs.storage.files import time_of_log
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.table import missing_columns
+from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import head
 from seqid_cli.params.results import inspection as schema
 from seqid_cli.params.results.inspection import InspectedLog, InspectionFinding
@@ -39,6 +41,7 @@ def inspect_logs(
 ) -> schema.InspectionFile:
     """Inspect logs; findings are of robot file and set of logs, then of each log; see `inspect`."""
     logs: list[InspectedLog] = []
+    times_s: list[float] = []
     own: list[InspectionFinding] = []
     for done, path in enumerate(paths):
         if on_progress is not None:
@@ -47,6 +50,8 @@ def inspect_logs(
             one = inspect_log(file, robot, time_source=time_source)
         logs.append(structs.replace(one.log, path=str(path)))
         own += located(one.findings, path)
+        time = time_of_log(path, one.stamps_s)
+        times_s += [] if time is None else [time]
     logs = logs if robot is None else serve_together(logs)
     findings = [*layout_findings(robot)] if robot is not None else []
     first: dict[str, str] = {}
@@ -56,7 +61,7 @@ def inspect_logs(
             findings += located([found("duplicate_log", text)], log.path)
     findings += own
     return schema.InspectionFile(
-        **head(schema.INSPECTION_SCHEMA),
+        **head(schema.INSPECTION_SCHEMA, created_from((), times_s)),
         robot=robot.name if robot else "",
         verdict=verdict_of(findings),
         logs=logs,

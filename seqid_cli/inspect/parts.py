@@ -21,6 +21,7 @@ from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import Stream
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
+from seqid_cli.params.dates import recorded_between
 from seqid_cli.params.results import inspection as schema
 from seqid_cli.params.results.inspection import InspectedImu, InspectedLog, InspectionFinding
 from seqid_cli.robot.types import Array, Robot
@@ -92,10 +93,11 @@ def _speeds(speeds: Sequence[float], *, different: float = 1.25) -> int:
 
 
 class Inspected(NamedTuple):
-    """One log and its findings."""
+    """One log, its findings, and its first and last stamp [s, its own clock]."""
 
     log: InspectedLog
     findings: tuple[InspectionFinding, ...]
+    stamps_s: tuple[float, float] | None = None
 
 
 V = TypeVar("V", InspectedLog, schema.InspectedJoint, InspectedImu)
@@ -174,6 +176,7 @@ class Gathered:
         lost = (found("channel_hole", error.message) for error in self.lost)
         findings = located((*before, *map(self._told, grouped(self.findings)), *lost), path)
         samples = [part.samples for part in self.parts]
+        stamps_s = (self.begun, self.begun + self.end)
         each_joint = zip(*(part.joints for part in self.parts), strict=True)
         by_imu: dict[str, list[InspectedImu]] = {}
         for imu in (imu for part in self.parts for imu in part.imus):
@@ -184,6 +187,7 @@ class Gathered:
             format=form,
             verdict=verdict_of(findings),
             seconds=self.end,
+            recorded=recorded_between(*stamps_s),
             rate_hz=sum(samples)
             / float(np.sum(np.divide(samples, [p.rate_hz for p in self.parts]))),
             joints=[_merged(own, samples) for own in each_joint],
@@ -192,7 +196,7 @@ class Gathered:
             moving_together=_moving_together(self.robot, np.asarray(self.together)),
         )
         log.serves = self._serves(log) if self.modelled else []
-        return Inspected(log, findings)
+        return Inspected(log, findings, stamps_s)
 
     def _serves(
         self, log: InspectedLog, *, min_speeds: int = 3, max_share: float = 0.25

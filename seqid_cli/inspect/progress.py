@@ -9,7 +9,7 @@ from seqid_cli.params.results.inspection import InspectionFinding
 
 @dataclass(frozen=True)
 class LogNote:
-    """A log that was read: its size, warnings and findings."""
+    """A log that was read: its size, first and last stamp [s], warnings and findings."""
 
     path: Path
     sha256: str
@@ -19,6 +19,7 @@ class LogNote:
     partial: str
     findings: tuple[InspectionFinding, ...] = ()
     mended: tuple[str, ...] = ()
+    stamps_s: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

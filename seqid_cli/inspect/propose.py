@@ -51,8 +51,10 @@ def propose(
     surveyed = survey(paths[0])
     guessed = guess(surveyed)
     reports = [inspect_log(path) for path in paths]
-    for log, (first, *_) in (report for report in reports if report.log.verdict == "unreadable"):
-        raise InputError(first.message, hint=first.remedy, where=log.path)
+    for report in reports:
+        if report.log.verdict == "unreadable":
+            first = report.findings[0]
+            raise InputError(first.message, hint=first.remedy, where=report.log.path)
     seen: dict[str, InspectedJoint] = {}  # a joint moves if it moves in any log
     for joint in (joint for report in reports for joint in report.log.joints):
         if joint.name not in seen or (joint.moves and not seen[joint.name].moves):

@@ -1,13 +1,14 @@
 """Build, extend and join parameter files, which grow by a stage at a time."""
 
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, TypedDict
 
 from seqid_cli import __version__
 from seqid_cli.errors import ConfigError
 from seqid_cli.params import schema
+from seqid_cli.params.dates import created_from, now
 from seqid_cli.params.schema import ClosedLoop, InputLog, ParameterFile, RobotId, Stages
+from seqid_cli.settings import Settings, entries
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
@@ -29,11 +30,6 @@ _DEPENDENTS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def now() -> str:
-    """Return the time in UTC in the form of documents."""
-    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-
-
 class Head(TypedDict):
     """What every document begins with."""
 
@@ -42,15 +38,24 @@ class Head(TypedDict):
     tool: schema.Tool
 
 
-def head(name: str) -> Head:
-    """Return the head of a document of this schema, written now by this program."""
-    return {"schema": name, "created": now(), "tool": schema.Tool(version=__version__)}
+def head(name: str, created: str) -> Head:
+    """Return the head of a document of this schema and date, written by this program."""
+    return {"schema": name, "created": created, "tool": schema.Tool(version=__version__)}
 
 
 def robot_id(robot: "Robot") -> RobotId:
     """Return the identity of a robot in the form of documents."""
     names, slides = list(robot.joint_names), [j.name for j in robot.joints if j.prismatic]
     return RobotId(name=robot.name, joints=names, sha256=robot.sha256, prismatic=slides)
+
+
+def used_settings(settings: Settings) -> schema.UsedSettings:
+    """Return settings in the form of documents."""
+    shown = list(entries(settings))
+    return schema.UsedSettings(
+        changed={entry.name: entry.value for entry in shown if entry.changed},
+        values={entry.name: entry.value for entry in shown},
+    )
 
 
 def present(stages: Stages) -> dict[str, object]:
@@ -84,39 +89,55 @@ def with_stage(
     robot: RobotId,
     inputs: Logs,
     improved: Mapping[str, object] | None = None,
+    *,
+    created: str | None = None,
     **stages: object,
 ) -> ParameterFile:
     """Return a new document: `previous` and the given stages, by their names in `Stages`.
 
     Earlier stages and their inputs stay; a stage that is given again replaces the old one, and
     what had been identified from the old one (`stale_stages`) is dropped. `improved` are earlier
-    stages with what the new logs show of them: nothing is dropped for these.
+    stages with what the new logs show of them: nothing is dropped for these. `created` is the date
+    of the newest input (`dates.created_from`); the present where it is left out.
     """
     gone = {*stages, *stale_stages(previous, tuple(stages))}
     old = present(previous.stages) if previous else {}
     kept = {name: stage for name, stage in old.items() if name not in gone}
     earlier = [log for log in previous.inputs if log.stage not in gone] if previous else []
-    return _file(robot, [*earlier, *inputs], {**kept, **(improved or {}), **stages})
+    content = {**kept, **(improved or {}), **stages}
+    return _file(robot, [*earlier, *inputs], content, created=created)
 
 
 def refined(
-    previous: ParameterFile, robot: RobotId, inputs: Logs, stages: Stages, loop: ClosedLoop
+    previous: ParameterFile,
+    robot: RobotId,
+    inputs: Logs,
+    stages: Stages,
+    loop: ClosedLoop,
+    *,
+    created: str | None = None,
 ) -> ParameterFile:
     """Return a new document: `previous` after refinement.
 
     `stages` replace those of `previous`. All its inputs stay, because what was identified from
     them went into the refined stages; `inputs` are the logs that refinement read in addition.
+    `created` is as of `with_stage`.
     """
     # Effects are there even where nothing was added.
     content = {"effects": [], **present(previous.stages), **present(stages)}
-    return _file(robot, [*previous.inputs, *inputs], content, loop)
+    return _file(robot, [*previous.inputs, *inputs], content, loop, created=created)
 
 
 def _file(
-    robot: RobotId, inputs: Logs, stages: Mapping[str, object], loop: ClosedLoop | None = None
+    robot: RobotId,
+    inputs: Logs,
+    stages: Mapping[str, object],
+    loop: ClosedLoop | None = None,
+    *,
+    created: str | None = None,
 ) -> ParameterFile:
     return ParameterFile(
-        **head(schema.SCHEMA),
+        **head(schema.SCHEMA, created or now()),
         robot=robot,
         inputs=list({(log.stage, log.sha256, log.path): log for log in inputs}.values()),
         stages=Stages(**stages),  # type: ignore[arg-type]
@@ -155,6 +176,7 @@ def join(files: Sequence[tuple[str, ParameterFile]]) -> ParameterFile:
     inputs = [log for _, file in files for log in file.inputs]
     stages = {stage: content for stage, (content, _) in found.items()}
     loop = next((file.closed_loop for _, file in files if file.closed_loop), None)
-    joined = _file(first.robot, inputs, stages, loop)
-    joined.created, joined.tool = max(file.created for _, file in files), first.tool
+    created = created_from(file for _, file in files)
+    joined = _file(first.robot, inputs, stages, loop, created=created)
+    joined.tool = first.tool
     return joined

@@ -51,12 +51,24 @@ class OfRobot(Written, kw_only=True):
 
 
 class InputLog(Struct, kw_only=True):
-    """One log that a stage read."""
+    """One log that a stage read.
+
+    `recorded` are its first and last stamp: dates in UTC where the stamps are dates, else seconds
+    of the log's own clock. Files of before it was known have none.
+    """
 
     path: str
     sha256: str
     samples: int
     stage: str = ""
+    recorded: list[str | float] = []
+
+
+class UsedSettings(Struct, kw_only=True):
+    """Settings that a result was made with: all of them, and those that are not the defaults."""
+
+    changed: dict[str, float]
+    values: dict[str, float]
 
 
 Level = Literal["good", "usable", "poor"]
@@ -205,6 +217,7 @@ class FrictionStage(Struct, kw_only=True):
     cutoff_hz: float | None = None
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None
 
 
 class MotionUse(Struct, kw_only=True):
@@ -278,6 +291,7 @@ class RigidStage(Struct, kw_only=True):
     bands: BandCalibration | None = None
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None
 
 
 class AxisReference(Struct, kw_only=True):
@@ -357,6 +371,7 @@ class ImuStage(Struct, kw_only=True):
     cutoff_hz: float | None = None
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None
 
 
 class EffectSession(Struct, kw_only=True):
@@ -443,6 +458,7 @@ class ClosedLoop(Struct, kw_only=True):
     motion: list[MotionUse] = []
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None
 
     @property
     def doubtful(self) -> list[RefinementRound]:

@@ -12,6 +12,7 @@ from seqid_cli.params.document import present
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.payload.options import PayloadOptions
+from seqid_cli.payload.settings import PayloadSettings
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
@@ -23,6 +24,8 @@ def payload(
     robot: PathLike | Robot,
     parameters: Models,
     options: PayloadOptions = PayloadOptions(),
+    *,
+    settings: PayloadSettings = PayloadSettings(),
     **keywords: Unpack[Keywords],
 ) -> PayloadFile:
     """Identify the body that the last link carries.
@@ -42,7 +45,7 @@ def payload(
         raise ConfigError("holds no rigid body", where=where, hint=hint)
     from seqid_cli.payload.result import payload_file
 
-    file = payload_file(inputs, options)
+    file = payload_file(inputs, options, settings)
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
     return file

@@ -27,18 +27,21 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.bodies.consistent import nearest_body
 from seqid_cli.model.bodies.nearest import whitening
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
-from seqid_cli.params.document import head, robot_id
+from seqid_cli.params.document import head, robot_id, used_settings
 from seqid_cli.params.results import payload
 from seqid_cli.params.schema import Matrix, Parameter, Verdict
 from seqid_cli.payload.fit import PayloadFit, fit_payload
 from seqid_cli.payload.options import PayloadOptions
+from seqid_cli.payload.settings import PayloadFitSettings, PayloadSettings
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
 
-def payload_file(inputs: Inputs, options: PayloadOptions) -> payload.PayloadFile:
-    """Read the logs, fit, and describe the result."""
+def payload_file(
+    inputs: Inputs, options: PayloadOptions, numbers: PayloadSettings
+) -> payload.PayloadFile:
+    """Read the logs, fit, and describe the result; `numbers` are the settings."""
     rigid = InertiaOptions(inherited(inputs.stages, options.cutoff_hz), options.source)
     given, names = LogSet.of(inputs), inputs.robot.joint_names
     logs = given, inputs.robot, inputs.stages
@@ -46,7 +49,7 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> payload.PayloadFile
     entry, settings = _entry(fit, names[-1])
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return payload.PayloadFile(
-        **head(payload.PAYLOAD_SCHEMA),
+        **head(payload.PAYLOAD_SCHEMA, given.created(inputs.documents)),
         robot=robot_id(inputs.robot),
         inputs=given.inputs(),
         models=inputs.ids(),
@@ -66,7 +69,11 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> payload.PayloadFile
         settings=settings,
         joints={name: _joint(fit, j) for j, name in enumerate(names)},
         cutoff_origin=rigid.motion.origin,
-        verdicts=[*given.verdicts(), *_verdicts(fit, entry, names, options.good_error)],
+        verdicts=[
+            *given.verdicts(),
+            *_verdicts(fit, entry, names, options.good_error, numbers.fit),
+        ],
+        effective_settings=used_settings(numbers),
         notes=[*given.notes(), *_notes(fit, entry, names)],
     )
 
@@ -140,10 +147,7 @@ def _verdicts(
     entry: payload.CarriedBodyEntry,
     names: tuple[str, ...],
     good_error: float,
-    *,
-    poor_left: float = 0.3,
-    negative: float = 3.0,
-    far: float = 3.0,
+    numbers: PayloadFitSettings,
 ) -> Iterator[Verdict]:
     mass, error = entry.mass.value, entry.mass.std_error
     if mass is None or error is None:
@@ -153,16 +157,16 @@ def _verdicts(
     faults = ""
     if not error < good_error * abs(mass):
         faults += f", above {percent(good_error)} of it: record more moves with more of the arm"
-    if mass < -negative * error:
+    if mass < -numbers.negative_sigma * error:
         faults += "; the model holds a body that these logs do not carry: swap the two"
-    if entry.distance > far:
+    if entry.distance > numbers.max_distance:
         away = f"{entry.distance:.2g} standard errors from any body that can exist"
         faults += f"; the estimate is {away}: what is left is not of the payload alone"
     reason = f"mass {mass:.4g} kg, standard error {error:.2g} kg{faults}"
     yield Verdict(good=not faults, reason=reason)
     for j, name in enumerate(names):
         left = _joint(fit, j).relative
-        if left is not None and left > poor_left:
+        if left is not None and left > numbers.max_left:
             reason = f"{percent(left)} of the torque is left with the body in the model"
             yield Verdict(joint=name, good=False, reason=reason)
 

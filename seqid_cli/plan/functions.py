@@ -81,10 +81,12 @@ def plan(
 
     limits = limits_of(arm, ramp_s=options.ramp_s, share=options.share, locked=options.locked)
     ids = [model_id(name, file, files) for name, file in models]
-    recorded = LogSet(found, arm).again(imus=False)
+    recorded = LogSet(found, arm)
     geometry = _geometry(arm, limits, options)
     floor = _floor(arm, limits, geometry) if options.floor else None
-    made = make_plan(what, arm, limits, stages, options, ids, recorded, geometry, floor)
+    read = recorded.again(imus=False)
+    made = make_plan(what, arm, limits, stages, options, ids, read, geometry, floor)
+    made = structs.replace(made, created=recorded.created(file for _, file in models))
     if folder is not None:
         from seqid_cli.plan.moves.files import write_moves
 

@@ -8,6 +8,7 @@ from msgspec import structs
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.planned import sampled
+from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results.plan import PLAN_SCHEMA, JointLimits, PlanFile, PlannedMove
 from seqid_cli.params.results.prediction import FileId
@@ -56,7 +57,7 @@ def make_plan(
     noise = np.sqrt(2.0 / belief.density)
     durations = [move.duration_s for move in moves]
     return PlanFile(
-        **head(PLAN_SCHEMA),
+        **head(PLAN_SCHEMA, now()),
         robot=robot_id(robot),
         what=what,
         seed=options.seed,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from markupsafe import Markup
 
+from seqid_cli.params.dates import created_from
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.results.tables import of_joints
@@ -54,6 +55,7 @@ def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str =
         [_overview(judged, whole), Section("robots", "Robot by robot", groups=groups)],
         ", ".join(robots),
         [item.path for documents in robots.values() for item in documents],
+        created_from(item.content for documents in robots.values() for item in documents),
         subject="Fleet",
     )
 

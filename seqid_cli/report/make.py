@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from seqid_cli.errors import InputError, UsageError
+from seqid_cli.params.dates import created_from
 from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.judgement import judge
@@ -46,6 +47,7 @@ def make_report(
         [*sections, *filter(None, results)],
         robot.name,
         [item.path for item in collection.sources],
+        created_from(item.content for item in documents),
         torques=[table.path for table in tables],
         warnings=collection.warnings,
     )

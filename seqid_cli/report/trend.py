@@ -4,6 +4,7 @@ from datetime import datetime
 
 import numpy as np
 
+from seqid_cli.params.dates import created_from
 from seqid_cli.params.results.tables import changes
 from seqid_cli.params.results.trend import ChangeEntry, SeriesEntry, TrendFile
 from seqid_cli.report.chart import figure, padded, small_panel
@@ -33,6 +34,7 @@ def trend_page(file: TrendFile, path: str, *, title: str = "") -> Page:
         [_overview(file, judgement), *robots],
         ", ".join(file.robots),
         [path],
+        created_from([file]),
         subject="Trend",
     )
 

@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from seqid_cli import __version__
 from seqid_cli.model.effects.units import UNTOLD
-from seqid_cli.params.document import now, worst_level
+from seqid_cli.params.document import worst_level
 from seqid_cli.params.results.tables import Values, heads, values
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report import words
@@ -143,7 +143,8 @@ class Page:
     """The content of a page.
 
     `about` are facts under its title, `subject` says what it is about; `robot`, `files` and
-    `torques` name what it was made of, `warnings` files that fit, but not perfectly.
+    `torques` name what it was made of, `created` is the newest date of that, `warnings` are about
+    files that fit, but not perfectly.
     """
 
     title: str
@@ -152,6 +153,7 @@ class Page:
     sections: Sequence[Section]
     robot: str
     files: Sequence[str]
+    created: str
     subject: str = "Dynamic model"
     torques: Sequence[str] = ()
     warnings: Sequence[str] = ()
@@ -165,7 +167,7 @@ class Page:
             digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
             policy += f"{name}-src 'sha256-{digest}'; "
         policy += "img-src data:; base-uri 'none'; form-action 'none'"
-        content = {"page": self, "version": __version__, "policy": policy, "created": now()} | parts
+        content = {"page": self, "version": __version__, "policy": policy} | parts
         filters = {"unit": words.unit_text, "short": words.short_path}
         return filled("seqid_cli.report", "report.html.j2", content, filters=filters, markup=True)
 

@@ -23,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy import stats
 
+from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import head
 from seqid_cli.params.files import replacing, writing
 from seqid_cli.params.results import trend
@@ -58,7 +59,7 @@ def trend_file(
     changes += [entry for name, files in robots.items() for entry in _effects(name, files)]
     changes.sort(key=lambda entry: -(entry.sigmas or np.inf))
     return trend.TrendFile(
-        **head(trend.TREND_SCHEMA),
+        **head(trend.TREND_SCHEMA, created_from(file for _, file in models)),
         files=ids,
         robots=list(robots),
         alarm=bool(changes),

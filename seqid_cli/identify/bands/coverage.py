@@ -96,7 +96,7 @@ class CoverageCounter:
 
 
 def clearly_below(
-    coverage: BandCoverage, *, least_share: float = 0.8, sigmas: float = 1.645
+    coverage: BandCoverage, *, least_share: float, sigmas: float = 1.645
 ) -> bool:
     """Whether a 90 % band held in fewer than `least_share` of the samples, and not by chance.
 

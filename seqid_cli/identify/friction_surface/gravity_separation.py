@@ -24,6 +24,7 @@ from scipy.linalg import block_diag
 
 from seqid_cli.identify.friction_surface.trials import Trial, speed_levels
 from seqid_cli.identify.nuisances import EVEN_TERMS, PRIORS, EvenPart
+from seqid_cli.identify.settings import TrialSettings
 from seqid_cli.robot.kinematics import gravity_columns
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index, Mask
@@ -178,14 +179,16 @@ class Clustered:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def configurations(trials: list[Trial], *, same_configuration: float = 0.03) -> list[list[Trial]]:
+def configurations(
+    trials: list[Trial], settings: TrialSettings = TrialSettings()
+) -> list[list[Trial]]:
     """Group trials of one joint by where the other joints are locked."""
     groups: list[list[Trial]] = []
     for trial in trials:
         others = np.arange(len(trial.configuration)) != trial.joint
         for group in groups:
             off = np.abs(trial.configuration - group[0].configuration)
-            if (off[others] < same_configuration).all():
+            if (off[others] < settings.same_configuration).all():
                 group.append(trial)
                 break
         else:

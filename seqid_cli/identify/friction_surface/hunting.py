@@ -11,6 +11,7 @@ import numpy as np
 from seqid_cli.identify.friction_surface.corrections import without_acceleration
 from seqid_cli.identify.friction_surface.summary import Fit
 from seqid_cli.identify.friction_surface.trials import Trial, speed_levels
+from seqid_cli.identify.settings import HuntingSettings
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.robot.types import Joint, Robot
 
@@ -19,8 +20,8 @@ def sliding_trials(
     robot: Robot,
     trials: Sequence[Trial],
     first: Fit | None,
+    settings: HuntingSettings,
     *,
-    max_ratio: float = 1.4,
     min_sigma: float = 3.0,
     min_share: float = 0.3,
 ) -> list[Trial]:
@@ -34,9 +35,9 @@ def sliding_trials(
         Trials of one joint.
     first : Fit, optional
         A first estimate of its friction; without it the torque tells nothing.
-    max_ratio : float
-        Times the speed that the velocity would swing by, if friction did not damp it, from which on
-        the joint stops.
+    settings : HuntingSettings
+        By how much the velocity would swing, if friction did not damp it, from which on the joint
+        stops.
     min_sigma : float
         Standard errors that the inertia must be to be known.
     min_share : float
@@ -54,7 +55,7 @@ def sliding_trials(
     usual = float(np.median(list(inertia.values()))) if inertia else np.inf
 
     def hunts(trial: Trial) -> bool:
-        most = max_ratio * inertia.get(id(trial), usual) * trial.speed
+        most = settings.max_speed_swing * inertia.get(id(trial), usual) * trial.speed
         return trial.stopped or trial.swing > most
 
     return [trial for trial in trials if not hunts(trial)]

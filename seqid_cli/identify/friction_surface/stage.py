@@ -20,6 +20,7 @@ from seqid_cli.identify.friction_surface.trials import (
 )
 from seqid_cli.identify.nuisances import PRIORS
 from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.settings import FrictionSettings, SurfaceSettings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
@@ -31,7 +32,11 @@ UNPAIRED = "no pair of forward and backward trials at one speed in one configura
 
 
 def identify_friction(
-    recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
+    recordings: Iterable[Recording],
+    robot: Robot,
+    *,
+    options: FrictionOptions,
+    settings: FrictionSettings = FrictionSettings(),
 ) -> FrictionStage:
     """Identify the friction surface of every joint that the logs move at constant velocity.
 
@@ -53,12 +58,12 @@ def identify_friction(
     for j in sorted({trial.joint for trial in trials}):
         reasons[j] = UNPAIRED
         own = [trial for trial in trials if trial.joint == j]
-        first = _first_fit(robot, j, own, options)
-        slides = sliding_trials(robot, own, first)
+        first = _first_fit(robot, j, own, options, settings)
+        slides = sliding_trials(robot, own, first, settings.hunting)
         if len(slides) < len(own):
             text = note_on_hunting(robot.joints[j], own, slides)
             notes.append(text)
-            first = _first_fit(robot, j, slides, options)
+            first = _first_fit(robot, j, slides, options, settings)
             reasons[j] = text if first is None else UNPAIRED
         sliding += slides
         if first is not None:
@@ -69,9 +74,12 @@ def identify_friction(
         first, verdict = firsts.get(j), Verdict(joint=joint.name, good=False, reason=reasons[j])
         steady = _steady_gravity(robot, first, held) if first else None
         if first and steady and steady.groups:
-            fit = _fit(robot, j, steady, options, near=first.parts[0][1].sizes, held=held)
+            sizes = first.parts[0][1].sizes
+            fit = _fit(robot, j, steady, options, settings.surface, near=sizes, held=held)
             unpaired = first.gravity.unpaired
-            joints[joint.name], verdict, said = summary.summarise(robot, j, fit, unpaired, options)
+            joints[joint.name], verdict, said = summary.summarise(
+                robot, j, fit, unpaired, options, settings.surface
+            )
             notes += said
         verdicts.append(verdict)
     if not joints:
@@ -85,14 +93,20 @@ def identify_friction(
 
 
 def _first_fit(
-    robot: Robot, j: int, trials: list[Trial], options: FrictionOptions
+    robot: Robot,
+    j: int,
+    trials: list[Trial],
+    options: FrictionOptions,
+    settings: FrictionSettings,
 ) -> summary.Fit | None:
     """Return a first estimate of a joint's friction; None where no trials are paired."""
     if not trials:
         return None
-    groups = gravity_separation.configurations(trials)
+    groups = gravity_separation.configurations(trials, settings.trials)
     gravity = gravity_separation.fit_gravity(robot, groups)
-    return _fit(robot, j, gravity, options) if gravity.groups else None
+    if not gravity.groups:
+        return None
+    return _fit(robot, j, gravity, options, settings.surface)
 
 
 def _steady_gravity(robot: Robot, first: summary.Fit, held: HeldJoints) -> GravityFit:
@@ -107,10 +121,10 @@ def _fit(
     j: int,
     gravity: GravityFit,
     options: FrictionOptions,
+    settings: SurfaceSettings,
     *,
     near: Sizes | None = None,
     held: HeldJoints | None = None,
-    narrow_sign: float = 25.0,
 ) -> summary.Fit:
     """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`."""
     # One surface for both directions together: what is alike both ways has been taken off.
@@ -136,7 +150,7 @@ def _fit(
     places = {"delay": reduction.LATE, "thermal": reduction.WARM}
     surface = FrictionSurface(
         scaling=scaling,
-        sign_width=scaling.speed[0] / narrow_sign,
+        sign_width=scaling.speed[0] / settings.sign_narrowness,
         positive=entries,
         negative=entries,
         entry_covariance=fits[0].covariance(chosen),

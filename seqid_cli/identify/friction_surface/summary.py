@@ -21,6 +21,7 @@ from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
 from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData
 from seqid_cli.identify.nuisances import TERM_UNITS, shown, with_even_part
 from seqid_cli.identify.options import FrictionOptions
+from seqid_cli.identify.settings import SurfaceSettings
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import (
@@ -182,7 +183,12 @@ class Fit:
 
 
 def summarise(
-    robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOptions
+    robot: Robot,
+    j: int,
+    fit: Fit,
+    unpaired: int,
+    options: FrictionOptions,
+    settings: SurfaceSettings,
 ) -> tuple[FrictionJoint, Verdict, list[str]]:
     """Describe the fit of joint j; `unpaired` trials had no twin in the other direction."""
     surface, gravity, described = fit.surface, fit.gravity, robot.joints[j]
@@ -226,7 +232,7 @@ def summarise(
         speeds=levels,
         unit=described.unit("N m"),
     )
-    verdict = _verdict(described.name, joint, unseen, surface.scaling)
+    verdict = _verdict(described.name, joint, unseen, surface.scaling, settings.max_error)
     joint = _with_nuisances(joint, described.name, fit)
     for level in joint.speeds:
         scaled = described.torque_constant_error * level.friction
@@ -290,7 +296,7 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
 
 
 def _verdict(
-    name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling, *, max_error: float = 0.15
+    name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling, max_error: float
 ) -> Verdict:
     """Good, or poor and why: the speed at which the surface is worst decides."""
     # There its error may be `max_error` of the friction.

@@ -26,6 +26,7 @@ from seqid_cli.identify.imu_calibration.segments import (
 )
 from seqid_cli.identify.imu_calibration.solve import Fit, fit_constants
 from seqid_cli.identify.log_set import mapped
+from seqid_cli.identify.settings import ImuCalibSettings, MountingSettings
 from seqid_cli.identify.tolerances import frame_tolerance
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
@@ -42,14 +43,19 @@ Held = tuple[dict[str, tuple[list[Segment], list[initial_guess.Pair], float]], f
 
 
 def calibrate_imus(
-    recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
+    recordings: Iterable[Recording],
+    robot: Robot,
+    *,
+    options: MotionOptions,
+    settings: ImuCalibSettings = ImuCalibSettings(),
 ) -> schema.ImuStage:
     """Calibrate every IMU of the robot file; name what these logs do not determine."""
     # Best joints before the IMUs move one at a time and fast, others locked in several postures.
     if not robot.imus:
         where, hint = str(robot.source), "describe the IMU in it"
         raise UsageError("the robot file has no [[imu]]", hint=hint, where=where)
-    logs = list(mapped(recordings, partial(_held, robot, options)))
+    part = partial(_held, robot, options, settings.mounting.max_cutoff)
+    logs = list(mapped(recordings, part))
     imus, verdicts, notes = {}, [], []
     for imu in robot.imus:
         own = [held[imu.name] for held, _ in logs if imu.name in held]
@@ -59,7 +65,10 @@ def calibrate_imus(
             continue
         imus[imu.name], converged = _calibrated(robot, imu, own)
         notes += [f"{imu.name}: {text}" for text in imus[imu.name].not_determined]
-        verdicts.append(verdict_of(robot, imu, imus[imu.name], converged=converged))
+        verdict = verdict_of(
+            robot, imu, imus[imu.name], converged=converged, settings=settings.mounting
+        )
+        verdicts.append(verdict)
     if not imus:
         message = "no log moves a joint before an IMU with its readings recorded"
         hint = "rotate the first joint back and forth with the others locked in several postures"
@@ -68,9 +77,11 @@ def calibrate_imus(
     return schema.ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
 
 
-def _held(robot: Robot, options: MotionOptions, recording: Recording, number: int) -> Held:
+def _held(
+    robot: Robot, options: MotionOptions, highest_hz: float, recording: Recording, number: int
+) -> Held:
     motion, found = estimate_motion(recording, robot, options), {}
-    cutoff_hz = calibration_cutoff(motion, options.cutoff_hz)
+    cutoff_hz = calibration_cutoff(motion, options.cutoff_hz, highest_hz)
     for imu in robot.imus:
         if imu.name in recording.accelerometers:
             seen = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
@@ -262,10 +273,9 @@ def verdict_of(
     calibration: schema.ImuCalibration,
     *,
     converged: bool,
-    max_deg: float = 0.5,
-    max_holdout: float = 1.5,
+    settings: MountingSettings = MountingSettings(),
 ) -> schema.Verdict:
-    """Whether a mounting is known to `max_deg` degrees and predicts a log left out; why not."""
+    """Whether a mounting is known to `max_error` degrees and predicts a log left out; why not."""
     worst, left, bends = calibration.std_error_deg, calibration.holdout, deflecting(calibration)
     angle = [text for text in calibration.not_determined if text.startswith("the angle")]
     matters = bool(angle) and not _turns_about_one_axis(robot, imu)
@@ -275,7 +285,7 @@ def verdict_of(
         reason += ", and does not matter: every joint before the IMU turns about that axis"
     if not converged:
         reason += "; the fit has not settled"
-    unlike = left is not None and left > max_holdout
+    unlike = left is not None and left > settings.max_left_out
     if unlike:
         reason += f"; a log left out is predicted to {left:.2g} times the noise"
     if bends is not None:
@@ -288,7 +298,7 @@ def verdict_of(
         )
     if not layout(imu).acceleration and not calibration.gyro_axes:
         reason += "; without a gyro this layout does not see angular acceleration"
-    good = worst < max_deg and converged and not (matters or unlike or bends)
+    good = worst < settings.max_error and converged and not (matters or unlike or bends)
     return schema.Verdict(joint=imu.name, good=good, reason=reason)
 
 

@@ -178,7 +178,7 @@ def thinned(segments: list[Segment], *, max_nodes: int = 60_000) -> list[Segment
     return segments[:: int(np.ceil(sum(segment.samples for segment in segments) / max_nodes))]
 
 
-def calibration_cutoff(motion: Motion, chosen_hz: float | None, *, highest_hz: float = 20) -> float:
+def calibration_cutoff(motion: Motion, chosen_hz: float | None, highest_hz: float) -> float:
     """Cut-off [Hz] for readings and encoders: far above the motion, far below the rate."""
     return min(highest_hz if chosen_hz is None else chosen_hz, motion.rate_hz / NODES_PER_CUTOFF)
 

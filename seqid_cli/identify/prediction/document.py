@@ -16,8 +16,9 @@ from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writer
 from seqid_cli.identify.prediction.verdicts import joint_verdicts, noise_floors
+from seqid_cli.identify.settings import PredictSettings
 from seqid_cli.model.effects.fitted import effect_notes
-from seqid_cli.params.document import head, present, robot_id
+from seqid_cli.params.document import head, present, robot_id, used_settings
 from seqid_cli.params.results import prediction
 from seqid_cli.params.results.prediction import JointError, PredictionFile
 from seqid_cli.typing import Array, Mask
@@ -31,6 +32,7 @@ def prediction_file(
     cutoff_origin: str,
     *,
     unexplained: bool,
+    settings: PredictSettings = PredictSettings(),
 ) -> PredictionFile:
     """Add up the errors of predictions, and write their torques where these are wanted.
 
@@ -69,11 +71,13 @@ def prediction_file(
     floors = noise_floors(stages, cutoffs_hz)
     notes += bands.notes(cutoffs_hz)
     verdicts = [
-        *joint_verdicts(joints, stages, robot, noise_floors=floors),
-        *physics_verdicts(stages, robot),
+        *joint_verdicts(
+            joints, stages, robot, noise_floors=floors, settings=settings.errors
+        ),
+        *physics_verdicts(stages, robot, settings.judging),
     ]
     return PredictionFile(
-        **head(prediction.PREDICTION_SCHEMA),
+        **head(prediction.PREDICTION_SCHEMA, logs.created(inputs.documents)),
         robot=robot_id(robot),
         inputs=logs.inputs(),
         parameters=inputs.ids(),
@@ -83,6 +87,7 @@ def prediction_file(
         cutoff_origin=cutoff_origin or "chosen per log",
         verdicts=as_a_whole([*verdicts, *logs.verdicts()]),
         notes=[*effect_notes(stages, unexplained=unexplained), *notes, *logs.notes()],
+        settings=used_settings(settings),
     )
 
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from seqid_cli.identify.bands.coverage import clearly_below
+from seqid_cli.identify.settings import PredictionErrorSettings
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.results.prediction import JointError
 from seqid_cli.params.schema import Stages, Verdict
@@ -34,7 +35,7 @@ def joint_verdicts(
     robot: Robot,
     *,
     noise_floors: Mapping[str, float] = {},
-    max_relative_rmse: float = 0.3,
+    settings: PredictionErrorSettings = PredictionErrorSettings(),
 ) -> Iterator[Verdict]:
     """Yield the verdict on every joint that slides.
 
@@ -48,9 +49,10 @@ def joint_verdicts(
         The robot.
     noise_floors : mapping of str to float
         What noise alone leaves at most [N m], of the joints of which it is known.
-    max_relative_rmse : float
-        Share of the torque's RMS, from which an error is too large to rely on the prediction.
+    settings : PredictionErrorSettings
+        Which errors are too large to rely on the prediction, and how often its bands must hold.
     """
+    max_relative_rmse = settings.max_relative_rmse
     surfaces = friction_surfaces(stages, robot)
     without_inertia = stages.inertia is None and not free_basis(robot).gravity.all()
     calibrated = stages.inertia is not None and stages.inertia.bands is not None
@@ -86,7 +88,9 @@ def joint_verdicts(
                     f"left where noise and stated errors leave at most {expected:.3g}"
                 )
         overall = error.coverage.overall if error.coverage is not None else None
-        if calibrated and overall is not None and clearly_below(overall):
+        if calibrated and overall is not None and clearly_below(
+            overall, least_share=settings.min_band_share
+        ):
             assert overall.band_90 is not None
             doubts.append(
                 f"predicted to {left} of the torque's RMS, but the 90 % band holds in "

@@ -20,6 +20,7 @@ from msgspec.structs import replace
 
 from seqid_cli.identify.regression.least_squares import Solution, spread_of
 from seqid_cli.identify.rigid.posterior import Posterior, Surfaces, friction_covariance
+from seqid_cli.identify.settings import CutoffCheckSettings
 from seqid_cli.params.schema import RigidStage, Verdict
 from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
@@ -30,12 +31,15 @@ Differences = list[tuple[int, float, float]]
 
 
 def cutoff_check(
-    own: Result, near: Mapping[float, Result], surfaces: Surfaces, *, clear_sigma: float = 4.0
+    own: Result,
+    near: Mapping[float, Result],
+    surfaces: Surfaces,
+    settings: CutoffCheckSettings = CutoffCheckSettings(),
 ) -> tuple[Array, Differences]:
     """Compare an estimate with others, `near` by multiple of the cut-off.
 
     Returns directions (p, d) of one standard deviation each, and differences that exceed
-    `clear_sigma` of their own errors.
+    `noted_sigma` of their own errors.
     """
     size = len(own[0].theta)
     stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
@@ -49,7 +53,7 @@ def cutoff_check(
         known = own[0].determined & other[0].determined
         excess.append(np.where(known, d, 0.0) * _excess(d[known], V[np.ix_(known, known)]))
         error = np.sqrt(np.maximum(np.diag(V), 0.0))
-        for k in np.flatnonzero(known & (np.abs(d) > clear_sigma * error)):
+        for k in np.flatnonzero(known & (np.abs(d) > settings.noted_sigma * error)):
             differences.append((int(k), factor, float(d[k] / max(stated[k], 1e-300))))
     errors = np.array(excess).T / np.sqrt(len(excess)) if excess else np.zeros((size, 0))
     return errors, differences
@@ -65,9 +69,12 @@ def _excess(d: Array, V: Array, *, flat: float = 1e-09) -> float:
 
 
 def with_cutoff_check(
-    stage: RigidStage, differences: Differences, basis: Basis, *, clear_sigma: float = 3.0
+    stage: RigidStage,
+    differences: Differences,
+    basis: Basis,
+    settings: CutoffCheckSettings = CutoffCheckSettings(),
 ) -> RigidStage:
-    """Note the parameters that depend on the cut-off; usable where one does by `clear_sigma`.
+    """Note the parameters that depend on the cut-off; usable where one does by `usable_sigma`.
 
     Their standard errors have the difference in them: the torque is predicted, but something that
     the model lacks shows.
@@ -87,6 +94,6 @@ def with_cutoff_check(
     verdicts = list(stage.verdicts)
     if named:
         notes.append(note)
-    if any(abs(by) >= clear_sigma for *_, by in named):
+    if any(abs(by) >= settings.usable_sigma for *_, by in named):
         verdicts.append(Verdict(good=False, level="usable", reason=reason))
     return replace(stage, notes=notes, verdicts=verdicts)

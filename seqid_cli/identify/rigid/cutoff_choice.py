@@ -42,6 +42,7 @@ from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, spread_of
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations
 from seqid_cli.identify.rigid.simultaneous import SimultaneousEquations
+from seqid_cli.identify.settings import CutoffSettings, InertiaSettings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
@@ -50,22 +51,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 SAMPLES_PER_CUTOFF = 4.0  # that stay for a choice: twice what the low-pass lets through
-
-
-@dataclass(frozen=True, kw_only=True)
-class CutoffLimits:
-    """What makes a cut-off admissible, and when another one is worth leaving the start for."""
-
-    max_acceleration_noise: float = 5e-3  # N / S, which shrinks an inertia by as much
-    max_jerk_noise: float = 2e-2  # of the jerk, which a delay is estimated by
-    min_samples_per_rank: float = 3.0  # independent samples per excited direction
-    max_disagreement: float = 0.02  # of the torque's RMS, between neighbouring cut-offs
-    nearly_best: float = 1.1  # times the least error
-    clear_sigma: float = 1.0  # standard errors of the difference, within which two are as good
-    hopeless: float = 1.2  # times the least error: no further in this direction
-
-
-LIMITS = CutoffLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +112,7 @@ def choose_cutoff(
     highest_hz: float,
     acceleration_noise: Callable[[float], float],
     represented: float = 1.0,
-    limits: CutoffLimits = LIMITS,
+    limits: CutoffSettings = CutoffSettings(),
 ) -> CutoffChoice:
     """Choose the cut-off with the smallest error of the predicted torque.
 
@@ -143,7 +128,7 @@ def choose_cutoff(
         Share of noise in the acceleration below a cut-off [Hz], of the worst joint.
     represented : float
         Length of all logs over that of the recordings that are tried [-].
-    limits : CutoffLimits
+    limits : CutoffSettings
         What makes a cut-off admissible.
     """
     tried: dict[float, Candidate] = {}
@@ -229,7 +214,7 @@ def _chosen(
     start_hz: float,
     acceleration_noise: Callable[[float], float],
     represented: float,
-    limits: CutoffLimits,
+    limits: CutoffSettings,
 ) -> CutoffChoice:
     """Choose among candidates in ascending order."""
     errors, W = _judged(tried, start_hz)
@@ -381,13 +366,21 @@ class _TrialEquations(InertiaEquations):
 class InertiaTrial:
     """Tries cut-offs for the inertia stage."""
 
-    def __init__(self, robot: Robot, stages: Stages, source: str) -> None:
-        self._robot, self._stages, self._source = robot, stages, source
+    def __init__(
+        self,
+        robot: Robot,
+        stages: Stages,
+        source: str,
+        settings: InertiaSettings = InertiaSettings(),
+    ) -> None:
+        self._robot, self._stages = robot, stages
+        self._source, self._settings = source, settings
 
     def __call__(self, recordings: Sequence[Recording], cutoff_hz: float) -> Candidate | None:
         """Return what recordings tell below a cut-off; see `Trial`."""
         motion = MotionOptions(cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF)
-        own = _TrialEquations(self._robot, self._stages, InertiaOptions(motion, self._source))
+        options = InertiaOptions(motion, self._source, settings=self._settings)
+        own = _TrialEquations(self._robot, self._stages, options)
         parts = []
         for recording in recordings:
             try:

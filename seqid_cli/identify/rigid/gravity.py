@@ -38,6 +38,7 @@ from seqid_cli.identify.regression.least_squares import Accumulator, Prior, Solu
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from seqid_cli.identify.rigid.parameters import rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior, Sensitivity
+from seqid_cli.identify.settings import GravityFitSettings, GravitySettings
 from seqid_cli.identify.tolerances import deviation_torques, deviations
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
@@ -59,7 +60,10 @@ class GravityResult:
 
 
 def identify_gravity(
-    recordings: Iterable[Recording], robot: Robot, stages: Stages
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    settings: GravitySettings = GravitySettings(),
 ) -> GravityResult:
     """Identify the base parameters of gravity; the stage is empty where it loads no joint."""
     if stages.friction is None:
@@ -71,7 +75,8 @@ def identify_gravity(
         return GravityResult(empty, stages.friction)
     trials = list(collect_trials(recordings, robot))
     surfaces = friction_surfaces(stages, robot)
-    rows = GravityRows(HeldJoints.of(robot, trials, surfaces), surfaces, stages.friction)
+    held = HeldJoints.of(robot, trials, surfaces)
+    rows = GravityRows(held, surfaces, stages.friction, settings)
     joints = [Accumulator(rows.columns) for _ in range(robot.n)]
     for j in range(robot.n):
         rows.add_joint([trial for trial in trials if trial.joint == j], joints)
@@ -82,7 +87,7 @@ def identify_gravity(
 
     prior = rows.prior(stages.friction)
     solution = solve(joints, prior=prior, nuisances=slice(size, None))
-    return _stage(solution, rows, prior, stages.friction)
+    return _stage(solution, rows, prior, stages.friction, settings.fit)
 
 
 @dataclass(frozen=True)
@@ -115,8 +120,10 @@ class GravityRows:
         held: HeldJoints,
         surfaces: list[FrictionSurface | None],
         friction: FrictionStage,
+        settings: GravitySettings = GravitySettings(),
     ) -> None:
         self.robot, self.held, self.surfaces = held.robot, held, surfaces
+        self.settings = settings
         self.size = len(held.theta)
         # Behind the parameters: changes of all joints' offsets, then of their asymmetries, then of
         # the viscous ones, then of friction per kelvin.
@@ -145,7 +152,7 @@ class GravityRows:
         if surface is None:
             self.skipped += [self.robot.joint_names[trial.joint] for trial in trials]
             return
-        every = configurations(trials)
+        every = configurations(trials, self.settings.trials)
         groups = corrections.without_acceleration(self.robot, every, surface)
         table = self._table(groups, surface)
         if not len(table):
@@ -186,7 +193,10 @@ class GravityRows:
         # H, offset and asymmetries, F, where others stand, deviations, acceleration, torque, time,
         # samples, seconds; last come trial, log, group.
         every = [(k, trial) for k, group in enumerate(groups) for trial in group.trials]
-        settled = [(k, trial.part(_settled(trial, surface))) for k, trial in every]
+        settling = self.settings.fit
+        settled = [
+            (k, trial.part(_settled(trial, surface, settling))) for k, trial in every
+        ]
         used = [(k, trial) for k, trial in settled if len(trial.q) >= group_size]
         if not used:
             return np.zeros((0, 1))
@@ -244,17 +254,15 @@ class GravityRows:
         return {j: -solution.bread @ (S / solution.sigma[j] ** 2) for j, S in self.cross.items()}
 
 
-def _settled(
-    trial: Trial, surface: FrictionSurface, *, settling_s: float = 0.03, most_share: float = 0.125
-) -> Mask:
+def _settled(trial: Trial, surface: FrictionSurface, settings: GravityFitSettings) -> Mask:
     """Return the slices (K,) of a trial where friction is known and the joint keeps its speed."""
-    # Left out are slices that begin or end within `settling_s` of either end, but no more than
-    # `most_share` of the trial there. One that only reaches into it holds the torque of a rotor's
-    # acceleration, which is many times a light joint's friction.
+    # Left out are slices that begin or end within `settling` of either end, but no more than
+    # `settling_share` of the trial there. One that only reaches into it holds the torque of a
+    # rotor's acceleration, which is many times a light joint's friction.
     middle = (trial.t[0] + trial.t[-1]) / 2.0
     half_slice = trial.seconds / 2.0
     half_trial = (trial.t[-1] - trial.t[0]) / 2.0 + half_slice
-    settling = min(settling_s, 2.0 * most_share * half_trial)
+    settling = min(settings.settling, 2.0 * settings.settling_share * half_trial)
     farthest = np.abs(trial.t - middle) + half_slice
     settled = farthest <= half_trial - settling
     speed = np.full(len(trial.q), trial.velocity)
@@ -266,14 +274,11 @@ def _stage(
     rows: GravityRows,
     prior: Prior,
     friction: FrictionStage,
-    *,
-    poor_condition: float = 300,
-    clear_sigma: float = 4,
-    most_left: float = 2.5,
+    settings: GravityFitSettings,
 ) -> GravityResult:
-    """The stage; gravity shows where a parameter is `clear_sigma` standard errors from zero.
+    """The stage; gravity shows where a parameter is `shown_sigma` standard errors from zero.
 
-    One set of parameters may leave `most_left` times what friction's surface leaves of the same
+    One set of parameters may leave `max_left` times what friction's surface leaves of the same
     joint's trials, each posture having its own gravity there.
     """
     robot = rows.robot
@@ -299,7 +304,7 @@ def _stage(
     notes = [f"{note}. {remedy}" for note in stage.notes]
     if rows.skipped:
         notes.append("trials without a friction surface left out: " + ", ".join(set(rows.skipped)))
-    if all(abs(p.value) < clear_sigma * p.std_error for p in stage.parameters):
+    if all(abs(p.value) < settings.shown_sigma * p.std_error for p in stage.parameters):
         notes.append(
             "no gravity shows in the torque: either no joint carries a weight, or a driver has "
             'subtracted it (then write effort = "gravity_compensated" under [channels])'
@@ -311,8 +316,8 @@ def _stage(
     sizes = robot_friction_rms(rows.surfaces, robot)
     notes += [described(term) for term in shown(terms, sizes)]
 
-    of_joints = _joint_verdicts(solution, rows, friction, most_left)
-    good = not stage.not_excited and solution.condition < poor_condition
+    of_joints = _joint_verdicts(solution, rows, friction, settings.max_left)
+    good = not stage.not_excited and solution.condition < settings.max_condition
     reason = f"rank {solution.rank} of {size}, condition {solution.condition:.3g}"
     stage = replace_fields(
         stage,
@@ -338,7 +343,7 @@ def _by_prior(solution: Solution, prior: Prior, joints: int) -> dict[int, Array]
 
 
 def _joint_verdicts(
-    solution: Solution, rows: GravityRows, friction: FrictionStage, most_left: float
+    solution: Solution, rows: GravityRows, friction: FrictionStage, max_left: float
 ) -> list[Verdict]:
     """Judge the joints at which one gravity for all postures leaves more than noise."""
     verdicts = []
@@ -346,7 +351,7 @@ def _joint_verdicts(
         joint = rows.robot.joints[j]
         left = fit.left(solution.theta)
         alone = friction.joints[joint.name].rmse
-        if left <= most_left * alone:
+        if left <= max_left * alone:
             continue
         unit = joint.unit("N m")
         reason = (

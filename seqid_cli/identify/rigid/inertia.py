@@ -118,6 +118,7 @@ def _with_agreement(
         np.array([stage.rmse.get(name, np.inf) for name in robot.joint_names]),
         together.torque_squares,
         size,
+        equations.options.settings.agreement,
         independent=together.independent,
     )
     return msgspec.structs.replace(stage, verdicts=[*stage.verdicts, *found])
@@ -145,12 +146,15 @@ def _stage(
 ) -> InertiaResult:
     """Solve, decide on the rotor coupling, and describe; `near` by multiples of the cut-off."""
     robot, basis, stages = equations.robot, equations.basis, equations.stages
-    coupling = decide(equations, [rows, *near.values()])
+    settings = equations.options.settings
+    coupling = decide(equations, [rows, *near.values()], settings.rotors)
     share = float(coupling.used)
     solution, posterior = equations.solved(rows, share)
     posterior = posterior.with_error(coupling.directions)
     there = {factor: equations.solved(other, share) for factor, other in near.items()}
-    by_cutoff, differences = cutoff_check((solution, posterior), there, equations.surfaces)
+    by_cutoff, differences = cutoff_check(
+        (solution, posterior), there, equations.surfaces, settings.cutoff_check
+    )
     imus = stages.imu.imus if stages.imu else {}
     used = {name for use in rows.uses for name in use.imus}
     errors = {name: imus[name].acceleration_std_error or 0.0 for name in used if imus}
@@ -180,7 +184,7 @@ def _stage(
         verdicts=verdicts,
         notes=[*stage.notes, *coupling.notes],
     )
-    stage = with_cutoff_check(stage, differences, basis)
+    stage = with_cutoff_check(stage, differences, basis, settings.cutoff_check)
     model = msgspec.structs.replace(stages, friction=drives.friction, inertia=stage)
     stage = _with_bands(equations, rows, model, stage, solution, share)
     return InertiaResult(stage, drives.friction)
@@ -293,11 +297,9 @@ def _described(
     rows: InertiaRows,
     solution: Solution,
     posterior: Posterior,
-    *,
-    poor_share: float = 0.15,
-    poor_condition: float = 1000.0,
 ) -> RigidStage:
     """The stage, with the parameters that the gravity stage does not have."""
+    settings = equations.options.settings.residual
     robot, basis, gravity = equations.robot, equations.basis, equations.stages.gravity
     known = {p.name for p in gravity.parameters} if gravity else set()
     own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
@@ -324,10 +326,11 @@ def _described(
         rows.joints,
         rows.torque_squares,
         floor,
-        poor_share=poor_share,
+        poor_share=settings.poor_share,
+        max_of_noise=settings.max_of_noise,
         idle=idle,
     )
-    good = solution.rank == basis.size and solution.condition < poor_condition
+    good = solution.rank == basis.size and solution.condition < settings.max_condition
     reason = f"rank {solution.rank} of {basis.size}, condition {solution.condition:.3g}"
     # N m/sqrt(Hz) of each joint as the parameters feel it, slow noise included.
     noise = np.sqrt(solution.designs / NOISE_BANDWIDTH / cutoff) * solution.sigma

@@ -46,10 +46,6 @@ from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
-# Periods of the cut-off on either side of a reversal that are left out. Friction at the onset of
-# sliding is not that of its surface, and the filter mixes it in: the shorter quarter period that a
-# prediction is judged by reads delays of up to a millisecond where there are none.
-SETTLED_PERIODS = 1.0
 LEAST_CHUNKS, MOST_CHUNKS = 2, 6  # of the equations, worked on together
 
 
@@ -164,6 +160,10 @@ class InertiaEquations:
             factor, samples = plan.factor, -(-log.samples // plan.factor)
             lowpass = Lowpass(plan.cutoff.hz, plan.rate_hz / factor, factor)
         reach = int(forgotten * lowpass.memory) + lowpass.settling
+        # Friction at the onset of sliding is not that of its surface, and the filter mixes it in:
+        # the shorter quarter period that a prediction is judged by reads delays of up to a
+        # millisecond where there are none.
+        settled = self.options.settings.reversals.settled_periods
         size = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
         block = lowpass.rate_hz  # samples of a second; longer where blocks would be merged anyway
         while samples > MOST_BLOCKS * block and block < CHUNK / 2:
@@ -184,7 +184,7 @@ class InertiaEquations:
             ):
                 low, high = max(0, part.start - reach), part.stop + reach
                 near = motion.part(slice(low, high))
-                slides = sliding(near, self.slowest, reach_periods=SETTLED_PERIODS)
+                slides = sliding(near, self.slowest, reach_periods=settled)
                 judged = sliding(near, self.slowest)
                 for at in range(part.start, part.stop, CHUNK):
                     own = slice(at, min(at + CHUNK, part.stop))
@@ -212,7 +212,7 @@ class InertiaEquations:
         if not usable:
             raise too_short(log.path, lowpass.cutoff_hz)
         if isinstance(log, Recording) and self.measures_noise:
-            slides = sliding(motion, self.slowest, reach_periods=SETTLED_PERIODS)
+            slides = sliding(motion, self.slowest, reach_periods=settled)
             rows.noise.append(noise_of_log(log, motion, slides))
             some = np.flatnonzero(slides.any(axis=1))
             some = some[:: max(1, len(some) // MOST_STATES)]

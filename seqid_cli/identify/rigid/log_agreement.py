@@ -20,6 +20,7 @@ from pathlib import PurePath
 import numpy as np
 
 from seqid_cli.identify.regression.least_squares import Accumulator, triangular
+from seqid_cli.identify.settings import AgreementSettings
 from seqid_cli.params.schema import Level, Verdict
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
@@ -119,13 +120,10 @@ def agreement_verdicts(
     sigma: Array,
     torque_squares: Array,
     rigid: int,
+    settings: AgreementSettings = AgreementSettings(),
     *,
     independent: float = 1.0,
-    max_left: float = 0.7,
     max_third: float = 0.1,
-    min_certainty: float = 5.0,
-    usable_share: float = 0.01,
-    poor_share: float = 0.05,
     most_logs: int = 64,
 ) -> list[Verdict]:
     """Name the logs that are not of the same rigid body as the others.
@@ -144,14 +142,10 @@ def agreement_verdicts(
         How many of the first parameters are the rigid body's; the others are the same in all logs.
     independent : float
         Share of the rows that count as independent.
-    max_left : float
-        Share of a joint's RMS residual that two groups may leave, else they do not differ.
+    settings : AgreementSettings
+        When two groups differ, and from which share of a joint's torque that matters.
     max_third : float
         Share of what two groups take away that a third one may take, else no log stands out.
-    min_certainty : float
-        Fall of the residual by chance that is exceeded, per parameter (an F value).
-    usable_share, poor_share : float
-        Share of a joint's RMS torque that differs from which on the stage is usable or poor.
     most_logs : int
         Logs from which on nothing is compared: the cost grows with their square.
 
@@ -172,7 +166,7 @@ def agreement_verdicts(
     rows = independent * sum(float(log.samples.sum()) for log in logs)
     certainty = (before - after) / rigid / max(after / max(rows, 1.0), 1e-300)
     third = after - _with_a_third(fit, first, second)
-    if certainty < min_certainty or third > max_third * (before - after):
+    if certainty < settings.min_certainty or third > max_third * (before - after):
         return []
 
     # Where it is seen: what each joint leaves by one body and by two.
@@ -181,9 +175,9 @@ def agreement_verdicts(
     with_two = _left(logs, [first, second], apart) / np.sqrt(counts)
     torque = np.sqrt(torque_squares / counts)
     differs = np.sqrt(np.maximum(with_one**2 - with_two**2, 0.0)) / np.maximum(torque, 1e-300)
-    differs[with_two > max_left * with_one] = 0.0
+    differs[with_two > settings.max_left * with_one] = 0.0
     worst = int(np.argmax(differs))
-    if differs[worst] < usable_share:
+    if differs[worst] < settings.usable_share:
         return []
     joint = robot.joints[worst]
     reason = (
@@ -192,7 +186,7 @@ def agreement_verdicts(
         f"each leaves {with_two[worst]:.3g}. Is there a tool, a load or another mounting in one of "
         "them? Identify them apart; seqid diagnose tells what differs"
     )
-    level: Level = "poor" if differs[worst] >= poor_share else "usable"
+    level: Level = "poor" if differs[worst] >= settings.poor_share else "usable"
     return [Verdict(good=False, level=level, reason=reason)]
 
 

@@ -114,8 +114,8 @@ def joint_verdicts(
     noise: NoiseLevel,
     *,
     poor_share: float,
+    max_of_noise: float,
     idle: str,
-    most_of_noise: float = 1.2,
 ) -> list[Verdict]:
     """Judge each joint by what is left of its torque.
 
@@ -132,10 +132,10 @@ def joint_verdicts(
         What noise alone would leave.
     poor_share : float
         Of the torque's RMS, from which a joint is poor if it is left.
+    max_of_noise : float
+        Times the upper end of the noise's interval that may be left: the end scatters too.
     idle : str
         Why a joint has no rows.
-    most_of_noise : float
-        Times the upper end of the noise's interval that may be left: the end scatters too.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def joint_verdicts(
         level: Level = "good"
         if share >= poor_share:
             level = "poor"
-        elif times_noise[j] > most_of_noise:
+        elif times_noise[j] > max_of_noise:
             level = "usable"
             reason += f": {times_noise[j]:.2g} times that, so something is missing"
         verdicts.append(

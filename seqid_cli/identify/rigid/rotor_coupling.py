@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
+from seqid_cli.identify.settings import RotorSettings
 from seqid_cli.typing import Array
 
 
@@ -57,9 +58,7 @@ class FreeShare:
 def decide(
     equations: InertiaEquations,
     rows: Sequence[InertiaRows],
-    *,
-    max_sigma: float = 3.0,
-    min_log_odds: float = 5.0,
+    settings: RotorSettings = RotorSettings(),
 ) -> Coupling:
     """Compare the two hypotheses by the logs.
 
@@ -68,18 +67,17 @@ def decide(
     equations : InertiaEquations
     rows : sequence of InertiaRows
         As used first, then at other cut-offs.
-    max_sigma : float
-        Standard errors within which the free share agrees with 0 or 1.
-    min_log_odds : float
-        From which a hypothesis is decided upon; 5 is 150 to 1.
+    settings : RotorSettings
+        When the free share agrees with 0 or 1, and from which odds that is decided on.
     """
+    min_log_odds = settings.min_log_odds
     nothing = np.zeros((equations.coupling_place, 0))
     shares = _free_shares(equations, rows) if equations.rotors.any() else []
     if not shares:  # both are the same
         return Coupling(used=False, directions=nothing)
 
     used = shares[0]
-    near = [share.sigma < max_sigma for share in shares]
+    near = [share.sigma < settings.max_sigma for share in shares]
     sure = all(near) and all(abs(share.log_odds) > min_log_odds for share in shares)
     alike = len({share.log_odds > 0.0 for share in shares}) == 1
     if sure and alike and len(shares) == len(rows):

@@ -47,6 +47,7 @@ from seqid_cli.identify.regression.noise_level import (
 from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equations
 from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior
+from seqid_cli.identify.settings import OneStepSettings, SimultaneousSettings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.units import UNTOLD
 from seqid_cli.model.friction import EXTENSION_SIZE, SLIDES
@@ -63,8 +64,6 @@ SIGN_SHARE = 0.004  # of a joint's speed, over which its friction changes sign
 TERMS = (("coulomb", "N m"), ("viscous", "N m s/rad"), ("offset", "N m"))
 WAVE_TERMS = 2  # of a joint: cosine and sine of its position
 WAVE_SHARE = 0.1  # of Coulomb friction, that waves over the position usually have
-WAVE_SIGMA = 3.0  # from which a wave is certain
-WAVE_SHOWN = 0.03  # of Coulomb friction, from which it matters
 
 
 def identify_simultaneous(
@@ -75,6 +74,7 @@ def identify_simultaneous(
     offset: bool = True,
     imu: schema.ImuStage | None = None,
     source: str = "auto",
+    settings: SimultaneousSettings = SimultaneousSettings(),
 ) -> tuple[schema.FrictionStage, schema.RigidStage]:
     """Identify rigid body and Coulomb-viscous friction, and a torque F_o if `offset`, together."""
     paths, motions, noise = [], [], []
@@ -89,7 +89,7 @@ def identify_simultaneous(
     if rows is None or not any(joint.samples for joint in rows.joints):
         raise QualityError("no joint moves in these logs", hint="record moves of every joint")
     uses = [equations.motion_use(path, robot, x) for path, x in zip(paths, motions, strict=True)]
-    return rows.stages(uses, options, noise)
+    return rows.stages(uses, options, noise, settings)
 
 
 class SimultaneousEquations:
@@ -220,6 +220,7 @@ class SimultaneousEquations:
         uses: list[schema.MotionUse],
         options: MotionOptions,
         noise: Sequence[LogNoise] = (),
+        settings: SimultaneousSettings = SimultaneousSettings(),
     ) -> tuple[schema.FrictionStage, schema.RigidStage]:
         """Solve and describe the result; `uses` and `noise` are of the logs."""
         robot = self.robot
@@ -270,13 +271,14 @@ class SimultaneousEquations:
             motion_use=uses,
             cutoff_hz=cutoff,
             verdicts=[
-                *self._verdicts(solution, floor, len(stage.not_excited)),
+                *self._verdicts(solution, floor, len(stage.not_excited), settings.residual),
                 *agreement_verdicts(
                     log_equations([use.log for use in uses], self.logs),
                     robot,
                     solution.sigma,
                     self.torque_squares,
                     self.basis.size,
+                    settings.agreement,
                     independent=self.independent,
                 ),
             ],
@@ -353,9 +355,7 @@ class SimultaneousEquations:
         solution: Solution,
         floor: NoiseLevel,
         missing: int,
-        *,
-        poor_share: float = 0.25,
-        clear_sigma: float = 3,
+        settings: OneStepSettings,
     ) -> list[schema.Verdict]:
         """Judge each joint.
 
@@ -368,25 +368,26 @@ class SimultaneousEquations:
             self.joints,
             self.torque_squares,
             floor,
-            poor_share=poor_share,
+            poor_share=settings.poor_share,
+            max_of_noise=settings.max_of_noise,
             idle="does not move",
         )
         coulomb = solution.theta[[own.start for own in self.own]]
         waving = self.solved(self.prior(coulomb))
         for j, (joint, own) in enumerate(zip(self.robot.joints, self.own, strict=True)):
             dry, error = solution.theta[own.start], np.sqrt(solution.covariance[(own.start,) * 2])
-            if self.joints[j].samples and dry < -clear_sigma * error:
+            if self.joints[j].samples and dry < -settings.negative_sigma * error:
                 text = f"Coulomb friction of {dry:.3g} {joint.unit('N m')} cannot be"
                 reason = f"{verdicts[j].reason}; {text}: record both ways"
                 verdicts[j] = replace(verdicts[j], good=False, level="poor", reason=reason)
-            elif verdicts[j].good and (wave := self._wave(j, waving)):
+            elif verdicts[j].good and (wave := self._wave(j, waving, settings)):
                 reason = f"{verdicts[j].reason}; {wave}"
                 verdicts[j] = replace(verdicts[j], good=False, level="usable", reason=reason)
         reason = f"condition {solution.condition:.3g}, {missing} parameter(s) not excited"
         return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
 
 
-    def _wave(self, j: int, waving: Solution) -> str:
+    def _wave(self, j: int, waving: Solution, settings: OneStepSettings) -> str:
         """Say how a joint's friction waves over the position, where that is certain and matters."""
         place = self.waves[j]
         wave = waving.theta[place]
@@ -394,7 +395,7 @@ class SimultaneousEquations:
         certainty = float(np.sqrt(wave @ np.linalg.pinv(covariance) @ wave))
         coulomb = abs(float(waving.theta[self.own[j].start]))
         share = float(np.linalg.norm(wave)) / max(coulomb, 1e-12)
-        if certainty < WAVE_SIGMA or share < WAVE_SHOWN:
+        if certainty < settings.wave_sigma or share < settings.wave_share:
             return ""
         return (
             f"its friction waves by {percent(share)} over the position, which Coulomb and viscous "

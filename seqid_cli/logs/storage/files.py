@@ -10,9 +10,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.storage.remote import is_url, stored_logs
+from seqid_cli.logs.storage.remote import StoredLog, is_url, stored_logs
 from seqid_cli.logs.tables.csv_form import is_text, nameless, read_form
 from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
+from seqid_cli.params.dates import is_date, modified_s
 
 SUFFIXES = (".parquet", ".mcap", ".csv", ".tsv", ".db3", ".bag")
 CSV_SUFFIXES = (".csv", ".tsv")
@@ -50,6 +51,7 @@ _NOTES = (".toml", ".json", ".yaml", ".urdf", ".xml", ".md", ".py")
 _TEXTS = (*CSV_SUFFIXES, ".txt", ".log", ".dat")
 
 State = tuple[int, ...]
+Stamps = tuple[float, float]
 Note = Callable[[str], None]
 
 
@@ -98,6 +100,22 @@ def sha256_of(path: Path) -> str:
     """Digest of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def time_of_log(path: Path, stamps_s: Stamps | None) -> float | None:
+    """Return the time of a log [s, Unix] with this first and last stamp [s, its own clock].
+
+    It is the last stamp where the stamps are dates, else when the file was last modified; None
+    where that is not known either, as of a table in memory.
+    """
+    if stamps_s is not None and all(map(is_date, stamps_s)):
+        return stamps_s[1]
+    if isinstance(path, StoredLog):
+        return path.modified_s()
+    try:
+        return modified_s(storage_file(path))
+    except InputError:
+        return None
 
 
 def state_of(path: Path) -> State:

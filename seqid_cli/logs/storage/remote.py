@@ -29,6 +29,8 @@ from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
 from seqid_cli.params.files import process_runs
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from seqid_cli.logs.raw import Array, Stamps
 
     _LocalPath = Path
@@ -142,6 +144,15 @@ class StoredLog(_LocalPath):
         with _explained(url):
             system.get_file(root, str(copy))
 
+    def modified_s(self) -> float | None:
+        """Return when the log was last modified [s, Unix]; None where its store does not say."""
+        system, root = _opened(str(self))
+        try:
+            modified: datetime = system.modified(root)
+        except Exception:  # every kind of store has errors of its own, and a date is no need
+            return None
+        return modified.timestamp()
+
 
 class TableLog(StoredLog):
     """A table in the default column names, in the place of a path; `content` is the table."""
@@ -167,6 +178,10 @@ class TableLog(StoredLog):
 
     def __str__(self) -> str:
         return self.stem
+
+    def modified_s(self) -> float | None:
+        """Return None: a table in memory has no date."""
+        return None
 
     def fetch(self, copy: Path) -> None:
         """Write the table to a local file."""

@@ -5,7 +5,7 @@ from typing import Literal
 from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import ClosedLoop, InputLog, MotionUse, OfRobot, Verdict
+from seqid_cli.params.schema import ClosedLoop, InputLog, MotionUse, OfRobot, UsedSettings, Verdict
 from seqid_cli.shares import percent
 
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
@@ -177,6 +177,7 @@ class DiagnosisFile(OfRobot, kw_only=True):
     motion: list[MotionUse] = []
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None
 
     @property
     def leaves_more(self) -> bool:

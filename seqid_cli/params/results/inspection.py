@@ -62,7 +62,10 @@ class InspectionFinding(FrozenStruct, kw_only=True, frozen=True):
 
 
 class InspectedLog(Struct, kw_only=True):
-    """One log; `missing` maps names of the robot file that the log lacks to the nearest name."""
+    """One log; `missing` maps names of the robot file that the log lacks to the nearest name.
+
+    `recorded` are its first and last stamp, as in `InputLog`.
+    """
 
     path: str
     sha256: str
@@ -70,6 +73,7 @@ class InspectedLog(Struct, kw_only=True):
     verdict: str
     samples: int = 0
     seconds: float = 0.0
+    recorded: list[str | float] = []
     rate_hz: float = 0.0
     jitter: float = 0.0
     gaps: list[list[float]] = []

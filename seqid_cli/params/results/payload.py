@@ -4,7 +4,14 @@ from collections.abc import Iterator
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import InputLog, Matrix, OfRobot, Parameter, Verdict
+from seqid_cli.params.schema import (
+    InputLog,
+    Matrix,
+    OfRobot,
+    Parameter,
+    UsedSettings,
+    Verdict,
+)
 
 PAYLOAD_SCHEMA = "seqid/payload@1"
 
@@ -79,3 +86,4 @@ class PayloadFile(OfRobot, kw_only=True):
     cutoff_origin: str = ""
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    effective_settings: UsedSettings | None = None

@@ -1,7 +1,7 @@
 """The prediction file, `seqid/prediction@1`: how well a model predicts the torque of some logs."""
 
 from seqid_cli.params.base import Struct
-from seqid_cli.params.schema import InputLog, MotionUse, OfRobot, Verdict
+from seqid_cli.params.schema import InputLog, MotionUse, OfRobot, UsedSettings, Verdict
 
 PREDICTION_SCHEMA = "seqid/prediction@1"
 
@@ -96,3 +96,4 @@ class PredictionFile(OfRobot, kw_only=True):
     cutoff_origin: str = ""  # where the cut-off of the logs came from
     verdicts: list[Verdict] = []
     notes: list[str] = []
+    settings: UsedSettings | None = None

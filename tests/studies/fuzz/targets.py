@@ -7,7 +7,8 @@ from pathlib import Path
 import msgspec
 import pyarrow.parquet as pq
 
-from seqid_cli.params.document import head, now
+from seqid_cli.params.dates import now
+from seqid_cli.params.document import head
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.prediction import FileId
@@ -231,7 +232,7 @@ def _trend(used: FileId) -> TrendFile:
     quantity["unit"] = "N m"
     return msgspec.convert(
         {
-            **msgspec.to_builtins(head(TREND_SCHEMA)),
+            **msgspec.to_builtins(head(TREND_SCHEMA, day)),
             "files": [msgspec.to_builtins(used)], "robots": ["arm"], "alarm": False, "limit": 4.0,
             "inflation": {"friction": 1.0}, "changes": [quantity | {"kind": "step", "since": day}],
             "series": [quantity | series],

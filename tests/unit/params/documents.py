@@ -1,6 +1,7 @@
 """Parameter files of a two-joint robot, for tests."""
 
 from seqid_cli.params import schema as p
+from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, with_stage
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results import diagnosis as d
@@ -146,7 +147,7 @@ def diagnosis_file() -> d.DiagnosisFile:
     residual = d.ResidualEntry(**told, **floor, tried=tried)
     still = d.ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0)
     return d.DiagnosisFile(
-        **head(d.DIAGNOSIS_SCHEMA),
+        **head(d.DIAGNOSIS_SCHEMA, now()),
         robot=robot(),
         inputs=[log("v", "")],
         parameters=[FileId(path="p.json", sha256="0" * 64)],

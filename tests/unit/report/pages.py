@@ -10,6 +10,7 @@ import numpy as np
 
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torque_files import parquet_writer
+from seqid_cli.params.dates import now
 from seqid_cli.params.document import head
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import Document, Source
@@ -54,7 +55,7 @@ def source(path: str, content: Document) -> Source[Document]:
 
 
 def made(kind: Any, schema: str, **content: Any) -> Any:
-    return kind(**head(schema), robot=robot(), **content)
+    return kind(**head(schema, now()), robot=robot(), **content)
 
 
 def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile:

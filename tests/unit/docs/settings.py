@@ -1,0 +1,74 @@
+"""The page of the settings, from their classes: `python -m tests.unit.docs.settings`.
+
+Names, defaults, units, bounds and reasons are written anew. What was measured of a setting stands
+in the last column, is written by hand and kept.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+
+from seqid_cli.commands.app import COMMANDS, command_function
+from seqid_cli.settings import Group, Settings
+from tests import ROOT
+
+PAGE = ROOT / "docs" / "settings.md"
+TABLES = re.compile(r"(?s)<!-- settings -->\n.*?<!-- /settings -->")
+_ROW = re.compile(r"\| `(\w+\.\w+)` \|.*\| ([^|]*) \|$")
+_HEADING = re.compile(r"### \w+: `([\w-]+)`")
+HEAD = "| setting | default | unit | from | to | what it guards | what moving it does |"
+
+
+def settings_of_commands() -> dict[str, Settings]:
+    """Return the settings of every command that has any."""
+    found = {name: command_function(name).settings for name in COMMANDS}
+    return {name: own for name, own in found.items() if own is not None}
+
+
+def rewritten(text: str) -> str:
+    """Return the page with its tables as the classes say."""
+    tables = "".join(_tables(text))
+    new = f"<!-- settings -->\n{tables}<!-- /settings -->"
+    return TABLES.sub(lambda _: new, text)
+
+
+def _tables(before: str) -> Iterator[str]:
+    commands: dict[tuple[str, type[Group]], list[str]] = {}
+    for command, settings in settings_of_commands().items():
+        for each in fields(settings):
+            kind = type(getattr(settings, each.name))
+            commands.setdefault((each.name, kind), []).append(command)
+
+    measured = _measured(before)
+    for (name, kind), users in commands.items():
+        heading = f"{name}: {', '.join(f'`{user}`' for user in users)}"
+        yield f"### {heading}\n\n{kind.__doc__}\n\n{HEAD}\n|---|---|---|---|---|---|---|\n"
+        for each in fields(kind):
+            about = each.metadata
+            cells = (
+                f"`{name}.{each.name}`",
+                f"{each.default:g}",
+                about["unit"],
+                f"{about['low']:g}",
+                f"{about['high']:g}",
+                about["reason"],
+                measured.get((users[0], f"{name}.{each.name}"), ""),
+            )
+            yield f"| {' | '.join(cells)} |\n"
+        yield "\n"
+
+
+def _measured(text: str) -> Mapping[tuple[str, str], str]:
+    """Return the last cell of every row, by the first command of its table and its name."""
+    found = {}
+    first = ""
+    for line in text.splitlines():
+        if heading := _HEADING.match(line):
+            first = heading[1]
+        elif row := _ROW.match(line):
+            found[first, row[1]] = row[2].strip()
+    return found
+
+
+if __name__ == "__main__":
+    PAGE.write_text(rewritten(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

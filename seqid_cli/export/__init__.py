@@ -12,6 +12,7 @@ from seqid_cli.export.formats import export as export_form
 from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
 from seqid_cli.logs.given import PathLike, listed
 from seqid_cli.logs.storage.files import expand
+from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import head, join, present, robot_id
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.results.export import (
@@ -127,7 +128,7 @@ def _load(kind: str, files: list[Path], place: Path, goal: Path) -> ExportFile:
     source = read_load(files)
     write_text_atomic(goal, load_setting(source, arm, kind))
     return ExportFile(
-        **head(EXPORT_SCHEMA),
+        **head(EXPORT_SCHEMA, created_from((), otherwise=Path(source.path))),
         robot=robot_id(arm),
         format=kind,
         path=str(goal),

@@ -10,6 +10,7 @@ from seqid_cli.export.motions import FullModel
 from seqid_cli.logs.storage.files import sha256_of
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage
 from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import (
@@ -100,7 +101,7 @@ def _file(
     robot: Robot, stages: Stages, inputs: list[InputLog], loop: ClosedLoop
 ) -> ParameterFile:
     return ParameterFile(
-        **head(SCHEMA),
+        **head(SCHEMA, now()),
         robot=robot_id(robot),
         inputs=inputs,
         stages=stages,

@@ -15,6 +15,7 @@ from seqid_cli.export import export
 from seqid_cli.export.formats import ALL, BY_TARGET, format_of
 from seqid_cli.export.targets import BANDWIDTH_HZ, safe_scales
 from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.payload import (
@@ -45,7 +46,7 @@ def six() -> Arm:
 def parameter_file(arm: Arm) -> ParameterFile:
     robot, stages = arm
     return ParameterFile(
-        **head(SCHEMA), robot=robot_id(robot), inputs=[], stages=stages
+        **head(SCHEMA, now()), robot=robot_id(robot), inputs=[], stages=stages
     )
 
 
@@ -212,7 +213,7 @@ def test_a_payload_result_is_written_as_it_is(tmp_path: Path) -> None:
     robot: Robot = load_robot(SIX)
     known = Measured(value=1.0, std_error=0.1, unit="kg")
     result = PayloadFile(
-        **head(PAYLOAD_SCHEMA),
+        **head(PAYLOAD_SCHEMA, now()),
         robot=robot_id(robot),
         inputs=[],
         models=[],

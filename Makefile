@@ -91,6 +91,7 @@ docs-test: $(DEV) ## run every command of the documents, also those that take mi
 
 lint: $(DEV) ## check the style and the spelling
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet .
 	$(BIN)/codespell
 
 types: $(DEV) ## check the types

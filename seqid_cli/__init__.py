@@ -2,8 +2,8 @@
 
 import seqid_cli as seqid
 
-friction = seqid.identify.friction("logs/friction", "robot.toml", output="friction.json")
-print(friction.stages.friction.joints["elbow"].rmse)
+friction = seqid.identify.friction("logs/friction", "robot.toml",
+output="friction.json") print(friction.stages.friction.joints["elbow"].rmse)
 """
 
 from importlib import import_module

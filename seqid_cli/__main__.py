@@ -34,7 +34,8 @@ def _run(argv: Sequence[str] | None) -> int:
             sys.stdout.write(f"seqid {__version__}\n")
             sys.stdout.flush()
             return 0
-    # Small matrices: a second BLAS thread costs many times what it gains, and changes last digits.
+    # Small matrices: a second BLAS thread costs many times what it gains, and changes
+    # last digits.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     # Arrow's own pool reserves a gibibyte of address space, which `ulimit -v` counts.
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")

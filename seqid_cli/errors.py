@@ -13,8 +13,8 @@ class SeqidWarning(UserWarning):
 class SeqidError(Exception):
     """A problem that the user can act on.
 
-    `message` says what is wrong, with the value and the limit, `hint` what to do about it, `where`
-    which file, channel, joint or key it is about.
+    `message` says what is wrong, with the value and the limit, `hint` what to do about
+    it, `where` which file, channel, joint or key it is about.
     """
 
     exit_code = 2

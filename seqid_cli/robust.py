@@ -4,7 +4,8 @@ import numpy as np
 
 from seqid_cli.typing import Array, Mask
 
-PER_MEDIAN = 1.4826  # standard deviation of Gaussian values per median of their magnitudes
+# standard deviation of Gaussian values per median of their magnitudes
+PER_MEDIAN = 1.4826
 DIFFERENCES = 4
 DIFFERENCES_GAIN = 70.0**0.5  # by which fourth differences raise white noise
 
@@ -17,14 +18,16 @@ def gaussian_spread(values: Array) -> Array:
 def white_noise(values: Array, known: Mask | None = None, *, fewest: int = 9) -> Array:
     """Return the standard deviation (...) of the white part of signals (N, ...).
 
-    Fourth differences keep the noise and drop the motion; the median drops jolts. Only those within
-    stretches that are `known` (N,) count; zero where there are too few.
+    Fourth differences keep the noise and drop the motion; the median drops jolts. Only
+    those within stretches that are `known` (N,) count; zero where there are too few.
     """
     if len(values) < fewest:
         return np.zeros(values.shape[1:])
     columns = np.abs(np.diff(np.ascontiguousarray(values.T), DIFFERENCES))
     if known is not None and not known.all():
-        whole = np.convolve(known, np.ones(DIFFERENCES + 1), "valid") > DIFFERENCES + 0.5
+        whole = (
+            np.convolve(known, np.ones(DIFFERENCES + 1), "valid") > DIFFERENCES + 0.5
+        )
         columns = columns[..., whole]
     if not columns.size:
         return np.zeros(values.shape[1:])

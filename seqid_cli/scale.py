@@ -1,7 +1,8 @@
 """Who works on many items: processes of this machine, a Dask cluster, or any other executor.
 
-Everything here takes and gives a `concurrent.futures.Executor`. Results come in the order of the
-items, and what goes wrong comes as an exception that names its item. Imports nothing heavy.
+Everything here takes and gives a `concurrent.futures.Executor`. Results come in the
+order of the items, and what goes wrong comes as an exception that names its item.
+Imports nothing heavy.
 """
 
 import contextlib
@@ -51,14 +52,19 @@ class Reply(Generic[R]):
 
 
 def ordered(
-    executor: Executor | None, function: Callable[[T], R], items: Iterable[T], *, ahead: int = 3
+    executor: Executor | None,
+    function: Callable[[T], R],
+    items: Iterable[T],
+    *,
+    ahead: int = 3,
 ) -> Iterator[Reply[R]]:
     """Work on items; the replies come in the order of the items.
 
-    `executor`: who does the work; None does it here, item by item. `function`: to be sent elsewhere
-    it must be a function of a module, or an object of such a class. `items`: `str` of an item names
-    it in messages. Yields: of the next item. An item whose process dies is tried once more in a
-    process of its own, so that the death is blamed on the right one; the others go on.
+    `executor`: who does the work; None does it here, item by item. `function`: to be
+    sent elsewhere it must be a function of a module, or an object of such a class.
+    `items`: `str` of an item names it in messages. Yields: of the next item. An item
+    whose process dies is tried once more in a process of its own, so that the death is
+    blamed on the right one; the others go on.
     """
     if executor is None:
         yield from (answer(function, item) for item in items)
@@ -101,9 +107,9 @@ def answer(function: Callable[[T], R], item: T) -> Reply[R]:
 def processes(jobs: int | None = None) -> Iterator[Executor]:
     """Processes of this machine, for as long as the block lasts; an exception ends them at once.
 
-    They are forked from a server that has imported what they need, so that the import is paid once
-    (where the system has no such server, they are started from scratch). A script that uses them
-    guards its main part with `if __name__ == "__main__":`.
+    They are forked from a server that has imported what they need, so that the import
+    is paid once (where the system has no such server, they are started from scratch). A
+    script that uses them guards its main part with `if __name__ == "__main__":`.
 
     `jobs`: how many; all cores by default.
     """
@@ -130,11 +136,14 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
 
 
 @contextlib.contextmanager
-def dask_cluster(scheduler: str | None = None, jobs: int | None = None) -> Iterator[Executor]:
+def dask_cluster(
+    scheduler: str | None = None, jobs: int | None = None
+) -> Iterator[Executor]:
     """Connect to a Dask scheduler, or start a cluster of this machine for as long as it is needed.
 
-    `jobs`: workers of a cluster that is started, else as many as cores. Raises UsageError: no
-    scheduler answers at the address `scheduler`, or Dask is not installed.
+    `jobs`: workers of a cluster that is started, else as many as cores. Raises
+    UsageError: no scheduler answers at the address `scheduler`, or Dask is not
+    installed.
     """
     if not all(map(importlib.util.find_spec, ("dask", "distributed"))):
         hint = "Install it: python -m pip install 'seqid[dask]'"
@@ -148,9 +157,13 @@ def dask_cluster(scheduler: str | None = None, jobs: int | None = None) -> Itera
             own = LocalCluster(n_workers=jobs or cores(), threads_per_worker=1, **quiet)
             address = stack.enter_context(own)
         try:
-            client = stack.enter_context(Client(address, timeout=PATIENCE_S, set_as_default=False))
+            client = stack.enter_context(
+                Client(address, timeout=PATIENCE_S, set_as_default=False)
+            )
         except (OSError, ValueError, TimeoutError) as error:
-            message = f"no Dask scheduler answers there ({type(error).__name__}: {error})"
+            message = (
+                f"no Dask scheduler answers there ({type(error).__name__}: {error})"
+            )
             hint = "Start one with `dask scheduler`, or leave out --scheduler."
             raise UsageError(message, where=str(scheduler), hint=hint) from error
         yield client.get_executor(pure=False)
@@ -182,7 +195,9 @@ def _workers(executor: Executor) -> int:
     return int(getattr(executor, "_max_workers", None) or cores())
 
 
-def _reply(function: Callable[[T], R], item: T, future: Future[Reply[R]] | None) -> Reply[R]:
+def _reply(
+    function: Callable[[T], R], item: T, future: Future[Reply[R]] | None
+) -> Reply[R]:
     """The reply of an item; the loss of its worker counts as its failure."""
     try:
         if future is not None:
@@ -194,7 +209,10 @@ def _reply(function: Callable[[T], R], item: T, future: Future[Reply[R]] | None)
             message = "the workers that worked on it died or were lost"
             return Reply(error=_out_of_memory(message, item))
         message = f"the workers cannot do this work ({type(error).__name__}: {error})"
-        hint = "They need the same versions of Python, seqid and its dependencies as this machine."
+        hint = (
+            "They need the same versions of Python, seqid and its dependencies as this"
+            " machine."
+        )
         return Reply(error=UsageError(message, hint=hint))
     with processes(1) as executor:  # one died of it or of another: once more, by itself
         try:

@@ -1,9 +1,9 @@
 """Settings: numbers that a user or a calibration may turn, each with unit, bounds and reason.
 
-A command has one frozen `Settings` class. Its fields are groups, and the fields of a group are
-the numbers: `judging.max_gravity_factor` is the field `max_gravity_factor` of the group
-`judging`. A number that is out of its bounds, or none, cannot be made part of a group, so that
-no algorithm meets one. Other numbers stay constants beside their use.
+A command has one frozen `Settings` class. Its fields are groups, and the fields of a
+group are the numbers: `judging.max_gravity_factor` is the field `max_gravity_factor` of
+the group `judging`. A number that is out of its bounds, or none, cannot be made part of
+a group, so that no algorithm meets one. Other numbers stay constants beside their use.
 """
 
 import difflib
@@ -119,8 +119,8 @@ def overridden(settings: S, given: Sequence[str]) -> S:
     Raises
     ------
     UsageError
-        There is no such setting (near names are told), or its value is no number or out of
-        bounds.
+        There is no such setting (near names are told), or its value is no number or out
+        of bounds.
     """
     for text in given:
         name, equals, value = text.partition("=")

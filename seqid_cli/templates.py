@@ -16,8 +16,8 @@ def filled(
 ) -> str:
     """Fill in the template `name` of a package's folder `templates`.
 
-    A name that is missing in `content` is an error. `filters` write values; what is filled in is
-    escaped where it is HTML (`markup`).
+    A name that is missing in `content` is an error. `filters` write values; what is
+    filled in is escaped where it is HTML (`markup`).
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader(package, "templates"),

@@ -1,4 +1,6 @@
-"""Tests read what commands write to a pipe: workers of pytest say they were a screen's width."""
+"""Tests read what commands write to a pipe: workers of pytest say they were a screen's
+width.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Texts that tests compare to the letter; TRANSCRIPTS=write writes them anew after a change."""
+"""Texts that tests compare to the letter; TRANSCRIPTS=write writes them anew after a
+change.
+"""
 
 import os
 from pathlib import Path

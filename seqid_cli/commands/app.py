@@ -23,7 +23,9 @@ from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 EXIT_BUG = 70
 _NO_ROOM = ("cannot allocate memory", "failed to map segment")
 _BUG = "this is a bug in seqid"
-_REPORT_IT = "Report it with the command line and the output of the same command with --debug."
+_REPORT_IT = (
+    "Report it with the command line and the output of the same command with --debug."
+)
 _LONGEST = 4000  # letters of a message: names from files have any length
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -35,14 +37,29 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "run": ("run", "Run every stage on a folder of logs, then predict and report."),
     "friction": ("stages", "Identify joint friction from constant-velocity moves."),
     "gravity": ("stages", "Identify the gravity parameters, given the friction."),
-    "imu-calib": ("stages", "Find how accelerometers and IMUs are mounted on the links."),
-    "inertia": ("stages", "Identify the inertia parameters, given friction and gravity."),
-    "predict": ("models", "Predict joint torques and compare them with the measured ones."),
+    "imu-calib": (
+        "stages",
+        "Find how accelerometers and IMUs are mounted on the links.",
+    ),
+    "inertia": (
+        "stages",
+        "Identify the inertia parameters, given friction and gravity.",
+    ),
+    "predict": (
+        "models",
+        "Predict joint torques and compare them with the measured ones.",
+    ),
     "diagnose": ("models", "Find out which physical effects a model lacks."),
-    "refine": ("models", "Add the effects that a model lacks, checked on held-out logs."),
+    "refine": (
+        "models",
+        "Add the effects that a model lacks, checked on held-out logs.",
+    ),
     "simultaneous": ("stages", "Identify everything in one classical least squares."),
     "plan": ("plan", "Plan what to record next, and the errors that it will give."),
-    "payload": ("models", "Identify the mass, centre and inertia that the flange carries."),
+    "payload": (
+        "models",
+        "Identify the mass, centre and inertia that the flange carries.",
+    ),
     "trend": ("files", "Find what changed over dates, beyond its error."),
     "report": ("files", "Write the results as one HTML page, the verdict first."),
     "export": ("files", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
@@ -61,7 +78,9 @@ class LazyGroup(TyperGroup):
         name = args[0]
         if name not in COMMANDS:
             close = difflib.get_close_matches(name, COMMANDS)
-            hint = f"Did you mean {' or '.join(close)}?" if close else "See seqid --help."
+            hint = (
+                f"Did you mean {' or '.join(close)}?" if close else "See seqid --help."
+            )
             raise UsageError(f"no such command: {name}", hint=hint)
         return name, load_command(name), args[1:]
 
@@ -81,7 +100,9 @@ def load_command(name: str) -> Command:
     """Build the parser of one command."""
     function = command_function(name)
     examples = "\n".join(f"  {example}" for example in function.examples)
-    app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    app = typer.Typer(
+        add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False
+    )
     kind: type[TyperCommand] = TyperCommand
     if function.settings is not None:
         from seqid_cli.commands.settings import command_with
@@ -99,18 +120,24 @@ def run(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
     except OSError as error:
         to_nowhere(sys.stdout)
-        if isinstance(error, BrokenPipeError):  # the reader has seen enough; the files are complete
+        # the reader has seen enough; the files are complete
+        if isinstance(error, BrokenPipeError):
             return 0
-        sys.stderr.write(f"seqid: error: standard output cannot be written: {error.strerror}\n")
+        sys.stderr.write(
+            f"seqid: error: standard output cannot be written: {error.strerror}\n"
+        )
         return UsageError.exit_code
     return code
 
 
 def _guarded(arguments: Sequence[str]) -> int:
-    name = f"seqid {arguments[0]}" if arguments and arguments[0] in COMMANDS else "seqid"
+    name = (
+        f"seqid {arguments[0]}" if arguments and arguments[0] in COMMANDS else "seqid"
+    )
     problem: SeqidError
     try:
-        if "SOURCE_DATE_EPOCH" in os.environ:  # where it is wrong, libraries fail to import
+        # where it is wrong, libraries fail to import
+        if "SOURCE_DATE_EPOCH" in os.environ:
             from seqid_cli.params.dates import source_date_epoch
 
             source_date_epoch()
@@ -128,11 +155,15 @@ def _guarded(arguments: Sequence[str]) -> int:
     except Exception as error:  # the last resort: a bug must not look like a verdict
         if isinstance(error, OSError) and cannot_be_written(error):
             raise
-        if isinstance(error, MemoryError) or any(x in str(error).lower() for x in _NO_ROOM):
+        if isinstance(error, MemoryError) or any(
+            x in str(error).lower() for x in _NO_ROOM
+        ):
             hint = "Give the process more of it, or fewer logs and --jobs 1."
             problem = UsageError(f"there is too little memory ({error})", hint=hint)
         else:
-            problem = SeqidError(f"{_BUG}: {type(error).__name__}: {error}", hint=_REPORT_IT)
+            problem = SeqidError(
+                f"{_BUG}: {type(error).__name__}: {error}", hint=_REPORT_IT
+            )
             problem.__cause__, problem.exit_code = error, EXIT_BUG
     return _report(name, problem, arguments)
 

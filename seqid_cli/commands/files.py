@@ -17,11 +17,14 @@ from seqid_cli.params.results.export import ExportFile
 from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.results.trend import ChangeEntry
 
-# Identified base parameters that no body has within so many standard errors are not noise.
+# Identified base parameters that no body has within so many standard errors are not
+# noise.
 MAX_STD_ERRORS = 4.0
 _SHOWN = 8  # unchanged numbers that the screen shows without -v
 _TWO = "sample_logs/two_joint"
-_SUFFIXES = ", ".join(dict.fromkeys(f"{suffix} {name}" for suffix, name in FORMATS.items()))
+_SUFFIXES = ", ".join(
+    dict.fromkeys(f"{suffix} {name}" for suffix, name in FORMATS.items())
+)
 _limit = only("a number from 0 on", lambda x: x >= 0.0)
 _share = only("between 0 and 1", lambda x: 0.0 < x < 1.0)
 
@@ -30,7 +33,8 @@ _share = only("between 0 and 1", lambda x: 0.0 < x < 1.0)
     "files output torques title by strict",
     "seqid report inertia.json prediction.json diagnosis.json -o report.html",
     "seqid report cell_*/inertia.json cell_*/prediction.json --by folder -o fleet.html",
-    "seqid report refined.json prediction.json --torques torques.parquet -o report.html --json",
+    "seqid report refined.json prediction.json --torques torques.parquet -o report.html"
+    " --json",
 )
 def report(
     context: typer.Context,
@@ -43,19 +47,23 @@ def report(
     torques: Path | None = option(
         None,
         "--torques FILE",
-        "What seqid predict wrote with --torques; found beside the prediction if left out.",
+        "What seqid predict wrote with --torques; found beside the prediction if left"
+        " out.",
     ),
     title: str = option("", "--title TEXT", "Title, instead of the robot's name."),
     by: By | None = option(
-        None, "--by", "A page about many robots, told apart by their names or by folders."
+        None,
+        "--by",
+        "A page about many robots, told apart by their names or by folders.",
     ),
 ) -> int:
     """Write one self-contained HTML page about a robot's model: the verdict first.
 
-    Several models stand side by side; their torques lie in one plot. With --by it is a page about
-    many robots.
+    Several models stand side by side; their torques lie in one plot. With --by it is a
+    page about many robots.
 
-    It opens offline and loads nothing. With --strict the exit code is 1 unless the verdict is good.
+    It opens offline and loads nothing. With --strict the exit code is 1 unless the
+    verdict is good.
     """
     told, made = called(context, "report.report")
     screen = told.screen
@@ -63,7 +71,9 @@ def report(
     for point in made.points:
         screen.result(f"- {point.text}")
     if lacking := [section.id for section in made.sections if not section.complete]:
-        screen.note(f"sections that say which command gives their data: {', '.join(lacking)}")
+        screen.note(
+            f"sections that say which command gives their data: {', '.join(lacking)}"
+        )
     screen.note(f"written: {made.output}")
     return told.ended(untrusted=made.verdict != "good")
 
@@ -73,34 +83,42 @@ def report(
     "seqid export inertia.json -r sample_logs/six_joint/robot.toml -o six_joint.urdf",
     f"seqid export inertia.json -r {_TWO}/robot.toml -o two_joint.xml",
     f"seqid export refined.json -r {_TWO}/robot.toml -o two_joint.h --strict",
-    f"seqid export refined.json -r {SIX}/robot.toml --target ur-friction -o friction.json",
+    f"seqid export refined.json -r {SIX}/robot.toml --target ur-friction -o"
+    " friction.json",
 )
 def export(
     context: typer.Context,
     parameters: list[Path] = typer.Argument(
         ..., metavar="FILE...", help="Parameter file; several are joined."
     ),
-    output: Path = option(..., "-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}."),
+    output: Path = option(
+        ..., "-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}."
+    ),
     target: str | None = option(
         None, "--target NAME", f"The form, whatever the suffix: {', '.join(BY_TARGET)}."
     ),
     replay: list[Path] = option(
         [],
         "--replay LOG",
-        "Log to run what was written over, once per file, folder or glob; by default the"
-        " held-out ones of the file.",
+        "Log to run what was written over, once per file, folder or glob; by default"
+        " the held-out ones of the file.",
     ),
-    no_replay: bool = option(False, "--no-replay", "Do not run what was written over logs."),
+    no_replay: bool = option(
+        False, "--no-replay", "Do not run what was written over logs."
+    ),
 ) -> int:
     """Write an identified arm as URDF, MJCF, ROS 2 parameters, C, or what a controller takes.
 
-    Links get inertial parameters that a body can have, with the identified torque, as near as
-    possible to those of the URDF. A form that cannot hold the whole model gets the links and the
-    Coulomb and viscous friction that lose least of its torque, and says how much that is. What was
-    written is run over held-out logs: exits with 1 where it is worse than it states.
+    Links get inertial parameters that a body can have, with the identified torque, as
+    near as possible to those of the URDF. A form that cannot hold the whole model gets
+    the links and the Coulomb and viscous friction that lose least of its torque, and
+    says how much that is. What was written is run over held-out logs: exits with 1
+    where it is worse than it states.
     """
     if replay and no_replay:
-        raise UsageError("--replay and --no-replay exclude each other", hint="Give one of them.")
+        raise UsageError(
+            "--replay and --no-replay exclude each other", hint="Give one of them."
+        )
     told, file = called(context, "export.export")
     if not file.joints:
         _show_end(told.screen, file, output)
@@ -114,7 +132,9 @@ def export(
             friction = (fit.coulomb, fit.viscous, share)
         loss = (file.loss.get(name),) if file.loss else ()
         rows.append((name, link.mass, center, link.armature, *friction, *loss))
-    titles = "joint | mass [kg] | centre of mass [m] | armature | Coulomb | viscous | misfit"
+    titles = (
+        "joint | mass [kg] | centre of mass [m] | armature | Coulomb | viscous | misfit"
+    )
     kinds = "text number4 text number number number share"
     if file.loss:
         titles, kinds = f"{titles} | loss [N m]", f"{kinds} number"
@@ -122,9 +142,14 @@ def export(
     if file.loss:
         screen.note("loss: RMS of the file's torque that this form does not have")
     if BY_TITLE[file.format].extent == "whole":
-        screen.result("the torque is exactly that of the file, with or without bodies that have it")
+        screen.result(
+            "the torque is exactly that of the file, with or without bodies that"
+            " have it"
+        )
     elif file.exact:
-        screen.result("the identified base parameters are met exactly by bodies that can exist")
+        screen.result(
+            "the identified base parameters are met exactly by bodies that can exist"
+        )
     else:
         _show_deviations(screen, file)
     failed = _show_replay(screen, file)
@@ -149,29 +174,36 @@ def _show_replay(screen: Screen, file: ExportFile) -> bool:
     ]
     if rows:
         count = len(file.replay.logs)
-        screen.result(f"replayed over {count} log{'s' if count > 1 else ''}, RMS errors in N m:")
+        screen.result(
+            f"replayed over {count} log{'s' if count > 1 else ''}, RMS errors in N m:"
+        )
         titles = "joint | parameter file | written file | loss there | samples"
         screen.values(tables.values(titles, "text number number number count", rows))
     for text in file.replay.failures:
         screen.warn(text)
     if file.replay.failures:
         screen.note(
-            "do: export again and do not edit what was written; where a form loses too much for its"
-            " use, export to C or numpy, which hold the whole model"
+            "do: export again and do not edit what was written; where a form loses too"
+            " much for its use, export to C or numpy, which hold the whole model"
         )
     return not file.replay.passed
 
 
 def _show_deviations(screen: Screen, file: ExportFile) -> None:
     far = [d for d in file.base_parameters if abs(d.std_errors or 0.0) >= 0.01]
-    rows = [(d.name, d.identified, d.exported, f"{d.std_errors:+.2f}", d.unit) for d in far]
-    screen.result("no body has the identified base parameters; the nearest ones are exported:")
+    rows = [
+        (d.name, d.identified, d.exported, f"{d.std_errors:+.2f}", d.unit) for d in far
+    ]
+    screen.result(
+        "no body has the identified base parameters; the nearest ones are exported:"
+    )
     titles = "parameter | identified | exported | std errors | unit"
     screen.values(tables.values(titles, "text number5 number5 text text", rows))
     if file.largest_deviation > MAX_STD_ERRORS:
         screen.warn(
-            f"an exported base parameter is {file.largest_deviation:.1f} standard errors away from"
-            " what was identified: geometry, gravity or torque scale of the robot file may be wrong"
+            f"an exported base parameter is {file.largest_deviation:.1f} standard"
+            " errors away from what was identified: geometry, gravity or torque scale"
+            " of the robot file may be wrong"
         )
 
 
@@ -183,7 +215,9 @@ def _show_deviations(screen: Screen, file: ExportFile) -> None:
 )
 def compare(
     context: typer.Context,
-    first: Path = typer.Argument(..., metavar="A.json", help="What was, or what should be."),
+    first: Path = typer.Argument(
+        ..., metavar="A.json", help="What was, or what should be."
+    ),
     second: Path = typer.Argument(..., metavar="B.json", help="What is now."),
     rtol: float | None = option(
         None,
@@ -203,14 +237,18 @@ def compare(
 ) -> int:
     """Compare two parameter, prediction or diagnosis files of one robot.
 
-    A number has changed when it moved by more than --sigma combined standard errors (4) and by more
-    than the share --rtol of its size (0.01). Exits with 1 when any has.
+    A number has changed when it moved by more than --sigma combined standard errors (4)
+    and by more than the share --rtol of its size (0.01). Exits with 1 when any has.
     """
     context.params["json"] |= form == "json"
     told, found = called(context, "compare.compare")
-    limit = "" if found.rule.sigma is None else f"{found.rule.sigma:g} standard errors and "
+    limit = (
+        "" if found.rule.sigma is None else f"{found.rule.sigma:g} standard errors and "
+    )
     limit += f"{100.0 * found.rule.rtol:g} % of its size"
-    summary = f"{found.changed} of {found.compared} numbers changed (by more than {limit})"
+    summary = (
+        f"{found.changed} of {found.compared} numbers changed (by more than {limit})"
+    )
     if form == "github":
         for item in found.differences:
             if item.different:
@@ -225,16 +263,22 @@ def compare(
 
 
 def _show_comparison(screen: Screen, found: ComparisonFile) -> None:
-    changed, rest = ([x for x in found.differences if x.different == y] for y in (True, False))
+    changed, rest = (
+        [x for x in found.differences if x.different == y] for y in (True, False)
+    )
     rest.sort(key=lambda item: -(item.relative or 0.0))
     shown = rest if screen.verbose else rest[:_SHOWN]
     rows = []
     for x in (*changed, *shown):
         remark = f": {x.remark}" if x.remark else ""
         verdict = f"changed{remark}" if x.different else "same"
-        rows.append((x.stage, x.name, x.joint or None, x.a, x.b, x.sigmas, x.relative, verdict))
+        rows.append(
+            (x.stage, x.name, x.joint or None, x.a, x.b, x.sigmas, x.relative, verdict)
+        )
     titles = "stage | number | joint | first | second | std errors | relative | verdict"
-    screen.values(tables.values(titles, "text text text number5 number5 number share text", rows))
+    screen.values(
+        tables.values(titles, "text text text number5 number5 number share text", rows)
+    )
     if len(shown) < len(rest):
         screen.note(f"{len(rest) - len(shown)} more are unchanged (-v shows them)")
 
@@ -249,7 +293,10 @@ def _annotation(item: Difference, path: str) -> str:
         text += "" if item.sigmas is None else f", {item.sigmas:.1f} standard errors"
         text += f", {percent(item.relative)} of its size"
         text += f" ({item.remark})" if item.remark else ""
-    return f"::error file={_escaped(path, ':,')},title={_escaped(title, ':,')}::{_escaped(text)}"
+    return (
+        "::error"
+        f" file={_escaped(path, ':,')},title={_escaped(title, ':,')}::{_escaped(text)}"
+    )
 
 
 def _escaped(text: str, more: str = "") -> str:
@@ -261,7 +308,8 @@ def _escaped(text: str, more: str = "") -> str:
 @command(
     "parameters output table by alpha rtol",
     f"seqid trend {_TWO}/golden.json inertia.json -o trend.json",
-    "seqid trend sample_logs/*_joint/golden.json cell_*/*.json --by folder --table trend.parquet",
+    "seqid trend sample_logs/*_joint/golden.json cell_*/*.json --by folder --table"
+    " trend.parquet",
 )
 def trend(
     context: typer.Context,
@@ -269,12 +317,17 @@ def trend(
         ..., metavar="PARAMS.json...", help="Parameter files of several dates."
     ),
     output: Path | None = OUTPUT,
-    table: Path | None = option(None, "--table FILE", "Where all values go, as Parquet."),
+    table: Path | None = option(
+        None, "--table FILE", "Where all values go, as Parquet."
+    ),
     by: By = option(
         "name", "--by", "What tells robots apart: the name in their files, or folders."
     ),
     alpha: float = option(
-        0.01, "--alpha P", "Probability that anything of healthy robots is said to change.", _share
+        0.01,
+        "--alpha P",
+        "Probability that anything of healthy robots is said to change.",
+        _share,
     ),
     rtol: float = option(
         0.01, "--rtol X", "Least change of a quantity, as a share of its size.", _share
@@ -282,12 +335,14 @@ def trend(
 ) -> int:
     """Find out what changed on one or more robots over time, beyond its error.
 
-    Each file is one date, that of its making. Steps and drifts of friction, parameters and effects
-    are named with robot, joint and date. Exits with 1 when anything changed.
+    Each file is one date, that of its making. Steps and drifts of friction, parameters
+    and effects are named with robot, joint and date. Exits with 1 when anything
+    changed.
     """
     told, found = called(context, "trend.trend")
     screen = told.screen
-    clearest: dict[tuple[str, str, str], ChangeEntry] = {}  # of each robot, joint and stage
+    # of each robot, joint and stage
+    clearest: dict[tuple[str, str, str], ChangeEntry] = {}
     for entry in found.changes:  # the clearest first
         name = entry.name if entry.stage == "effects" else ""
         clearest.setdefault((entry.robot, entry.joint, entry.stage + name), entry)
@@ -297,9 +352,9 @@ def trend(
         screen.note(f"{hidden} more of the same joint and stage (-v shows them)")
     robots = ", ".join(dict.fromkeys(entry.robot for entry in found.changes))
     screen.result(
-        f"{f'changed: {robots}' if robots else 'nothing changed'} ({len(found.files)} files of"
-        f" {len(found.robots)} robots, {len(found.series)} series;"
-        f" limit {found.limit:.3g} standard errors)"
+        f"{f'changed: {robots}' if robots else 'nothing changed'} ({len(found.files)}"
+        f" files of {len(found.robots)} robots, {len(found.series)} series; limit"
+        f" {found.limit:.3g} standard errors)"
     )
     screen.remark(*found.notes)
     for path in (output, table):

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from seqid_cli.params.results.inspection import InspectionFinding
 
 EXIT_DONE, EXIT_UNTRUSTED, EXIT_PARTIAL = 0, 1, 3
-# Below this many bytes of logs one process is done before others have imported what they need.
+# Below this many bytes of logs one process is done before others have imported what
+# they need.
 WORTH_BYTES = 32_000_000
 
 
@@ -35,8 +36,8 @@ WORTH_BYTES = 32_000_000
 class Told:
     """Shows on a screen what a function tells and warns of, and keeps what decides its exit code.
 
-    `given` are the arguments and options of the command, `findings` those of all logs; `partial`
-    says that logs were read in part or not at all.
+    `given` are the arguments and options of the command, `findings` those of all logs;
+    `partial` says that logs were read in part or not at all.
     """
 
     screen: Screen
@@ -83,21 +84,32 @@ class Told:
             return
         self.screen.note(f"written: {output}")
         if following:
-            self.screen.note(f"next: {following.format(output=output, robot=self.given['robot'])}")
+            self.screen.note(
+                f"next: {following.format(output=output, robot=self.given['robot'])}"
+            )
 
-    def ended(self, verdicts: Sequence[Verdict] = (), *, untrusted: bool = False) -> int:
+    def ended(
+        self, verdicts: Sequence[Verdict] = (), *, untrusted: bool = False
+    ) -> int:
         """Return the exit code of a command that has written its result.
 
-        After poor verdicts it says what to do. With --strict they, and what is `untrusted` for
-        another reason, count.
+        After poor verdicts it says what to do. With --strict they, and what is
+        `untrusted` for another reason, count.
         """
         not_good = any_poor(verdicts)
         if worst_level(verdicts) == "poor":
-            for remedy in dict.fromkeys(f.remedy for f in self.findings if f.severity == "error"):
+            for remedy in dict.fromkeys(
+                f.remedy for f in self.findings if f.severity == "error"
+            ):
                 self.screen.note(f"do: {remedy}")
             self.screen.note(
-                "do: look at the reasons above and mend the logs or the robot file before going on"
-                + ("" if self.findings else " (seqid inspect LOG... -r ROBOT looks closer)")
+                "do: look at the reasons above and mend the logs or the robot file"
+                " before going on"
+                + (
+                    ""
+                    if self.findings
+                    else " (seqid inspect LOG... -r ROBOT looks closer)"
+                )
             )
         if (not_good or untrusted) and self.given.get("strict"):
             return EXIT_UNTRUSTED
@@ -107,8 +119,8 @@ class Told:
 def called(context: typer.Context, name: str) -> tuple[Told, Any]:
     """Call the function of the package that a command is for, "identify.friction".
 
-    It gets what the command line gives, its progress and warnings are shown, and what it returns is
-    printed where the command is asked for JSON.
+    It gets what the command line gives, its progress and warnings are shown, and what
+    it returns is printed where the command is asked for JSON.
     """
     package, function = name.split(".")
     given, screen = context.params, screen_of(context)
@@ -116,7 +128,11 @@ def called(context: typer.Context, name: str) -> tuple[Told, Any]:
         sys.stderr, enabled=not screen.quiet, color=screen.color_messages
     )
     told = Told(screen, line, given)
-    with warnings.catch_warnings(), contextlib.closing(told.line), heard_by(told.line.show):
+    with (
+        warnings.catch_warnings(),
+        contextlib.closing(told.line),
+        heard_by(told.line.show),
+    ):
         warnings.simplefilter("always", SeqidWarning)
         warnings.showwarning = told.warn  # type: ignore[assignment]
         call = getattr(import_module(f"seqid_cli.{package}"), function)
@@ -130,7 +146,9 @@ def _arguments(function: Callable[..., object], told: Told) -> dict[str, Any]:
     """Return what a function takes of the command line, and the listener where it reads logs."""
     taken = inspect.signature(function).parameters
     wanted = [*taken, "output"]
-    found = {name: told.given[name] for name in wanted if told.given.get(name) is not None}
+    found = {
+        name: told.given[name] for name in wanted if told.given.get(name) is not None
+    }
     if "options" in taken:
         form = type(taken["options"].default)
         names = {field.name for field in fields(form)} & told.given.keys()
@@ -148,13 +166,19 @@ def _workers(given: Mapping[str, Any]) -> Iterator["dict[str, Executor]"]:
     if scheduler is not None and not dask:
         hint = "Add --engine dask, or leave out --scheduler."
         raise UsageError("a scheduler is of use to Dask only", hint=hint)
-    count = processes_for(given["logs"], given["jobs"]) if "jobs" in given and not dask else 1
+    count = (
+        processes_for(given["logs"], given["jobs"])
+        if "jobs" in given and not dask
+        else 1
+    )
     if count == 1 and not dask:
         yield {}
         return
     from seqid_cli.scale import dask_cluster, processes
 
-    with dask_cluster(scheduler, given["jobs"]) if dask else processes(count) as executor:
+    with (
+        dask_cluster(scheduler, given["jobs"]) if dask else processes(count)
+    ) as executor:
         yield {"executor": executor}
 
 

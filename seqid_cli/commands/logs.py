@@ -28,7 +28,8 @@ def inspect(
     robot: Path | None = option(
         None,
         "-r --robot FILE",
-        "Robot file; ./robot.toml or one beside the logs when left out, else joints are guessed.",
+        "Robot file; ./robot.toml or one beside the logs when left out, else joints are"
+        " guessed.",
     ),
     plan: Path | None = option(
         None, "--plan FILE", "A plan: say which of its moves these logs hold."
@@ -40,8 +41,9 @@ def inspect(
 ) -> int:
     """Look through logs: channels, rates, clocks, units, joints that move, and what is wrong.
 
-    With a robot file, torque and IMUs are compared with its geometry as well. The exit code is 1
-    when an error is found, 2 when a log cannot be read, 3 when one was read in part.
+    With a robot file, torque and IMUs are compared with its geometry as well. The exit
+    code is 1 when an error is found, 2 when a log cannot be read, 3 when one was read
+    in part.
     """
     if robot is None:
         screen, logs = screen_of(context), context.params["logs"]
@@ -75,7 +77,9 @@ def init(
     output: Path | None = option(
         None, "-o --output FILE", "Where the robot file goes; else printed."
     ),
-    name: str | None = option(None, "--name NAME", "The robot's name; else the URDF's."),
+    name: str | None = option(
+        None, "--name NAME", "The robot's name; else the URDF's."
+    ),
     torque_constant: str | None = option(
         None,
         "--torque-constant K[,K...]",
@@ -95,7 +99,8 @@ def init(
     screen = screen_of(context)
     given = {"torque_constant": torque_constant, "gear_ratio": gear_ratio}
     drives = {key: _numbers(key, text) for key, text in given.items() if text}
-    files = [*dict.fromkeys([*expand(logs[:1]), *expand(logs)])]  # the first decides on channels
+    # the first decides on channels
+    files = [*dict.fromkeys([*expand(logs[:1]), *expand(logs)])]
     for file in files:
         check_log(file)
     text = read_urdf_text(urdf) if urdf is not None else None

@@ -22,15 +22,18 @@ def command(
 ) -> Callable[[Run], Run]:
     """Make a function a command with examples that its help shows.
 
-    `names` are its arguments in this order, its own and those of `_shared`; the latter reach it in
-    `context.params` alone, where all are. With `settings`, its defaults, it has --set and
-    --show-settings as well.
+    `names` are its arguments in this order, its own and those of `_shared`; the latter
+    reach it in `context.params` alone, where all are. With `settings`, its defaults, it
+    has --set and --show-settings as well.
     """
 
     def decorate(run: Run) -> Run:
         own = inspect.signature(run, eval_str=True).parameters
         known = {**inspect.signature(_shared).parameters, **own}
-        asked = [known[name].replace(kind=inspect.Parameter.KEYWORD_ONLY) for name in names.split()]
+        asked = [
+            known[name].replace(kind=inspect.Parameter.KEYWORD_ONLY)
+            for name in names.split()
+        ]
         screen = [*inspect.signature(_of_the_screen).parameters.values()]
         if settings is not None:
             screen = [*inspect.signature(_of_settings).parameters.values(), *screen]
@@ -41,7 +44,9 @@ def command(
         def decorated(context: typer.Context, **given: Any) -> int:
             context.params = given
             if needs_robot and given.get("robot", "") is None:
-                given["robot"] = found_robot(screen_of(context), given.get("logs") or [])
+                given["robot"] = found_robot(
+                    screen_of(context), given.get("logs") or []
+                )
             return run(context, **{name: given[name] for name in given if name in own})
 
         signature = inspect.Signature([own["context"], *asked, *screen])
@@ -70,8 +75,8 @@ def found_robot(
 ) -> Path | None:
     """Return the robot file of the working folder, or else the one beside the logs.
 
-    The screen says which it is. Beside a log is its folder, a folder of logs itself, and the
-    one above, in which the folders of the stages lie.
+    The screen says which it is. Beside a log is its folder, a folder of logs itself,
+    and the one above, in which the folders of the stages lie.
 
     Raises
     ------
@@ -88,12 +93,16 @@ def found_robot(
         return beside[0]
     if beside:
         names = ", ".join(map(str, beside))
-        message = f"-r is left out, and several robot files lie beside the logs: {names}"
+        message = (
+            f"-r is left out, and several robot files lie beside the logs: {names}"
+        )
         raise UsageError(message, hint="Choose one with -r.")
     if not required:
         return None
     message = f"-r is left out, and there is no {ROBOT_NAME} here or beside the logs"
-    raise UsageError(message, hint="Name the robot file with -r, or make one: seqid init LOG.")
+    raise UsageError(
+        message, hint="Name the robot file with -r, or make one: seqid init LOG."
+    )
 
 
 def _robot_beside(log: str) -> Path | None:
@@ -105,7 +114,8 @@ def _robot_beside(log: str) -> Path | None:
         folder = place if place.is_dir() else place.parent
         candidates = (folder / ROBOT_NAME, folder.parent / ROBOT_NAME)
         return next((path for path in candidates if path.is_file()), None)
-    except (OSError, ValueError):  # a name that no file can have: told by whoever opens it
+    # a name that no file can have: told by whoever opens it
+    except (OSError, ValueError):
         return None
 
 
@@ -123,35 +133,48 @@ def only(
 
 
 def option(
-    default: Any, spelled: str, text: str, check: Callable[[Any], Any] | None = None, **more: Any
+    default: Any,
+    spelled: str,
+    text: str,
+    check: Callable[[Any], Any] | None = None,
+    **more: Any,
 ) -> Any:
     """Return an option as it is typed, "-o --output FILE": spellings, and what it takes if it does.
 
-    `default` is ... where it must be given, `text` its help, `check` a callback that refuses
-    values; `more` is as Typer has it.
+    `default` is ... where it must be given, `text` its help, `check` a callback that
+    refuses values; `more` is as Typer has it.
     """
     words = spelled.split()
     metavar = None if words[-1].startswith("-") else words.pop()
-    return typer.Option(default, *words, metavar=metavar, callback=check, help=text, **more)
+    return typer.Option(
+        default, *words, metavar=metavar, callback=check, help=text, **more
+    )
 
 
 LOGS = typer.Argument(
     ..., metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."
 )
 ROBOT = option(
-    None, "-r --robot FILE", "Robot file; ./robot.toml or one beside the logs when left out."
+    None,
+    "-r --robot FILE",
+    "Robot file; ./robot.toml or one beside the logs when left out.",
 )
 MODEL = option(
-    ..., "-p --parameters FILE", "Parameter file of the stages before; repeat it to join several."
+    ...,
+    "-p --parameters FILE",
+    "Parameter file of the stages before; repeat it to join several.",
 )
 ADDED_TO = option(
-    None, "-p --parameters FILE", "Parameter file to add the result to; repeat it to join several."
+    None,
+    "-p --parameters FILE",
+    "Parameter file to add the result to; repeat it to join several.",
 )
 OUTPUT = option(None, "-o --output FILE", "Where the result goes, as JSON.")
 JOBS = option(
     None,
     "--jobs N",
-    "Processes to read logs with; by default all cores where the logs are large enough.",
+    "Processes to read logs with; by default all cores where the logs are large"
+    " enough.",
     min=1,
 )
 
@@ -164,14 +187,15 @@ def _shared(
     source: Literal["auto", "encoder", "imu", "fused"] = option(
         "auto",
         "--motion",
-        "Where joint motion comes from: encoders, IMUs (Eq. 30, 31, 41, 42), or both"
-        " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects:"
-        " and where encoders are much the worse), else encoder.",
+        "Where joint motion comes from: encoders, IMUs (Eq. 30, 31, 41, 42), or both in"
+        " one smoother; auto is fused where a log has a calibrated IMU (to look for"
+        " effects: and where encoders are much the worse), else encoder.",
     ),
     cutoff_hz: float | None = option(
         None,
         "--cutoff HZ",
-        "Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
+        "Low-pass cut-off frequency; that of the model, or chosen from the logs, if"
+        " left out.",
         only("a positive number"),
     ),
     time_source: Literal["header", "log"] = option(
@@ -179,9 +203,13 @@ def _shared(
     ),
     jobs: int | None = JOBS,
     engine: Literal["local", "dask"] = option(
-        "local", "--engine", "Who reads the logs: processes here, or Dask (seqid[dask])."
+        "local",
+        "--engine",
+        "Who reads the logs: processes here, or Dask (seqid[dask]).",
     ),
-    scheduler: str | None = option(None, "--scheduler ADDRESS", "Of a running Dask scheduler."),
+    scheduler: str | None = option(
+        None, "--scheduler ADDRESS", "Of a running Dask scheduler."
+    ),
     skip_failed: bool = option(
         False, "--skip-failed", "Go on without logs that cannot be used; exits with 3."
     ),
@@ -215,7 +243,9 @@ def _of_the_screen(
     ),
     verbose: bool = option(False, "-v --verbose", "Say more about each log."),
     json: bool = option(False, "--json", "Print the result as one JSON document."),
-    no_color: bool = option(False, "--no-color", "No colours, whatever the terminal can do."),
+    no_color: bool = option(
+        False, "--no-color", "No colours, whatever the terminal can do."
+    ),
     debug: bool = option(False, "--debug", "Show the traceback of an error."),
 ) -> None:
     """Options that every command has."""

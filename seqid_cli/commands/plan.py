@@ -18,8 +18,9 @@ _share = only("above 0 and at most 1", lambda x: 0.0 < x <= 1.0)
 
 
 @command(
-    "what robot parameters have output trajectories duration_s move_s together ramp_s share locked"
-    " speed_scale between joint load_kg keep_out workspace floor seed strict",
+    "what robot parameters have output trajectories duration_s move_s together ramp_s"
+    " share locked speed_scale between joint load_kg keep_out workspace floor seed"
+    " strict",
     f"seqid plan all -r {SIX}/robot.toml -o plan.json --trajectories moves",
     f"seqid plan inertia -r {SIX}/robot.toml -p gravity.json -o plan.json",
     "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
@@ -30,27 +31,36 @@ _share = only("above 0 and at most 1", lambda x: 0.0 < x <= 1.0)
 def plan(
     context: typer.Context,
     what: What = typer.Argument(
-        ..., help="The stage to record for, a whole session, or two effects to tell apart."
+        ...,
+        help="The stage to record for, a whole session, or two effects to tell apart.",
     ),
     parameters: list[Path] | None = option(
         None,
         "-p --parameters FILE",
-        "What is identified already: torque and noise are taken from it; repeat it to join.",
+        "What is identified already: torque and noise are taken from it; repeat it to"
+        " join.",
     ),
     have: list[str] | None = option(
         None,
         "--have LOG",
-        "Logs that inertia or the diagnosis gets as well; repeat it per path, folder or glob.",
+        "Logs that inertia or the diagnosis gets as well; repeat it per path, folder or"
+        " glob.",
     ),
     output: Path | None = OUTPUT,
     trajectories: Path | None = option(
         None, "--trajectories FOLDER", "Where the moves go as CSV, ROS 2 and UR files."
     ),
     duration_s: float = option(
-        PlanOptions.duration_s, "--duration S", "Time that the inertia moves may take.", _seconds
+        PlanOptions.duration_s,
+        "--duration S",
+        "Time that the inertia moves may take.",
+        _seconds,
     ),
     move_s: float | None = option(
-        None, "--move-duration S", "Length of each of these moves; 20 ramps by default.", _seconds
+        None,
+        "--move-duration S",
+        "Length of each of these moves; 20 ramps by default.",
+        _seconds,
     ),
     together: bool = option(
         False, "--together", "Move all joints at once instead of two at a time."
@@ -61,7 +71,9 @@ def plan(
         "Time from rest to the largest speed: what limits the acceleration.",
         _seconds,
     ),
-    share: float = option(PlanOptions.share, "--share X", "Share of all limits to use.", _share),
+    share: float = option(
+        PlanOptions.share, "--share X", "Share of all limits to use.", _share
+    ),
     locked: list[str] | None = option(
         None, "--lock JOINT", "Keep a joint still; repeat it for several."
     ),
@@ -72,9 +84,13 @@ def plan(
         _share,
     ),
     between: str | None = option(
-        None, "--between EFFECT,EFFECT", "Of discriminate: the two effects to tell apart."
+        None,
+        "--between EFFECT,EFFECT",
+        "Of discriminate: the two effects to tell apart.",
     ),
-    joint: str | None = option(None, "--joint JOINT", "Of discriminate: where they are."),
+    joint: str | None = option(
+        None, "--joint JOINT", "Of discriminate: where they are."
+    ),
     load_kg: float = option(
         PlanOptions.load_kg,
         "--load KG",
@@ -96,7 +112,8 @@ def plan(
 ) -> int:
     """Plan the moves to record next, within the limits, and the standard errors they will give.
 
-    Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a robot.
+    Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a
+    robot.
     """
     context.params |= {
         "locked": tuple(locked or ()),
@@ -131,7 +148,9 @@ def _show(screen: Screen, plan: PlanFile) -> None:
         if stage.rank is None:
             continue
         screen.values(tables.planned_errors(stage))
-        errors = ", ".join(f"{joint} {number(x)}" for joint, x in stage.torque_error.items())
+        errors = ", ".join(
+            f"{joint} {number(x)}" for joint, x in stage.torque_error.items()
+        )
         unit = plan.robot.unit("N m", *stage.torque_error)
         tail = f"; torque error by the parameters, {unit}: {errors}" if errors else ""
         screen.result(
@@ -167,9 +186,13 @@ def _show_criterion(screen: Screen, name: str, stage: PlannedStage) -> None:
 def _show_separation(screen: Screen, told: EffectSeparation, robot: RobotId) -> None:
     first, second = told.between
     needed = told.seconds_needed
-    length = "no length of them is enough" if needed is None else f"{number(needed)} s are enough"
+    length = (
+        "no length of them is enough"
+        if needed is None
+        else f"{number(needed)} s are enough"
+    )
     unit = robot.unit("N m", *([told.joint] if told.joint else robot.joints))
     screen.result(
-        f"{first} or {second}, of {number(told.size)} {unit} RMS: the diagnosis tells them apart"
-        f" with probability {percent(told.power)}; for 95 % {length}"
+        f"{first} or {second}, of {number(told.size)} {unit} RMS: the diagnosis tells"
+        f" them apart with probability {percent(told.power)}; for 95 % {length}"
     )

@@ -24,8 +24,8 @@ from seqid_cli.params.schema import LEVELS, Level, ParameterFile, Verdict
 class Step:
     """One command of a run: what it reads and writes, the result first, and its options.
 
-    `words` are the options and arguments that decide the result, `neutral_words` those that
-    do not, such as the number of processes.
+    `words` are the options and arguments that decide the result, `neutral_words` those
+    that do not, such as the number of processes.
     """
 
     command: str
@@ -49,9 +49,9 @@ class Step:
 class Outcome:
     """What came of a step.
 
-    `level` is the verdict, None where nothing is judged; `shown` is what a table says of it, and
-    `reasons` why it is no better. `kept` and `partial` say that nothing had changed, and that logs
-    were read in part.
+    `level` is the verdict, None where nothing is judged; `shown` is what a table says
+    of it, and `reasons` why it is no better. `kept` and `partial` say that nothing had
+    changed, and that logs were read in part.
     """
 
     step: Step
@@ -64,7 +64,8 @@ class Outcome:
 
 @command(
     "folder robot urdf output refine jobs keep_going force strict",
-    "seqid run sample_logs/two_joint -r sample_logs/two_joint/robot.toml -o out/two_joint",
+    "seqid run sample_logs/two_joint -r sample_logs/two_joint/robot.toml -o"
+    " out/two_joint",
     "seqid run sample_logs/one_joint -o out --no-refine --strict",
 )
 def run(
@@ -103,10 +104,11 @@ def run(
 ) -> int:
     """Run every stage on a folder of logs, then predict, diagnose, refine and report.
 
-    The files are those that the single commands write. What is there is kept as long as its logs,
-    the options and the version are the same, so that a run goes on where it stopped. A folder that
-    is not sorted is sorted by what inspect finds. The run stops at the first stage whose verdict is
-    poor, with what to do. It ends with the worst verdict; the exit code is 1 where that is poor.
+    The files are those that the single commands write. What is there is kept as long as
+    its logs, the options and the version are the same, so that a run goes on where it
+    stopped. A folder that is not sorted is sorted by what inspect finds. The run stops
+    at the first stage whose verdict is poor, with what to do. It ends with the worst
+    verdict; the exit code is 1 where that is poor.
     """
     from seqid_cli.robot.file import load_robot
 
@@ -150,7 +152,8 @@ def _robot_file(
 ) -> Path:
     """Return the robot file that is given, made of a URDF, or found.
 
-    One that an earlier run made stays: what nobody can read off logs has been written into it.
+    One that an earlier run made stays: what nobody can read off logs has been written
+    into it.
     """
     if robot is not None and urdf is not None:
         hint = "Name the URDF in the robot file, or leave out -r."
@@ -285,8 +288,8 @@ def _code(line: Sequence[str], context: typer.Context) -> int:
 def judged(path: Path) -> tuple[Level | None, str, list[str]]:
     """Return the verdict of a result, what to show of it, and why it is no better than it is.
 
-    Of a parameter file the newest part counts, after which it is named; what a diagnosis says is
-    no verdict on the model's use.
+    Of a parameter file the newest part counts, after which it is named; what a
+    diagnosis says is no verdict on the model's use.
     """
     if path.suffix != ".json":
         return None, "-", []

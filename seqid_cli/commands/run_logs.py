@@ -1,7 +1,7 @@
 """Which logs of a folder serve which stage of a run, and which are held out.
 
-A folder may be sorted: it has folders named as the stages, and `validation/` is held out. Any other
-is sorted by what `seqid inspect` finds that each log serves.
+A folder may be sorted: it has folders named as the stages, and `validation/` is held
+out. Any other is sorted by what `seqid inspect` finds that each log serves.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
 VALIDATION = "validation"
-# Each command that identifies a stage, and the folder and the file that are named after it.
+# Each command that identifies a stage, and the folder and the file that are named after
+# it.
 STAGES = {
     "friction": "friction",
     "gravity": "gravity",
@@ -71,8 +72,8 @@ def logs_of_run(
     if not logs.of_command.get("friction"):
         has = "has no folder friction/" if there else "has no log of friction trials"
         hint = (
-            f"Sort the logs into {NAMED_FOLDERS}; without trials of single joints use seqid "
-            "simultaneous."
+            f"Sort the logs into {NAMED_FOLDERS}; without trials of single joints use"
+            " seqid simultaneous."
         )
         raise InputError(
             f"{has}; a run starts with friction trials", hint=hint, where=str(folder)
@@ -100,8 +101,8 @@ def _with_friction_for_gravity(
 ) -> dict[str, list[Path]]:
     """Return the logs of the commands that have any; friction trials serve gravity too.
 
-    Gravity is asked for wherever there are friction trials: on a planar arm it is an empty stage,
-    which the stages after it need.
+    Gravity is asked for wherever there are friction trials: on a planar arm it is an
+    empty stage, which the stages after it need.
     """
     of_command = {command: list(logs) for command, logs in of_stage.items()}
     for path in of_command["friction"]:
@@ -131,7 +132,8 @@ def _sorted_by_inspection(
     of_command = _with_friction_for_gravity(of_stage)
 
     say(
-        f"{folder} has none of {NAMED_FOLDERS}: its logs are sorted by what inspect finds"
+        f"{folder} has none of {NAMED_FOLDERS}: its logs are sorted by what inspect"
+        " finds"
     )
     for command, logs in of_command.items():
         say(f"{command}: {_listed(logs)}")
@@ -140,8 +142,8 @@ def _sorted_by_inspection(
         say(f"held out, for predict, diagnose and refine: {_listed(paths)}")
     else:
         say(
-            "nothing is held out: without each log of several joints, joints that move together "
-            "would be lost; record one more in which all joints move"
+            "nothing is held out: without each log of several joints, joints that move"
+            " together would be lost; record one more in which all joints move"
         )
     useless = [Path(log.path) for log in inspected if not log.serves]
     if useless:
@@ -152,10 +154,10 @@ def _sorted_by_inspection(
 def held_out_of(logs: Sequence[InspectedLog]) -> list[InspectedLog]:
     """Return the logs to hold out: a quarter of those that inertia is identified from.
 
-    A log is held out only if all pairs of joints that move together in it do so in others
-    that stay: inertia would lose rank otherwise. Trials of friction and gravity always stay.
-    Logs with the most joints come first, for they are most like what the model is for; of
-    equal ones the last recorded.
+    A log is held out only if all pairs of joints that move together in it do so in
+    others that stay: inertia would lose rank otherwise. Trials of friction and gravity
+    always stay. Logs with the most joints come first, for they are most like what the
+    model is for; of equal ones the last recorded.
     """
     for_inertia = [
         log

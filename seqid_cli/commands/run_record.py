@@ -30,7 +30,8 @@ class Record:
                 self._path.read_bytes(), type=RunFile
             ).steps
         except (OSError, msgspec.MsgspecError):
-            # Without a record, or with one that nobody understands, everything is made anew.
+            # Without a record, or with one that nobody understands, everything is made
+            # anew.
             self._steps = {}
 
     def kept(
@@ -48,7 +49,8 @@ class Record:
         inputs : iterable of Path
             Files and folders that it reads; of a folder all files count.
         outputs : iterable of Path
-            What it writes, the result first. A file that changed since is none of the run's.
+            What it writes, the result first. A file that changed since is none of the
+            run's.
 
         Returns
         -------

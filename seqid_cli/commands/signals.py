@@ -15,9 +15,10 @@ AGAIN_S = 0.01  # until an interrupt that a finalizer has swallowed is raised ag
 class Interrupted(KeyboardInterrupt):
     """An interrupt that the program answers.
 
-    Python remembers a plain KeyboardInterrupt that passes through ``exec`` or ``eval`` of a text,
-    as the import of every dataclass runs them. ``python -m`` then kills the process with SIGINT at
-    its end, whatever exit code the program has chosen. A class of its own does not set this off.
+    Python remembers a plain KeyboardInterrupt that passes through ``exec`` or ``eval``
+    of a text, as the import of every dataclass runs them. ``python -m`` then kills the
+    process with SIGINT at its end, whatever exit code the program has chosen. A class
+    of its own does not set this off.
     """
 
 

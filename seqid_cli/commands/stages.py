@@ -27,17 +27,25 @@ _NEXT_PREDICT = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
 @command(
     f"logs robot output position_order velocity_order beta {_SHARED} strict",
     f"seqid friction {SIX}/friction -r {SIX}/robot.toml -o friction.json",
-    f"seqid friction '{SIX}/friction/*' -r {SIX}/robot.toml --position-order 4 --velocity-order 5"
-    " --json",
+    f"seqid friction '{SIX}/friction/*' -r {SIX}/robot.toml --position-order 4"
+    " --velocity-order 5 --json",
     settings=FrictionSettings(),
 )
 def friction(
     context: typer.Context,
     position_order: int | None = option(
-        None, "--position-order N", "Order in position; found when left out.", min=0, max=30
+        None,
+        "--position-order N",
+        "Order in position; found when left out.",
+        min=0,
+        max=30,
     ),
     velocity_order: int | None = option(
-        None, "--velocity-order N", "Order in velocity; found when left out.", min=0, max=30
+        None,
+        "--velocity-order N",
+        "Order in velocity; found when left out.",
+        min=0,
+        max=30,
     ),
     beta: float | None = option(
         None,
@@ -49,8 +57,8 @@ def friction(
 ) -> int:
     """Identify joint friction over position and velocity.
 
-    The logs hold moves of one joint at a time at constant velocity, forward and backward, at
-    several speeds.
+    The logs hold moves of one joint at a time at constant velocity, forward and
+    backward, at several speeds.
     """
     following = "seqid gravity LOG... -r {robot} -p {output} -o gravity.json"
     return _stage(context, ["friction"], following)
@@ -66,8 +74,8 @@ def friction(
 def gravity(context: typer.Context) -> int:
     """Identify the gravity parameters, given the friction.
 
-    The logs hold moves of one joint at a time at constant velocity, with the other joints locked in
-    several configurations.
+    The logs hold moves of one joint at a time at constant velocity, with the other
+    joints locked in several configurations.
     """
     following = f"{_NEXT_INERTIA}  (with accelerometers: seqid imu-calib first)"
     return _stage(context, ["gravity"], following)
@@ -83,7 +91,8 @@ def imu_calib(context: typer.Context, parameters: list[Path] | None = ADDED_TO) 
     """Find how accelerometers and IMUs are mounted on the links, and what they are like.
 
     The logs hold rotations of the first joint with the other joints locked in several
-    configurations. Mounting, place, biases, scales, axes and clock offset are found together.
+    configurations. Mounting, place, biases, scales, axes and clock offset are found
+    together.
     """
     return _stage(context, ["imu"], _NEXT_INERTIA)
 
@@ -91,7 +100,8 @@ def imu_calib(context: typer.Context, parameters: list[Path] | None = ADDED_TO) 
 @command(
     f"logs robot parameters output source {_SHARED} consistent strict",
     f"seqid inertia {SIX}/inertia -r {SIX}/robot.toml -p imu.json -o inertia.json",
-    f"seqid inertia {SIX}/inertia -r {SIX}/robot.toml -p gravity.json --motion encoder --strict",
+    f"seqid inertia {SIX}/inertia -r {SIX}/robot.toml -p gravity.json --motion encoder"
+    " --strict",
     settings=InertiaSettings(),
 )
 def inertia(context: typer.Context) -> int:
@@ -103,7 +113,8 @@ def inertia(context: typer.Context) -> int:
 
 
 @command(
-    "logs robot parameters output offset source cutoff_hz time_source consistent strict",
+    "logs robot parameters output offset source cutoff_hz time_source consistent"
+    " strict",
     f"seqid simultaneous {SIX}/inertia -r {SIX}/robot.toml -o simultaneous.json",
     f"seqid simultaneous {SIX}/friction {SIX}/inertia -r {SIX}/robot.toml --json",
     settings=SimultaneousSettings(),
@@ -112,13 +123,15 @@ def simultaneous(
     context: typer.Context,
     parameters: list[Path] | None = ADDED_TO,
     offset: bool = option(
-        True, "--offset/--no-offset", "Give each joint a constant torque besides friction."
+        True,
+        "--offset/--no-offset",
+        "Give each joint a constant torque besides friction.",
     ),
 ) -> int:
     """Identify all parameters at once, with Coulomb and viscous friction (Eq. 5-6).
 
-    Any logs will do. For comparison, and for data without moves of single joints. With the file of
-    seqid imu-calib (-p) accelerometers are used as well.
+    Any logs will do. For comparison, and for data without moves of single joints. With
+    the file of seqid imu-calib (-p) accelerometers are used as well.
     """
     return _stage(context, ["friction", "inertia"], _NEXT_PREDICT)
 

@@ -8,7 +8,11 @@ from seqid_cli.params.results.comparison import ComparisonFile
 
 
 def compare(
-    first: PathLike, second: PathLike, *, rtol: float | None = None, sigma: float | None = None
+    first: PathLike,
+    second: PathLike,
+    *,
+    rtol: float | None = None,
+    sigma: float | None = None,
 ) -> ComparisonFile:
     """Compare two parameter, prediction or diagnosis files of one robot.
 
@@ -24,8 +28,8 @@ def compare(
     Returns
     -------
     ComparisonFile
-        `changed` counts the numbers that moved by more than both (without limits: 4 standard
-        errors and 0.01 of the size).
+        `changed` counts the numbers that moved by more than both (without limits: 4
+        standard errors and 0.01 of the size).
     """
     a, b = read_any([Path(first), Path(second)])
     from seqid_cli.compare.differences import compared, rule_of

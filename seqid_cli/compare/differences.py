@@ -4,11 +4,12 @@ A number has changed when
 
     |b - a| > sigma sqrt(e_a^2 + e_b^2)    and    |b - a| > rtol max(|a|, |b|, least).
 
-The first condition alone would report the last digits of another machine where data are good; the
-second alone the noise of another log where they are poor. Numbers without a standard error are
-judged by their size alone. `least` of a rigid-body parameter is a thousandth of the largest of the
-same unit in its stage, so that parameters that are really zero have a size too. Friction surfaces
-are compared over the positions and speeds of both, not by coefficients.
+The first condition alone would report the last digits of another machine where data are
+good; the second alone the noise of another log where they are poor. Numbers without a
+standard error are judged by their size alone. `least` of a rigid-body parameter is a
+thousandth of the largest of the same unit in its stage, so that parameters that are
+really zero have a size too. Friction surfaces are compared over the positions and
+speeds of both, not by coefficients.
 """
 
 import math
@@ -29,7 +30,8 @@ from seqid_cli.params.results.comparison import ComparisonFile, Difference, Rule
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.results.prediction import PredictionFile
 
-_POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction
+# points at which friction surfaces are compared, per direction
+_POSITIONS, _SPEEDS = 13, 12
 _KINDS = ("parameter", "prediction", "diagnosis")
 DEFAULT_SIGMA = 4.0  # one false alarm in 160 comparisons of 100 parameters each
 DEFAULT_RTOL = 0.01
@@ -39,14 +41,18 @@ K = TypeVar("K")
 V = TypeVar("V")
 
 
-def rule_of(sigma: float | None, rtol: float | None, *, rounding: float = 1e-6) -> RuleEntry:
+def rule_of(
+    sigma: float | None, rtol: float | None, *, rounding: float = 1e-6
+) -> RuleEntry:
     """Return the limits of a change: one given alone decides alone, down to rounding."""
     if sigma is None and rtol is None:
         return RuleEntry(sigma=DEFAULT_SIGMA, rtol=DEFAULT_RTOL)
     return RuleEntry(sigma=sigma, rtol=rounding if rtol is None else rtol)
 
 
-def compared(a: Source[Document], b: Source[Document], rule: RuleEntry) -> ComparisonFile:
+def compared(
+    a: Source[Document], b: Source[Document], rule: RuleEntry
+) -> ComparisonFile:
     """Compare two files that were read, by a rule."""
     kind, other = _kind(a.content), _kind(b.content)
     if kind != other:
@@ -57,11 +63,17 @@ def compared(a: Source[Document], b: Source[Document], rule: RuleEntry) -> Compa
         hint = "Compare the parameter files that it was made from."
         raise UsageError(message, where=a.path, hint=hint)
     left, right = a.content, b.content
-    check_same_robot((a.path, left.robot), (b.path, right.robot), "Compare results of one robot.")
+    check_same_robot(
+        (a.path, left.robot), (b.path, right.robot), "Compare results of one robot."
+    )
     notes, found = [], []
     if left.robot.sha256 != right.robot.sha256:
-        notes.append("the robot files differ: geometry, limits or drives may have changed")
-    if isinstance(left, schema.ParameterFile) and isinstance(right, schema.ParameterFile):
+        notes.append(
+            "the robot files differ: geometry, limits or drives may have changed"
+        )
+    if isinstance(left, schema.ParameterFile) and isinstance(
+        right, schema.ParameterFile
+    ):
         found = [*_stages(left.stages, right.stages, rule)]
         notes += _verdict_notes(left.stages, right.stages)
     elif isinstance(left, PredictionFile) and isinstance(right, PredictionFile):
@@ -89,7 +101,12 @@ def _kind(content: Document) -> str:
 
 
 def _judged(
-    where: Difference, rule: RuleEntry, values: Two, errors: Two = (0.0, 0.0), *, least: float = 0.0
+    where: Difference,
+    rule: RuleEntry,
+    values: Two,
+    errors: Two = (0.0, 0.0),
+    *,
+    least: float = 0.0,
 ) -> Difference:
     """Judge two values and their standard errors; `least` is the size that they have at least."""
     a, b = values
@@ -98,7 +115,9 @@ def _judged(
     sigmas = abs(b - a) / error if error > 0.0 else None
     within = sigmas is not None and rule.sigma is not None and sigmas <= rule.sigma
     judged = replace(where, different=not within and relative > rule.rtol)
-    return replace(judged, a=a, b=b, std_error=error or None, sigmas=sigmas, relative=relative)
+    return replace(
+        judged, a=a, b=b, std_error=error or None, sigmas=sigmas, relative=relative
+    )
 
 
 def _missing(stage: str, name: str, joint: str = "", *, there: bool) -> Difference:
@@ -107,13 +126,17 @@ def _missing(stage: str, name: str, joint: str = "", *, there: bool) -> Differen
     return Difference(stage=stage, name=name, joint=joint, remark=remark)
 
 
-def _both(left: Mapping[K, V], right: Mapping[K, V]) -> Iterator[tuple[K, V | None, V | None]]:
+def _both(
+    left: Mapping[K, V], right: Mapping[K, V]
+) -> Iterator[tuple[K, V | None, V | None]]:
     """All keys of two mappings with what stands under each; None where it is missing."""
     for key in {**left, **right}:
         yield key, left.get(key), right.get(key)
 
 
-def _stages(a: schema.Stages, b: schema.Stages, rule: RuleEntry) -> Iterator[Difference]:
+def _stages(
+    a: schema.Stages, b: schema.Stages, rule: RuleEntry
+) -> Iterator[Difference]:
     """Yield the differences of all stages; a stage that one file lacks is a difference."""
     for name, one, other in _both(present(a), present(b)):
         if name != "effects" and (one is None or other is None):
@@ -134,7 +157,11 @@ def _stages(a: schema.Stages, b: schema.Stages, rule: RuleEntry) -> Iterator[Dif
 
 
 def _rigid(
-    name: str, a: schema.RigidStage, b: schema.RigidStage, rule: RuleEntry, min_size: float = 1e-3
+    name: str,
+    a: schema.RigidStage,
+    b: schema.RigidStage,
+    rule: RuleEntry,
+    min_size: float = 1e-3,
 ) -> Iterator[Difference]:
     least: dict[str, float] = {}
     for x in (*a.parameters, *b.parameters):
@@ -151,7 +178,9 @@ def _torque_constants_held(stage: schema.RigidStage) -> list[schema.Parameter]:
     if not stage.torque_constant_moves or not stage.covariance:
         return stage.parameters
     errors = np.sqrt(np.maximum(np.diag(np.array(stage.covariance)), 0.0)).tolist()
-    return [replace(p, std_error=e) for p, e in zip(stage.parameters, errors, strict=True)]
+    return [
+        replace(p, std_error=e) for p, e in zip(stage.parameters, errors, strict=True)
+    ]
 
 
 def _parameters(
@@ -168,7 +197,9 @@ def _parameters(
         if one is None or other is None:
             yield _missing(stage, prefix + name, known.joint, there=one is not None)
             continue
-        where = Difference(stage=stage, name=prefix + name, joint=known.joint, unit=known.unit)
+        where = Difference(
+            stage=stage, name=prefix + name, joint=known.joint, unit=known.unit
+        )
         values, errors = (one.value, other.value), (one.std_error, other.std_error)
         yield _judged(where, rule, values, errors, least=least.get(one.unit, 0.0))
 
@@ -185,7 +216,9 @@ def _surface(
         remark = "no position and speed is in the identified range of both"
         return replace(where, unit="", remark=remark)
     speeds = np.linspace(slow, fast, _SPEEDS)
-    grid = np.meshgrid(np.linspace(low, high, _POSITIONS), np.concatenate([-speeds, speeds]))
+    grid = np.meshgrid(
+        np.linspace(low, high, _POSITIONS), np.concatenate([-speeds, speeds])
+    )
     q, v = (axis.ravel() for axis in grid)
     surfaces = FrictionSurface.from_stage(a), FrictionSurface.from_stage(b)
     torques = np.array([surface.torque(q, v) for surface in surfaces]).T
@@ -193,11 +226,16 @@ def _surface(
     size = float(np.abs(torques).max())
     both = zip(torques.tolist(), errors.tolist(), strict=True)
     points = [_judged(where, rule, tuple(x), tuple(e), least=size) for x, e in both]
-    k = max(range(len(points)), key=lambda k: (points[k].different, points[k].relative or 0.0))
+    k = max(
+        range(len(points)),
+        key=lambda k: (points[k].different, points[k].relative or 0.0),
+    )
     return replace(points[k], remark=f"at {q[k]:.3g}, speed {v[k]:.3g}")
 
 
-def _imus(a: schema.ImuStage, b: schema.ImuStage, rule: RuleEntry) -> Iterator[Difference]:
+def _imus(
+    a: schema.ImuStage, b: schema.ImuStage, rule: RuleEntry
+) -> Iterator[Difference]:
     for name, one, other in _both(a.imus, b.imus):
         if one is None or other is None:
             yield _missing("imu", name, there=one is not None)
@@ -205,24 +243,36 @@ def _imus(a: schema.ImuStage, b: schema.ImuStage, rule: RuleEntry) -> Iterator[D
         angle, remark = _angle_between(one, other)
         what = f"{name} rotation"
         where = Difference(stage="imu", name=what, joint="", unit="deg", remark=remark)
-        values, errors = (0.0, math.degrees(angle)), (one.std_error_deg, other.std_error_deg)
+        values, errors = (
+            (0.0, math.degrees(angle)),
+            (one.std_error_deg, other.std_error_deg),
+        )
         yield _judged(where, rule, values, errors, least=math.degrees(1.0))
 
 
 def _angle_between(
-    one: schema.ImuCalibration, other: schema.ImuCalibration, *, unknown_deg: float = 30.0
+    one: schema.ImuCalibration,
+    other: schema.ImuCalibration,
+    *,
+    unknown_deg: float = 30.0,
 ) -> tuple[float, str]:
     """Angle between two mountings [rad], and what it is.
 
-    An axis with a standard error above `unknown_deg` is not determined, and plays no part.
+    An axis with a standard error above `unknown_deg` is not determined, and plays no
+    part.
     """
     turn = np.array(other.rotation) @ np.array(one.rotation).T  # in the link's frame
-    errors = [each.std_errors_deg for each in (one, other) if len(each.std_errors_deg) == 3]
+    errors = [
+        each.std_errors_deg for each in (one, other) if len(each.std_errors_deg) == 3
+    ]
     free = [k for k in range(3) if any(each[k] > unknown_deg for each in errors)]
     if len(free) == 1:
         k = free[0]
         across = math.hypot(*np.delete(turn[:, k], k))
-        remark = f"angle between the link's {'xyz'[k]} in the two; about it neither is determined"
+        remark = (
+            f"angle between the link's {'xyz'[k]} in the two; about it neither is"
+            " determined"
+        )
         return math.atan2(across, float(turn[k, k])), remark
     cosine = 0.5 * (float(np.trace(turn)) - 1.0)
     angle = math.atan2(float(np.linalg.norm(turn - turn.T)) / math.sqrt(8.0), cosine)
@@ -230,28 +280,40 @@ def _angle_between(
 
 
 def _effects(
-    a: Sequence[schema.EffectOfJoint], b: Sequence[schema.EffectOfJoint], rule: RuleEntry
+    a: Sequence[schema.EffectOfJoint],
+    b: Sequence[schema.EffectOfJoint],
+    rule: RuleEntry,
 ) -> Iterator[Difference]:
-    left, right = ({(item.effect, item.joint or ""): item for item in side} for side in (a, b))
+    left, right = (
+        {(item.effect, item.joint or ""): item for item in side} for side in (a, b)
+    )
     for (effect, joint), one, other in _both(left, right):
         if one is None or other is None:
             yield _missing("effects", effect, joint, there=one is not None)
             continue
         prefix = f"{effect}: "
-        yield from _parameters("effects", one.parameters, other.parameters, rule, prefix=prefix)
+        yield from _parameters(
+            "effects", one.parameters, other.parameters, rule, prefix=prefix
+        )
         stated = {parameter.name for parameter in (*one.parameters, *other.parameters)}
         for name in sorted(one.settings.keys() & other.settings.keys() - stated):
             values = (one.settings[name], other.settings[name])
-            if all(isinstance(x, int | float) and not isinstance(x, bool) for x in values):
+            if all(
+                isinstance(x, int | float) and not isinstance(x, bool) for x in values
+            ):
                 where = Difference(stage="effects", name=prefix + name, joint=joint)
                 yield _judged(where, rule, (float(values[0]), float(values[1])))
 
 
-def _diagnoses(a: DiagnosisFile, b: DiagnosisFile, rule: RuleEntry) -> Iterator[Difference]:
+def _diagnoses(
+    a: DiagnosisFile, b: DiagnosisFile, rule: RuleEntry
+) -> Iterator[Difference]:
     if a.verdict != b.verdict:
         remark = f"{a.verdict}, then {b.verdict}"
         yield Difference(stage="diagnosis", name="verdict", joint="", remark=remark)
-    left, right = ({(f.effect, f.joint or ""): f for f in side.findings} for side in (a, b))
+    left, right = (
+        {(f.effect, f.joint or ""): f for f in side.findings} for side in (a, b)
+    )
     for (effect, joint), before, after in _both(left, right):
         if before is None or after is None:
             yield _missing("diagnosis", effect, joint, there=before is not None)
@@ -284,7 +346,9 @@ def _verdict_notes(a: schema.Stages, b: schema.Stages) -> Iterator[str]:
             continue
         judged = {verdict.joint for verdict in one.verdicts}
         for joint in dict.fromkeys(verdict.joint for verdict in other.verdicts):
-            before, after = (poor_because(stage.verdicts, joint) for stage in (one, other))
+            before, after = (
+                poor_because(stage.verdicts, joint) for stage in (one, other)
+            )
             if joint in judged and bool(before) != bool(after):
                 said = f"poor: {after}" if after else "good"
                 yield f"{name}: the verdict on {joint or 'the stage'} is now {said}"

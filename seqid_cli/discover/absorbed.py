@@ -1,15 +1,17 @@
 """What a file has absorbed of an effect that was there when it was identified.
 
-Friction trials move one joint at constant speeds, both ways. What an effect has at these speeds and
-places against the motion is taken for friction, and what it has both ways for gravity, as far as
-their terms can follow. With X(q, v) the torque of an effect in the trials, F the columns of a
-joint's friction surface and G those of gravity, a unit of its coefficient is in the file as
+Friction trials move one joint at constant speeds, both ways. What an effect has at
+these speeds and places against the motion is taken for friction, and what it has both
+ways for gravity, as far as their terms can follow. With X(q, v) the torque of an effect
+in the trials, F the columns of a joint's friction surface and G those of gravity, a
+unit of its coefficient is in the file as
 
     P = argmin over trials |(X(q, v) - X(q, -v)) / 2 - F(q, v) P|^2,
     p = argmin over trials |(X(q, v) + X(q, -v)) / 2 - G(q) p|^2,
 
-and the deviations of friction and gravity from the file are held to -P and -p times the coefficient
-(see `Part.in_file`), where those of a file without the effect are held to zero.
+and the deviations of friction and gravity from the file are held to -P and -p times the
+coefficient (see `Part.in_file`), where those of a file without the effect are held to
+zero.
 """
 
 from dataclasses import replace
@@ -35,20 +37,29 @@ class FileTrials:
 
     def __init__(self, scene: Scene, base: Base, stages: Stages) -> None:
         self.scene, self.base, self.stages = scene, base, stages
-        self._trials = cache(partial(_steady, scene))  # of a joint, all ahead, then the way back
+        # of a joint, all ahead, then the way back
+        self._trials = cache(partial(_steady, scene))
         self._fits: dict[int, Array] = {}
 
-    def absorbed(self, effect: Effect, joint: Joint, settings: Settings) -> dict[int, Array]:
+    def absorbed(
+        self, effect: Effect, joint: Joint, settings: Settings
+    ) -> dict[int, Array]:
         """Coefficients (., k) of rigid body (0) and friction (from 1) per unit of an effect."""
         first, found, both = joint or 0, dict[int, Array](), dict[int, Array]()
         touched = effect.steady_columns(self._trials(first), joint, settings)
         for j in (j for j in touched if has_trials(self.scene, j)):
-            own = touched if j == first else effect.steady_columns(self._trials(j), joint, settings)
+            own = (
+                touched
+                if j == first
+                else effect.steady_columns(self._trials(j), joint, settings)
+            )
             odd, even = 0.5 * (own[j] - own[j][::-1]), 0.5 * (own[j] + own[j][::-1])
             apart = self._by_direction(j, even)
             found[1 + j] = self._friction(j) @ (odd + apart)
             both[j] = np.split(even - apart, 2)[0]
-        seen = [self._gravity[j] @ half for j, half in both.items() if j in self._gravity]
+        seen = [
+            self._gravity[j] @ half for j, half in both.items() if j in self._gravity
+        ]
         return {0: np.sum(seen, axis=0), **found} if seen else found
 
     def beside(self, columns: Array, joint: int, absorbed: dict[int, Array]) -> Array:
@@ -56,7 +67,9 @@ class FileTrials:
         friction, gravity = absorbed.get(1 + joint), absorbed.get(0)
         if friction is not None:
             columns = columns - self.base.friction[joint][:, : len(friction)] @ friction
-        return columns if gravity is None else columns - self.base.rigid[joint] @ gravity
+        return (
+            columns if gravity is None else columns - self.base.rigid[joint] @ gravity
+        )
 
     def _friction(self, joint: int) -> Array:
         """Coefficients of a joint's surface (entries, N) per torque in its trials."""
@@ -68,8 +81,9 @@ class FileTrials:
     def _by_direction(self, joint: int, even: Array) -> Array:
         """Return what a surface of two directions takes of torque (N, k) that is alike both ways.
 
-        Beside gravity the stages have an offset and asymmetries of friction for it, with priors
-        (`identify.nuisances`): what fits them as well as gravity is shared as these say.
+        Beside gravity the stages have an offset and asymmetries of friction for it,
+        with priors (`identify.nuisances`): what fits them as well as gravity is shared
+        as these say.
         """
         surface, trials = self.scene.model.surfaces[joint], self._trials(joint)
         assert surface is not None
@@ -98,7 +112,8 @@ class FileTrials:
         if not joints or not own:
             return {}
         assert self.stages.friction is not None
-        weight, every = [], []  # all places of one joint count by the error of its friction
+        # all places of one joint count by the error of its friction
+        weight, every = [], []
         for j in joints:
             error = self.stages.friction.joints[self.scene.robot.joint_names[j]].rmse
             weight.append(1.0 / (max(error, 1e-12) * np.sqrt(self._trials(j).samples)))
@@ -124,7 +139,8 @@ def _steady(scene: Scene, joint: int) -> Scene:
     dq = np.zeros_like(q)
     dq[:, joint] = [speed for _, speed, _ in every]
     q, dq = np.vstack([q, q[::-1]]), np.vstack([dq, -dq[::-1]])
-    unfiltered = np.zeros(len(q), dtype=bool)  # steady motion passes a low-pass as it is
+    # steady motion passes a low-pass as it is
+    unfiltered = np.zeros(len(q), dtype=bool)
     motion = replace(
         scene.motion,
         t=np.arange(len(q)) / scene.motion.rate_hz,
@@ -136,4 +152,6 @@ def _steady(scene: Scene, joint: int) -> Scene:
         usable=unfiltered,
         valid=unfiltered,
     )
-    return Scene(robot=scene.robot, motion=motion, model=scene.model, sign_width=scene.sign_width)
+    return Scene(
+        robot=scene.robot, motion=motion, model=scene.model, sign_width=scene.sign_width
+    )

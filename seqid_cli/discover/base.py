@@ -4,10 +4,10 @@ Per joint the rows are
 
     tau - modelled = H dpi + F_j df_j + X_j dc,
 
-deviations of the rigid base parameters (shared by all joints) and of the joint's own friction from
-their values in the parameter file, and of the nuisance terms from what is known of them (see
-`nuisances`). Left out, these make clean logs show effects. So does what reversals leave of
-friction, which the rows are whitened for (see `reversals`).
+deviations of the rigid base parameters (shared by all joints) and of the joint's own
+friction from their values in the parameter file, and of the nuisance terms from what is
+known of them (see `nuisances`). Left out, these make clean logs show effects. So does
+what reversals leave of friction, which the rows are whitened for (see `reversals`).
 """
 
 from __future__ import annotations
@@ -24,13 +24,20 @@ from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, loaded_columns
+from seqid_cli.robot.base_parameters import (
+    Basis,
+    base_regressor,
+    free_basis,
+    loaded_columns,
+)
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array
 
 LIKELY = 2.0  # of a column's torque beforehand, over what the file leaves
-TIED = 1e-3  # of a surface's largest standard error, by which entries that are tied may part
-UNSHOWN = 1e-3  # of a joint's largest bound, at least: friction that no row shows is not free
+# of a surface's largest standard error, by which entries that are tied may part
+TIED = 1e-3
+# of a joint's largest bound, at least: friction that no row shows is not free
+UNSHOWN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -42,7 +49,8 @@ class Base:
     friction: tuple[Array, ...]  # (M_j, k_j)
     nuisances: tuple[NuisanceRows, ...]
     y: tuple[Array, ...]  # (M_j,) N m, residual of the file's model
-    prior: tuple[Array, ...]  # rows of unit variance by which the file knows deviations to be zero:
+    # rows of unit variance by which the file knows deviations to be zero:
+    prior: tuple[Array, ...]
     # rigid body (m, b), then friction by joint (m_j, k_j)
     whole: tuple[Whole, ...]
     start: Array  # (n,) N m, RMS of `y`
@@ -51,8 +59,8 @@ class Base:
     def bounds(self) -> list[Array]:
         """Inverse standard deviations: rigid (b,), then friction (k_j,) by joint.
 
-        No column's torque is likely to be more than some times what the file leaves. That keeps
-        directions harmless which the logs, or some of the folds, leave open.
+        No column's torque is likely to be more than some times what the file leaves.
+        That keeps directions harmless which the logs, or some of the folds, leave open.
         """
         rigid = self._likely(dict(enumerate(self.rigid)))
         friction = []
@@ -96,12 +104,19 @@ class Base:
         """
         found = []
         for number, whole in enumerate(self.whole):
-            moved, torque = whole.H @ rigid.astype(np.float32), np.empty_like(whole.residual)
+            moved, torque = (
+                whole.H @ rigid.astype(np.float32),
+                np.empty_like(whole.residual),
+            )
             for j, own in enumerate(friction):
                 for part in tiles(len(torque)):
-                    torque[part, j] = friction_columns(whole.scene, whole.stage, j, part) @ own
+                    torque[part, j] = (
+                        friction_columns(whole.scene, whole.stage, j, part) @ own
+                    )
             low = whole.scene.motion.filtered(torque, times=2)
-            own_terms = zip(nuisances, (rows.term for rows in self.nuisances), strict=False)
+            own_terms = zip(
+                nuisances, (rows.term for rows in self.nuisances), strict=False
+            )
             low += nuisance_torque(own_terms, number, low.shape)
             found.append(moved.astype(np.float64) + low)
         return found
@@ -162,7 +177,9 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         left.append(residual - nuisance_torque(known, number, residual.shape))
     law = stages.friction
     own = [
-        rows.columns(({j: friction_columns(scene, law, j)} for scene in rows.scenes), 2)[j]
+        rows.columns(
+            ({j: friction_columns(scene, law, j)} for scene in rows.scenes), 2
+        )[j]
         for j in range(robot.n)
     ]
     y = tuple(rows.torque(j, [r[:, j] for r in left]) for j in range(robot.n))
@@ -205,11 +222,16 @@ def friction_columns(
 ) -> Array:
     """Free friction of one joint, not low-passed: its surface, or Coulomb, viscous (and offset)."""
     surface, v = scene.model.surfaces[joint], scene.motion.dq[part, joint]
-    known = stage.joints.get(scene.robot.joint_names[joint]) if stage is not None else None
+    known = (
+        stage.joints.get(scene.robot.joint_names[joint]) if stage is not None else None
+    )
     if surface is None or known is None or known.parameters:  # these may have an offset
         terms = 2 if surface is None or known is None else len(known.parameters)
-        return np.stack([scene.sign[part, joint], v, np.ones_like(v)], axis=1)[:, :terms]
-    beyond = surface.scaling.faster(v) * np.sign(v)  # a drag where friction was not identified
+        return np.stack([scene.sign[part, joint], v, np.ones_like(v)], axis=1)[
+            :, :terms
+        ]
+    # a drag where friction was not identified
+    beyond = surface.scaling.faster(v) * np.sign(v)
     return np.column_stack([surface_columns(scene, joint, part), beyond])
 
 
@@ -217,7 +239,9 @@ def surface_columns(scene: Scene, joint: int, part: slice = slice(None)) -> Arra
     """Columns (N, entries) of a joint's friction surface, of some samples of a data set."""
     surface, motion = scene.model.surfaces[joint], scene.motion
     assert surface is not None
-    return surface.columns(motion.q[part, joint], motion.dq[part, joint])[:, : surface.entries]
+    return surface.columns(motion.q[part, joint], motion.dq[part, joint])[
+        :, : surface.entries
+    ]
 
 
 def _rigid_prior(basis: Basis, parts: Sequence[RigidStage | None]) -> Array:
@@ -249,9 +273,10 @@ def _friction_prior(stage: FrictionStage | None, name: str, size: int) -> Array:
 def _held_where_tied(covariance: Array) -> Array:
     """Rows (k, k) of unit variance from a covariance whose entries may be tied to one another.
 
-    The surfaces of both directions are one but for an offset and asymmetries. A direction in
-    which a surface has no variance is none that its law has: left out of the prior, it would be
-    free, and friction that differs by direction at every place takes up a spring.
+    The surfaces of both directions are one but for an offset and asymmetries. A
+    direction in which a surface has no variance is none that its law has: left out of
+    the prior, it would be free, and friction that differs by direction at every place
+    takes up a spring.
     """
     variance, direction = np.linalg.eigh((covariance + covariance.T) / 2.0)
     largest = float(variance.max(initial=0.0))

@@ -28,23 +28,28 @@ class DriveRows:
 
         tau_m - tau_l = k tau_l + I ddq + f(dq, q, tau_l) + c,
 
-    friction f and the rotor's inertia I, with an error k by which motor and sensor disagree about a
-    torque and a zero c of the sensor. What a model gets wrong of the link, and what else acts on
-    it, is not in these rows: it does not hide an effect of the drive there, nor pass for one.
+    friction f and the rotor's inertia I, with an error k by which motor and sensor
+    disagree about a torque and a zero c of the sensor. What a model gets wrong of the
+    link, and what else acts on it, is not in these rows: it does not hide an effect of
+    the drive there, nor pass for one.
     """
 
-    y: tuple[Array, ...] = ()  # (M_j,) N m the file leaves of motor less sensor; empty without one
-    columns: tuple[Array, ...] = ()  # (M_j, 3): the sensor's torque, rotor acceleration, constant
+    # (M_j,) N m the file leaves of motor less sensor; empty without one
+    y: tuple[Array, ...] = ()
+    # (M_j, 3): the sensor's torque, rotor acceleration, constant
+    columns: tuple[Array, ...] = ()
 
     def of(self, joint: int) -> bool:
         """Whether a joint has such rows."""
         return bool(self.y) and len(self.y[joint]) > 0
 
-    def part(self, joint: int, channel: int, size: float, *, disagree: float = 0.05) -> Part:
+    def part(
+        self, joint: int, channel: int, size: float, *, disagree: float = 0.05
+    ) -> Part:
         """What is free beside friction; `size` [N m] is what the file leaves.
 
-        By `disagree` motor and sensor may tell another torque: the robot file says so, by its
-        torque constants, and what leaves it tells against the file.
+        By `disagree` motor and sensor may tell another torque: the robot file says so,
+        by its torque constants, and what leaves it tells against the file.
         """
         X = self.columns[joint]
         likely = np.mean(X**2, axis=0) / (LIKELY * size) ** 2
@@ -57,7 +62,8 @@ def drive_rows(rows: Rows) -> DriveRows:
     """Take the rows of drives whose joints have a torque sensor in all logs."""
     if any(scene.sensor is None for scene in rows.scenes):
         return DriveRows()
-    every = []  # (N, n, 4), low-passed: what the file leaves of the drive's torque, its columns
+    # (N, n, 4), low-passed: what the file leaves of the drive's torque, its columns
+    every = []
     for scene in rows.scenes:
         motion = scene.motion
         assert scene.sensor is not None
@@ -74,10 +80,11 @@ def drive_rows(rows: Rows) -> DriveRows:
 class Candidate:
     """An effect at a joint (None: the whole arm) with its settings.
 
-    One `apart` has coefficients of its own above the cut-off: what is faster than the position loop
-    moves the arm, and the measured torque does not follow. One `absorbed` was there in the trials
-    of the file's friction and gravity, which have absorbed a part of it (see `FileTrials`): "all"
-    of them, or friction alone, where gravity is known from other joints' trials.
+    One `apart` has coefficients of its own above the cut-off: what is faster than the
+    position loop moves the arm, and the measured torque does not follow. One `absorbed`
+    was there in the trials of the file's friction and gravity, which have absorbed a
+    part of it (see `FileTrials`): "all" of them, or friction alone, where gravity is
+    known from other joints' trials.
     """
 
     effect: Effect
@@ -104,8 +111,8 @@ class Candidate:
     def is_same_as(self, other: Candidate, *, tolerance: float = 0.01) -> bool:
         """Whether two are one effect; a joint may have several lines and ripples.
 
-        These are one where orders and frequencies differ by a share of `tolerance` at most. Of what
-        is looked for to first order the settings say about which size.
+        These are one where orders and frequencies differ by a share of `tolerance` at
+        most. Of what is looked for to first order the settings say about which size.
         """
         if self.key != other.key:
             return False
@@ -121,12 +128,19 @@ class Candidate:
     def torques(self, scene: Scene, c: Array) -> dict[int, Array]:
         """Torque (N,) N m of coefficients c (k,) by joint, low-passed."""
         at = (scene.full or scene) if self.effect.wide else scene
-        every, passes = round(at.motion.rate_hz / scene.motion.rate_hz), self.effect.passes
-        shown = {j: at.motion.filtered(X @ c, times=passes) for j, X in self.columns(at).items()}
+        every, passes = (
+            round(at.motion.rate_hz / scene.motion.rate_hz),
+            self.effect.passes,
+        )
+        shown = {
+            j: at.motion.filtered(X @ c, times=passes)
+            for j, X in self.columns(at).items()
+        }
         return {j: torque[::every] for j, torque in shown.items()}
 
 
-MOST_COLUMNS = 2_000_000  # candidates times samples that are worked out together: memory
+# candidates times samples that are worked out together: memory
+MOST_COLUMNS = 2_000_000
 
 
 class Stage:
@@ -136,14 +150,18 @@ class Stage:
         self.rows, self.scenes, self.file = rows, rows.scenes, file
         self.high, self.drive = high_band(rows), drive_rows(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
-        self.known: dict[tuple[object, ...], tuple[Array, dict[int, Array]]] = {}  # see `effects`
+        # see `effects`
+        self.known: dict[tuple[object, ...], tuple[Array, dict[int, Array]]] = {}
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
         """Columns of candidates on the rows of the joints that they touch."""
         keys = [replace(candidate, absorbed="").address for candidate in candidates]
-        missing = {k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made}
+        missing = {
+            k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made
+        }
         for key, candidate in missing.items():
-            if candidate.effect.wide:  # kept at once: another setting of it may stand on these
+            # kept at once: another setting of it may stand on these
+            if candidate.effect.wide:
                 self._made[key] = self._wide(candidate)
         longest = max(scene.samples for scene in self.scenes)
         together = max(1, min(TOGETHER, MOST_COLUMNS // longest))
@@ -179,7 +197,8 @@ class Stage:
 
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
         """Columns of candidates that are low-passed alike, all in one go."""
-        owners: dict[int, dict[int, int]] = {}  # by joint: candidates, number of their columns
+        # by joint: candidates, number of their columns
+        owners: dict[int, dict[int, int]] = {}
 
         def together(scene: Scene) -> dict[int, Array]:
             raw = [c.columns(scene) for c in candidates]
@@ -193,18 +212,24 @@ class Stage:
         result: list[dict[int, Array]] = [{} for _ in candidates]
         for j, whole in self.rows.columns(map(together, self.scenes), passes).items():
             edges = np.cumsum([*owners[j].values()])
-            for i, X in zip(owners[j], np.split(whole, edges[:-1], axis=1), strict=True):
+            for i, X in zip(
+                owners[j], np.split(whole, edges[:-1], axis=1), strict=True
+            ):
                 result[i][j] = np.ascontiguousarray(X)
         return list(result)
 
-    def in_file(self, candidate: Candidate, columns: Channels) -> tuple[dict[int, Array], Channels]:
+    def in_file(
+        self, candidate: Candidate, columns: Channels
+    ) -> tuple[dict[int, Array], Channels]:
         """What the file has absorbed of a candidate (see `FileTrials`), and its columns less it."""
         file = self.file
         if not candidate.absorbed or file is None:
             return {}, columns
         found = file.absorbed(candidate.effect, candidate.joint, candidate.settings)
         own = {k: a for k, a in found.items() if k or candidate.absorbed == "all"}
-        below = {j: file.beside(X, j, own) for j, X in columns.items() if j < self.rows.n}
+        below = {
+            j: file.beside(X, j, own) for j, X in columns.items() if j < self.rows.n
+        }
         return own, {**columns, **below}
 
 
@@ -216,9 +241,10 @@ def candidates_of(
 ) -> Iterator[Candidate]:
     """Yield every effect at every joint with every setting of its grid.
 
-    `left` (N, n) per data set is the low-passed residual, which guides effects that look for
-    shapes; those that show above the cut-off as well get it at the logs' own rates. With `near`,
-    effects of other joints than these are left out (None among them: those of the whole arm).
+    `left` (N, n) per data set is the low-passed residual, which guides effects that
+    look for shapes; those that show above the cut-off as well get it at the logs' own
+    rates. With `near`, effects of other joints than these are left out (None among
+    them: those of the whole arm).
     """
     n = narrow[0].robot.n
     full = [scene.full or scene for scene in narrow]
@@ -238,4 +264,6 @@ def candidates_of(
                     if effect.steady and has_trials(narrow[0], joint):
                         yield Candidate(effect, joint, settings, absorbed="all")
                         if effect.even:
-                            yield Candidate(effect, joint, settings, absorbed="friction")
+                            yield Candidate(
+                                effect, joint, settings, absorbed="friction"
+                            )

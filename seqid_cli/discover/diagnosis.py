@@ -1,8 +1,8 @@
 """Diagnosis: what the model lacks on these logs, with the evidence.
 
-Every effect that the selection arrives at is compared with all others that touch its joints and
-with smooth functions of everything that was measured (see `select.naming`): what these explain
-better is not understood, and is said to be so.
+Every effect that the selection arrives at is compared with all others that touch its
+joints and with smooth functions of everything that was measured (see `select.naming`):
+what these explain better is not understood, and is said to be so.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,7 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.evidence import evidence_of, left_over, pushed, rivals_of, tried_at
+from seqid_cli.discover.evidence import (
+    evidence_of,
+    left_over,
+    pushed,
+    rivals_of,
+    tried_at,
+)
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.whiteness import white
@@ -42,19 +48,26 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-UNTOLD_SHARE = 0.9  # of a coefficient's variance beforehand, from which the logs tell nothing of it
+# of a coefficient's variance beforehand, from which the logs tell nothing of it
+UNTOLD_SHARE = 0.9
 HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
 def diagnose(
-    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: DiscoverOptions
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: DiscoverOptions,
 ) -> diagnosis.DiagnosisFile:
     """Find what a model lacks; InputError: a log without torque, or the torque of all an echo."""
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)
     kept, notes = usable_logs(recordings, robot)
     logs = [
-        without_effects(log, robot, stages, known, motion=motion.motion, source=motion.source)
+        without_effects(
+            log, robot, stages, known, motion=motion.motion, source=motion.source
+        )
         for log in kept
     ]
     options = replace(options, motion=with_own_cutoffs(logs, robot, stages, motion))
@@ -73,15 +86,20 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
 
     functions = [_unexplained(found, robot, taken) for taken in found.found.smooth]
-    first = {part.joint: part for part in sorted(functions, key=lambda part: part.share)}
-    rest = sorted(first.values(), key=lambda part: -part.share)  # the largest of each joint
+    first = {
+        part.joint: part for part in sorted(functions, key=lambda part: part.share)
+    }
+    # the largest of each joint
+    rest = sorted(first.values(), key=lambda part: -part.share)
     ordinary = expected(found)
     found = replace(found, floor=found.floor.with_detail(detail_of(found)))
     states = joint_states(found, ordinary, found.floor.high)
     excess = excess_residuals(found, ordinary)
     for joint, state in enumerate(states):
         if state == "unexplained":
-            excess.setdefault(joint, float(found.start[joint] / max(ordinary[joint], 1e-12)))
+            excess.setdefault(
+                joint, float(found.start[joint] / max(ordinary[joint], 1e-12))
+            )
     rest += [
         _excess(found, robot, joint, times)
         for joint, times in excess.items()
@@ -112,7 +130,9 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
             for log in [found.logs[event.scene]]
         ],
         hidden=[
-            diagnosis.HiddenEntry(effect=name, joint=robot.name_of(joint), visible=share)
+            diagnosis.HiddenEntry(
+                effect=name, joint=robot.name_of(joint), visible=share
+            )
             for (name, joint), share in visible
             if share < HIDDEN
         ],
@@ -123,12 +143,19 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
 def _contact(found: Investigation, robot: Robot) -> diagnosis.FindingEntry:
     """The finding that stands for all events.
 
-    A push stands alone. Where much more than noise is left all along, the largest moment of it may
-    be nothing else: it is no surer than its share in what is unknown at its joints.
+    A push stands alone. Where much more than noise is left all along, the largest
+    moment of it may be nothing else: it is no surer than its share in what is unknown
+    at its joints.
     """
-    effect, rows, left = CATALOGUE["external_contact"], found.ground.stage.rows, found.model.left()
+    effect, rows, left = (
+        CATALOGUE["external_contact"],
+        found.ground.stage.rows,
+        found.model.left(),
+    )
     floor = np.maximum(found.floor.rms, 1e-12)
-    energies = [e.energy(rows.scenes[e.scene], left[e.scene] / floor) for e in found.events]
+    energies = [
+        e.energy(rows.scenes[e.scene], left[e.scene] / floor) for e in found.events
+    ]
     unknown = np.maximum((found.model.rms() / floor) ** 2 - 1.0, 0.0)
     beyond = unknown * [rows.count(j) for j in range(rows.n)]
     near = [sum(beyond[j] for j in event.joints) for event in found.events]
@@ -150,7 +177,9 @@ def _contact(found: Investigation, robot: Robot) -> diagnosis.FindingEntry:
     )
 
 
-def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.FindingEntry:
+def _finding(
+    found: Investigation, robot: Robot, taken: Taken
+) -> diagnosis.FindingEntry:
     """Describe one effect that was taken."""
     what, model = taken.term.what, taken.model
     assert isinstance(what, Candidate)
@@ -196,13 +225,15 @@ def _parameter(value: Value) -> diagnosis.EffectParameter:
 def size_of(found: Investigation, taken: Taken) -> tuple[Array, Array]:
     """Coefficients (k,) of an effect that was taken, and their covariance (k, k).
 
-    A change of the file's values is judged in place of what hides it. What these other terms make
-    of its size, beyond how unsure it is beside them, is an error of it as well.
+    A change of the file's values is judged in place of what hides it. What these other
+    terms make of its size, beyond how unsure it is beside them, is an error of it as
+    well.
     """
     coefficients = taken.model.coefficients(taken.term)
     covariance = taken.model.covariance(taken.term)
 
-    # What the rows tell nothing of is as unsure as it was beforehand: it is not determined.
+    # What the rows tell nothing of is as unsure as it was beforehand: it is not
+    # determined.
     beforehand = 1.0 / np.diag(taken.term.part.precision)[: len(coefficients)]
     untold = taken.model.variances(taken.term) > UNTOLD_SHARE * beforehand
     covariance[untold, untold] = UNTOLD**2
@@ -213,10 +244,14 @@ def size_of(found: Investigation, taken: Taken) -> tuple[Array, Array]:
     return coefficients, covariance + np.diag(np.maximum(moved**2 - unsure, 0.0))
 
 
-def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int | None) -> str:
+def separate_by(
+    effect: Effect, others: Sequence[str], robot: Robot, joint: int | None
+) -> str:
     """What to record, and the command that plans it against the first rival where it can."""
     every = catalogue_of(robot).items()
-    asked = [n for n, e in every if e.by_motion and (joint is not None or e.arm or e.shared)]
+    asked = [
+        n for n, e in every if e.by_motion and (joint is not None or e.arm or e.shared)
+    ]
     rivals = [name for name in others if name in asked]
     if not rivals or not effect.by_motion:
         return effect.separate_by
@@ -226,14 +261,18 @@ def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int 
     return f"{effect.separate_by}; {command}"
 
 
-def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.UnexplainedPart:
+def _unexplained(
+    found: Investigation, robot: Robot, taken: Taken
+) -> diagnosis.UnexplainedPart:
     """Describe a smooth function that was taken."""
     what = taken.term.what
     assert isinstance(what, SmoothFunction)
     told, closest = taken.one.predicted, None
     if effects := [rival for rival in taken.rivals if not rival.term.smooth]:
         share = np.clip(effects[0].predicted.total / max(told.total, 1e-300), 0.0, 1.0)
-        closest = diagnosis.ClosestEffect(effect=effects[0].term.name, share=float(share))
+        closest = diagnosis.ClosestEffect(
+            effect=effects[0].term.name, share=float(share)
+        )
     return diagnosis.UnexplainedPart(
         joint=robot.joint_names[what.joint],
         depends_on=list(what.quantities),
@@ -252,12 +291,17 @@ def _excess(
     name, share, ground = robot.joint_names[joint], 1.0 - times**-2, found.ground
     terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
     gained = found.model.linear.gained([term.part for term in terms])
-    best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
+    best = max(
+        zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None
+    )
     part = diagnosis.UnexplainedPart(joint=name, depends_on=[], share=share)
     if best is not None and best[1].evidence > 0.0:
         what = best[0].what
         assert isinstance(what, SmoothFunction)
-        part.depends_on, part.evidence = list(what.quantities), left_over(found, robot, what)
+        part.depends_on, part.evidence = (
+            list(what.quantities),
+            left_over(found, robot, what),
+        )
     return part
 
 

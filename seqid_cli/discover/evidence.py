@@ -1,8 +1,8 @@
 """What a finding rests on, for people to see: residuals over what the effect goes with, and rivals.
 
-Before is what the model leaves without the effect, its base fitted anew, after is what it leaves
-with it: both on blocks of time that were left out of the fit, so that they show what the gain says.
-After must be flat, where the law is the right one.
+Before is what the model leaves without the effect, its base fitted anew, after is what
+it leaves with it: both on blocks of time that were left out of the fit, so that they
+show what the gain says. After must be flat, where the law is the right one.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -23,7 +23,8 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Index
 
-Take = Callable[[int, Sequence[Array]], Array]  # a joint's samples that count, of all logs
+# a joint's samples that count, of all logs
+Take = Callable[[int, Sequence[Array]], Array]
 
 MOST = 6  # rivals of each list that are told
 CELLS = 80  # of the quantity's range, that bins are made of
@@ -59,14 +60,19 @@ class _Over:
 
     def sign(self, scenes: Sequence[Scene], j: int, take: Take) -> Array | float:
         """Direction of motion at a joint's rows where it counts, else 1."""
-        return np.sign(take(j, [s.motion.dq[:, j] for s in scenes])) if self.sided else 1.0
+        return (
+            np.sign(take(j, [s.motion.dq[:, j] for s in scenes])) if self.sided else 1.0
+        )
 
 
 def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEntry:
     """Bin what is left without a term and with it, at its joint or the one that shows it most."""
     term, model, stage, n = taken.term, taken.model, found.ground.stage, found.ground.n
     theta = model.linear.theta[model.where(term)]
-    weight, own = model.noise.weight, [c for c in term.channels if term.joint in (c % n, None)]
+    weight, own = (
+        model.noise.weight,
+        [c for c in term.channels if term.joint in (c % n, None)],
+    )
     channel = max(own, key=lambda c: float(weight[c] @ term.part.torque(c, theta) ** 2))
     j, narrow = channel % n, channel // n != 1
     take = stage.rows.of if narrow else stage.high.of
@@ -77,7 +83,9 @@ def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEnt
     return _binned(robot, j, over, x, taken.left[channel] * sign, left * sign)
 
 
-def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> EvidenceEntry:
+def left_over(
+    found: Investigation, robot: Robot, what: SmoothFunction
+) -> EvidenceEntry:
     """Bin what is left at a joint over what it is most like; nothing takes that off."""
     scenes, take, j = found.ground.stage.scenes, found.ground.stage.rows.of, what.joint
     over = _over(what, np.zeros(0), scenes, j)
@@ -89,21 +97,28 @@ def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> Evide
 def pushed(found: Investigation, robot: Robot) -> EvidenceEntry:
     """Bin the residual over time around the strongest of some pushes; nothing takes that off."""
     event = max(found.events, key=lambda one: one.score)
-    left, scene = found.model.left()[event.scene], found.ground.stage.scenes[event.scene]
+    left, scene = (
+        found.model.left()[event.scene],
+        found.ground.stage.scenes[event.scene],
+    )
     near = event.inside(scene, AROUND_S)
     j = max(event.joints, key=lambda k: float(np.mean(left[near, k] ** 2)))
     x = found.logs[event.scene].offset + (scene.motion.t - scene.motion.t[0])[near]
     return _binned(robot, j, _Over("time", j), x, left[near, j])
 
 
-def _over(what: Candidate | SmoothFunction, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
+def _over(
+    what: Candidate | SmoothFunction, theta: Array, scenes: Sequence[Scene], j: int
+) -> _Over:
     """What a term with coefficients theta (k,) goes with; of a wave the place, 0 where it rises."""
     if isinstance(what, SmoothFunction):
         sided, axes = what.factor == "direction", [what.axes[0]]
     elif what.effect.over == "wave":
         turns, a, b = list[Array](), theta[::2], theta[1::2]
         for X in (what.columns(scene)[j] for scene in scenes):
-            turn = np.arctan2(X[:, ::2] @ a + X[:, 1::2] @ b, X[:, 1::2] @ a - X[:, ::2] @ b)
+            turn = np.arctan2(
+                X[:, ::2] @ a + X[:, 1::2] @ b, X[:, 1::2] @ a - X[:, ::2] @ b
+            )
             turns.append(np.mod(turn / (2 * np.pi), 1.0))
         return _Over("wave", j, values=turns)
     elif what.effect.over == "driving_load":
@@ -112,7 +127,8 @@ def _over(what: Candidate | SmoothFunction, theta: Array, scenes: Sequence[Scene
     else:
         axis = what.effect.axis(j, what.settings)
         sided, axes = what.effect.sided, [axis] if axis else []
-    if axes and axes[0].measure == "session_time":  # where logs share no clock: since each's start
+    # where logs share no clock: since each's start
+    if axes and axes[0].measure == "session_time":
         axes.append(Axis("time", axes[0].joint))
     for one in axes:
         known = [x for scene in scenes if (x := one.values(scene)) is not None]
@@ -160,10 +176,13 @@ def _each(what: Callable[[Array], np.floating], parts: Sequence[Array]) -> list[
     return [float(f"{what(part):.{DIGITS}g}") for part in parts]
 
 
-def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> list[RivalEntry]:
+def rivals_of(
+    robot: Robot, taken: Taken, alike: Collection[str] = ()
+) -> list[RivalEntry]:
     """What was tried in a term's place; `alike` are the effects that could be it as well."""
     others = _each_once(r for r in taken.rivals if r.term.key != taken.term.key)
-    told = sorted(others, key=lambda one: one.term.name not in alike)[:MOST]  # these first
+    # these first
+    told = sorted(others, key=lambda one: one.term.name not in alike)[:MOST]
     ranked = sorted(told, key=lambda one: -one.predicted.total)
     return [_rival(robot, one, _beside(one, taken, alike)) for one in ranked]
 
@@ -171,7 +190,9 @@ def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> list[R
 def tried_at(found: Investigation, robot: Robot, joint: int) -> list[RivalEntry]:
     """What was tried at a joint beside all that was taken, the largest gain first."""
     n = found.ground.n
-    here = (r for r in found.found.tried if any(c % n == joint for c in r.term.channels))
+    here = (
+        r for r in found.found.tried if any(c % n == joint for c in r.term.channels)
+    )
     return [_rival(robot, one, _lacking(one)) for one in _each_once(here)[:MOST]]
 
 
@@ -186,21 +207,28 @@ def _each_once(some: Iterable[Ranked]) -> list[Ranked]:
 def _rival(robot: Robot, one: Ranked, why_not: str) -> RivalEntry:
     name, joint = one.term.name, robot.name_of(one.term.joint)
     name = f"some function of {name}" if one.term.smooth else name
-    return RivalEntry(effect=name, joint=joint, log_gain=one.predicted.total, why_not=why_not)
+    return RivalEntry(
+        effect=name, joint=joint, log_gain=one.predicted.total, why_not=why_not
+    )
 
 
 def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
     """Why a rival was not taken in a term's place."""
     reach = one.predicted.total / max(taken.one.predicted.total, 1e-300)
     if one.term.name in alike:
-        return f"these logs cannot tell the two apart: it reaches {percent(reach)} of the gain"
+        return (
+            f"these logs cannot tell the two apart: it reaches {percent(reach)} of the"
+            " gain"
+        )
     if reach <= 0.0:
         return "predicts nothing in its place"
     if reach < 1.0 - Options().small:
         return f"explains {percent(1.0 - reach)} less"
     more, own = one.term.freedom, taken.term.freedom
     if more > own:
-        return f"needs {more} parameters, not {own}, to reach {percent(reach)} of the gain"
+        return (
+            f"needs {more} parameters, not {own}, to reach {percent(reach)} of the gain"
+        )
     return f"no better: it reaches {percent(reach)} of the gain"
 
 
@@ -211,9 +239,15 @@ def _lacking(one: Ranked) -> str:
         return "predicts left-out blocks worse than the model without it"
     if told.doubt >= options.doubt:
         chance, most = percent(told.doubt), percent(options.doubt)
-        return f"gains nothing in {chance} of drawn blocks of time; {most} is allowed at most"
+        return (
+            f"gains nothing in {chance} of drawn blocks of time; {most} is allowed at"
+            " most"
+        )
     if (evidence := one.gained.evidence) <= options.chance:
-        return f"log evidence of {evidence:.1f}, as of noise; {options.chance:g} is asked at least"
+        return (
+            f"log evidence of {evidence:.1f}, as of noise; {options.chance:g} is asked"
+            " at least"
+        )
     if told.share <= options.improvement:
         share, least = percent(told.share), percent(options.improvement)
         return f"takes away {share} of the squared error; {least} is asked at least"

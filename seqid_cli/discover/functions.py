@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Unpack
 from msgspec import structs
 
 from seqid_cli.discover.options import DiagnoseOptions, DiscoverOptions, RefineOptions
-from seqid_cli.discover.refinement.log_sets import check_unseen, find_earlier, held_out_logs
+from seqid_cli.discover.refinement.log_sets import (
+    check_unseen,
+    find_earlier,
+    held_out_logs,
+)
 from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.options import Keywords, documented
@@ -42,7 +46,8 @@ def diagnose(
     Parameters
     ----------
     logs : path, table, recording, or a sequence of them
-        Any logs with torque or current; of long ones excerpts are taken (see `excerpts`).
+        Any logs with torque or current; of long ones excerpts are taken (see
+        `excerpts`).
     parameters : path or ParameterFile, or a sequence of them
         With the stages friction and inertia; effects that are in it are not missing.
     """
@@ -96,17 +101,20 @@ def refine(
     logs : path, table, recording, or a sequence of them
         Logs to fit; effects are chosen on left-out blocks of them.
     holdout : path, table, recording, or a sequence of them
-        Logs that are opened after the last decision: they choose nothing, and what they do not
-        confirm is taken out.
+        Logs that are opened after the last decision: they choose nothing, and what they
+        do not confirm is taken out.
     parameters : path or ParameterFile, or a sequence of them
-        As in `diagnose`; logs of earlier stages are read again where they are still there.
+        As in `diagnose`; logs of earlier stages are read again where they are still
+        there.
     """
     held_out, target = held_out_logs(logs, holdout), optional(keywords.get("output"))
     files = [log for log in held_out if isinstance(log, Path)]
     if target is not None:
         check_output(target, files)
     needs = ("friction", "inertia", *imu_stage_for(options.source))
-    inputs = prepare(logs, robot, parameters, options, needs=needs, stored=False, **keywords)
+    inputs = prepare(
+        logs, robot, parameters, options, needs=needs, stored=False, **keywords
+    )
     search = replace(_search(inputs, options), max_effects=options.rounds)
     search = replace(search, with_unexplained=options.with_unexplained)
     file = _refined(
@@ -147,20 +155,29 @@ def _refined(
     robot, previous, stages = inputs.robot, inputs.previous, inputs.stages
     training, motion = LogSet.of(inputs), search.motion
     fitted = take_excerpts(training, robot, stages, options=motion, places=False)
-    at_hand = {sha256: some[0].path for sha256, some in by_digest(fitted.recordings).items()}
+    at_hand = {
+        sha256: some[0].path for sha256, some in by_digest(fitted.recordings).items()
+    }
     files = [log for log in held_out if isinstance(log, Path)]
     folders = [path.parent for path in inputs.parameters]
     found = find_earlier(previous.inputs, folders, at_hand=at_hand, held_out=files)
     earlier, unread = read_earlier(inputs, found, fitted, motion)
     count = sum(map(len, earlier.values()))
-    training.tell("detail", text=f"{len(fitted.recordings)} logs to fit, {count} of earlier stages")
-    decided = decide(fitted.recordings, robot, previous, earlier=earlier, options=search)
+    training.tell(
+        "detail",
+        text=f"{len(fitted.recordings)} logs to fit, {count} of earlier stages",
+    )
+    decided = decide(
+        fitted.recordings, robot, previous, earlier=earlier, options=search
+    )
 
-    # Nothing is chosen any more: now the held-out logs are opened. They take out what they do not
-    # confirm, by a rule that is fixed.
+    # Nothing is chosen any more: now the held-out logs are opened. They take out what
+    # they do not confirm, by a rule that is fixed.
     kept_out = LogSet.of(replace(inputs, logs=tuple(held_out), missing=()))
     unseen = take_excerpts(kept_out, robot, stages, options=motion, places=False)
-    held = {sha256: some[0].path for sha256, some in by_digest(unseen.recordings).items()}
+    held = {
+        sha256: some[0].path for sha256, some in by_digest(unseen.recordings).items()
+    }
     check_unseen(held.items(), {**found.paths, **at_hand})
     whole = WholeLogs(tuple(files), robot, inputs.options.time_source)
     confirmed = confirm(
@@ -188,4 +205,6 @@ def _refined(
     )
     created = created_from([previous], [*training.times_s(), *kept_out.times_s()])
     read = training.inputs("effects")
-    return refined(previous, robot_id(robot), read, confirmed.stages, loop, created=created)
+    return refined(
+        previous, robot_id(robot), read, confirmed.stages, loop, created=created
+    )

@@ -1,7 +1,8 @@
 """The investigation behind a diagnosis: data sets, rows, selection, events, noise floor.
 
-Short stretches that stand out against everything else the logs show are events. They are taken out,
-and so are samples at which the torque of an effect is not known. Then the selection goes on.
+Short stretches that stand out against everything else the logs show are events. They
+are taken out, and so are samples at which the torque of an effect is not known. Then
+the selection goes on.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,12 @@ from functools import cached_property
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_floor, rms
+from seqid_cli.discover.noise.floor import (
+    NoiseFloor,
+    encoder_residuals,
+    noise_floor,
+    rms,
+)
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
@@ -36,8 +42,8 @@ AROUND_S = 0.5
 class FileResidual:
     """What the parameter file leaves on the rows that it sees, before anything is taken out.
 
-    `residual` (M_j,) N m (N where prismatic) is by joint, on the joint's rows; `counts` (M_j,) says
-    which of these count.
+    `residual` (M_j,) N m (N where prismatic) is by joint, on the joint's rows; `counts`
+    (M_j,) says which of these count.
     """
 
     rows: Rows
@@ -58,7 +64,9 @@ class FileResidual:
         """The same without some samples (N, n) of each log."""
         counts = []
         for joint, kept in enumerate(self.counts):
-            gone = self.rows.of(joint, [mask[:, joint].astype(np.float64) for mask in masks])
+            gone = self.rows.of(
+                joint, [mask[:, joint].astype(np.float64) for mask in masks]
+            )
             counts.append(kept & (gone == 0.0))
         return replace(self, counts=tuple(counts))
 
@@ -77,9 +85,13 @@ class FileResidual:
     def rms_by_log(self) -> Array:
         """RMS (logs, n) N m; NaN where a log has no row of a joint."""
         scenes = self.rows.scenes
-        numbers = [np.full(scene.samples, number) for number, scene in enumerate(scenes)]
+        numbers = [
+            np.full(scene.samples, number) for number, scene in enumerate(scenes)
+        ]
         found = np.full((len(scenes), self.rows.n), np.nan)
-        for joint, (values, kept) in enumerate(zip(self.residual, self.counts, strict=True)):
+        for joint, (values, kept) in enumerate(
+            zip(self.residual, self.counts, strict=True)
+        ):
             log = self.rows.of(joint, numbers)
             for number in np.unique(log[kept]):
                 found[number, joint] = rms(values[kept & (log == number)])
@@ -120,7 +132,9 @@ class Investigation:
     @property
     def touched(self) -> set[int]:
         """Joints that something was found at."""
-        return {c % self.ground.n for taken in self.found.taken for c in taken.term.channels}
+        return {
+            c % self.ground.n for taken in self.found.taken for c in taken.term.channels
+        }
 
 
 def investigate(
@@ -156,7 +170,9 @@ def investigate(
     return Investigation(tuple(logs), told, floor, tuple(events), file)
 
 
-def _mark(events: Sequence[Interval], scenes: Sequence[Scene], masks: Sequence[Mask]) -> None:
+def _mark(
+    events: Sequence[Interval], scenes: Sequence[Scene], masks: Sequence[Mask]
+) -> None:
     """Mark samples of events in masks (N, n), and those that feel them through the low-pass."""
     for event in events:
         scene = scenes[event.scene]
@@ -175,9 +191,9 @@ def investigate_beside(
 ) -> tuple[Investigation, bool]:
     """Select again where the stages are others and the logs are freed of what they have taken in.
 
-    `candidates` are what was found before and is not in the model yet: the one of them that gains
-    most now is told, or all that the model may still lack where that is no finding. Also whether
-    all was looked for. Events are those of before.
+    `candidates` are what was found before and is not in the model yet: the one of them
+    that gains most now is told, or all that the model may still lack where that is no
+    finding. Also whether all was looked for. Events are those of before.
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     ground = Ground.of(rows, stages)
@@ -197,22 +213,28 @@ def guessed(model: Model) -> list[Mask]:
     masks = [np.zeros_like(scene.slides) for scene in scenes]
     for what in model.candidates:
         for scene, mask in zip(scenes, masks, strict=True):
-            for joint, own in what.effect.guessed(scene, what.joint, what.settings).items():
+            for joint, own in what.effect.guessed(
+                scene, what.joint, what.settings
+            ).items():
                 mask[:, joint] |= own
     return masks
 
 
-def events_of(model: Model, guess: Sequence[Mask], *, most: float = 0.5) -> list[Interval]:
+def events_of(
+    model: Model, guess: Sequence[Mask], *, most: float = 0.5
+) -> list[Interval]:
     """Stretches that stand out in what the model leaves, and are no errors of its laws.
 
-    At `most` of their samples an effect may have any torque (`guess`, (N, n)), a joint does not
-    slide, or stops above the cut-off.
+    At `most` of their samples an effect may have any torque (`guess`, (N, n)), a joint
+    does not slide, or stops above the cut-off.
     """
     rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
     own = zip(model.linear.left_out[: rows.n], model.noise.sigma, strict=False)
     for event in find_events(rows, [r / sigma for r, sigma in own]):
         scene = rows.scenes[event.scene]
-        unknown = (guess[event.scene] | scene.stops | ~scene.slides)[event.inside(scene)]
+        unknown = (guess[event.scene] | scene.stops | ~scene.slides)[
+            event.inside(scene)
+        ]
         known = np.mean(unknown[:, list(event.joints)]) <= most
         if known and not of_law(event, scene, left[event.scene]):
             found.append(event)
@@ -233,15 +255,18 @@ def not_of_terms(events: Sequence[Interval], model: Model) -> list[Interval]:
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
     """Whether an event's residual (N, n) N m is small beside the torque's swing around it.
 
-    The more it stands out against moments of like motion, at which a law errs alike, the smaller it
-    may be; but not within a period of the cut-off of where a joint may stick.
+    The more it stands out against moments of like motion, at which a law errs alike,
+    the smaller it may be; but not within a period of the cut-off of where a joint may
+    stick.
     """
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     period = round(scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)
     for j in event.joints:
         least = Options.small * float(np.ptp(scene.modelled[around, j]))
         away = inside & shrink(scene.slides[:, j], period)
-        size = max(rms(residual[inside, j]), rms(residual[away, j]) * event.score / GATE)
+        size = max(
+            rms(residual[inside, j]), rms(residual[away, j]) * event.score / GATE
+        )
         if size >= least:
             return False
     return True

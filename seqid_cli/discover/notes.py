@@ -39,13 +39,17 @@ def expected(found: Investigation) -> Array:
 def excess_residuals(found: Investigation, ordinary: Array) -> dict[int, float]:
     """Joints with more than `ordinary` (n,) N m left after all that was found, and how many times.
 
-    The largest first; not where the file alone fits as well as expected, nor where the noise floor
-    may be as large, for all that so short a log tells of it.
+    The largest first; not where the file alone fits as well as expected, nor where the
+    noise floor may be as large, for all that so short a log tells of it.
     """
     left = np.minimum(found.model.rms(), found.start)
     times, most = left / np.maximum(ordinary, 1e-12), found.floor.high
     order = np.argsort(-times, kind="stable").tolist()
-    return {j: float(times[j]) for j in order if times[j] > MORE_THAN_NOISE and left[j] > most[j]}
+    return {
+        j: float(times[j])
+        for j in order
+        if times[j] > MORE_THAN_NOISE and left[j] > most[j]
+    }
 
 
 def notes_of(
@@ -60,21 +64,22 @@ def notes_of(
     named = {*unexplained, *(names[j] for j in (*delays, *excess))}
     return [
         *(
-            f"joint {names[j]}: torque is {1e3 * abs(delay):.1f} ms "
-            f"{'late' if delay > 0 else 'early'} against position, less than a sample, and taken "
-            "for the logger's own; logs at a higher rate would tell a skew or a lag"
+            f"joint {names[j]}: torque is {1e3 * abs(delay):.1f} ms"
+            f" {'late' if delay > 0 else 'early'} against position, less than a sample,"
+            " and taken for the logger's own; logs at a higher rate would tell a skew"
+            " or a lag"
             for j, delay in delays.items()
         ),
         *(
-            f"joint {names[j]}: what is left is {times:.1f} times what torque noise and encoder "
-            "account for"
+            f"joint {names[j]}: what is left is {times:.1f} times what torque noise and"
+            " encoder account for"
             for j, times in excess.items()
         ),
         *file_notes(found, robot, ordinary, named),
         *(
-            f"{robot.name_of(one.term.joint) or 'all joints'}: {one.term.name} was there when the "
-            "file was identified, which has absorbed a part of it: refine identifies the stages "
-            "anew"
+            f"{robot.name_of(one.term.joint) or 'all joints'}: {one.term.name} was"
+            " there when the file was identified, which has absorbed a part of it:"
+            " refine identifies the stages anew"
             for one in found.found.effects
             if isinstance(one.term.what, Candidate) and one.term.what.absorbed
         ),
@@ -95,39 +100,50 @@ def file_notes(
         if times <= MORE_THAN_NOISE or j in found.touched or name in named:
             continue
         notes.append(
-            f"joint {name}: the file leaves {times:.1f} times what torque noise and encoder do, "
-            "but that does not go with the motion, as slow noise does not"
+            f"joint {name}: the file leaves {times:.1f} times what torque noise and"
+            " encoder do, but that does not go with the motion, as slow noise does not"
         )
     return tuple(notes)
 
 
 def unseen_note(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Joints of which no sample could be looked at."""
-    names = [joint.name for joint, n in zip(robot.joints, found.file.samples, strict=True) if not n]
+    names = [
+        joint.name
+        for joint, n in zip(robot.joints, found.file.samples, strict=True)
+        if not n
+    ]
     if not names:
         return ()
     return (
-        f"no sample of {', '.join(names)} could be looked at: samples count where a joint surely "
-        "slides, at speeds and positions at which friction was identified, in at least three parts "
-        "of the logs; record motions of some ten seconds in which it does",
+        (
+            f"no sample of {', '.join(names)} could be looked at: samples count where a"
+            " joint surely slides, at speeds and positions at which friction was"
+            " identified, in at least three parts of the logs; record motions of some"
+            " ten seconds in which it does"
+        ),
     )
 
 
 def _free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Joints without a finding that a model fitted to these logs surely predicts worse."""
     left, worse = found.model.rms(), list[str]()
-    for j, joint in ((j, x) for j, x in enumerate(robot.joints) if j not in found.touched):
+    for j, joint in (
+        (j, x) for j, x in enumerate(robot.joints) if j not in found.touched
+    ):
         if predicted_worse(found, j):
             sizes = f"{left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')}"
             worse.append(f"{joint.name} ({sizes})")
     note = (
-        f"these logs are too short to judge the model at {', '.join(worse)}: fitted to a part of "
-        "them, it predicts the rest worse than the file does"
+        f"these logs are too short to judge the model at {', '.join(worse)}: fitted to"
+        " a part of them, it predicts the rest worse than the file does"
     )
     return (note,) if worse else ()
 
 
-def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[str, ...]:
+def outside_notes(
+    found: Investigation, robot: Robot, ordinary: Array
+) -> tuple[str, ...]:
     """Joints beyond their identified friction, where more than `ordinary` (n,) N m is left."""
     scenes, shown = found.ground.stage.scenes, found.model.shown()
     sliding = np.concatenate([scene.slides for scene in scenes])
@@ -142,10 +158,10 @@ def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[
         times = rms(left[outside[:, j], j]) / max(ordinary[j], 1e-12)
         if times > MORE_THAN_NOISE:
             notes.append(
-                f"joint {name}: {percent(share, 0)} of its moving samples are at speeds or "
-                f"positions at which friction was not identified; {times:.0f} times what torque "
-                "noise and encoder account for is left there, and no effect was looked for in it; "
-                "identify friction with trials there"
+                f"joint {name}: {percent(share, 0)} of its moving samples are at speeds"
+                f" or positions at which friction was not identified; {times:.0f} times"
+                " what torque noise and encoder account for is left there, and no"
+                " effect was looked for in it; identify friction with trials there"
             )
     return tuple(notes)
 
@@ -159,9 +175,9 @@ def deflection_notes(stages: Stages, robot: Robot) -> tuple[str, ...]:
         if bends is not None and bends.joint not in has:
             unit = robot.joints[robot.joint_names.index(bends.joint)].unit("rad/s^2")
             notes.append(
-                f"joint {bends.joint}: imu-calib saw {name} accelerate by {bends.acceleration:.2g} "
-                f"{unit} (RMS) beyond what the joint's encoder tells: that "
-                f"speaks for {' or '.join(DEFLECTING)} there"
+                f"joint {bends.joint}: imu-calib saw {name} accelerate by"
+                f" {bends.acceleration:.2g} {unit} (RMS) beyond what the joint's"
+                f" encoder tells: that speaks for {' or '.join(DEFLECTING)} there"
             )
     return tuple(notes)
 

@@ -4,8 +4,9 @@ A nuisance term is a column x (N,) with a coefficient c that is known beforehand
 
     tau = modelled + c x + ...,   c ~ N(mean, std^2).
 
-Its torque stands in the base of a diagnosis, so that what it explains is not told as an effect.
-`nuisances_of` is the one place that says which terms there are and how well they are known.
+Its torque stands in the base of a diagnosis, so that what it explains is not told as an
+effect. `nuisances_of` is the one place that says which terms there are and how well
+they are known.
 """
 
 from __future__ import annotations
@@ -32,12 +33,13 @@ class Nuisance:
     name : str
         The quantity, `delay` for one.
     columns : mapping of joint index to sequence of (N,) arrays
-        Torque [N m; N where prismatic] per unit of the coefficient, low-passed as the torque is,
-        of each data set.
+        Torque [N m; N where prismatic] per unit of the coefficient, low-passed as the
+        torque is, of each data set.
     std : float
         Standard deviation of the coefficient beforehand.
     mean : float
-        What the parameter file says of the coefficient and its model's torque does not hold.
+        What the parameter file says of the coefficient and its model's torque does not
+        hold.
     largest : float
         Deviation from the mean above which the term is left to effects.
     """
@@ -67,22 +69,27 @@ def nuisances_of(scenes: Sequence[Scene], stages: Stages) -> list[Nuisance]:
     Returns
     -------
     list of Nuisance
-        What the delay [s] of each joint's torque against its position is more than the file's.
-        Offset and asymmetry have no terms here: they are in the file's friction, which may move.
+        What the delay [s] of each joint's torque against its position is more than the
+        file's. Offset and asymmetry have no terms here: they are in the file's
+        friction, which may move.
     """
-    # Within a sample a delay is the logger's own, another one in every session. Beyond that and
-    # the file's own error it is left to effects.
+    # Within a sample a delay is the logger's own, another one in every session. Beyond
+    # that and the file's own error it is left to effects.
     sample_s = max(scene.period for scene in scenes)
     stated = stages.friction.joints if stages.friction else {}
     slopes = [
-        differentiate(scene.modelled_filtered, scene.motion.rate_hz, scene.motion.valid)[0]
+        differentiate(
+            scene.modelled_filtered, scene.motion.rate_hz, scene.motion.valid
+        )[0]
         for scene in scenes
     ]
 
     found = []
     for joint, name in enumerate(scenes[0].robot.joint_names):
         terms = stated[name].nuisances if name in stated else []
-        std_error_s = next((term.std_error for term in terms if term.name == DELAY), 0.0)
+        std_error_s = next(
+            (term.std_error for term in terms if term.name == DELAY), 0.0
+        )
         std_s = float(np.hypot(sample_s, std_error_s))
         found.append(
             Nuisance(

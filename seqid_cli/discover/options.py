@@ -9,8 +9,8 @@ from seqid_cli.identify.options import InertiaOptions, LogOptions, Source
 class DiagnoseOptions(LogOptions):
     """Where joint motion comes from.
 
-    `source` "auto" takes IMUs only where encoders are too coarse: what a drive or its encoder does
-    wrong is to be found, and IMUs would make up for it.
+    `source` "auto" takes IMUs only where encoders are too coarse: what a drive or its
+    encoder does wrong is to be found, and IMUs would make up for it.
     """
 
     source: Source = "auto"
@@ -20,9 +20,9 @@ class DiagnoseOptions(LogOptions):
 class RefineOptions(DiagnoseOptions):
     """What a refinement adds.
 
-    At most `rounds` times an effect, at one joint or at several, or without a limit; smooth terms
-    `with_unexplained` where none explains. What the held-out logs do not confirm is taken out,
-    unless `keep_unconfirmed` asks for it.
+    At most `rounds` times an effect, at one joint or at several, or without a limit;
+    smooth terms `with_unexplained` where none explains. What the held-out logs do not
+    confirm is taken out, unless `keep_unconfirmed` asks for it.
     """
 
     rounds: int | None = None
@@ -34,10 +34,12 @@ class RefineOptions(DiagnoseOptions):
 class DiscoverOptions:
     """How effects are looked for.
 
-    Refinement adds effects in at most `max_effects` rounds, without a limit if that is None (see
-    `RefineOptions`).
+    Refinement adds effects in at most `max_effects` rounds, without a limit if that is
+    None (see `RefineOptions`).
     """
 
-    motion: InertiaOptions = field(default_factory=lambda: InertiaOptions(source="needed"))
+    motion: InertiaOptions = field(
+        default_factory=lambda: InertiaOptions(source="needed")
+    )
     max_effects: int | None = None
     with_unexplained: bool = False

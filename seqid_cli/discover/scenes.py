@@ -21,11 +21,16 @@ from seqid_cli.motion.motion import decimated, estimate_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
-SAMPLES_PER_CUTOFF = 24  # enough for steps of friction, whose time is known to half a sample
+# enough for steps of friction, whose time is known to half a sample
+SAMPLES_PER_CUTOFF = 24
 
 
 def scenes_of(
-    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
+    recordings: Iterable[Recording],
+    robot: Robot,
+    stages: Stages,
+    *,
+    options: InertiaOptions,
 ) -> list[Scene]:
     """Build the data set of every log with torque or current, with the model as it stands."""
     logs = list(recordings)
@@ -39,9 +44,13 @@ def scenes_of(
     top = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
     width = sign_widths(model, top)
     scenes = []
-    for number, (log, motion, start) in enumerate(zip(logs, motions, starts, strict=True)):
+    for number, (log, motion, start) in enumerate(
+        zip(logs, motions, starts, strict=True)
+    ):
         alone = scene_of_log(log, robot, model, motion)
-        place = replace(alone, log=number, start=start, shared_clock=shared, sign_width=width)
+        place = replace(
+            alone, log=number, start=start, shared_clock=shared, sign_width=width
+        )
         scenes.append(thinned(replace(place, encoder=log.q, measured=log.tau)))
     return scenes
 
@@ -51,19 +60,30 @@ def with_own_cutoffs(
 ) -> InertiaOptions:
     """Options that filter logs at their own cut-off where encoders are too coarse for the model's.
 
-    Unless the user gave the cut-off, and where no IMU helps. What motion is made is kept.
+    Unless the user gave the cut-off, and where no IMU helps. What motion is made is
+    kept.
     """
     if options.motion.kept is None:
         options = replace(options, motion=replace(options.motion, kept={}))
     if options.motion.origin == "as given":
         return options
-    alone = [x for x in logs if estimate_motion(x, robot, options.motion).cutoff.above_own]
+    alone = [
+        x for x in logs if estimate_motion(x, robot, options.motion).cutoff.above_own
+    ]
     scenes = scenes_of(alone, robot, stages, options=options) if alone else []
-    own = {log.sha256 for log, scene in zip(alone, scenes, strict=True) if _is_coarse(log, scene)}
-    return replace(options, motion=replace(options.motion, own=options.motion.own | own))
+    own = {
+        log.sha256
+        for log, scene in zip(alone, scenes, strict=True)
+        if _is_coarse(log, scene)
+    }
+    return replace(
+        options, motion=replace(options.motion, own=options.motion.own | own)
+    )
 
 
-def _is_coarse(log: Recording, scene: Scene, *, most: float = Options.improvement) -> bool:
+def _is_coarse(
+    log: Recording, scene: Scene, *, most: float = Options.improvement
+) -> bool:
     """Whether encoder noise makes a share, of which terms count, of what the model leaves."""
     if scene.motion.source != "encoder":
         return False
@@ -85,8 +105,9 @@ def thinned(full: Scene) -> Scene:
 def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
     """Seconds from the earliest log's start to each log's, and whether the logs tell them.
 
-    Logs whose own clocks all begin at zero, or lie years apart, tell nothing of it. Of pieces it is
-    the logs that are asked, and a piece knows at any rate where in its log it begins.
+    Logs whose own clocks all begin at zero, or lie years apart, tell nothing of it. Of
+    pieces it is the logs that are asked, and a piece knows at any rate where in its log
+    it begins.
     """
     logs = [whole_of(pieces[0]) for pieces in by_log(recordings)]
     begun, lengths = np.array([(whole.start, whole.length) for whole in logs]).T
@@ -103,13 +124,19 @@ def usable_logs(
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """Leave out logs whose torque is an echo of the command (see `inspect.dynamics.echo`).
 
-    A log that comes in pieces is one if half of these are. Returns what is left, and a note on
-    every log that was left out. Raises InputError: nothing is left.
+    A log that comes in pieces is one if half of these are. Returns what is left, and a
+    note on every log that was left out. Raises InputError: nothing is left.
     """
     kept, left_out = list[Recording](), list[tuple[str, str]]()
     for pieces in by_log(recordings):
-        every = [echoes(robot, x.t, x.q, x.tau, x.valid) for x in pieces if x.tau is not None]
-        echoed = [", ".join(robot.joint_names[j] for j in found) for found in every if len(found)]
+        every = [
+            echoes(robot, x.t, x.q, x.tau, x.valid) for x in pieces if x.tau is not None
+        ]
+        echoed = [
+            ", ".join(robot.joint_names[j] for j in found)
+            for found in every
+            if len(found)
+        ]
         if 2 * len(echoed) >= len(pieces) and echoed:
             left_out.append((str(pieces[0].path), echoed[0]))
         else:
@@ -118,4 +145,6 @@ def usable_logs(
         path, first = left_out[0]
         others = f" (and {len(left_out) - 1} more logs)" if len(left_out) > 1 else ""
         raise InputError(f"joint {first}: {WARNING}{others}", where=path, hint=REMEDY)
-    return kept, tuple(f"{p} is left out: joint {j}: {WARNING}; {REMEDY}" for p, j in left_out)
+    return kept, tuple(
+        f"{p} is left out: joint {j}: {WARNING}; {REMEDY}" for p, j in left_out
+    )

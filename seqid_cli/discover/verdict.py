@@ -1,9 +1,10 @@
 """Whether anything is missing: what the file leaves of each joint's torque, against its noise.
 
-The parameter file is judged as it came, on all rows that it sees. A model that is fitted to these
-rows says why more than noise is left: where it leaves noise only, the form of the model is right
-and the file's values are not; where it leaves more, something is missing that no effect explains;
-where it predicts left-out blocks worse than the file does, the logs are too short to tell.
+The parameter file is judged as it came, on all rows that it sees. A model that is
+fitted to these rows says why more than noise is left: where it leaves noise only, the
+form of the model is right and the file's values are not; where it leaves more,
+something is missing that no effect explains; where it predicts left-out blocks worse
+than the file does, the logs are too short to tell.
 """
 
 from __future__ import annotations
@@ -68,10 +69,15 @@ def _state(
     left_when_fitted = found.model.rms()[joint]
     if left_when_fitted <= min(FITTED * left_by_file, many_floors):
         return "changed"
-    if left_when_fitted <= most_of_noise < left_by_file and predicted_better(found, joint):
+    if left_when_fitted <= most_of_noise < left_by_file and predicted_better(
+        found, joint
+    ):
         return "changed"
-    # Between the two bounds a small lack cannot be told from noise that is larger than it seems.
-    return "unexplained" if left_by_file > max(most_of_noise, many_floors) else "too_short"
+    # Between the two bounds a small lack cannot be told from noise that is larger than
+    # it seems.
+    return (
+        "unexplained" if left_by_file > max(most_of_noise, many_floors) else "too_short"
+    )
 
 
 def predicted_worse(found: Investigation, joint: int) -> bool:
@@ -93,7 +99,9 @@ def _squares(found: Investigation, joint: int) -> tuple[Array, Array]:
     left_out, file = found.model.linear.left_out[joint], found.ground.base.y[joint]
     fitted_squares = np.bincount(block, left_out**2, minlength=rows.blocks)
     file_squares = np.bincount(block, file**2, minlength=rows.blocks)
-    return np.asarray(fitted_squares, dtype=float), np.asarray(file_squares, dtype=float)
+    return np.asarray(fitted_squares, dtype=float), np.asarray(
+        file_squares, dtype=float
+    )
 
 
 def verdict_of(

@@ -43,10 +43,11 @@ def export(
 ) -> ExportFile:
     """Write a model in the form that `target` names, or else the suffix of `output`.
 
-    Forms are URDF, MJCF, ROS 2 parameters, a C header, a numpy module, and what controllers and
-    simulators take. Links get inertial parameters that a body can have, with the identified
-    torque, as near as can be to the URDF's. A form that cannot hold the whole model gets the
-    numbers that lose least of its torque. What was written is run over held-out logs.
+    Forms are URDF, MJCF, ROS 2 parameters, a C header, a numpy module, and what
+    controllers and simulators take. Links get inertial parameters that a body can have,
+    with the identified torque, as near as can be to the URDF's. A form that cannot hold
+    the whole model gets the numbers that lose least of its torque. What was written is
+    run over held-out logs.
 
     Parameters
     ----------
@@ -59,7 +60,8 @@ def export(
     target : str, optional
         The name of a form, such as "ur-friction".
     replay : sequence of paths, optional
-        Logs to replay, files, folders or globs; the held-out ones of the file by default.
+        Logs to replay, files, folders or globs; the held-out ones of the file by
+        default.
     no_replay : bool
         Whether nothing is to be replayed.
 
@@ -111,11 +113,15 @@ def export(
         base_parameters=list(model.deviations),
         joints={name: _link(model, k) for k, name in enumerate(arm.joint_names)},
         refitted=model.refitted,
-        fitted_on=[] if motions is None else [str(log.path) for log in motions.recordings],
+        fitted_on=(
+            [] if motions is None else [str(log.path) for log in motions.recordings]
+        ),
         loss=loss,
         replay=result,
         observer_gain=float(model.observer.gain),
-        collision={name: _collision(model, k) for k, name in enumerate(arm.joint_names)},
+        collision={
+            name: _collision(model, k) for k, name in enumerate(arm.joint_names)
+        },
         notes=notes,
     )
 
@@ -166,7 +172,9 @@ def _motions(
         return None
     from seqid_cli.export.motions import FullModel, motions_of
 
-    return motions_of(FullModel.of(arm, previous.stages), previous.inputs, replayed, folders)
+    return motions_of(
+        FullModel.of(arm, previous.stages), previous.inputs, replayed, folders
+    )
 
 
 def _replay(

@@ -1,7 +1,8 @@
 """A self-contained C99 header or numpy module: inverse dynamics and a momentum observer.
 
-The joint torque is that of recursive Newton-Euler, with the numbers inlined. Unlike model files
-they keep the whole friction surface, the coupling of rotors and every effect (`export.laws`).
+The joint torque is that of recursive Newton-Euler, with the numbers inlined. Unlike
+model files they keep the whole friction surface, the coupling of rotors and every
+effect (`export.laws`).
 """
 
 import re
@@ -18,7 +19,9 @@ from seqid_cli.model.friction_basis import FADE
 from seqid_cli.robot.base_parameters import gear_ratios
 
 _NO_LIMIT = 1e300  # N m: no alarm from a joint whose error is not known
-_KEYWORDS = frozenset({"auto", "double", "float", "int", "long", "short", "static", "void"})
+_KEYWORDS = frozenset(
+    {"auto", "double", "float", "int", "long", "short", "static", "void"}
+)
 
 
 def c_header(model: ExportModel) -> str:
@@ -26,7 +29,9 @@ def c_header(model: ExportModel) -> str:
 
     Raises ConfigError if an effect declares no law that code can be written from.
     """
-    return rendered("arm.h.jinja", model, **_content(model, c99(identifier(model.robot.name))))
+    return rendered(
+        "arm.h.jinja", model, **_content(model, c99(identifier(model.robot.name)))
+    )
 
 
 def numpy_module(model: ExportModel) -> str:
@@ -39,7 +44,9 @@ def _content(model: ExportModel, syntax: Syntax) -> dict[str, object]:
     base = BaseModel.of_model(model.base)
     code = code_of(model.effects, model.base, base, syntax)
     turning = model.coupling == "gyroscopic"
-    coupling = np.where(chain.prismatic, 0.0, turning * gear_ratios(robot) * model.nearest.rotor)
+    coupling = np.where(
+        chain.prismatic, 0.0, turning * gear_ratios(robot) * model.nearest.rotor
+    )
     coupling = coupling + code.rotor
     surfaces = model.base.surfaces
     kelvin = np.array([0.0 if own is None else own.per_kelvin for own in surfaces])
@@ -49,14 +56,18 @@ def _content(model: ExportModel, syntax: Syntax) -> dict[str, object]:
     lines = "".join([*code.instant, *code.session])
     return {
         "name": identifier(robot.name),
-        "joints": [(plain(joint.name), joint.unit("rad, N m")) for joint in robot.joints],
+        "joints": [
+            (plain(joint.name), joint.unit("rad, N m")) for joint in robot.joints
+        ],
         "n": robot.n,
         "chain": chain,
         "slides": [int(slides) for slides in chain.prismatic],
         "phi": model.bodies,
         "armature": model.armature,
         "coupling": coupling if coupling.any() else None,
-        "surfaces": [None if surface is None else _surface(surface) for surface in model.surfaces],
+        "surfaces": [
+            None if surface is None else _surface(surface) for surface in model.surfaces
+        ],
         "observer": model.observer,
         "limit": np.nan_to_num(model.observer.limit, posinf=_NO_LIMIT),
         "base": base,
@@ -87,7 +98,9 @@ def _surface(surface: FrictionSurface) -> dict[str, object]:
         "scaled": np.log(speed) if scaling.logarithmic else speed,
         "sign_width": surface.sign_width,
         "forward": surface.positive.ravel(),
-        "backward": (surface.negative if surface.directional else surface.positive).ravel(),
+        "backward": (
+            (surface.negative if surface.directional else surface.positive).ravel()
+        ),
     }
 
 

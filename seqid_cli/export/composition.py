@@ -1,7 +1,7 @@
 """What exported code composes torque of: the model without effects, and lines of effects.
 
-`predict` adds effects to a model that knows nothing of them (`model.effects.apply`): each sees the
-load and the torque of the `BaseModel`. Exported code does the same.
+`predict` adds effects to a model that knows nothing of them (`model.effects.apply`):
+each sees the load and the torque of the `BaseModel`. Exported code does the same.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class BaseModel:
     armature : (n,) array
         Inertias of rotors as the joints feel them, kg m^2.
     rotor : (n,) array
-        Gear ratio times rotor inertia where rotors turn the links before their joints, else zero.
+        Gear ratio times rotor inertia where rotors turn the links before their joints,
+        else zero.
     sign_width : (n,) array
         Speeds over which the direction of motion changes, rad/s.
     delays_s : (n,) array
@@ -55,9 +56,11 @@ class BaseModel:
         rotor = np.zeros(n) if model.rotor is None else model.rotor
         turning = model.coupling == "gyroscopic"
         widths = [
-            DEFAULT_SIGN_SHARE * (joint.velocity_limit or USUAL_TOP_SPEED)
-            if surface is None
-            else surface.sign_width
+            (
+                DEFAULT_SIGN_SHARE * (joint.velocity_limit or USUAL_TOP_SPEED)
+                if surface is None
+                else surface.sign_width
+            )
             for joint, surface in zip(robot.joints, model.surfaces, strict=True)
         ]
         return cls(
@@ -158,8 +161,14 @@ def refuse_without_law(item: FittedEffect, robot: Robot) -> None:
     if any(part is not None for part in said) and _columns_are_of_the_law(type(effect)):
         return
     place = robot.name_of(item.joint) or "all joints"
-    message = f"effect {effect.name!r} ({place}) declares no law that code can be written from"
-    hint = "Give its class `laws` (docs/own_effects.md), or export a form that leaves effects out:"
+    message = (
+        f"effect {effect.name!r} ({place}) declares no law that code can be written"
+        " from"
+    )
+    hint = (
+        "Give its class `laws` (docs/own_effects.md), or export a form that leaves"
+        " effects out:"
+    )
     raise ConfigError(
         message, where=str(robot.source), hint=f"{hint} URDF, MJCF, ROS 2."
     )

@@ -1,4 +1,7 @@
-"""Forms of files, by their suffix or as a target. A writer is imported only when needed."""
+"""Forms of files, by their suffix or as a target.
+
+A writer is imported only when needed.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +28,8 @@ Extent = Literal["whole", "reduced", "joints", "load"]
 class Format:
     """One form of file: who writes it, and what it has a place for.
 
-    `target` is its name for `--target`, `suffixes` choose it without one. `effects` are those
-    that it holds as they are, None where it holds every one.
+    `target` is its name for `--target`, `suffixes` choose it without one. `effects` are
+    those that it holds as they are, None where it holds every one.
     """
 
     title: str
@@ -187,9 +190,10 @@ def export(
 ) -> Exported:
     """Write an arm in a form of `BY_TITLE`.
 
-    `errors`: RMS errors of the torque [N m] on new logs, which set the limits of collision
-    detection. `motions`: what forms are fitted to that cannot hold the whole model; without
-    them these get the file's own parameters, and nothing is said of what they lose.
+    `errors`: RMS errors of the torque [N m] on new logs, which set the limits of
+    collision detection. `motions`: what forms are fitted to that cannot hold the whole
+    model; without them these get the file's own parameters, and nothing is said of what
+    they lose.
     """
     from seqid_cli.export.model import export_model, with_file_torque
 

@@ -1,7 +1,7 @@
 """A load at the flange in the words of robot controllers.
 
-It comes from the result of `seqid payload`, or from the payload effect of a refined file, as
-the nearest body that can exist. `payload.result` says what the words are.
+It comes from the result of `seqid payload`, or from the payload effect of a refined
+file, as the nearest body that can exist. `payload.result` says what the words are.
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,10 @@
 """MJCF: the arm as MuJoCo simulates it, with rotor inertia as armature.
 
-Bodies are nested like the chain, in the joints' own frames; links behind joints that were not
-identified are part of the body that carries them, locked at zero. A spring is the joint's
-stiffness (where it is not linear, several numbers, which needs MuJoCo 4), backlash a joint of its
-own between two stiff stops. Capsules along the links show the arm, without mass or contact.
+Bodies are nested like the chain, in the joints' own frames; links behind joints that
+were not identified are part of the body that carries them, locked at zero. A spring is
+the joint's stiffness (where it is not linear, several numbers, which needs MuJoCo 4),
+backlash a joint of its own between two stiff stops. Capsules along the links show the
+arm, without mass or contact.
 """
 
 import numpy as np
@@ -16,19 +17,23 @@ from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.types import Joint
 from seqid_cli.typing import Array
 
-_FULL = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # entries of an inertia in MuJoCo's order
+# entries of an inertia in MuJoCo's order
+_FULL = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 
 
 def mjcf(model: ExportModel) -> str:
     """Return the arm as an MJCF document whose actuators take torques."""
-    return _document(model, ['<motor name="NAME_motor" joint="NAME" />'] * model.robot.n)
+    return _document(
+        model, ['<motor name="NAME_motor" joint="NAME" />'] * model.robot.n
+    )
 
 
 def mjcf_with_positions(model: ExportModel) -> str:
     """Return the arm with actuators that take positions, as stiff as `position_gains` says."""
     stiffness, damping = position_gains(model)
     lines = [
-        f'<position name="NAME_position" joint="NAME" kp="{real(kp)}" kv="{real(kv)}" />'
+        f'<position name="NAME_position" joint="NAME" kp="{real(kp)}"'
+        f' kv="{real(kv)}" />'
         for kp, kv in zip(stiffness, damping, strict=True)
     ]
     return _document(model, lines)
@@ -40,8 +45,8 @@ def mjcf_with_dc_motors(model: ExportModel) -> str:
     Raises
     ------
     ConfigError
-        The robot file does not give torque constant, gear ratio and winding resistance of
-        every joint, or the MuJoCo that is installed knows no `dcmotor`.
+        The robot file does not give torque constant, gear ratio and winding resistance
+        of every joint, or the MuJoCo that is installed knows no `dcmotor`.
     """
     lines = [_dc_motor(joint, model) for joint in model.robot.joints]
     text = _document(model, lines)
@@ -62,7 +67,9 @@ def _dc_motor(joint: Joint, model: ExportModel) -> str:
     constant, resistance = joint.torque_constant, joint.winding_resistance
     ratio = joint.gear_ratio
     if constant is None or resistance is None or ratio is None:
-        message = f"joint {joint.name}: a DC motor needs torque_constant, gear_ratio and"
+        message = (
+            f"joint {joint.name}: a DC motor needs torque_constant, gear_ratio and"
+        )
         hint = "Give them in the robot file, or export to --target mujoco."
         where = str(model.robot.source)
         raise ConfigError(f"{message} winding_resistance", where=where, hint=hint)
@@ -84,8 +91,9 @@ def _document(
 ) -> str:
     """Return the arm as an MJCF document; NAME in an actuator is that of its joint.
 
-    `share`: of the motor's armature that a link gets which plays; only relative acceleration feels
-    it. Links of `min_length` m are drawn, `thickness` of their length thick.
+    `share`: of the motor's armature that a link gets which plays; only relative
+    acceleration feels it. Links of `min_length` m are drawn, `thickness` of their
+    length thick.
     """
     reach = np.vstack([model.robot.chain.position[1 : model.robot.n], np.zeros(3)])
     lengths = np.linalg.norm(reach, axis=1)

@@ -10,7 +10,12 @@ from scipy.optimize import nnls
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody, bodies_of_urdf
-from seqid_cli.model.bodies.nearest import Identified, NearestBodies, identified, nearest_bodies
+from seqid_cli.model.bodies.nearest import (
+    Identified,
+    NearestBodies,
+    identified,
+    nearest_bodies,
+)
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, fitted_effects
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import TorqueModel, friction_surfaces
@@ -30,7 +35,8 @@ class Loss:
     """What a form loses of the file's torque, while joints slide.
 
     `rms` (n,) N m (N where prismatic) is on the motions that the numbers are fitted to,
-    `replayed_rms` on those of the logs to replay; NaN for a joint that never slides there.
+    `replayed_rms` on those of the logs to replay; NaN for a joint that never slides
+    there.
     """
 
     rms: Array
@@ -58,23 +64,29 @@ class ExportModel:
 
     robot: Robot
     urdf: UrdfText | None  # that of the robot
-    links: tuple[UrdfBody, ...]  # of the URDF that belong to each joint; empty without one
-    nearest: NearestBodies  # links' inertials as written, and rotor inertias, motor side, kg m^2
-    kept: Array  # (n, 10) the rest of each body: links behind other joints, which keep theirs
+    # of the URDF that belong to each joint; empty without one
+    links: tuple[UrdfBody, ...]
+    # links' inertials as written, and rotor inertias, motor side, kg m^2
+    nearest: NearestBodies
+    # (n, 10) the rest of each body: links behind other joints, which keep theirs
+    kept: Array
     coupling: Coupling
     surfaces: tuple[FrictionSurface | None, ...]
     friction: tuple[ExportedFriction | None, ...]
     deviations: tuple[ExportedParameter, ...]  # of every identified base parameter
     added: Array  # (11 n,) what effects add to the standard parameters, rotors last
-    springs: Array  # (n, 4) torque of a joint by powers of its position, N m, N m/rad ...
+    # (n, 4) torque of a joint by powers of its position, N m, N m/rad ...
+    springs: Array
     gaps: Array  # (n,) rad, backlash
     effects: tuple[Fitted, ...]  # that code says
     base: TorqueModel  # without effects, as they see it
     observer: Thresholds  # when a momentum observer raises an alarm
     notes: tuple[str, ...]  # what the reader of the file has to know
     loss: Loss | None = None  # against the file; None where it has not been looked at
-    refitted: bool = False  # whether the numbers are those that lose least, not the file's own
-    # Of code, whose links have exactly the file's torque: the nearest bodies that can exist.
+    # whether the numbers are those that lose least, not the file's own
+    refitted: bool = False
+    # Of code, whose links have exactly the file's torque: the nearest bodies that can
+    # exist.
     physical: NearestBodies | None = None
     writes_offset: bool = False  # whether the form has a place for a constant torque
 
@@ -96,19 +108,27 @@ class ExportModel:
 
 
 def export_model(
-    robot: Robot, stages: Stages, holds: Collection[str] | None, errors: Mapping[str, float] | None
+    robot: Robot,
+    stages: Stages,
+    holds: Collection[str] | None,
+    errors: Mapping[str, float] | None,
 ) -> ExportModel:
     """Find physically consistent parameters of a whole arm.
 
-    `stages`: whatever was identified. Without an inertia stage the URDF must say what is missing.
-    `holds`: effects that the format has a place for, None where it has one for every effect.
-    `errors`: RMS error of the torque of each joint [N m] on new logs; those of the inertia stage if
-    left out.
+    `stages`: whatever was identified. Without an inertia stage the URDF must say what
+    is missing. `holds`: effects that the format has a place for, None where it has one
+    for every effect. `errors`: RMS error of the torque of each joint [N m] on new logs;
+    those of the inertia stage if left out.
     """
     if stages.inertia is None and robot.nominal is None:
-        message = "the file holds no inertia stage, and the robot file names no URDF with inertials"
+        message = (
+            "the file holds no inertia stage, and the robot file names no URDF with"
+            " inertials"
+        )
         hint = "Run seqid inertia first and export its result."
-        raise ConfigError(f"{message} that could stand in", where=str(robot.source), hint=hint)
+        raise ConfigError(
+            f"{message} that could stand in", where=str(robot.source), hint=hint
+        )
     rigid = stages.inertia or stages.gravity
     coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
     coupling: Coupling = "gyroscopic" if coupled else "diagonal"
@@ -116,12 +136,18 @@ def export_model(
     demand = identified(stages, robot, more=effects.parameters)
     urdf = None if robot.urdf is None else read_urdf_text(robot.urdf)
     links = () if urdf is None else bodies_of_urdf(urdf, robot.joint_names)
-    kept = np.array([body.kept for body in links]) if links else np.zeros((robot.n, PER_LINK))
+    kept = (
+        np.array([body.kept for body in links])
+        if links
+        else np.zeros((robot.n, PER_LINK))
+    )
     nearest = nearest_bodies(robot, demand, kept)
     surfaces = tuple(friction_surfaces(stages, robot))
     friction = tuple(None if s is None else simple_friction(s) for s in surfaces)
     found = _notes_on_links(robot, stages, demand, nearest)
-    mass = largest_mass(robot, nearest.links + kept, gear_ratios(robot) ** 2 * nearest.rotor)
+    mass = largest_mass(
+        robot, nearest.links + kept, gear_ratios(robot) ** 2 * nearest.rotor
+    )
     return ExportModel(
         robot=robot,
         urdf=urdf,
@@ -145,11 +171,11 @@ def export_model(
 def with_file_torque(model: ExportModel, stages: Stages) -> ExportModel:
     """Return the model with link parameters whose torque is exactly the file's.
 
-    Code computes torques from any numbers. Those of the nearest bodies that can exist may be
-    a standard error away in a direction that matters: they are for simulators. With P, E of
-    the base parameters and phi of the nearest bodies, phi + P (pi - E phi) has the torque of
-    pi, and the bodies' own numbers for all that torque does not show. An arm whose inertia
-    was not identified keeps the bodies' one.
+    Code computes torques from any numbers. Those of the nearest bodies that can exist
+    may be a standard error away in a direction that matters: they are for simulators.
+    With P, E of the base parameters and phi of the nearest bodies, phi + P (pi - E phi)
+    has the torque of pi, and the bodies' own numbers for all that torque does not show.
+    An arm whose inertia was not identified keeps the bodies' one.
     """
     if stages.inertia is None and stages.gravity is None:
         return model
@@ -160,7 +186,9 @@ def with_file_torque(model: ExportModel, stages: Stages) -> ExportModel:
     rows = np.arange(demand.basis.size) if stages.inertia else np.array(demand.rows)
     standard = standard + demand.basis.representative[:, rows] @ gap[rows]
     links = standard[: PER_LINK * n].reshape(n, PER_LINK) - model.kept
-    nearest = replace(model.nearest, links=links, rotor=standard[PER_LINK * n :], exact=True)
+    nearest = replace(
+        model.nearest, links=links, rotor=standard[PER_LINK * n :], exact=True
+    )
     phi, rotor = links + model.kept, nearest.rotor
     return replace(
         model,
@@ -174,8 +202,8 @@ def with_file_torque(model: ExportModel, stages: Stages) -> ExportModel:
 class _Effects:
     """Effects of a file in one format.
 
-    `parameters` (11 n,) are standard parameters to be added, rotors last; `springs` and `gaps` as
-    in `ExportModel`; `coded` are effects that code has to say.
+    `parameters` (11 n,) are standard parameters to be added, rotors last; `springs` and
+    `gaps` as in `ExportModel`; `coded` are effects that code has to say.
     """
 
     parameters: Array
@@ -193,7 +221,11 @@ def _effects(
     A payload counts as it was in the last log.
     """
     n = robot.n
-    parameters, springs, gaps = np.zeros((PER_LINK + 1) * n), np.zeros((n, 4)), np.zeros(n)
+    parameters, springs, gaps = (
+        np.zeros((PER_LINK + 1) * n),
+        np.zeros((n, 4)),
+        np.zeros(n),
+    )
     last = slice(PER_LINK * (n - 1), PER_LINK * n)
     coded: list[Fitted] = []
     notes = []
@@ -203,7 +235,9 @@ def _effects(
             name, c = item.effect.name, item.coefficients
             diagonal = coupling == "diagonal" and not item.settings.get("coupling")
             if name == "payload" or (name == "rotor_inertia" and diagonal):
-                parameters[last if name == "payload" else PER_LINK * n + j] += c.squeeze()
+                parameters[last if name == "payload" else PER_LINK * n + j] += (
+                    c.squeeze()
+                )
                 fate = "added to the inertial parameters"
             elif holds is not None and name in holds:
                 fate = "written as it is"
@@ -229,13 +263,21 @@ def _notes_on_links(
 ) -> Iterator[str]:
     if stages.inertia is None:
         what = "masses and inertias" if stages.gravity is None else "inertias"
-        yield f"no inertia stage in the file: {what} are the URDF's, as far as gravity lets"
+        yield (
+            f"no inertia stage in the file: {what} are the URDF's, as far as gravity"
+            " lets"
+        )
     elif demand.open:
-        yield "not determined by the logs, so as in the prior: " + "; ".join(demand.open)
+        yield "not determined by the logs, so as in the prior: " + "; ".join(
+            demand.open
+        )
     joints = zip(robot.joint_names, nearest.from_cad, strict=True)
     if guessed := [name for name, cad in joints if not cad]:
         unseen = "no inertial in a URDF, so that what torque does not show"
-        why = f"{unseen} was guessed from the arm's geometry (the torque does not depend on it)"
+        why = (
+            f"{unseen} was guessed from the arm's geometry (the torque does not depend"
+            " on it)"
+        )
         yield f"{why}: links of {', '.join(guessed)}"
 
 
@@ -247,24 +289,33 @@ def _notes_on_friction(
             yield f"{name}: friction was not identified and is left out"
             continue
         if fit.rms_misfit > poor * fit.rms:
-            share = f"{100.0 * fit.rms_misfit / fit.rms:.0f} % of the identified friction surface"
+            share = (
+                f"{100.0 * fit.rms_misfit / fit.rms:.0f} % of the identified friction"
+                " surface"
+            )
             sizes = f"({fit.rms_misfit:.3g} of {fit.rms:.3g} RMS)"
             yield f"{name}: Coulomb and viscous friction miss {share} {sizes}"
         if abs(fit.offset) > poor * fit.rms:
-            constant = f"a constant of {fit.offset:.3g} that does not change with the direction"
+            constant = (
+                f"a constant of {fit.offset:.3g} that does not change with the"
+                " direction"
+            )
             yield f"{name}: {constant} has no place in model files"
 
 
 def simple_friction(surface: FrictionSurface) -> ExportedFriction:
     """Fit coulomb sign(v) + viscous v to a surface, uniformly over its positions and speeds.
 
-    Neither is negative; the offset is the mean part that does not flip with the direction.
+    Neither is negative; the offset is the mean part that does not flip with the
+    direction.
     """
     low, high = surface.scaling.speed
     low = min(max(low, SLIDES * surface.sign_width), high)
     speeds = np.linspace(low, high, _SPEEDS)
     positions = np.linspace(*surface.scaling.position, _POSITIONS)
-    q, v = (x.ravel() for x in np.meshgrid(positions, np.concatenate([-speeds, speeds])))
+    q, v = (
+        x.ravel() for x in np.meshgrid(positions, np.concatenate([-speeds, speeds]))
+    )
     tau = surface.torque(q, v)
     columns = np.column_stack([np.sign(v), v])
     fitted, _ = nnls(columns, tau)

@@ -1,9 +1,9 @@
 """The motions that a form is fitted to and checked on, and the file's own torque on them.
 
-A parameter file names the logs that it was identified from, with their digests. Where they
-are still there, their motion says which torques matter: a form that cannot hold the whole
-model is fitted on it (`reduced`). Where they are gone, motions are made within the positions
-and speeds at which friction was identified.
+A parameter file names the logs that it was identified from, with their digests. Where
+they are still there, their motion says which torques matter: a form that cannot hold
+the whole model is fitted on it (`reduced`). Where they are gone, motions are made
+within the positions and speeds at which friction was identified.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -155,10 +155,10 @@ class FullModel:
 class TorqueSamples:
     """A thinned motion (N samples) and the file's own torque (N, n) N m on it.
 
-    `torque` is without the effects that the form holds as they are, and not late; `measured`
-    (N, n) N m is what was measured of it: the same plus what the whole file leaves of the log, and
-    the same where nothing was measured. `left_out` (N, n) N m is what the held effects add to it as
-    far as the form's static torque lacks it.
+    `torque` is without the effects that the form holds as they are, and not late;
+    `measured` (N, n) N m is what was measured of it: the same plus what the whole file
+    leaves of the log, and the same where nothing was measured. `left_out` (N, n) N m is
+    what the held effects add to it as far as the form's static torque lacks it.
     """
 
     motion: Motion
@@ -172,8 +172,8 @@ class TorqueSamples:
 class Motions:
     """Where motions come from: logs, or what is made within the identified ranges.
 
-    Forms are fitted to the `recordings` alone. What they lose is looked at on the motion of
-    the `held_out` logs as well.
+    Forms are fitted to the `recordings` alone. What they lose is looked at on the
+    motion of the `held_out` logs as well.
     """
 
     recordings: tuple[Recording, ...]
@@ -191,8 +191,9 @@ class Motions:
     ) -> Iterator[TorqueSamples]:
         """Yield the motions with the file's torque.
 
-        `held`: effects that the form holds as they are, `unseen` those of them that no static
-        torque shows (backlash). `held_out`: whether the held-out logs are wanted.
+        `held`: effects that the form holds as they are, `unseen` those of them that no
+        static torque shows (backlash). `held_out`: whether the held-out logs are
+        wanted.
         """
         rest = _without(full.effects, [*held, *unseen])
         shown = _without(full.effects, held)
@@ -221,7 +222,8 @@ class Motions:
 
 
 def _without(effects: Sequence[Fitted], others: Sequence[Fitted]) -> list[Fitted]:
-    # By identity: effects hold arrays, which have no truth value when they are compared.
+    # By identity: effects hold arrays, which have no truth value when they are
+    # compared.
     return [item for item in effects if not any(item is other for other in others)]
 
 
@@ -284,7 +286,8 @@ def made_motions(full: FullModel) -> Iterable[Recording]:
     robot = full.robot
     centres, reaches, speeds = _ranges(full)
     hz = full.options.motion.cutoff_hz or 10.0
-    # Samples enough for the effects, which need some two dozen per period of the cut-off.
+    # Samples enough for the effects, which need some two dozen per period of the
+    # cut-off.
     rate_hz = 30.0 * hz
     t = np.arange(int(_MADE_SECONDS * rate_hz)) / rate_hz
     orders = np.arange(1, _HARMONICS + 1)
@@ -294,7 +297,8 @@ def made_motions(full: FullModel) -> Iterable[Recording]:
         for j in range(robot.n):
             phases = rng.uniform(0.0, 2.0 * np.pi, size=_HARMONICS)
             sizes = rng.uniform(0.5, 1.0, size=_HARMONICS) / orders
-            # The base period follows from the speed that a motion of this reach must have.
+            # The base period follows from the speed that a motion of this reach must
+            # have.
             turn = np.linspace(0.0, 2.0 * np.pi, 720)
             unit = np.sin(np.outer(turn, orders) + phases) @ sizes
             scale = reaches[j] / np.abs(unit).max()

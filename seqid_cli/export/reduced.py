@@ -1,20 +1,22 @@
 """The best model that a form can hold, and what it loses of the file's.
 
-URDF, MJCF and parameter files know links, an armature, Coulomb and viscous friction. With H
-the regressor of the base parameters pi (Eq. 4), s the sign of a joint's velocity and tau the
-torque that the file's logs have measured (that of the whole file on motions without logs),
+URDF, MJCF and parameter files know links, an armature, Coulomb and viscous friction.
+With H the regressor of the base parameters pi (Eq. 4), s the sign of a joint's velocity
+and tau the torque that the file's logs have measured (that of the whole file on motions
+without logs),
 
     min over pi, c_j, d_j of   sum_j |tau_j - H_j pi - c_j s_j - d_j dq_j - o_j|^2 / sigma_j^2
                              + w |pi - pi_file|^2_C + w (the surface's own friction),
 
-c_j and d_j not negative, sigma_j the error of the joint's torque and of the form together,
-o_j only where the form has a place for it. The prior's small weight w decides only where the
-motion does not tell. The bodies that can exist are then those nearest to pi in units of what
-the motion tells of it, and friction is fitted once more beside these bodies.
+c_j and d_j not negative, sigma_j the error of the joint's torque and of the form
+together, o_j only where the form has a place for it. The prior's small weight w decides
+only where the motion does not tell. The bodies that can exist are then those nearest to
+pi in units of what the motion tells of it, and friction is fitted once more beside
+these bodies.
 
-What is lost is the RMS of the difference to the file's torque, while a joint slides. It is
-stated for the logs that the numbers are fitted to, and for those that are replayed, whose
-motion may stress it more or less.
+What is lost is the RMS of the difference to the file's torque, while a joint slides. It
+is stated for the logs that the numbers are fitted to, and for those that are replayed,
+whose motion may stress it more or less.
 """
 
 from collections.abc import Sequence
@@ -44,14 +46,18 @@ from seqid_cli.robot.regressor import PER_LINK, inverse_dynamics
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-# Weight of the file's parameters against what the motion tells: a thousandth moves nothing
-# that the motion determines, and is far above rounding.
+# Weight of the file's parameters against what the motion tells: a thousandth moves
+# nothing that the motion determines, and is far above rounding.
 PRIOR_WEIGHT = 1e-3
 # Coulomb and viscous friction hold a surface well up to this share of it.
 WELL_HELD = 0.2
-# Fits, each with joints weighed by what the one before loses: the second changes little.
+# Fits, each with joints weighed by what the one before loses: the second changes
+# little.
 _PASSES = 2
-_FITTED = "has no place in this form, whose links and friction are fitted to the torque with it"
+_FITTED = (
+    "has no place in this form, whose links and friction are fitted to the torque"
+    " with it"
+)
 _SURFACE_POSITIONS, _SURFACE_SPEEDS = 21, 30
 _LEAST_SIGMA = 1e-9  # N m; files of made models state no error at all
 
@@ -86,8 +92,9 @@ class CoulombViscous:
 def needs_refit(model: ExportModel, left_over: Sequence[Fitted]) -> bool:
     """Return whether the file holds torque that the form's usual numbers leave out.
 
-    `left_over` are effects that the form has no place for. Without any, and where Coulomb and
-    viscous friction hold the surfaces well, the file's own parameters are the best.
+    `left_over` are effects that the form has no place for. Without any, and where
+    Coulomb and viscous friction hold the surfaces well, the file's own parameters are
+    the best.
     """
     fits = [fit for fit in model.friction if fit is not None]
     poor = any(fit.rms_misfit > WELL_HELD * fit.rms for fit in fits)
@@ -189,8 +196,9 @@ def _refitted(
 ) -> ExportModel:
     robot = model.robot
     of_file = identified(stages, robot)
-    # A joint's rows err by what the file errs, and by what the form loses there: with the
-    # file's error alone, a joint that loses much would pull the links of all others along.
+    # A joint's rows err by what the file errs, and by what the form loses there: with
+    # the file's error alone, a joint that loses much would pull the links of all others
+    # along.
     sigmas = np.hypot(
         _file_errors(stages, robot), np.nan_to_num(lost_torque(model, samples, added))
     )

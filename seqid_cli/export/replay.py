@@ -1,8 +1,9 @@
 """What was written, run over logs: is it as near to the measured torque as its file.
 
-Nothing that is in memory takes part: a C header is compiled, a module imported, model files
-are read by the libraries that others read them with. The low-pass is that of `seqid predict`:
-links and rotors once, friction and effects twice. Samples are those at which a joint slides.
+Nothing that is in memory takes part: a C header is compiled, a module imported, model
+files are read by the libraries that others read them with. The low-pass is that of
+`seqid predict`: links and rotors once, friction and effects twice. Samples are those at
+which a joint slides.
 """
 
 import math
@@ -22,10 +23,11 @@ from seqid_cli.params.results.export import ReplayedJoint
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-# By how much a written form may be worse than what it states: rounding, other libraries'
-# friction at a reversal and the log's own chance stay far below.
+# By how much a written form may be worse than what it states: rounding, other
+# libraries' friction at a reversal and the log's own chance stay far below.
 MAX_RATIO = 1.1
-# N m; below it, errors are those of numbers with 15 digits, and their ratio says nothing.
+# N m; below it, errors are those of numbers with 15 digits, and their ratio says
+# nothing.
 _NOTHING = 1e-6
 
 
@@ -33,8 +35,8 @@ _NOTHING = 1e-6
 class _DeferredFriction:
     """Friction of one joint of a written form, asked for first and answered later.
 
-    A module for numpy takes one state of all joints at a time: what is asked of single joints
-    is put together, so that it runs once for all of them.
+    A module for numpy takes one state of all joints at a time: what is asked of single
+    joints is put together, so that it runs once for all of them.
     """
 
     sign_width: float
@@ -147,8 +149,8 @@ def _torque(arm: WrittenArm, full: FullModel, motion: Motion, steps: Steps) -> A
     if not arm.steps:
         # What delays the logged torque is the log's own matter, and no model file's.
         return full.model.late(known, motion)
-    # Effects are filtered like friction; what the measurement does, delays and lags, acts on
-    # the modelled torque, which is low-passed once already.
+    # Effects are filtered like friction; what the measurement does, delays and lags,
+    # acts on the modelled torque, which is low-passed once already.
     measured = arm.stepped(steps, as_logged=True)
     physical = measured
     if arm.delays(steps):
@@ -197,8 +199,8 @@ def failures(
             lost = f" and the {result.loss:.3g} {unit} that the form loses there"
         stated = "no number" if error is None else f"{error:.3g} {unit}"
         found.append(
-            f"{path}: {joint.name}: the written form errs by {stated} on the replayed logs,"
-            f" the parameter file by {result.file_rmse:.3g} {unit}{lost};"
-            f" at most {allowed:.3g} {unit} is allowed"
+            f"{path}: {joint.name}: the written form errs by {stated} on the replayed"
+            f" logs, the parameter file by {result.file_rmse:.3g} {unit}{lost}; at most"
+            f" {allowed:.3g} {unit} is allowed"
         )
     return found

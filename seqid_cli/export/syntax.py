@@ -30,7 +30,8 @@ class Syntax:
     state : str
         What stands before the fields of the state.
     let, comment, end : str
-        How a value gets its name, how a comment begins, how a statement and a comment end.
+        How a value gets its name, how a comment begins, how a statement and a comment
+        end.
     braces : bool
         Whether blocks stand in braces, or are indented alone.
     known, also : str

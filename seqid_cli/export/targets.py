@@ -2,13 +2,17 @@
 
 Formats and their sources:
 
-* UR: `ur_msgs/srv/SetFrictionModelParameters` of the ROS 2 driver's friction model controller,
-  scales in [0, 1] per joint for direct torque control (docs.ros.org, ur_msgs 2.5).
-* ros2_control: `joint_trajectory_controller` with gains p, i, d and `ff_velocity_scale`,
-  u = k_ff v_d + k_p e + k_i integral of e + k_d (v_d - v) (control.ros.org, ros2_controllers).
-* USD: `PhysxJointAxisAPI` (docs.omniverse.nvidia.com, Physx Joint Schema) and `NewtonJointAPI`
-  (newton-usd-schemas). Angles are in degrees there: a viscous coefficient is per degree/s.
-* Isaac Lab: `ActuatorBaseCfg` (isaac-sim.github.io/IsaacLab), efforts from Isaac Sim 5.0 on.
+* UR: `ur_msgs/srv/SetFrictionModelParameters` of the ROS 2 driver's friction model
+  controller, scales in [0, 1] per joint for direct torque control (docs.ros.org,
+  ur_msgs 2.5).
+* ros2_control: `joint_trajectory_controller` with gains p, i, d and
+  `ff_velocity_scale`, u = k_ff v_d + k_p e + k_i integral of e + k_d (v_d - v)
+  (control.ros.org, ros2_controllers).
+* USD: `PhysxJointAxisAPI` (docs.omniverse.nvidia.com, Physx Joint Schema) and
+  `NewtonJointAPI` (newton-usd-schemas). Angles are in degrees there: a viscous
+  coefficient is per degree/s.
+* Isaac Lab: `ActuatorBaseCfg` (isaac-sim.github.io/IsaacLab), efforts from Isaac Sim
+  5.0 on.
 """
 
 import json
@@ -25,22 +29,25 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.results.export import ExportedFriction
 from seqid_cli.typing import Array, Mask
 
-# Hz, of the closed position loop: a tenth of what usual arms resonate at. A start to tune from.
+# Hz, of the closed position loop: a tenth of what usual arms resonate at. A start to
+# tune from.
 BANDWIDTH_HZ = 2.0
 DAMPING_RATIO = 1.0  # no overshoot towards a goal
-# Share of the identified positions and speeds at which a compensation must not exceed friction.
+# Share of the identified positions and speeds at which a compensation must not exceed
+# friction.
 _COVERED = 0.95
-# Significant digits: those of an identified number, and as many again for the reader's sums.
+# Significant digits: those of an identified number, and as many again for the reader's
+# sums.
 _DIGITS = 6
 
 
 def ur_friction(model: ExportModel) -> str:
     """Return a request of the service that sets a UR's friction model.
 
-    A scale is the largest with which the compensation exceeds the identified friction nowhere
-    but in a twentieth of the identified positions and speeds, either way. That takes the
-    robot's own friction at a scale of 1 for the Coulomb and viscous friction identified here,
-    since its numbers are not published.
+    A scale is the largest with which the compensation exceeds the identified friction
+    nowhere but in a twentieth of the identified positions and speeds, either way. That
+    takes the robot's own friction at a scale of 1 for the Coulomb and viscous friction
+    identified here, since its numbers are not published.
     """
     if model.robot.n != 6:
         message = f"a UR has six joints, {model.robot.name!r} has {model.robot.n}"

@@ -27,7 +27,11 @@ def rendered(template: str, model: ExportModel, **content: object) -> str:
         "tojson_ascii": json.dumps,
     }
     robot = model.robot
-    own = {"joints": robot.joint_names, "gravity": robot.gravity, "remarks": remarks(model)}
+    own = {
+        "joints": robot.joint_names,
+        "gravity": robot.gravity,
+        "remarks": remarks(model),
+    }
     own |= {"armature": model.armature, "friction": model.friction}
     return filled("seqid_cli.export", template, own | content, filters=filters)
 
@@ -42,35 +46,52 @@ def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
     """Return the remarks that a reader of any exported file needs, a line each."""
     state = "exactly" if model.nearest.exact else "but for the deviations that follow"
     bodies = [
-        "Every link is physically consistent; what torque does not show is nearest to the prior.",
+        (
+            "Every link is physically consistent; what torque does not show is nearest"
+            " to the prior."
+        ),
         f"The identified base parameters are met {state}.",
     ]
     if model.physical is not None:
-        bodies = ["The torque is exactly that of the file; no body need have these parameters."]
-    name = f"Inertial parameters of {model.robot.name!r} identified by seqid {__version__}."
+        bodies = [
+            "The torque is exactly that of the file; no body need have these"
+            " parameters."
+        ]
+    name = (
+        f"Inertial parameters of {model.robot.name!r} identified by seqid"
+        f" {__version__}."
+    )
     lines = [name, *bodies]
     lines += [
         f"{d.name}: identified {d.identified:.6g} {d.unit}, exported {d.exported:.6g}"
         f" ({d.std_errors:+.2f} standard errors)"
         for d in model.deviations
-        if not model.nearest.exact and d.std_errors is not None and abs(d.std_errors) >= min_errors
+        if not model.nearest.exact
+        and d.std_errors is not None
+        and abs(d.std_errors) >= min_errors
     ]
     lines += [
-        f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g} friction,"
-        f" RMS misfit {fit.rms_misfit:.3g} {joint.unit('N m')} over"
+        f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g}"
+        f" friction, RMS misfit {fit.rms_misfit:.3g} {joint.unit('N m')} over"
         f" {fit.speed_range[0]:.3g} to {fit.speed_range[1]:.3g} {joint.unit('rad/s')}"
         for joint, fit in zip(model.robot.joints, model.friction, strict=True)
         if fit is not None
     ]
     lines += _loss_lines(model)
     if model.coupling == "gyroscopic":
-        lines.append("Rotors turn the links that carry them as well; an armature leaves that out.")
+        lines.append(
+            "Rotors turn the links that carry them as well; an armature leaves that"
+            " out."
+        )
     return [plain(line) for line in [*lines, *model.notes]]
 
 
 def joint_remarks(model: ExportModel) -> list[str]:
     """Return the remarks of a file that holds friction and armatures alone, a line each."""
-    name = f"Friction and armatures of {model.robot.name!r} identified by seqid {__version__}."
+    name = (
+        f"Friction and armatures of {model.robot.name!r} identified by seqid"
+        f" {__version__}."
+    )
     return [plain(line) for line in [name, *_loss_lines(model), *model.notes]]
 
 
@@ -78,7 +99,9 @@ def _loss_lines(model: ExportModel) -> list[str]:
     """Say what the form loses of the file's torque, a line for each joint that loses any."""
     if model.loss is None:
         return []
-    source = "made motions" if model.loss.made else f"{model.loss.logs} of the file's logs"
+    source = (
+        "made motions" if model.loss.made else f"{model.loss.logs} of the file's logs"
+    )
     lines = []
     if model.refitted:
         least = "Links and friction are those that lose least of the file's torque"
@@ -86,7 +109,9 @@ def _loss_lines(model: ExportModel) -> list[str]:
     for joint, rms in zip(model.robot.joints, model.loss.rms, strict=True):
         unit = joint.unit("N m")
         if np.isnan(rms):
-            lines.append(f"{joint.name}: what this form loses is not known, it slides nowhere")
+            lines.append(
+                f"{joint.name}: what this form loses is not known, it slides nowhere"
+            )
         else:
             lost = f"{rms:.3g} {unit} RMS of the file's torque"
             lines.append(f"{joint.name}: loses {lost} ({source})")
@@ -96,12 +121,15 @@ def _loss_lines(model: ExportModel) -> list[str]:
 def ros2_parameters(model: ExportModel) -> str:
     """Return the arm's parameters for any node (`/**`), a group per joint.
 
-    Inertias are about the centre of mass in the axes of the joint's frame, as (ixx, ixy, ixz, iyy,
-    iyz, izz); `armature` is the rotor's inertia as the joint feels it. ROS 2's
-    inverse_dynamics_solver reads the exported URDF from its root link to its tip.
+    Inertias are about the centre of mass in the axes of the joint's frame, as (ixx,
+    ixy, ixz, iyy, iyz, izz); `armature` is the rotor's inertia as the joint feels it.
+    ROS 2's inverse_dynamics_solver reads the exported URDF from its root link to its
+    tip.
     """
     root, tip = "base_link", f"{model.robot.joint_names[-1]}_link"
     if model.urdf is not None:
         root, tip = root_link(model.urdf), model.links[-1].link
     bodies, upper = [Body.of(phi) for phi in model.bodies], np.triu_indices(3)
-    return rendered("arm.yaml.jinja", model, root=root, tip=tip, bodies=bodies, upper=upper)
+    return rendered(
+        "arm.yaml.jinja", model, root=root, tip=tip, bodies=bodies, upper=upper
+    )

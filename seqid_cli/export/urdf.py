@@ -1,8 +1,9 @@
 """URDF: the original file with other inertials and joint dynamics, or a new one of a DH robot.
 
-URDF has no place for rotor inertia. It is written where readers look for it: as `drake:` tags in
-the joint's transmission (with the gear ratio beside it, as Drake reads them), in a comment, and
-beside friction as a parameter of the joint in a `ros2_control` system, added where there is none.
+URDF has no place for rotor inertia. It is written where readers look for it: as
+`drake:` tags in the joint's transmission (with the gear ratio beside it, as Drake reads
+them), in a comment, and beside friction as a parameter of the joint in a `ros2_control`
+system, added where there is none.
 """
 
 from xml.dom import minidom
@@ -22,18 +23,25 @@ _DRAKE = "http://drake.mit.edu"
 def urdf(model: ExportModel) -> str:
     """Return the robot's URDF with other inertials, damping and friction, or a new one.
 
-    Everything else (visuals, collisions, limits, other branches, comments) stays as it is. A body's
-    inertial goes to the link behind its joint; links fixed to that one lose theirs. Links of a new
-    one are named after their joints, `<joint>_link`; the base is `base_link`.
+    Everything else (visuals, collisions, limits, other branches, comments) stays as it
+    is. A body's inertial goes to the link behind its joint; links fixed to that one
+    lose theirs. Links of a new one are named after their joints, `<joint>_link`; the
+    base is `base_link`.
     """
     raw, bodies = (model.urdf.raw, model.links) if model.urdf else _new(model)
     document = minidom.parseString(raw)
     root = document.documentElement
     assert root is not None
-    links = {element.getAttribute("name"): element for element in _children(root, "link")}
-    joints = {element.getAttribute("name"): element for element in _children(root, "joint")}
+    links = {
+        element.getAttribute("name"): element for element in _children(root, "link")
+    }
+    joints = {
+        element.getAttribute("name"): element for element in _children(root, "joint")
+    }
     for k, body in enumerate(bodies):
-        own = rendered("inertial.urdf.jinja", model, body=Body.of(model.nearest.links[k]))
+        own = rendered(
+            "inertial.urdf.jinja", model, body=Body.of(model.nearest.links[k])
+        )
         _replace(links[body.link], "inertial", _parsed(own), missing=True)
         for name in body.merged:
             part = document.createComment(f" seqid: part of {plain(body.link)} ")
@@ -42,7 +50,11 @@ def urdf(model: ExportModel) -> str:
         if model.nearest.rotor[k] > 0.0:
             _set_rotor(document, root, model, k)
     if not _children(root, "ros2_control"):
-        _place(root, _parsed(rendered("control.urdf.jinja", model, name=model.robot.name)), 1)
+        _place(
+            root,
+            _parsed(rendered("control.urdf.jinja", model, name=model.robot.name)),
+            1,
+        )
     head = "\n".join(f"  {line}" for line in remarks(model))
     root.insertBefore(document.createComment(f"\n{head}\n"), root.firstChild)
     root.insertBefore(document.createTextNode("\n  "), root.firstChild)
@@ -50,12 +62,16 @@ def urdf(model: ExportModel) -> str:
     return f'<?xml version="1.0" encoding="utf-8"?>\n{text}\n'
 
 
-def _new(model: ExportModel, *, no_limit: float = 1000.0) -> tuple[bytes, tuple[UrdfBody, ...]]:
+def _new(
+    model: ExportModel, *, no_limit: float = 1000.0
+) -> tuple[bytes, tuple[UrdfBody, ...]]:
     """A URDF of a robot that is described by DH parameters, and its bodies."""
     links = ["base_link", *(f"{joint.name}_link" for joint in model.robot.joints)]
     turns = [pin.rpy.matrixToRpy(rotation) for rotation in model.robot.chain.rotation]
     own = {"arm": model.robot, "links": links, "turns": turns, "no_limit": no_limit}
-    return rendered("arm.urdf.jinja", model, **own).encode(), tuple(map(UrdfBody, links[1:]))
+    return rendered("arm.urdf.jinja", model, **own).encode(), tuple(
+        map(UrdfBody, links[1:])
+    )
 
 
 def _set_joint(document: Document, joint: Element, model: ExportModel, k: int) -> None:
@@ -78,15 +94,21 @@ def _set_rotor(document: Document, root: Element, model: ExportModel, k: int) ->
     own = [
         _children(transmission, "actuator")
         for transmission in _children(root, "transmission")
-        if [joint.getAttribute("name") for joint in _children(transmission, "joint")] == [name]
+        if [joint.getAttribute("name") for joint in _children(transmission, "joint")]
+        == [name]
     ]
     actuator = next((actuators[0] for actuators in own if len(actuators) == 1), None)
     if actuator is None:
-        made = _parsed(rendered("transmission.urdf.jinja", model, joint=name, ratio=ratio))
+        made = _parsed(
+            rendered("transmission.urdf.jinja", model, joint=name, ratio=ratio)
+        )
         _place(root, made, 1)
         actuator = _children(made, "actuator")[0]
     root.setAttribute("xmlns:drake", _DRAKE)
-    for tag, value in (("rotor_inertia", model.nearest.rotor[k]), ("gear_ratio", ratio)):
+    for tag, value in (
+        ("rotor_inertia", model.nearest.rotor[k]),
+        ("gear_ratio", ratio),
+    ):
         element = document.createElement(f"drake:{tag}")
         element.setAttribute("value", real(value))
         _replace(actuator, f"drake:{tag}", element, missing=True)
@@ -99,10 +121,16 @@ def _parsed(text: str) -> Element:
 
 
 def _children(parent: Element, tag: str) -> list[Element]:
-    return [node for node in parent.childNodes if isinstance(node, Element) and node.tagName == tag]
+    return [
+        node
+        for node in parent.childNodes
+        if isinstance(node, Element) and node.tagName == tag
+    ]
 
 
-def _replace(parent: Element, tag: str, node: Element | Comment, *, missing: bool = False) -> None:
+def _replace(
+    parent: Element, tag: str, node: Element | Comment, *, missing: bool = False
+) -> None:
     """Put a node in the place of the elements of this name, or where they are `missing`."""
     old = _children(parent, tag)
     for element in old[1:]:

@@ -1,8 +1,9 @@
 """The links of a URDF that make up each body of the arm.
 
-A body is the link behind an identified joint and all links up to the next identified joint. Links
-fixed to it are merged into it. Links behind another joint (a gripper's finger) were locked at zero
-during identification, but move where the file is loaded: they keep their own inertials.
+A body is the link behind an identified joint and all links up to the next identified
+joint. Links fixed to it are merged into it. Links behind another joint (a gripper's
+finger) were locked at zero during identification, but move where the file is loaded:
+they keep their own inertials.
 """
 
 from collections.abc import Sequence
@@ -23,7 +24,8 @@ class UrdfBody:
 
     link: str
     merged: tuple[str, ...] = ()  # fixed to it
-    # (10,) standard parameters, in its frame, of all links behind joints that are not identified.
+    # (10,) standard parameters, in its frame, of all links behind joints that are not
+    # identified.
     kept: Array = field(default_factory=lambda: np.zeros(PER_LINK))
 
 
@@ -42,11 +44,17 @@ def bodies_of_urdf(urdf: UrdfText, joints: Sequence[str]) -> tuple[UrdfBody, ...
         for link in merged:  # grows until nothing is fixed to any of them
             merged += [child for child, parent in fixed.items() if parent == link]
         at, kept = model.getJointId(name), np.zeros(PER_LINK)
-        behind = [at]  # grows by the joints that are not identified, up to those that are
+        # grows by the joints that are not identified, up to those that are
+        behind = [at]
         for k in behind:
             behind += [j for j in model.children[k] if model.names[j] not in joints]
         for k in behind[1:]:
-            kept += data.oMi[at].actInv(data.oMi[k]).act(model.inertias[k]).toDynamicParameters()
+            kept += (
+                data.oMi[at]
+                .actInv(data.oMi[k])
+                .act(model.inertias[k])
+                .toDynamicParameters()
+            )
         found.append(UrdfBody(first, tuple(merged[1:]), kept))
     return tuple(found)
 

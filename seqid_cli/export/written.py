@@ -1,8 +1,8 @@
 """Written forms brought back to life by what others run them with.
 
-A C header is compiled by the C compiler that is there, a numpy module imported from its file;
-a URDF is read by Pinocchio, MJCF by MuJoCo where it is installed and else by Pinocchio, ROS 2
-parameters by a YAML reader.
+A C header is compiled by the C compiler that is there, a numpy module imported from its
+file; a URDF is read by Pinocchio, MJCF by MuJoCo where it is installed and else by
+Pinocchio, ROS 2 parameters by a YAML reader.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ class WrittenArm(ABC):
         self, joints: int, *, steps: bool = False, most_samples: int | None = None
     ) -> None:
         self.joints = joints
-        # Whether it has more than `rigid` and `friction`, delays of the logged torque included.
+        # Whether it has more than `rigid` and `friction`, delays of the logged torque
+        # included.
         self.steps = steps
         self.most_samples = most_samples  # of a log that are run; None: all
 
@@ -76,7 +77,6 @@ class WrittenArm(ABC):
         `as_logged`: whether delays and lags of the logged torque are in it.
         """
         raise NotImplementedError
-
 
     def delays(self, steps: Steps, *, tried: int = 200) -> bool:
         """Return whether delays or lags of the logged torque are in it, by a few samples."""
@@ -470,8 +470,8 @@ class ParameterArm(_FrictionalArm):
 def _parameters(text: str) -> dict[str, Any]:
     """Return a ROS 2 parameter file as nested objects.
 
-    It reads the part of YAML that such files are written in: one key a line, deeper ones
-    indented, values that are numbers, texts or lists in brackets.
+    It reads the part of YAML that such files are written in: one key a line, deeper
+    ones indented, values that are numbers, texts or lists in brackets.
     """
     root: dict[str, Any] = {}
     levels = [(-1, root)]

@@ -1,7 +1,8 @@
 """From logs to parameters: friction, gravity, IMUs, inertia, prediction; a function for each.
 
-Rooms, each above the ones before: `regression`, `friction_surface`, `rigid`, `prediction`;
-`imu_calibration` stands alone. `inputs`, `options` and `log_set` lie below them, `functions` above.
+Rooms, each above the ones before: `regression`, `friction_surface`, `rigid`,
+`prediction`; `imu_calibration` stands alone. `inputs`, `options` and `log_set` lie
+below them, `functions` above.
 """
 
 from seqid_cli.identify.functions import (

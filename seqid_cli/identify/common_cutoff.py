@@ -1,12 +1,13 @@
 """One low-pass cut-off per identification, and for every later stage that builds on it.
 
-An inertia that is identified below one cut-off holds what the logs show there: friction that lags,
-elasticity and what else a model leaves out enter it differently elsewhere. So all logs of a stage
-are filtered alike. The scores of `motion.filters.bandwidth`, log S - KAPPA N / S, add up over logs
-and joints, and the sum is maximised; the slowest rate of the logs limits it. From there the
-identification itself looks for the smallest error of the predicted torque
-(`rigid.cutoff_choice`), on pieces of the logs where they are long. The file carries the cut-off and
-later stages take it (`inherited`), unless the user gives another.
+An inertia that is identified below one cut-off holds what the logs show there: friction
+that lags, elasticity and what else a model leaves out enter it differently elsewhere.
+So all logs of a stage are filtered alike. The scores of `motion.filters.bandwidth`, log
+S - KAPPA N / S, add up over logs and joints, and the sum is maximised; the slowest rate
+of the logs limits it. From there the identification itself looks for the smallest error
+of the predicted torque (`rigid.cutoff_choice`), on pieces of the logs where they are
+long. The file carries the cut-off and later stages take it (`inherited`), unless the
+user gives another.
 """
 
 import contextlib
@@ -86,7 +87,11 @@ def _survey(
         if isinstance(log, Recording):
             highest = min(highest, highest_bridged(log))
             encoder = estimate_motion(log, robot, MotionOptions()) if fuses else None
-            if encoder and best_motion(log, robot, imu, encoder, source=source).source == "fused":
+            if (
+                encoder
+                and best_motion(log, robot, imu, encoder, source=source).source
+                == "fused"
+            ):
                 smoothed = score_of_smoothed(log, robot, imu, encoder, GRID)
 
         seconds = whole_of(log).length
@@ -109,7 +114,8 @@ def _survey(
 
 def _spread(length_s: float, wanted_s: float, *, piece_s: float = 16.0) -> list[Range]:
     """Return pieces of `piece_s` spread evenly over a log; none of one that is short itself."""
-    # Longer pieces would be reduced in chunks, whose blocks of time differ with the cut-off.
+    # Longer pieces would be reduced in chunks, whose blocks of time differ with the
+    # cut-off.
     if length_s <= 1.5 * piece_s:
         return []
     count = max(1, int(min(wanted_s, length_s) / piece_s))
@@ -126,7 +132,9 @@ def _fewer(pieces: list[Recording], share: float) -> list[Recording]:
 def _summed(scores: Sequence[bandwidth.Score], allowed_hz: float) -> tuple[Array, int]:
     """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
     ordered = sorted(tuple(one.values) for one in scores)  # sums to the last bit
-    widest, joints = (max(getattr(x, name) for x in scores) for name in ("bandwidth_hz", "joints"))
+    widest, joints = (
+        max(getattr(x, name) for x in scores) for name in ("bandwidth_hz", "joints")
+    )
     highest = bandwidth.highest_of(widest, joints, sum(one.seconds for one in scores))
     count = int(np.searchsorted(GRID, min(highest, allowed_hz), side="right"))
     return np.sum(ordered, axis=0), max(1, count)
@@ -151,8 +159,8 @@ def identification_options(
     imu : ImuStage, optional
         Calibrated IMUs, whose motion counts where they can be used.
     trial : Trial, optional
-        Whoever identifies, to find the cut-off with the smallest error of the predicted torque.
-        Without one the motion alone decides.
+        Whoever identifies, to find the cut-off with the smallest error of the predicted
+        torque. Without one the motion alone decides.
     most_values : float
         Samples times joints that cut-offs are tried on: pieces of logs that have more.
     limits : CutoffSettings
@@ -174,7 +182,8 @@ def identification_options(
     total, allowed = _summed([one.score for one in found], highest)
     best = alone = bandwidth.first_maximum(total[:allowed])
     if any(one.smoothed for one in found):
-        # The lowest that scores nearly as well by the smoothed motion, from the encoders' best on.
+        # The lowest that scores nearly as well by the smoothed motion, from the
+        # encoders' best on.
         total, allowed = _summed([one.smoothed or one.score for one in found], highest)
         joints = sum(one.score.joints for one in found)
         best += bandwidth.lowest_as_good(total[best : max(allowed, best + 1)], joints)
@@ -183,10 +192,13 @@ def identification_options(
     if len(logs) > 1:
         origin = f"chosen from all {len(logs)} logs together"
     if trial is not None:
-        # No higher than the motion's bandwidth allows: beyond it parameters gain little, and every
-        # prediction at the inherited cut-off would have the torque's noise.
+        # No higher than the motion's bandwidth allows: beyond it parameters gain
+        # little, and every prediction at the inherited cut-off would have the torque's
+        # noise.
         bounded_hz = min(highest, float(GRID[allowed - 1]))
-        hz = _by_posterior(trial, found, hz, highest_hz=bounded_hz, limits=limits).cutoff_hz
+        hz = _by_posterior(
+            trial, found, hz, highest_hz=bounded_hz, limits=limits
+        ).cutoff_hz
         encoder_hz = min(encoder_hz, hz)
         origin += ": the smallest error of the predicted torque"
     jerk_noise = _at(_noise_shares(found).of_jerk(), hz)
@@ -216,7 +228,8 @@ def _by_posterior(
     share = min(1.0, most_s / max(have_s, 1e-9))
     # In an order of their own, so that sums are the same to the last bit.
     pieces = sorted(
-        (piece for one in found for piece in _fewer(one.pieces, share)), key=lambda p: p.sha256
+        (piece for one in found for piece in _fewer(one.pieces, share)),
+        key=lambda p: p.sha256,
     )
 
     noise = _noise_shares(found).of_acceleration()

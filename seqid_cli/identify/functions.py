@@ -1,8 +1,9 @@
 """Every stage as a function: logs and a robot file in, the document out.
 
-Logs are paths, folders, globs, URLs of object storage, tables in memory or recordings; parameters
-are files or documents. Nothing is printed: what may be wrong comes as `SeqidWarning`, what cannot
-be done as a subclass of `SeqidError`. Cheap checks come before anything heavy is imported.
+Logs are paths, folders, globs, URLs of object storage, tables in memory or recordings;
+parameters are files or documents. Nothing is printed: what may be wrong comes as
+`SeqidWarning`, what cannot be done as a subclass of `SeqidError`. Cheap checks come
+before anything heavy is imported.
 """
 
 from __future__ import annotations
@@ -68,7 +69,9 @@ def friction(
         Moves of one joint at a time at constant velocity.
     """
     inputs = prepare(logs, robot, (), options, **keywords)
-    from seqid_cli.identify.friction_surface.stage import identify_friction as identified
+    from seqid_cli.identify.friction_surface.stage import (
+        identify_friction as identified,
+    )
 
     def find(given: LogSet) -> Identified:
         stage = identified(given, inputs.robot, options=options, settings=settings)
@@ -92,7 +95,8 @@ def gravity(
     Parameters
     ----------
     logs : path, table, recording, or a sequence of them
-        Moves of one joint at a time at constant velocity, others locked in several configurations.
+        Moves of one joint at a time at constant velocity, others locked in several
+        configurations.
     parameters : path or ParameterFile, or a sequence of them
         With the friction stage.
     """
@@ -101,7 +105,9 @@ def gravity(
 
     def find(given: LogSet) -> Identified:
         result = identified(given, inputs.robot, inputs.stages, settings)
-        return Identified(Stages(gravity=result.gravity), Stages(friction=result.friction))
+        return Identified(
+            Stages(gravity=result.gravity), Stages(friction=result.friction)
+        )
 
     return _added(inputs, find, settings, settings.judging)
 
@@ -127,7 +133,10 @@ def imu_calib(
     """
     inputs = prepare(logs, robot, parameters, options, **keywords)
     if not inputs.robot.imus:
-        where, hint = str(inputs.robot.source), "Add an [[imu]] table with its accelerometers."
+        where, hint = (
+            str(inputs.robot.source),
+            "Add an [[imu]] table with its accelerometers.",
+        )
         raise ConfigError("the robot file names no IMU", where=where, hint=hint)
     from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
     from seqid_cli.motion.imu.array import layout_statements
@@ -138,7 +147,9 @@ def imu_calib(
             for text in layout_statements(imu):
                 given.tell("note", text=f"{imu.name}: {text}")
         filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
-        stage = calibrate_imus(given, inputs.robot, options=filtering, settings=settings)
+        stage = calibrate_imus(
+            given, inputs.robot, options=filtering, settings=settings
+        )
         return Identified(Stages(imu=stage))
 
     return _added(inputs, find, settings, imus=True)
@@ -262,10 +273,14 @@ def predict(
         message = "-o and --torques name the same file"
         raise UsageError(message, where=str(target), hint="Give them different names.")
     more, needs = [table] if table else [], imu_stage_for(options.source)
-    inputs = prepare(logs, robot, parameters, options, more_outputs=more, needs=needs, **keywords)
+    inputs = prepare(
+        logs, robot, parameters, options, more_outputs=more, needs=needs, **keywords
+    )
     if not present(inputs.stages):
         where = inputs.models[0][0] if inputs.models else ""
-        raise ConfigError("holds no stage at all", where=where, hint="Run seqid friction first.")
+        raise ConfigError(
+            "holds no stage at all", where=where, hint="Run seqid friction first."
+        )
     from seqid_cli.identify.common_cutoff import inherited
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.options import InertiaOptions
@@ -273,10 +288,21 @@ def predict(
     from seqid_cli.identify.prediction.predict import predict as predicted
 
     motion, given = inherited(inputs.stages, options.cutoff_hz), LogSet.of(inputs)
-    rigid, unexplained = InertiaOptions(motion, options.source), options.with_unexplained
-    found = predicted(given, inputs.robot, inputs.stages, options=rigid, unexplained=unexplained)
+    rigid, unexplained = (
+        InertiaOptions(motion, options.source),
+        options.with_unexplained,
+    )
+    found = predicted(
+        given, inputs.robot, inputs.stages, options=rigid, unexplained=unexplained
+    )
     file = prediction_file(
-        inputs, given, found, table, motion.origin, unexplained=unexplained, settings=settings
+        inputs,
+        given,
+        found,
+        table,
+        motion.origin,
+        unexplained=unexplained,
+        settings=settings,
     )
     if target is not None:
         write_json_atomic(target, file, inputs=inputs.sources)
@@ -312,7 +338,9 @@ def _added(
         stage = getattr(identified.stages, name)
         notes = [*stage.notes, *logs.notes(stage.notes)]
         noted[name] = replace(stage, notes=notes, settings=used_settings(settings))
-    found = judged(Stages(**noted), before, inputs.robot, logs.verdicts(), limits=judging)
+    found = judged(
+        Stages(**noted), before, inputs.robot, logs.verdicts(), limits=judging
+    )
     new = present(found)
 
     for name in stale_stages(inputs.previous, tuple(new)):

@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from seqid_cli.errors import ConfigError, InputError
 from seqid_cli.identify.options import LogOptions, OnProgress
-from seqid_cli.logs.given import Log, Logs, PathLike, expanded, is_place, listed, optional, warn
+from seqid_cli.logs.given import (
+    Log,
+    Logs,
+    PathLike,
+    expanded,
+    is_place,
+    listed,
+    optional,
+    warn,
+)
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.logs.storage.remote import StoredLog
 from seqid_cli.params.document import COMMAND_OF, join, present
@@ -36,8 +45,9 @@ Models: TypeAlias = "Model | Sequence[Model]"
 class Inputs:
     """What a function works on, checked; nothing heavy has been imported yet.
 
-    `logs` are files or recordings, `missing` says which arguments stand for no log, where that is
-    no reason to stop; `models` are the parameter files, `previous` what they hold, if given.
+    `logs` are files or recordings, `missing` says which arguments stand for no log,
+    where that is no reason to stop; `models` are the parameter files, `previous` what
+    they hold, if given.
     """
 
     logs: tuple[Path | Recording, ...]
@@ -87,13 +97,16 @@ def prepare(
 ) -> Inputs:
     """Check all before numpy is imported.
 
-    `needs`: stages that `parameters` must hold. `stored`: whether logs may be on object storage.
+    `needs`: stages that `parameters` must hold. `stored`: whether logs may be on object
+    storage.
     """
     options = options or LogOptions()
     found, missing = _logs(listed(logs), go_on=options.skip_failed, stored=stored)
     target = optional(output)
     given = listed(parameters)
-    files = tuple(Path(model) for model in given if not isinstance(model, ParameterFile))
+    files = tuple(
+        Path(model) for model in given if not isinstance(model, ParameterFile)
+    )
     place = Path(robot) if isinstance(robot, str | os.PathLike) else robot.source
     paths = [*(log for log in found if isinstance(log, Path)), place, *files]
     for path in [target, *more_outputs]:
@@ -108,7 +121,9 @@ def prepare(
             hint = f"Run seqid {COMMAND_OF[name]} first and give its result with -p."
             if name == "inertia":
                 hint += " From logs of any motion, seqid simultaneous gives one."
-            raise ConfigError(message, where=", ".join(file for file, _ in models), hint=hint)
+            raise ConfigError(
+                message, where=", ".join(file for file, _ in models), hint=hint
+            )
     arm, said = robot_of(robot, models), list[str]()
     if arm.locked:
         found, arm, failed, said = _in_posture(found, arm, go_on=options.skip_failed)
@@ -122,8 +137,8 @@ def _in_posture(
 ) -> tuple[tuple[Path | Recording, ...], Robot, list[InputError], list[str]]:
     """Take joints that the robot file leaves out where they stand in the logs.
 
-    Returns: the logs that can be used; the robot; why others cannot, where that is no reason to
-    stop (`go_on`); what is to be said.
+    Returns: the logs that can be used; the robot; why others cannot, where that is no
+    reason to stop (`go_on`); what is to be said.
     """
     from seqid_cli.logs.left_out import Standing, in_logged_posture, standing_joints
 
@@ -149,7 +164,9 @@ def _in_posture(
     for one in standing:
         if one.message:
             first.setdefault(one.joint.name, one)
-    said = [f"[joint_stands] {one.log}: {name} {one.message}" for name, one in first.items()]
+    said = [
+        f"[joint_stands] {one.log}: {name} {one.message}" for name, one in first.items()
+    ]
     for text in said:
         warn(text)
     return tuple(kept), arm, failed, said
@@ -159,12 +176,18 @@ def read_models(given: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]
     """Return parameter files with the names to use in messages."""
     name = "the given parameters"
     return tuple(
-        (name, x) if isinstance(x, ParameterFile) else (str(x), read_parameters(Path(x)))
+        (
+            (name, x)
+            if isinstance(x, ParameterFile)
+            else (str(x), read_parameters(Path(x)))
+        )
         for x in given
     )
 
 
-def robot_of(robot: PathLike | Robot, models: Sequence[tuple[str, ParameterFile]]) -> Robot:
+def robot_of(
+    robot: PathLike | Robot, models: Sequence[tuple[str, ParameterFile]]
+) -> Robot:
     """Return the robot, after making sure that the parameter files are of it; warns of changes."""
     loaded = load_robot(Path(robot)) if isinstance(robot, str | os.PathLike) else robot
     for name, file in models:

@@ -1,9 +1,10 @@
 """Checks on results: what no arm can be, and whether stages agree.
 
-A stage's own verdicts judge its fit. Here its result is held against physics and against
-the stages before: friction takes energy away, the inertia that a drive feels is positive, gravity
-is the same wherever it shows, and its size is of the order of the URDF's. The logs' own errors
-(`seqid inspect`) join in, and a stage is good as a whole only if all of it is.
+A stage's own verdicts judge its fit. Here its result is held against physics and
+against the stages before: friction takes energy away, the inertia that a drive feels is
+positive, gravity is the same wherever it shows, and its size is of the order of the
+URDF's. The logs' own errors (`seqid inspect`) join in, and a stage is good as a whole
+only if all of it is.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,7 +25,8 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
-# How many positions and speeds of a friction surface, and postures of the arm, are looked at.
+# How many positions and speeds of a friction surface, and postures of the arm, are
+# looked at.
 POSITIONS, SPEEDS, POSTURES = 33, 9, 60
 Stage = schema.FrictionStage | schema.RigidStage | schema.ImuStage
 
@@ -71,8 +73,8 @@ def physics_verdicts(
     stages: schema.Stages, robot: Robot, limits: JudgingSettings = JudgingSettings()
 ) -> list[schema.Verdict]:
     """Judge stages that a command builds on as `judged` does, whatever logs they are used on."""
-    # By the robot as it is now: its gear ratios or gravity may not be those of the identification.
-    # Each reason comes once per joint.
+    # By the robot as it is now: its gear ratios or gravity may not be those of the
+    # identification. Each reason comes once per joint.
     there = (stages.friction, stages.gravity, stages.inertia)
     found = [
         verdict
@@ -91,7 +93,9 @@ def as_a_whole(verdicts: Sequence[schema.Verdict]) -> list[schema.Verdict]:
     if level is None or level == "good" or level == worst_level(of_whole):
         return list(verdicts)
 
-    names = list(dict.fromkeys(verdict.joint for verdict in of_joints if not verdict.good))
+    names = list(
+        dict.fromkeys(verdict.joint for verdict in of_joints if not verdict.good)
+    )
     reason = "; ".join([*(v.reason for v in of_whole), f"not good: {', '.join(names)}"])
     return [*of_joints, schema.Verdict(good=False, level=level, reason=reason)]
 
@@ -107,7 +111,9 @@ def _physics(
         if stage is not known.gravity:
             yield from inertia_verdicts(stage, robot, limits)
             if known.gravity is not None and known.gravity.parameters:
-                yield from _gravity_verdicts(samples, robot, known.gravity, IN_LOGS, limits)
+                yield from _gravity_verdicts(
+                    samples, robot, known.gravity, IN_LOGS, limits
+                )
         elif known.friction is not None:
             trials = _measured(known.friction, robot)
             yield from _gravity_verdicts(trials, robot, stage, IN_TRIALS, limits)
@@ -115,34 +121,46 @@ def _physics(
 
 
 def friction_verdicts(
-    stage: schema.FrictionStage, robot: Robot, limits: JudgingSettings = JudgingSettings()
+    stage: schema.FrictionStage,
+    robot: Robot,
+    limits: JudgingSettings = JudgingSettings(),
 ) -> Iterator[schema.Verdict]:
     """Judge whether friction brakes, and whether the gravity beside it is of the URDF's size."""
     for name, joint in stage.joints.items():
         surface = FrictionSurface.from_stage(joint)
         (low, high), (first, last) = joint.speed_range, joint.position_range
-        levels = [level.speed for level in joint.speeds if level.speed > joint.sign_width]
+        levels = [
+            level.speed for level in joint.speeds if level.speed > joint.sign_width
+        ]
         speeds = np.array(levels or [high])
         if joint.parameters:  # a law over speed, of one level alone
             speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, SPEEDS)
-        q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, POSITIONS), speeds))
-        # The mean of both directions: what is the same in both is an offset and takes no energy.
+        q, v = (
+            x.ravel() for x in np.meshgrid(np.linspace(first, last, POSITIONS), speeds)
+        )
+        # The mean of both directions: what is the same in both is an offset and takes
+        # no energy.
         value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
         error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
         usual = float(np.sqrt(np.mean(value**2)))
-        drives = (value < -limits.clear_sigma * error) & (value < -limits.driving_share * usual)
+        drives = (value < -limits.clear_sigma * error) & (
+            value < -limits.driving_share * usual
+        )
         if np.mean(drives) > limits.driving_cells:
             worst = int(np.argmin(np.where(drives, value, np.inf)))
             reason = (
-                f"its friction is {value[worst]:.3g} +- {error[worst]:.2g} {joint.unit} at "
-                f"{v[worst]:.3g} per second: it would drive the joint. The sign of torque or "
-                "current is wrong, or it is another joint's"
+                f"its friction is {value[worst]:.3g} +- {error[worst]:.2g} {joint.unit}"
+                f" at {v[worst]:.3g} per second: it would drive the joint. The sign of"
+                " torque or current is wrong, or it is another joint's"
             )
             yield schema.Verdict(joint=name, good=False, reason=reason)
-    yield from _gravity_verdicts(_measured(stage, robot), robot, None, NOT_NOMINAL, limits)
+    yield from _gravity_verdicts(
+        _measured(stage, robot), robot, None, NOT_NOMINAL, limits
+    )
 
 
-Samples = dict[int, tuple[Array, Array]]  # joint: postures (N, n), gravity torque of it (N,)
+# joint: postures (N, n), gravity torque of it (N,)
+Samples = dict[int, tuple[Array, Array]]
 
 
 def _measured(stage: schema.FrictionStage, robot: Robot) -> Samples:
@@ -171,22 +189,25 @@ def _gravity(robot: Robot, stage: schema.RigidStage | None, q: Array) -> Array:
     phi = robot.nominal if stage is None else standard_parameters(stage, robot.n)[0]
     assert phi is not None
     still = np.zeros_like(q)
-    return np.asarray(inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still))
+    return np.asarray(
+        inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still)
+    )
 
 
 IN_TRIALS = (
-    "gravity in the friction trials (Eq. 12-15) is not that of the parameters: {} are left, it is "
-    "{:.2g} times that. Check unit and sign of the torque, the direction of gravity and the order "
-    "of the joints"
+    "gravity in the friction trials (Eq. 12-15) is not that of the parameters: {} are"
+    " left, it is {:.2g} times that. Check unit and sign of the torque, the direction"
+    " of gravity and the order of the joints"
 )
 IN_LOGS = (
-    "gravity in these logs differs from the gravity stage's by {} of it, it is {:.2g} times that. "
-    "Check that the logs are of one robot, in one unit and with the joints in order"
+    "gravity in these logs differs from the gravity stage's by {} of it, it is {:.2g}"
+    " times that. Check that the logs are of one robot, in one unit and with the joints"
+    " in order"
 )
 NOT_NOMINAL = (
-    "gravity is not that of the URDF's inertials: {} are left, it is {:.2g} times that. Check unit "
-    "and sign of the torque, torque_constant and gear_ratio, the direction of gravity in the robot "
-    "file, and axes, zeros and order of the joints"
+    "gravity is not that of the URDF's inertials: {} are left, it is {:.2g} times that."
+    " Check unit and sign of the torque, torque_constant and gear_ratio, the direction"
+    " of gravity in the robot file, and axes, zeros and order of the joints"
 )
 
 
@@ -200,7 +221,9 @@ def _gravity_verdicts(
     """Judge gravity by a stage's, or by the URDF's inertials; `text` says how it differs."""
     if not samples or (stage is None and robot.nominal is None):
         return
-    largest = float(np.abs(_gravity(robot, stage, postures(robot, count=POSTURES))).max())
+    largest = float(
+        np.abs(_gravity(robot, stage, postures(robot, count=POSTURES))).max()
+    )
     for j, (q, own) in samples.items():
         told = _gravity(robot, stage, q)[:, j]
         rms = float(np.sqrt(np.mean(told**2)))
@@ -210,7 +233,9 @@ def _gravity_verdicts(
         ratio = float(own @ told) / float(told @ told)
         differs = off > limits.max_gravity_difference
         if stage is None:
-            differs = not 1.0 / limits.max_gravity_factor < size < limits.max_gravity_factor
+            differs = (
+                not 1.0 / limits.max_gravity_factor < size < limits.max_gravity_factor
+            )
             differs |= ratio < limits.min_gravity_correlation * size
         if differs:
             reason = text.format(percent(off, 0), ratio)
@@ -222,15 +247,21 @@ def inertia_verdicts(
 ) -> Iterator[schema.Verdict]:
     """Judge whether rotors and the inertia that each drive feels are positive."""
     for p in stage.parameters:
-        rotor = p.terms and all(x > 0.0 and name.startswith("Ia_") for name, x in p.terms.items())
+        rotor = p.terms and all(
+            x > 0.0 and name.startswith("Ia_") for name, x in p.terms.items()
+        )
         if rotor and p.value < -limits.clear_sigma * p.std_error:
             found = f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}"
             reason = f"{found}: a rotor cannot have negative inertia"
             yield schema.Verdict(joint=p.joint, good=False, reason=reason)
-    # The inertia M_jj that joint j's drive feels, by the stage's parameters and their errors.
+    # The inertia M_jj that joint j's drive feels, by the stage's parameters and their
+    # errors.
     basis = free_basis(robot)
     own = [basis.names.index(p.name) for p in stage.parameters if p.name in basis.names]
-    if len(own) != len(stage.parameters) or np.shape(stage.covariance) != (len(own), len(own)):
+    if len(own) != len(stage.parameters) or np.shape(stage.covariance) != (
+        len(own),
+        len(own),
+    ):
         return
     links, rotors = standard_parameters(stage, robot.n)
     standard = np.concatenate([links.ravel(), rotors])
@@ -242,15 +273,19 @@ def inertia_verdicts(
             continue
         pushed = np.zeros_like(q)
         pushed[:, j] = 1.0
-        H = standard_regressor(robot, q, still, pushed, coupling="diagonal")[:, j] - at_rest[:, j]
+        H = (
+            standard_regressor(robot, q, still, pushed, coupling="diagonal")[:, j]
+            - at_rest[:, j]
+        )
         felt, columns = H @ standard, H @ basis.representative[:, own]
         variance = np.sum((columns @ np.array(stage.covariance)) * columns, axis=1)
         error = limits.clear_sigma * np.sqrt(np.maximum(variance, 0.0))
         worst = int(np.argmax(felt + error))
         if felt[worst] < -error[worst]:  # in every posture
             reason = (
-                f"the inertia that its drive feels is at most {felt[worst]:.3g} +- "
-                f"{error[worst] / limits.clear_sigma:.2g}: it cannot be negative. Check sign and "
-                "unit of the torque, torque_constant, gear_ratio and rotor_inertia"
+                f"the inertia that its drive feels is at most {felt[worst]:.3g} +-"
+                f" {error[worst] / limits.clear_sigma:.2g}: it cannot be negative."
+                " Check sign and unit of the torque, torque_constant, gear_ratio and"
+                " rotor_inertia"
             )
             yield schema.Verdict(joint=name, good=False, reason=reason)

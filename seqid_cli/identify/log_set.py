@@ -1,7 +1,8 @@
 """The logs of one call: read, checked, worked on one by one by whoever is asked to, accounted for.
 
-Parts of different logs are independent of each other, so an executor may make them. They are taken
-here in the order of the logs; the result is the same to the last bit, whoever made the parts.
+Parts of different logs are independent of each other, so an executor may make them.
+They are taken here in the order of the logs; the result is the same to the last bit,
+whoever made the parts.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,21 +31,22 @@ from seqid_cli.scale import Reply, answer, ordered
 L = TypeVar("L")  # a Recording, or a log that is passed over
 P = TypeVar("P")
 PartOf = Callable[[L, int], P]
-Opens = Callable[..., SurveyedLog | None]  # a log better passed over than read; None of others
+# a log better passed over than read; None of others
+Opens = Callable[..., SurveyedLog | None]
 
 
 @dataclass
 class LogSet:
     """Logs to be read and worked on.
 
-    Iterate over it once, or have it `mapped` once; what was `read`, the `findings` and what is
-    `left_out` are complete afterwards. Warnings come as the logs are read. Of logs with the same
-    content the first counts.
-    `logs`: a recording is taken as it is, without checks. `time_source` {"header", "log"}: which
-    stamps of an MCAP log count. `imus`: whether the readings of IMUs are used, and hence checked.
-    `skip_failed`: whether logs that cannot be used are left out. `executor`: who reads and reduces
-    the logs; None does it here. `left_out`: what was left out before. `said`: what is to be said of
-    the robot in these logs.
+    Iterate over it once, or have it `mapped` once; what was `read`, the `findings` and
+    what is `left_out` are complete afterwards. Warnings come as the logs are read. Of
+    logs with the same content the first counts. `logs`: a recording is taken as it is,
+    without checks. `time_source` {"header", "log"}: which stamps of an MCAP log count.
+    `imus`: whether the readings of IMUs are used, and hence checked. `skip_failed`:
+    whether logs that cannot be used are left out. `executor`: who reads and reduces the
+    logs; None does it here. `left_out`: what was left out before. `said`: what is to be
+    said of the robot in these logs.
     """
 
     logs: Sequence[Path | Recording]
@@ -58,15 +60,23 @@ class LogSet:
     said: tuple[str, ...] = ()
     findings: list[InspectionFinding] = field(default_factory=list)
     read: list[LogNote] = field(default_factory=list)
-    _first: dict[str, Path] = field(default_factory=dict)  # log of each content, by SHA-256
-    _times_s: list[float] = field(default_factory=list)  # of the logs read, see `times_s`
+    # log of each content, by SHA-256
+    _first: dict[str, Path] = field(default_factory=dict)
+    # of the logs read, see `times_s`
+    _times_s: list[float] = field(default_factory=list)
 
     @classmethod
     def of(cls, inputs: Inputs, *, imus: bool | None = None) -> "LogSet":
         """The logs of a function; `imus` where the stages before do not say it."""
         options, known = inputs.options, inputs.stages.imu is not None
-        reading = options.time_source, known if imus is None else imus, options.skip_failed
-        logs = cls(inputs.logs, inputs.robot, *reading, inputs.executor, inputs.on_progress)
+        reading = (
+            options.time_source,
+            known if imus is None else imus,
+            options.skip_failed,
+        )
+        logs = cls(
+            inputs.logs, inputs.robot, *reading, inputs.executor, inputs.on_progress
+        )
         logs.said = inputs.said
         for error in inputs.missing:
             logs.left_out.append(str(error))
@@ -82,7 +92,9 @@ class LogSet:
             if isinstance(log, Recording):
                 held = log
             else:
-                held = read_screened(log, self.robot, time_source=self.time_source, imus=imus)[0]
+                held = read_screened(
+                    log, self.robot, time_source=self.time_source, imus=imus
+                )[0]
             self._date(held.path, (held.start, held.start + float(held.t[-1])))
             yield held
 
@@ -102,7 +114,8 @@ class LogSet:
     def times_s(self) -> list[float]:
         """Return the times of the logs read so far that have one [s, Unix].
 
-        It is a log's last stamp where its stamps are dates, else when its file was last modified.
+        It is a log's last stamp where its stamps are dates, else when its file was last
+        modified.
         """
         return list(self._times_s)
 
@@ -116,7 +129,9 @@ class LogSet:
         warnings = grouped(
             f for f in self.findings if f.severity == "warning" and f.code not in said
         )
-        new = [_in_words(alike) for alike in warnings if alike[0].message not in set(known)]
+        new = [
+            _in_words(alike) for alike in warnings if alike[0].message not in set(known)
+        ]
         return [*(f"left out: {text}" for text in self.left_out), *self.said, *new]
 
     def verdicts(self) -> list[Verdict]:
@@ -124,7 +139,11 @@ class LogSet:
 
         Errors make it poor, warnings after which nothing is good make it usable.
         """
-        told = [f for f in self.findings if f.severity == "error" or f.code in USABLE_AT_MOST]
+        told = [
+            f
+            for f in self.findings
+            if f.severity == "error" or f.code in USABLE_AT_MOST
+        ]
         return [
             Verdict(
                 joint=name,
@@ -144,14 +163,17 @@ class LogSet:
 
     def mapped(self, part: PartOf[Any, P], opens: Opens | None = None) -> Iterator[P]:
         """Yield the parts of all logs in their order; those that fail, and may, are left out."""
-        # Raises SeqidError: a log cannot be used, the first in the order given; or none can.
+        # Raises SeqidError: a log cannot be used, the first in the order given; or none
+        # can.
         task = _Task(self.robot, self.time_source, part, opens, self.imus, Path.cwd())
         items = list(enumerate(self.logs))
         replies: Iterator[Reply[tuple[LogNote, P]]]
         if self.executor is not None:
             replies = ordered(self.executor, task, items)
         else:
-            replies = (answer(task, i) if self.skip_failed else Reply(task(i)) for i in items)
+            replies = (
+                answer(task, i) if self.skip_failed else Reply(task(i)) for i in items
+            )
         errors: list[Exception] = []
         for _, given in items:
             log = str(given.path if isinstance(given, Recording) else given)
@@ -160,12 +182,18 @@ class LogSet:
             error = reply.error
             if error is None:
                 note, found = reply.get()
-                first = self._first.setdefault(note.sha256, note.path) if note.sha256 else note.path
+                first = (
+                    self._first.setdefault(note.sha256, note.path)
+                    if note.sha256
+                    else note.path
+                )
                 if first == note.path:
                     self._done(note)
                     yield found
                 else:
-                    self._leave_out(f"{log}: has the same content as {first} and would count twice")
+                    self._leave_out(
+                        f"{log}: has the same content as {first} and would count twice"
+                    )
             elif isinstance(error, UsageError | ConfigError) or not self.skip_failed:
                 raise error  # also where it is no matter of one log
             else:
@@ -174,7 +202,9 @@ class LogSet:
                 self.tell("failed", log=log, error=error)
         if errors and len(errors) == len(self.logs):
             hint = getattr(errors[0], "hint", "")
-            raise InputError(f"none of the {len(errors)} logs can be used: {errors[0]}", hint=hint)
+            raise InputError(
+                f"none of the {len(errors)} logs can be used: {errors[0]}", hint=hint
+            )
 
     def _date(self, path: Path, stamps_s: tuple[float, float] | None) -> None:
         time = time_of_log(path, stamps_s)
@@ -193,7 +223,9 @@ class LogSet:
         self.tell("done", log=str(note.path), note=note)
         for finding in note.findings:
             if finding.severity == "error":
-                about = " ".join(part for part in (finding.joint, finding.channel) if part)
+                about = " ".join(
+                    part for part in (finding.joint, finding.channel) if part
+                )
                 text = f"{about}: {finding.message}" if about else finding.message
                 warn(f"{note.path}: [{finding.code}] {text}")
             elif finding.message in note.warnings:
@@ -206,11 +238,14 @@ class LogSet:
             warn(f"{note.path}: {text}")
 
 
-def mapped(logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None) -> Iterator[P]:
+def mapped(
+    logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None
+) -> Iterator[P]:
     """Yield the parts of all logs, in their order.
 
-    `part`: from a log and its number to a part. To be sent elsewhere it must be an object of a
-    class, or a function, of a module. `opens`: opens logs that are passed over, as `open_if_long`.
+    `part`: from a log and its number to a part. To be sent elsewhere it must be an
+    object of a class, or a function, of a module. `opens`: opens logs that are passed
+    over, as `open_if_long`.
     """
     if isinstance(logs, LogSet):
         return logs.mapped(part, opens)
@@ -224,7 +259,11 @@ def _in_words(alike: Sequence[InspectionFinding]) -> str:
 def _text(alike: Sequence[InspectionFinding]) -> str:
     first = alike[0]
     logs = list(dict.fromkeys(finding.log for finding in alike))
-    more = f" and {len(logs) - 1} more log{'s' if len(logs) > 2 else ''}" if len(logs) > 1 else ""
+    more = (
+        f" and {len(logs) - 1} more log{'s' if len(logs) > 2 else ''}"
+        if len(logs) > 1
+        else ""
+    )
     channel = f"{first.channel} " if first.channel else ""
     said = first.message.removeprefix(f"{first.joint}: ")
     return f"[{first.code}] {logs[0]}{more}: {channel}{said}"
@@ -274,7 +313,8 @@ class _Task(Generic[P]):
         number, given = item
         if isinstance(given, Recording):
             return _note_of(given), self.part(given, number)
-        # Those that pass over a log read it again and again: a stored one's copy must last.
+        # Those that pass over a log read it again and again: a stored one's copy must
+        # last.
         with local_copy(given) as file:
             place = file if self.folder == Path.cwd() else self.folder / file
             clock = self.time_source
@@ -283,6 +323,8 @@ class _Task(Generic[P]):
             if opened is not None:
                 log, findings = screened_long(replace(opened, path=given), self.robot)
             else:
-                held, found = read_screened(place, self.robot, time_source=clock, imus=self.imus)
+                held, found = read_screened(
+                    place, self.robot, time_source=clock, imus=self.imus
+                )
                 log, findings = replace(held, path=given), located(found, given)
             return replace(_note_of(log), findings=findings), self.part(log, number)

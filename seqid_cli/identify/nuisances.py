@@ -1,31 +1,34 @@
 """What a drive adds to the torque that is logged, whatever the arm: one model for all stages.
 
-A logged torque is late against the logged positions, has an offset, and friction is larger one way
-than the other. With the torque `tau` that acts at joint j, its friction f for motion forward, and
-s the direction of motion,
+A logged torque is late against the logged positions, has an offset, and friction is
+larger one way than the other. With the torque `tau` that acts at joint j, its friction
+f for motion forward, and s the direction of motion,
 
-    tau_logged(t) = tau(t - d_j) + o_j + a_j |f_j(q, slow)| + b_j (|f_j| - |f_j(q, slow)|)
+    tau_logged(t) = tau(t - d_j) + o_j + a_j |f_j(q, slow)| + b_j (|f_j| - |f_j(q,
+    slow)|)
                     + e_j (T_j - T_0) f_j,
 
-    d_j  delay [s]: a part common to all joints, of one logger's clock, and one of each joint's own,
-    o_j  offset [N m],
-    a_j  asymmetry, the share by which dry friction is larger forward than on the mean of both ways,
-    b_j  viscous asymmetry, the same share of what friction has more at higher speeds,
-    e_j  thermal change, the share by which friction grows per kelvin of the joint's temperature T_j
+    d_j  delay [s]: a part common to all joints, of one logger's clock, and one of each
+    joint's own, o_j  offset [N m], a_j  asymmetry, the share by which dry friction is
+    larger forward than on the mean of both ways, b_j  viscous asymmetry, the same share
+    of what friction has more at higher speeds, e_j  thermal change, the share by which
+    friction grows per kelvin of the joint's temperature T_j
          above that of the trials, T_0, where temperatures are logged.
 
-To first order a delay adds -d_j dtau/dt. All are unknowns of every stage, Gaussian about zero with
-the standard deviations of `NuisancePriors`. Where logs do not show them they are marginalised:
-the standard errors of everything else grow by what they may be. Where logs do show them they are
-estimated, reported and taken along with their covariance. No stage decides between them and the
-parameters that they resemble.
+To first order a delay adds -d_j dtau/dt. All are unknowns of every stage, Gaussian
+about zero with the standard deviations of `NuisancePriors`. Where logs do not show them
+they are marginalised: the standard errors of everything else grow by what they may be.
+Where logs do show them they are estimated, reported and taken along with their
+covariance. No stage decides between them and the parameters that they resemble.
 
-- Trials at constant speed, both ways: o and a |f| are the same both ways, as gravity is; the shape
-  over the position tells them apart (`friction_surface.gravity_separation`, `rigid.gravity`). A
-  delay turns with the direction, as friction does: -|v| d dG/dq (`friction_surface.reduction`).
-- Moves of many joints: d is seen by dtau/dt (`rigid.inertia_equations`). What it says of friction
-  goes back into the friction stage, whose entries are linear in it (`with_term`). So is friction
-  per kelvin, by trials and moves at different temperatures.
+- Trials at constant speed, both ways: o and a |f| are the same both ways, as gravity
+  is; the shape over the position tells them apart
+  (`friction_surface.gravity_separation`, `rigid.gravity`). A delay turns with the
+  direction, as friction does: -|v| d dG/dq (`friction_surface.reduction`).
+- Moves of many joints: d is seen by dtau/dt (`rigid.inertia_equations`). What it says
+  of friction goes back into the friction stage, whose entries are linear in it
+  (`with_term`). So is friction per kelvin, by trials and moves at different
+  temperatures.
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,7 +53,8 @@ TERM_UNITS = {
     "delay": "s",
     "thermal": "1/K",
 }  # of those that move the entries of a surface
-# From which a nuisance is worth a line to a user: known to be there, and large enough to matter.
+# From which a nuisance is worth a line to a user: known to be there, and large enough
+# to matter.
 SHOWN_SIGMA = 3.0
 SHOWN_SHARE = 0.03  # of the friction's RMS
 SHOWN_DELAY_S = 1e-3
@@ -61,9 +65,9 @@ SHOWN_PER_KELVIN = 2e-3
 class NuisancePriors:
     """Standard deviations of the nuisance terms before any log was seen.
 
-    Drives and loggers of the recorded robots lie within two of them. `session_share`: by how much
-    offset and asymmetry change between the trials of friction and moves recorded later, as drives
-    warm up.
+    Drives and loggers of the recorded robots lie within two of them. `session_share`:
+    by how much offset and asymmetry change between the trials of friction and moves
+    recorded later, as drives warm up.
     """
 
     common_delay_s: float = 3e-3
@@ -153,8 +157,9 @@ def even_jacobian(odd_entries: Array) -> Array:
     (2 size (l + 1), 3) array
         Change of [forward, backward] entries per offset [N m] and per asymmetry.
     """
-    # What is the same torque either way is, with the sign of motion taken off, added to the surface
-    # of one direction and subtracted from the other's. The first entry is that of 1.
+    # What is the same torque either way is, with the sign of motion taken off, added to
+    # the surface of one direction and subtracted from the other's. The first entry is
+    # that of 1.
     constant = np.zeros(odd_entries.size)
     constant[0] = 1.0
     dry = dry_entries(odd_entries)
@@ -281,7 +286,8 @@ def with_term(
     variance = std_error**2 - stated.std_error**2
     covariance = np.array(joint.covariance) + variance * np.outer(moves, moves)
     if joint.nuisance_covariance:
-        # Asymmetries are shares of the mean of both directions, which has moved as well.
+        # Asymmetries are shares of the mean of both directions, which has moved as
+        # well.
         even = np.array(joint.nuisance_covariance)
         mean = (np.array(joint.positive) + np.array(joint.negative)) / 2.0
         before = even_jacobian(mean)
@@ -328,8 +334,8 @@ def even_prior(
 ) -> Prior:
     """Return the prior of offsets and asymmetries as rows of unit variance.
 
-    The unknowns are changes against what the surfaces hold: first the offsets of all joints [N m],
-    then their asymmetries, then their viscous ones: (3 n,).
+    The unknowns are changes against what the surfaces hold: first the offsets of all
+    joints [N m], then their asymmetries, then their viscous ones: (3 n,).
     """
     joints = len(surfaces)
     weights = np.zeros(EVEN_TERMS * joints)
@@ -367,8 +373,9 @@ def later_prior(
     Returns
     -------
     Prior
-        Rows over [parameters (b,), delays (n,) s, changes of offsets (n,) N m, of asymmetries (n,),
-        of viscous asymmetries (n,), of thermal terms (n,) 1/K]: the order of `NuisanceColumns`.
+        Rows over [parameters (b,), delays (n,) s, changes of offsets (n,) N m, of
+        asymmetries (n,), of viscous asymmetries (n,), of thermal terms (n,) 1/K]: the
+        order of `NuisanceColumns`.
     """
     columns = NuisanceColumns(basis.size, len(names))
     gravity = stages.gravity if stages.gravity and stages.gravity.parameters else None
@@ -392,7 +399,8 @@ def later_prior(
         rows = whitened(covariance)
         wide = np.zeros((len(rows), columns.size))
         wide[:, places] = rows
-        # Changes are against what the surfaces hold, which gravity's trials have put there.
+        # Changes are against what the surfaces hold, which gravity's trials have put
+        # there.
         inverse = np.linalg.pinv(known.A[:, places[:size]])
         rows_of_known = rows[:, :size] @ inverse
         blocks, values = [wide], [rows_of_known @ known.b]

@@ -19,9 +19,10 @@ Source = Literal["auto", "encoder", "imu", "fused"]
 class LogOptions:
     """How logs are read.
 
-    `cutoff_hz` is the low-pass cut-off; that of the model, or chosen from the logs, where it is
-    None. `time_source` says which stamps of an MCAP log count: those in the messages, or the times
-    of logging. With `skip_failed` logs that cannot be used are left out, and warned of.
+    `cutoff_hz` is the low-pass cut-off; that of the model, or chosen from the logs,
+    where it is None. `time_source` says which stamps of an MCAP log count: those in the
+    messages, or the times of logging. With `skip_failed` logs that cannot be used are
+    left out, and warned of.
     """
 
     cutoff_hz: float | None = None
@@ -33,8 +34,9 @@ class LogOptions:
 class FrictionOptions(LogOptions):
     """Orders m and l of Eq. 8 and 10, and the threshold beta of Eq. 11.
 
-    Orders left None are the fewest with which the surface is that of the highest orders, within its
-    errors; with a `beta` the fewest at which Eq. 11 holds, if any do.
+    Orders left None are the fewest with which the surface is that of the highest
+    orders, within its errors; with a `beta` the fewest at which Eq. 11 holds, if any
+    do.
     """
 
     position_order: int | None = None
@@ -46,8 +48,9 @@ class FrictionOptions(LogOptions):
 class RigidOptions(LogOptions):
     """Where joint motion comes from, and which parameters are allowed.
 
-    `source` "auto" is "fused" where a log has a calibrated IMU, else "encoder". `consistent` allows
-    only parameters that bodies with positive density and rotors of positive inertia can have.
+    `source` "auto" is "fused" where a log has a calibrated IMU, else "encoder".
+    `consistent` allows only parameters that bodies with positive density and rotors of
+    positive inertia can have.
     """
 
     source: Source = "auto"
@@ -73,12 +76,13 @@ class PredictOptions(LogOptions):
 class InertiaOptions:
     """`source` is where joint motion comes from: "auto", "encoder", "imu" or "fused".
 
-    `slides_from` are the speeds [rad/s; m/s where prismatic], one per joint, from which a joint
-    certainly slides in a prediction. None: what the model's own friction says. Errors of two models
-    are compared on the same samples only where both have the same.
+    `slides_from` are the speeds [rad/s; m/s where prismatic], one per joint, from which
+    a joint certainly slides in a prediction. None: what the model's own friction says.
+    Errors of two models are compared on the same samples only where both have the same.
 
-    `neighbours` are multiples of the cut-off at which the inertia stage looks at its parameters
-    again (see `cutoff_check`); a log that is passed over is not looked at again.
+    `neighbours` are multiples of the cut-off at which the inertia stage looks at its
+    parameters again (see `cutoff_check`); a log that is passed over is not looked at
+    again.
 
     `settings` are the inertia stage's.
     """
@@ -113,13 +117,22 @@ class ParallelKeywords(Keywords, total=False):
 
 ENTRIES = {
     "robot": "path or Robot\n    The robot file.",
-    "parameters": "path or ParameterFile, or a sequence of them\n    What the result is added to.",
+    "parameters": (
+        "path or ParameterFile, or a sequence of them\n    What the result is added to."
+    ),
     "options": "{default}\n    Its docstring says what can be set.",
-    "settings": "{default}\n    Numbers that decide; `--show-settings` of the command lists them.",
+    "settings": (
+        "{default}\n    Numbers that decide; `--show-settings` of the command lists"
+        " them."
+    ),
     "output": "path, optional\n    Where the document is written as well.",
-    "on_progress": "callable, optional\n    Given a `Progress` before and after each log.",
-    "executor": "concurrent.futures.Executor, optional\n    Who reads and reduces the logs (see "
-    "`seqid_cli.scale`); this process by default.",
+    "on_progress": (
+        "callable, optional\n    Given a `Progress` before and after each log."
+    ),
+    "executor": (
+        "concurrent.futures.Executor, optional\n    Who reads and reduces the logs (see"
+        " `seqid_cli.scale`); this process by default."
+    ),
 }
 ENDING = """
 Returns
@@ -142,7 +155,9 @@ def documented(keywords: type[Keywords]) -> Callable[[F], F]:
         shown = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD]
         for name, hint in keywords.__annotations__.items():
             annotation = getattr(hint, "__forward_arg__", hint)
-            shared = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None)
+            shared = inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=None
+            )
             shown.append(shared.replace(annotation=annotation))
         text = inspect.cleandoc(function.__doc__ or "")
         entries = [
@@ -150,7 +165,9 @@ def documented(keywords: type[Keywords]) -> Callable[[F], F]:
             for p in shown
             if f"\n{p.name} : " not in text
         ]
-        function.__doc__ = "\n".join([text, *entries, ENDING.format(result=own.return_annotation)])
+        function.__doc__ = "\n".join(
+            [text, *entries, ENDING.format(result=own.return_annotation)]
+        )
         function.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
         return function
 

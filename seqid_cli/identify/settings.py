@@ -12,7 +12,9 @@ class JudgingSettings(Group):
     clear_sigma: float = setting(
         4.0,
         unit="standard errors",
-        reason="beyond which friction that drives, or an inertia below zero, is no chance",
+        reason=(
+            "beyond which friction that drives, or an inertia below zero, is no chance"
+        ),
         low=0.5,
         high=20.0,
     )
@@ -87,7 +89,9 @@ class HuntingSettings(Group):
     max_speed_swing: float = setting(
         1.4,
         unit="times the speed",
-        reason="by which the velocity would swing without friction, and the joint stops",
+        reason=(
+            "by which the velocity would swing without friction, and the joint stops"
+        ),
         low=0.1,
         high=1e3,
     )
@@ -130,7 +134,9 @@ class GravityFitSettings(Group):
     settling: float = setting(
         0.03,
         unit="s",
-        reason="left out at either end of a trial, where the joint still changes its speed",
+        reason=(
+            "left out at either end of a trial, where the joint still changes its speed"
+        ),
         low=0.0,
         high=2.0,
     )
@@ -151,7 +157,9 @@ class GravityFitSettings(Group):
     max_left: float = setting(
         2.5,
         unit="times friction's residual",
-        reason="left by one gravity for all postures, from which a joint is usable only",
+        reason=(
+            "left by one gravity for all postures, from which a joint is usable only"
+        ),
         low=0.1,
         high=1e3,
     )
@@ -370,7 +378,10 @@ class ReversalSettings(Group):
     settled_periods: float = setting(
         1.0,
         unit="periods of the cut-off",
-        reason="left out about reversals, where friction at the onset of sliding is mixed in",
+        reason=(
+            "left out about reversals, where friction at the onset of sliding is"
+            " mixed in"
+        ),
         low=0.0,
         high=3.0,
     )

@@ -1,18 +1,20 @@
 """What no log can show: by how much the robot file's geometry, gravity and zeros may be wrong.
 
-Logs of an arm that is a little different from its robot file fit as well as any: the parameters
-take the difference. The robot file says how large it may be, one standard deviation each:
+Logs of an arm that is a little different from its robot file fit as well as any: the
+parameters take the difference. The robot file says how large it may be, one standard
+deviation each:
 
 - `gravity_error`: angle [rad] of gravity's direction, about either axis across it,
 - `position_zero_error`: of each joint's zero [rad],
-- `geometry_error`: position [m] and angle [rad] of each joint's frame in the one before.
+- `geometry_error`: position [m] and angle [rad] of each joint's frame in the one
+  before.
 
 With T_k the torque that deviation k adds, the parameters of a stage move by
 
     M_k = (H' W H)^-1 H' W T_k,    stated cov(theta) = cov(theta) + sum_k M_k M_k',
 
-one deviation for all stages. As a torque constant's error does, it cancels in the torque that the
-same arm is predicted to have.
+one deviation for all stages. As a torque constant's error does, it cancels in the
+torque that the same arm is predicted to have.
 """
 
 from collections.abc import Iterator
@@ -83,8 +85,9 @@ class FrameTolerance:
 def frame_tolerance(robot: Robot, link: int) -> FrameTolerance:
     """Return how far a link's frame may be beside where the robot file has it.
 
-    What is found against gravity and the axes of joints, an IMU's mounting say, is as wrong as they
-    are. Errors of the frames up to the link are independent of each other.
+    What is found against gravity and the axes of joints, an IMU's mounting say, is as
+    wrong as they are. Errors of the frames up to the link are independent of each
+    other.
     """
     frames = link + 1
     zeros = [joint.position_zero_error for joint in robot.joints[:frames]]
@@ -92,7 +95,8 @@ def frame_tolerance(robot: Robot, link: int) -> FrameTolerance:
         robot.geometry_error_rad * np.sqrt(frames),
         np.hypot(robot.gravity_error, np.linalg.norm(zeros)),
     )
-    # A frame that is turned takes what is fixed to it along, by as much as the link is long.
+    # A frame that is turned takes what is fixed to it along, by as much as the link is
+    # long.
     reach = float(np.linalg.norm(robot.chain.position[link]))
     place = np.hypot(robot.geometry_error_m * np.sqrt(frames), turn * reach)
     return FrameTolerance(turn=float(turn), place=float(place))

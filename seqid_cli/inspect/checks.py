@@ -29,13 +29,13 @@ def _codes(text: str) -> Codes:
     return frozenset(text.split())
 
 
-# Findings whose samples are taken out, and those that spoil what is computed from the motion of a
-# joint, or of all joints.
+# Findings whose samples are taken out, and those that spoil what is computed from the
+# motion of a joint, or of all joints.
 TAKEN_OUT = _codes("position_spikes position_frozen")
 SPOIL = _codes(
-    "position_in_degrees position_in_mm position_motor_side position_jump position_stuck "
-    "joints_swapped sign_mismatch torque_zero torque_constant_value torque_stuck torque_echo "
-    "axis_flipped position_zero current_in_ma values_absurd"
+    "position_in_degrees position_in_mm position_motor_side position_jump"
+    " position_stuck joints_swapped sign_mismatch torque_zero torque_constant_value"
+    " torque_stuck torque_echo axis_flipped position_zero current_in_ma values_absurd"
 )
 SPOIL_ALL = _codes("time_unit clock_set_back stamps_far_off drive_data_missing")
 # What is left out of a joint where one of the first codes explains it.
@@ -57,9 +57,9 @@ def check(
 ) -> tuple[LogData, list[InspectionFinding], list[LinkFit]]:
     """Check a log: a check is left out where an earlier finding spoils it.
 
-    `quality`: whether it is also judged how well channels are measured (steps, held values,
-    temperature): warnings at most. Returns: the log without damaged samples; findings, each code
-    once per joint and channel; how IMUs follow their links.
+    `quality`: whether it is also judged how well channels are measured (steps, held
+    values, temperature): warnings at most. Returns: the log without damaged samples;
+    findings, each code once per joint and channel; how IMUs follow their links.
     """
     breaks = positions.breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)
@@ -70,7 +70,9 @@ def check(
     of_torques = [*torques.torque_findings(data), *torques.echo_findings(data)]
     own += of_torques
     if quality:
-        own += torques.torque_quality(data, {f.joint for f in of_torques if f.code in SPOIL})
+        own += torques.torque_quality(
+            data, {f.joint for f in of_torques if f.code in SPOIL}
+        )
         own += [*torques.temperature_findings(data), *torques.sensor_findings(data)]
     if imus and not _all_spoilt(own):
         own += imu_findings(data)
@@ -85,14 +87,17 @@ def check(
 def without(data: LogData, breaks: Sequence[Break]) -> LogData:
     """Take the samples of a log out that are known to be wrong, and lay it on its base anew.
 
-    Short holes are bridged by a curve, longer ones are not valid, like any missing values.
+    Short holes are bridged by a curve, longer ones are not valid, like any missing
+    values.
     """
     if not any(len(each.rows) for each in breaks):
         return data
     position = data.joints.channels["position"].copy()
     for each in breaks:
         position[each.rows, each.joint] = np.nan
-    joints = replace(data.joints, channels={**data.joints.channels, "position": position})
+    joints = replace(
+        data.joints, channels={**data.joints.channels, "position": position}
+    )
     raw = replace(data.raw, joints=joints)
     log = data.recording
     again, _ = assemble(log.path, log.format, log.sha256, raw, data.robot)
@@ -116,7 +121,8 @@ def _of_positions(
         own += [*of_positions, *positions.fast_in_degrees(data)]
     if quality:
         own += positions.position_quality(data, {f.joint for f in of_positions})
-    uneven = data.recording.health.jitter > JITTER_LIMIT  # slopes over such times mean nothing
+    # slopes over such times mean nothing
+    uneven = data.recording.health.jitter > JITTER_LIMIT
     return [f for f in own if not (uneven and f.code in _UNEVEN)]
 
 
@@ -124,7 +130,8 @@ def _of_dynamics(
     data: LogData, own: list[InspectionFinding], following: Sequence[LinkFit]
 ) -> Iterator[InspectionFinding]:
     """Compare torque, motion and IMUs with each other; `own` are the findings so far."""
-    spoilt = {f.code for f in own} & {*SPOIL, "jitter"}  # accelerations mean nothing with jitter
+    # accelerations mean nothing with jitter
+    spoilt = {f.code for f in own} & {*SPOIL, "jitter"}
     sample = None if spoilt else sample_of(data)
     against: list[InspectionFinding] = []
     if sample is not None:
@@ -133,10 +140,19 @@ def _of_dynamics(
     if any(finding.code == "gravity_direction" for finding in against):
         return  # IMUs are compared with it
     spoil = SPOIL | {"position_limits"}  # a zero that is off turns the link
-    joints = {name for f in (*own, *against) if f.code in spoil for name in f.joint.split(", ")}
+    joints = {
+        name
+        for f in (*own, *against)
+        if f.code in spoil
+        for name in f.joint.split(", ")
+    }
     if not joints & set(data.robot.joint_names):
-        broken = {f.joint for f in own if f.severity == "error" or f.code == "imu_saturated"}
-        yield from motion_findings(data, [f for f in following if f.imu.name not in broken])
+        broken = {
+            f.joint for f in own if f.severity == "error" or f.code == "imu_saturated"
+        }
+        yield from motion_findings(
+            data, [f for f in following if f.imu.name not in broken]
+        )
 
 
 def _with_imus(
@@ -145,11 +161,17 @@ def _with_imus(
     """Add to a sign that is wrong whether the IMUs blame the position."""
     names = data.robot.joint_names
     wrong = finding.code == "sign_mismatch"
-    moved = [f for f in following if wrong and f.imu.after_joint >= names.index(finding.joint)]
+    moved = [
+        f
+        for f in following
+        if wrong and f.imu.after_joint >= names.index(finding.joint)
+    ]
     if not moved:
         return finding
     blamed = "position" if any(f.left > FOLLOWS for f in moved) else "torque"
-    return structs.replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
+    return structs.replace(
+        finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s"
+    )
 
 
 def _unexplained(findings: list[InspectionFinding]) -> list[InspectionFinding]:

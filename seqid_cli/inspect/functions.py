@@ -55,7 +55,9 @@ def inspect(
     found, target = expanded(listed(logs)), optional(output)
     files = [log for log in found if isinstance(log, Path)]
     if len(files) < len(found):
-        raise UsageError("a recording has been read already", hint="Give its path or its table.")
+        raise UsageError(
+            "a recording has been read already", hint="Give its path or its table."
+        )
     if target is not None:
         check_output(target, [*files, *([Path(robot)] if is_place(robot) else [])])  # type: ignore[arg-type]
     if plan is not None and robot is None:

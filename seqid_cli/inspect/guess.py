@@ -16,7 +16,8 @@ from seqid_cli.robot.toml import MOST_JOINTS
 from seqid_cli.robot.toml_schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Joint, Robot
 
-# Words for each quantity, joined and in lower case; those of one letter count only beside a number.
+# Words for each quantity, joined and in lower case; those of one letter count only
+# beside a number.
 WORDS: Mapping[str, str] = {
     "position": "position positions pos q angle theta measq winkel",
     "velocity": "velocity velocities vel qd dq qdot speed geschwindigkeit drehzahl",
@@ -27,11 +28,15 @@ WORDS: Mapping[str, str] = {
     "pwm": "pwm duty",
     "temperature": "temperature temperatures temp temperatur",
 }
-_QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words.split()}
+_QUANTITY = {
+    word: quantity for quantity, words in WORDS.items() for word in words.split()
+}
 _BESIDE = COMMANDED | MEASURED
 _SHORT = 2  # letters; such words are too common to stand for a quantity of one joint
 _BRACKET = re.compile(r"[\[(]\s*([^\])0-9{}]*)[\])]")  # a unit behind a name
-_UNITS = frozenset({"rad", "rads", "radians", "deg", "degs", "degrees", "grad", "nm", "amp", "s"})
+_UNITS = frozenset(
+    {"rad", "rads", "radians", "deg", "degs", "degrees", "grad", "nm", "amp", "s"}
+)
 _DEGREES = frozenset({"deg", "degs", "degrees", "grad", "°"})
 
 
@@ -51,7 +56,9 @@ def guess(survey: Survey) -> Guess:
     imus = _imus(survey.columns or survey.channels)
     patterns, joints = guess_channels(survey.columns)
     ends = (name.rpartition(".") for name in survey.columns)
-    defaults = tuple(joint for joint, dot, quantity in ends if dot and quantity == "position")
+    defaults = tuple(
+        joint for joint, dot, quantity in ends if dot and quantity == "position"
+    )
     if defaults or not joints:
         return Guess(defaults or survey.joints, {}, imus)
     positions = patterns["position"]
@@ -64,8 +71,9 @@ def guess(survey: Survey) -> Guess:
 def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str, ...]]:
     """Guess `[channels]` patterns and joint names from column names.
 
-    Returns: patterns by quantity, with {index}, {index0} or {name}, or the column of each joint,
-    empty where nothing is found; names found in the columns, else joint_1, joint_2, ...
+    Returns: patterns by quantity, with {index}, {index0} or {name}, or the column of
+    each joint, empty where nothing is found; names found in the columns, else joint_1,
+    joint_2, ...
     """
     names = list(names)
     numbered, named = _numbered(names), _named(names)
@@ -103,19 +111,27 @@ def _indexed(forms: Mapping[int, str], numbers: list[int]) -> Columns:
     return columns[0] if len(columns) == 1 else columns
 
 
-def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, dict[int, str]]]:
+def _numbered(
+    names: list[str], *, max_joints: int = 64
+) -> dict[str, dict[str, dict[int, str]]]:
     """Forms with `{#}` for the number, by quantity, their form without its unit, and number."""
     found: dict[str, dict[str, dict[int, str]]] = {}
     for name in names:
         for match in re.finditer(r"[0-9]{1,3}", name):
-            if any(a.start() < match.start() < a.end() for a in _BRACKET.finditer(name)):
+            if any(
+                a.start() < match.start() < a.end() for a in _BRACKET.finditer(name)
+            ):
                 continue
             form = name[: match.start()] + "{#}" + name[match.end() :]
             if quantity := _quantity(_words(form)):
-                forms = found.setdefault(quantity, {}).setdefault(_BRACKET.sub("", form), {})
+                forms = found.setdefault(quantity, {}).setdefault(
+                    _BRACKET.sub("", form), {}
+                )
                 forms.setdefault(int(match[0]), form)
     for quantity, given in found.items():
-        found[quantity] = {form: own for form, own in given.items() if len(own) <= max_joints}
+        found[quantity] = {
+            form: own for form, own in given.items() if len(own) <= max_joints
+        }
     return found
 
 
@@ -131,7 +147,8 @@ def _named(names: list[str]) -> dict[str, dict[str, list[str]]]:
                 if quantity and joint and not _BESIDE & set(_words(joint)):
                     form = name.replace(joint, "{name}", 1)
                     found.setdefault(quantity, {}).setdefault(form, []).append(joint)
-    for own in found.values():  # words of few letters tell a quantity beside several joints only
+    # words of few letters tell a quantity beside several joints only
+    for own in found.values():
         for form in [form for form, joints in own.items() if len(joints) == 1]:
             if max(map(len, _letters(form.replace("{name}", " ")))) <= _SHORT:
                 del own[form]
@@ -149,7 +166,9 @@ def _letters(text: str, *, shortest: int = 3) -> list[str]:
     words: list[str] = []
     for word in filter(None, re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", text)):
         ends = (word[len(b) :].lower() for b in _BESIDE if word.lower().startswith(b))
-        quantity = next((q for q in ends if len(word) - len(q) >= shortest and q in _QUANTITY), "")
+        quantity = next(
+            (q for q in ends if len(word) - len(q) >= shortest and q in _QUANTITY), ""
+        )
         words += filter(None, (word.lower().removesuffix(quantity), quantity))
     return words
 
@@ -162,7 +181,9 @@ def _quantity(words: list[str]) -> str:
 
 def _is_range(numbers: list[int]) -> bool:
     """Whether the numbers count joints, from 0 or from 1."""
-    return numbers[0] in (0, 1) and numbers == [*range(numbers[0], numbers[0] + len(numbers))]
+    return numbers[0] in (0, 1) and numbers == [
+        *range(numbers[0], numbers[0] + len(numbers))
+    ]
 
 
 def _imus(names: Iterable[str]) -> tuple[Imu, ...]:
@@ -181,16 +202,25 @@ def _imus(names: Iterable[str]) -> tuple[Imu, ...]:
         elif match := re.fullmatch(r"/?(.*imu.*)/data(?:_raw)?", name):
             counts.setdefault(match[1].strip("/"), 3)
             gyros.add(match[1].strip("/"))
-    known = [(imu, n, np.eye(3)[np.arange(n) % 3]) for imu, n in counts.items() if n >= 3]
-    return tuple(Imu(imu, 0, np.zeros((n, 3)), axes, imu in gyros) for imu, n, axes in known)
+    known = [
+        (imu, n, np.eye(3)[np.arange(n) % 3]) for imu, n in counts.items() if n >= 3
+    ]
+    return tuple(
+        Imu(imu, 0, np.zeros((n, 3)), axes, imu in gyros) for imu, n, axes in known
+    )
 
 
 def stand_in(guessed: Guess, *, source: Path) -> Robot:
     """Make a robot that can read the log; its geometry means nothing."""
     count = len(guessed.joints)
     if count > MOST_JOINTS:
-        hint = f"Give a robot file with -r that names those of one arm, up to {MOST_JOINTS}."
-        raise InputError(f"there are {count} joints in it", hint=hint, where=str(source))
+        hint = (
+            "Give a robot file with -r that names those of one arm, up to"
+            f" {MOST_JOINTS}."
+        )
+        raise InputError(
+            f"there are {count} joints in it", hint=hint, where=str(source)
+        )
     return Robot(
         name="unknown",
         # A current is read as it is, so that it can be judged without drive data.

@@ -82,7 +82,9 @@ def inspect_log(
     def read(arm: Robot, before: Sequence[InspectionFinding]) -> Inspected:
         given = robot is not None and arm.source == robot.source
         gathered, begun = Gathered(arm, given), None
-        for parts in read_parts(path, arm, time_source=time_source, failed=gathered.failed):
+        for parts in read_parts(
+            path, arm, time_source=time_source, failed=gathered.failed
+        ):
             data = LogData(*parts, arm, given, begun)
             begun = int(data.joints.stamp_ns[0]) if begun is None else begun
             gathered.push(data)
@@ -104,15 +106,21 @@ def inspect_log(
         guessed = guess(surveyed)
         findings = []
         if robot is not None and problem is not None:
-            missing, findings = _lacking("joint", robot.joint_names, guessed.joints, 0.5)
+            missing, findings = _lacking(
+                "joint", robot.joint_names, guessed.joints, 0.5
+            )
             findings = findings or [found("channel_missing", problem.message)]
-            findings = [structs.replace(f, remedy=problem.hint or f.remedy) for f in findings]
+            findings = [
+                structs.replace(f, remedy=problem.hint or f.remedy) for f in findings
+            ]
         try:
             inspected = _guessed(path, names, guessed, findings, read)
         except InputError as error:
             kept = [f for f in findings if f.joint]
             inspected = _unreadable(path, problem or error, surveyed.format, kept)
-    return inspected._replace(log=structs.replace(inspected.log, channels=names, missing=missing))
+    return inspected._replace(
+        log=structs.replace(inspected.log, channels=names, missing=missing)
+    )
 
 
 def _of_joints_left_out(
@@ -121,7 +129,11 @@ def _of_joints_left_out(
     """Take joints that the robot file leaves out where they stand in a log, and say so."""
     standing = standing_joints(path, robot)
     said = [
-        found("joint_left_out" if one.moves else "joint_stands", one.message, one.joint.name)
+        found(
+            "joint_left_out" if one.moves else "joint_stands",
+            one.message,
+            one.joint.name,
+        )
         for one in standing
         if one.message
     ]
@@ -129,29 +141,46 @@ def _of_joints_left_out(
 
 
 def _guessed(
-    path: Path, names: list[str], guessed: Guess, findings: list[InspectionFinding], read: Read
+    path: Path,
+    names: list[str],
+    guessed: Guess,
+    findings: list[InspectionFinding],
+    read: Read,
 ) -> Inspected:
     """Inspect a log without a robot file, or one that it does not fit."""
     if not guessed.joints:
         if nameless(names):
             raise missing_columns(str(path), [], names)
         told = ", ".join(names[:12]) or "nothing"
-        hint = "Write the robot file by hand, its [channels] naming the column of each joint in "
-        hint += 'chain order (position = ["...", "..."], current = [...]), and give it with -r.'
-        raise InputError(f"no joint positions were found by the names in it: {told}", hint=hint)
+        hint = (
+            "Write the robot file by hand, its [channels] naming the column of each"
+            " joint in "
+        )
+        hint += (
+            'chain order (position = ["...", "..."], current = [...]), and give it'
+            " with -r."
+        )
+        raise InputError(
+            f"no joint positions were found by the names in it: {told}", hint=hint
+        )
     try:
         return read(stand_in(guessed, source=path), findings)
     except TorqueLackingError as lacking:
         if guessed.patterns:  # of columns by the joints' order
             raise
         driven = tuple(name for name in guessed.joints if name not in lacking.joints)
-        text = "neither torque nor current is logged, but of other joints; it is left out"
+        text = (
+            "neither torque nor current is logged, but of other joints; it is left out"
+        )
         findings += [found("torque_missing", text, name) for name in lacking.joints]
         return read(stand_in(replace(guessed, joints=driven), source=path), findings)
 
 
 def _unreadable(
-    path: Path, error: InputError, form: str = "", known: Sequence[InspectionFinding] = ()
+    path: Path,
+    error: InputError,
+    form: str = "",
+    known: Sequence[InspectionFinding] = (),
 ) -> Inspected:
     finding = found("unreadable", error.message)
     finding = structs.replace(finding, remedy=error.hint or finding.remedy)
@@ -160,14 +189,21 @@ def _unreadable(
 
 
 def _advice(
-    logs: Sequence[InspectedLog], findings: Sequence[InspectionFinding], robot: Robot | None
+    logs: Sequence[InspectedLog],
+    findings: Sequence[InspectionFinding],
+    robot: Robot | None,
 ) -> list[str]:
     """Return the next step: the first error's remedy, else the first stage that the logs serve."""
-    if first := next((finding for finding in findings if finding.severity == "error"), None):
+    if first := next(
+        (finding for finding in findings if finding.severity == "error"), None
+    ):
         place = f"{first.joint}: " if first.joint else ""
         return [f"first [{first.code}] {place}{first.remedy}"]
     if robot is None:
-        return ["seqid init LOG --urdf FILE -o robot.toml, then inspect again with -r robot.toml"]
+        return [
+            "seqid init LOG --urdf FILE -o robot.toml, then inspect again with -r"
+            " robot.toml"
+        ]
     there = {stage for log in logs for stage in log.serves}
     stage = "friction" if "friction" in there else "simultaneous"
     return [f"seqid {stage} LOG... -r {robot.source} -o {stage}.json"] if there else []
@@ -179,21 +215,32 @@ def _missing_imus(
     """Find IMUs that a log lacks; it need not have them, but a very near name is a finding."""
     parted = [name for name in channels if "." in name or "/" in name]
     ends = (name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in parted)
-    there, imus = [*dict.fromkeys(end[0] for end in ends)], [imu.name for imu in robot.imus]
+    there, imus = (
+        [*dict.fromkeys(end[0] for end in ends)],
+        [imu.name for imu in robot.imus],
+    )
     missing, findings = _lacking("IMU", imus, there, 0.8, robot.joint_names)
     return missing, [finding for finding in findings if finding.channel]
 
 
 def _lacking(
-    kind: str, names: Sequence[str], there: Sequence[str], cutoff: float, known: Sequence[str] = ()
+    kind: str,
+    names: Sequence[str],
+    there: Sequence[str],
+    cutoff: float,
+    known: Sequence[str] = (),
 ) -> tuple[dict[str, str], list[InspectionFinding]]:
     """Find names that are not there, and the unknown one nearest to each in any case."""
     lower = {other.lower(): other for other in there if other not in {*names, *known}}
     missing, findings = {}, []
     for name in names:
         if name not in there:
-            close = difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=cutoff)
+            close = difflib.get_close_matches(
+                name.lower(), list(lower), n=1, cutoff=cutoff
+            )
             near = missing[name] = lower[close[0]] if close else ""
-            text = f"the log has no {kind} {name!r}" + (f"; nearest: {near!r}" if near else "")
+            text = f"the log has no {kind} {name!r}" + (
+                f"; nearest: {near!r}" if near else ""
+            )
             findings.append(found("channel_missing", text, name, near))
     return missing, findings

@@ -22,8 +22,10 @@ class LogData:
     recording: Recording
     raw: RawLog
     robot: Robot
-    modelled: bool = True  # False: a robot guessed from the log; nothing follows from its geometry
-    begun_ns: int | None = None  # the log's first stamp, from which times are told; None: own
+    # False: a robot guessed from the log; nothing follows from its geometry
+    modelled: bool = True
+    # the log's first stamp, from which times are told; None: own
+    begun_ns: int | None = None
 
     @property
     def joints(self) -> Stream:
@@ -54,7 +56,9 @@ class LogData:
 
     def effort(self) -> tuple[str, Array] | None:
         """Return which of torque and current was logged, and its values (M, n); None if neither."""
-        for quantity in ("current", "torque") if self.raw.prefer_current else ("torque", "current"):
+        for quantity in (
+            ("current", "torque") if self.raw.prefer_current else ("torque", "current")
+        ):
             values = self.joints.channels.get(quantity)
             if values is not None and np.isfinite(values).any():
                 return quantity, values

@@ -1,7 +1,8 @@
 """An inspected log, gathered part by part: what moves, which stages it serves, its faults.
 
-A short log is one part. Of the parts of a long one counts, ranges and means are merged; a finding
-of several parts is told once, with its first place and how many parts show it.
+A short log is one part. Of the parts of a long one counts, ranges and means are merged;
+a finding of several parts is told once, with its first place and how many parts show
+it.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,11 +24,17 @@ from seqid_cli.logs.raw import Stream
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
 from seqid_cli.params.dates import recorded_between
 from seqid_cli.params.results import inspection as schema
-from seqid_cli.params.results.inspection import InspectedImu, InspectedLog, InspectionFinding
+from seqid_cli.params.results.inspection import (
+    InspectedImu,
+    InspectedLog,
+    InspectionFinding,
+)
 from seqid_cli.robot.types import Array, Robot
 
 
-def _moves(robot: Robot, stretches: Sequence[Stretch]) -> Iterator[schema.InspectedMoves]:
+def _moves(
+    robot: Robot, stretches: Sequence[Stretch]
+) -> Iterator[schema.InspectedMoves]:
     """Summarise the constant-velocity stretches of each joint."""
     for j, name in enumerate(robot.joint_names):
         own = [s for s in stretches if s.joint == j]
@@ -52,27 +59,37 @@ def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> in
     return len(found)
 
 
-def _moving_together(robot: Robot, counts: Array, *, min_share: float = 0.1) -> list[str]:
+def _moving_together(
+    robot: Robot, counts: Array, *, min_share: float = 0.1
+) -> list[str]:
     """Joints that move with others for a fair share of the samples (n + 1,) with motion."""
     *each, moving = counts
     names = zip(robot.joint_names, each, strict=True)
     return [name for name, count in names if count > min_share * max(moving, 1.0)]
 
 
-def serve_together(logs: Sequence[InspectedLog], *, min_speeds: int = 3) -> list[InspectedLog]:
+def serve_together(
+    logs: Sequence[InspectedLog], *, min_speeds: int = 3
+) -> list[InspectedLog]:
     """Add `friction` to logs that serve it together, such as one log per speed.
 
-    That is of joints for which no log serves it alone, by logs with a speed of them, both ways.
+    That is of joints for which no log serves it alone, by logs with a speed of them,
+    both ways.
     """
     alone = {m.joint for log in logs if "friction" in log.serves for m in log.moves}
     speeds: dict[str, list[float]] = {}
     for move in (move for log in logs for move in _both_ways(log)):
         speeds.setdefault(move.joint, []).extend((move.slowest, move.fastest))
-    added = {j for j, own in speeds.items() if j not in alone and _speeds(own) >= min_speeds}
+    added = {
+        j for j, own in speeds.items() if j not in alone and _speeds(own) >= min_speeds
+    }
     return [
-        structs.replace(log, serves=["friction", *log.serves])
-        if any(move.joint in added for move in _both_ways(log)) and "friction" not in log.serves
-        else log
+        (
+            structs.replace(log, serves=["friction", *log.serves])
+            if any(move.joint in added for move in _both_ways(log))
+            and "friction" not in log.serves
+            else log
+        )
         for log in logs
     ]
 
@@ -141,7 +158,11 @@ class Gathered:
             seconds=offset + float(recording.t[-1]),
             rate_hz=health.rate_hz,
             jitter=health.jitter,
-            gaps=[[a + offset, b + offset] for a, b in health.gaps if b + offset > end + 1e-6],
+            gaps=[
+                [a + offset, b + offset]
+                for a, b in health.gaps
+                if b + offset > end + 1e-6
+            ],
             non_monotonic=health.non_monotonic,
             duplicates=health.duplicates,
             log_minus_header_s=health.log_minus_header_s,
@@ -154,27 +175,41 @@ class Gathered:
     def failed(self, error: InputError, joints: Stream) -> None:
         """Take note of a part of no use."""
         first, last = (float(joints.stamp_ns[k]) * 1e-9 - self.begun for k in (0, -1))
-        where = f"from {first:.3f} to {last:.3f} s: " if self.parts else "at the start: "
-        self.lost.append(InputError(where + error.message, hint=error.hint, where=error.where))
+        where = (
+            f"from {first:.3f} to {last:.3f} s: " if self.parts else "at the start: "
+        )
+        self.lost.append(
+            InputError(where + error.message, hint=error.hint, where=error.where)
+        )
 
     def _add_stretches(self, data: LogData, offset: float) -> None:
         """Take stretches of constant velocity; one that the part before ends with goes on."""
         recording, rate = data.recording, data.recording.rate_hz
         rows = round(offset * rate)
         last = {s.joint: s for s in self.stretches}
-        for one in constant_velocity(recording.q, rate, step=data.step, valid=recording.valid):
+        for one in constant_velocity(
+            recording.q, rate, step=data.step, valid=recording.valid
+        ):
             moved = replace(one, start=one.start + rows, stop=one.stop + rows)
             before = last.get(one.joint)
             goes_on = before is not None and before.velocity * one.velocity > 0.0
-            if before is None or not goes_on or moved.start > min(before.stop, self.end * rate):
+            if (
+                before is None
+                or not goes_on
+                or moved.start > min(before.stop, self.end * rate)
+            ):
                 self.stretches.append(moved)
 
-    def log(self, path: object, form: str, before: Sequence[InspectionFinding]) -> Inspected:
+    def log(
+        self, path: object, form: str, before: Sequence[InspectionFinding]
+    ) -> Inspected:
         """Tell what is in the log, and its faults; raises InputError if no part is of use."""
         if not self.parts:
             raise self.lost[0]
         lost = (found("channel_hole", error.message) for error in self.lost)
-        findings = located((*before, *map(self._told, grouped(self.findings)), *lost), path)
+        findings = located(
+            (*before, *map(self._told, grouped(self.findings)), *lost), path
+        )
         samples = [part.samples for part in self.parts]
         stamps_s = (self.begun, self.begun + self.end)
         each_joint = zip(*(part.joints for part in self.parts), strict=True)
@@ -261,7 +296,9 @@ def _imus(data: LogData, following: Sequence[LinkFit]) -> Iterator[InspectedImu]
         streams = data.raw.imus.get(imu.name, ())
         spans = [float(np.median(np.diff(s.stamp_ns))) for s in streams if len(s) > 1]
         seen = values is not None and np.linalg.matrix_rank(imu.axes) == 3
-        rest = rest_rows(data, values) if values is not None and seen else np.zeros((0, 3))
+        rest = (
+            rest_rows(data, values) if values is not None and seen else np.zeros((0, 3))
+        )
         yield InspectedImu(
             name=imu.name,
             accelerometers=0 if values is None else values.shape[1],
@@ -276,9 +313,12 @@ def _rms(values: Sequence[float], samples: Sequence[int]) -> float:
     return float(np.sqrt(np.average(np.square(values), weights=samples)))
 
 
-# How fields of parts become those of the log, its joints and IMUs: by value and samples.
+# How fields of parts become those of the log, its joints and IMUs: by value and
+# samples.
 _RULES: Mapping[str, Callable[..., object]] = {
-    **dict.fromkeys(("samples", "non_monotonic", "duplicates"), lambda own, _: sum(own)),
+    **dict.fromkeys(
+        ("samples", "non_monotonic", "duplicates"), lambda own, _: sum(own)
+    ),
     **dict.fromkeys(("high", "top_speed", "accelerometers"), lambda own, _: max(own)),
     **dict.fromkeys(("moves", "gyro"), lambda own, _: any(own)),
     **dict.fromkeys(
@@ -290,7 +330,10 @@ _RULES: Mapping[str, Callable[..., object]] = {
     "gaps": lambda own, _: [gap for gaps in own for gap in gaps],
     "partial": lambda own, _: "; ".join(filter(None, own)),
     "effort": lambda own, _: next(filter(None, own), ""),
-    "temperature": lambda own, _: [min(low for low, _ in own), max(high for _, high in own)],
+    "temperature": lambda own, _: [
+        min(low for low, _ in own),
+        max(high for _, high in own),
+    ],
 }
 
 

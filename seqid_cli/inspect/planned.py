@@ -1,7 +1,8 @@
 """Which moves of a plan have been recorded: each is looked for in every log by its positions.
 
-For a move of positions p_j, sampled as the log's are, the mean square distance to the log's q_j at
-an offset k is a sum of three correlations with the mask m of valid samples,
+For a move of positions p_j, sampled as the log's are, the mean square distance to the
+log's q_j at an offset k is a sum of three correlations with the mask m of valid
+samples,
 
     D_j(k) = [sum m q_j^2 - 2 sum m q_j p_j + sum m p_j^2] / sum m,
 
@@ -36,20 +37,31 @@ def recorded_parts(
     (source,) = read_any([plan])
     file = source.content
     if not isinstance(file, PlanFile):
-        raise ConfigError("is no plan", where=str(plan), hint="Give what seqid plan -o wrote.")
+        raise ConfigError(
+            "is no plan", where=str(plan), hint="Give what seqid plan -o wrote."
+        )
     if tuple(file.robot.joints) != robot.joint_names:
         hint = f"It is of {file.robot.name}: give that robot file."
         raise ConfigError("is a plan for other joints", where=str(plan), hint=hint)
-    screened = (read_screened(log, robot, imus=False, time_source=time_source) for log in logs)
+    screened = (
+        read_screened(log, robot, imus=False, time_source=time_source) for log in logs
+    )
     return compared(file, robot.joint_names, screened)
 
 
-def compared(plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]) -> list[PlannedPart]:
+def compared(
+    plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]
+) -> list[PlannedPart]:
     """Compare the moves of a plan with logs; the best log of each counts."""
-    best = [PlannedPart(move=move.name, stage=move.stage, status="missing") for move in plan.moves]
+    best = [
+        PlannedPart(move=move.name, stage=move.stage, status="missing")
+        for move in plan.moves
+    ]
     for log in logs:
         t = log.recording.t
-        nearest = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / RATE_HZ)).clip(0, len(t) - 1)
+        nearest = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / RATE_HZ)).clip(
+            0, len(t) - 1
+        )
         valid = log.recording.valid[nearest].astype(float)
         q = np.where(valid[:, None] > 0, log.recording.q[nearest], 0.0)
         errors = [f.message for f in log.findings if f.severity == "error"]
@@ -59,7 +71,9 @@ def compared(plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]) -> 
                 part.log = str(log.recording.path)
                 if part.status == "recorded" and errors:
                     part.status, part.reason = "spoiled", errors[0]
-                best[k] = max(best[k], part, key=lambda x: (ORDER.index(x.status), x.share))
+                best[k] = max(
+                    best[k], part, key=lambda x: (ORDER.index(x.status), x.share)
+                )
     return best
 
 
@@ -89,13 +103,19 @@ def _found(
     distance = correlate(squares, np.ones(len(p)), method="fft")
     distance += correlate(valid, np.sum((p / unit) ** 2, axis=1), method="fft")
     for j in range(len(names)):
-        distance -= 2.0 * correlate(valid * q[:, j] / unit[j], p[:, j] / unit[j], method="fft")
+        distance -= 2.0 * correlate(
+            valid * q[:, j] / unit[j], p[:, j] / unit[j], method="fft"
+        )
     open_ = there >= least_share * len(p)
     if not open_.any():
         return missing
     mean = np.where(open_, distance / np.maximum(there, 1.0), np.inf)
-    k = int(np.argmin(mean)) - len(p) + 1  # the sample of the log at which the move begins
-    own, log = slice(max(0, -k), min(len(p), len(q) - k)), slice(max(0, k), min(len(q), k + len(p)))
+    # the sample of the log at which the move begins
+    k = int(np.argmin(mean)) - len(p) + 1
+    own, log = (
+        slice(max(0, -k), min(len(p), len(q) - k)),
+        slice(max(0, k), min(len(q), k + len(p))),
+    )
     seen = valid[log] > 0
     off = np.sqrt(np.mean((q[log][seen] - p[own][seen]) ** 2, axis=0))
     share, worst = float(seen.sum() / len(p)), int(np.argmax(off / unit))
@@ -109,4 +129,6 @@ def _found(
     elif share < whole:
         reason = f"only {percent(share, 0)} of it is in the log"
     status, start = "spoiled" if reason else "recorded", k / RATE_HZ
-    return structs.replace(missing, status=status, reason=reason, start=start, share=share)
+    return structs.replace(
+        missing, status=status, reason=reason, start=start, share=share
+    )

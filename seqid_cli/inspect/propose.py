@@ -44,9 +44,10 @@ def propose(
 ) -> Proposal:
     """Propose a robot file from logs of one robot, of which the first says what channels there are.
 
-    `urdf`: without it the geometry is left to be filled in. `urdf_path`: how the file is to name
-    it. `drives`: `torque_constant` and `gear_ratio`, one for all joints or one for each; any other
-    number raises UsageError. Raises InputError: a log cannot be read, or shows no joint.
+    `urdf`: without it the geometry is left to be filled in. `urdf_path`: how the file
+    is to name it. `drives`: `torque_constant` and `gear_ratio`, one for all joints or
+    one for each; any other number raises UsageError. Raises InputError: a log cannot be
+    read, or shows no joint.
     """
     surveyed = survey(paths[0])
     guessed = guess(surveyed)
@@ -62,11 +63,19 @@ def propose(
     undriven = [name for name in guessed.joints if name not in seen]
     guessed = replace(guessed, joints=tuple(n for n in guessed.joints if n in seen))
     pairs, chain = _matched(guessed.joints, urdf)
-    known: list[tuple[str, UrdfJoint | None]] = [*pairs] or [(n, None) for n in guessed.joints]
+    known: list[tuple[str, UrdfJoint | None]] = [*pairs] or [
+        (n, None) for n in guessed.joints
+    ]
     codes = {finding.code for report in reports for finding in report.findings}
-    units = {"unit": "deg"} if guessed.unit == "deg" or "position_in_degrees" in codes else {}
+    units = (
+        {"unit": "deg"}
+        if guessed.unit == "deg" or "position_in_degrees" in codes
+        else {}
+    )
     units |= {"length_unit": "mm"} if guessed.length_unit == "mm" else {}
-    joints = _driven([_joint(own, seen[log], guessed, units) for log, own in known], drives)
+    joints = _driven(
+        [_joint(own, seen[log], guessed, units) for log, own in known], drives
+    )
     effort = next((joint.effort for joint in seen.values() if joint.effort), "")
     log_names, names = [log for log, _ in known], [joint.name for joint in joints]
     channels, todo = _channels(surveyed, guessed, log_names, names)
@@ -80,7 +89,9 @@ def propose(
         left_out=tuple(joint.name for joint in chain if joint.name not in names),
     )
     if undriven:
-        todo.append(f"the log has neither torque nor current of {', '.join(undriven)}: left out")
+        todo.append(
+            f"the log has neither torque nor current of {', '.join(undriven)}: left out"
+        )
     return Proposal(template, (*todo, *_todo(template, guessed, pairs, urdf)))
 
 
@@ -92,8 +103,13 @@ def _driven(
     for key, values in drives.items():
         if len(values) not in (1, count):
             names = ", ".join(joint.name for joint in joints)
-            message = f"--{key.replace('_', '-')} has {len(values)} numbers for {count} joints"
-            raise UsageError(message, hint=f"Give one for all joints, or one for each: {names}.")
+            message = (
+                f"--{key.replace('_', '-')} has {len(values)} numbers for {count}"
+                " joints"
+            )
+            raise UsageError(
+                message, hint=f"Give one for all joints, or one for each: {names}."
+            )
         every = values if len(values) == count else [*values] * count
         pairs = zip(joints, every, strict=True)
         joints = [replace(joint, **{key: value}) for joint, value in pairs]  # type: ignore[arg-type]
@@ -120,12 +136,16 @@ def with_gravity(
     return re.sub(r"(?m)^gravity = .*$", line, content)
 
 
-def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -> dict[str, str]:
+def match_names(
+    log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6
+) -> dict[str, str]:
     """Pair names of a log with those of a URDF, one to one: equal ones first, then the nearest."""
     pairs = {name: name for name in log if name in urdf}
     left = [name for name in log if name not in pairs]
     free = [name for name in urdf if name not in pairs.values()]
-    scored = sorted((-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free)
+    scored = sorted(
+        (-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free
+    )
     for score, i, j in scored:
         if -score >= near and log[i] not in pairs and urdf[j] not in pairs.values():
             pairs[log[i]] = urdf[j]
@@ -137,13 +157,19 @@ def _likeness(a: str, b: str) -> float:
     numbers = [re.findall(r"[0-9]+", text) for text in (a, b)]
     if numbers[0] and numbers[1] and numbers[0] != numbers[1]:
         return 0.0
-    plain = [_FILLERS.sub("", re.sub(r"[^a-z0-9]", "", text.lower())) for text in (a, b)]
+    plain = [
+        _FILLERS.sub("", re.sub(r"[^a-z0-9]", "", text.lower())) for text in (a, b)
+    ]
     if plain[0] == plain[1]:
         return 1.0
-    return difflib.SequenceMatcher(a=plain[0], b=plain[1]).ratio() if all(plain) else 0.0
+    return (
+        difflib.SequenceMatcher(a=plain[0], b=plain[1]).ratio() if all(plain) else 0.0
+    )
 
 
-def _matched(log: Sequence[str], urdf: UrdfText | None) -> tuple[Pairs, tuple[UrdfJoint, ...]]:
+def _matched(
+    log: Sequence[str], urdf: UrdfText | None
+) -> tuple[Pairs, tuple[UrdfJoint, ...]]:
     """Pair the log's joints with those of the URDF's chain that fits best, in chain order."""
     if urdf is None:
         return [], ()
@@ -157,12 +183,17 @@ def _matched(log: Sequence[str], urdf: UrdfText | None) -> tuple[Pairs, tuple[Ur
     places = [int(match[1]) for match in matched if match]
     first = 0 if 0 in places else 1
     if len(places) == len(log) and max(places) - first < len(chain):
-        return [(name, chain[k - first]) for name, k in zip(log, places, strict=True)], chain
+        return [
+            (name, chain[k - first]) for name, k in zip(log, places, strict=True)
+        ], chain
     return found, chain
 
 
 def _joint(
-    joint: UrdfJoint | None, seen: InspectedJoint, guessed: Guess, units: Mapping[str, str]
+    joint: UrdfJoint | None,
+    seen: InspectedJoint,
+    guessed: Guess,
+    units: Mapping[str, str],
 ) -> JointTemplate:
     """Describe a joint; the inspection took its positions for angles in the guessed unit."""
     step = seen.encoder_step
@@ -173,7 +204,9 @@ def _joint(
         step = math.degrees(step) if guessed.unit == "deg" else step
     if joint is None:
         return JointTemplate(seen.name, encoder_step=step, moves=seen.moves)
-    limits = (joint.lower, joint.upper) if None not in (joint.lower, joint.upper) else None
+    limits = (
+        (joint.lower, joint.upper) if None not in (joint.lower, joint.upper) else None
+    )
     remark = "" if joint.name == seen.name else f"{seen.name} in the log"
     return JointTemplate(joint.name, limits, joint.velocity, step, seen.moves, remark)  # type: ignore[arg-type]
 
@@ -183,8 +216,13 @@ def _channels(
 ) -> tuple[dict[str, Columns], list[str]]:
     """Return `[channels]` by which a robot file's joints are those of a log, and what they lack."""
     if not surveyed.columns:
-        renamed = ", ".join(f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b)
-        text = f"the log's joints have other names: rename them in a copy of the URDF ({renamed})"
+        renamed = ", ".join(
+            f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b
+        )
+        text = (
+            "the log's joints have other names: rename them in a copy of the URDF"
+            f" ({renamed})"
+        )
         return {}, [text] if renamed else []
     names = surveyed.columns
     times = time_names(names)
@@ -194,11 +232,19 @@ def _channels(
     patterns = dict(guessed.patterns)
     for quantity in () if patterns else WORDS:
         there = all(f"{name}.{quantity}" in names for name in guessed.joints)
-        patterns |= {quantity: f"{{name}}.{quantity}"} if quantity == "position" or there else {}
+        patterns |= (
+            {quantity: f"{{name}}.{quantity}"}
+            if quantity == "position" or there
+            else {}
+        )
     match = find_scheme(joints, names)
     told = {*match.columns} if match is not None else set()  # by the names themselves
     told |= {"current", "torque"} if "effort" in told else set()
-    mapped = {k: _mapped(pattern, log, joints) for k, pattern in patterns.items() if k not in told}
+    mapped = {
+        k: _mapped(pattern, log, joints)
+        for k, pattern in patterns.items()
+        if k not in told
+    }
     return {**channels, **mapped}, []
 
 
@@ -227,12 +273,17 @@ def _todo(
     if "length_unit" in template.channels:
         yield 'check length_unit = "mm" under [channels]: positions are called so'
     there = {log for log, _ in pairs}
-    missing = ", ".join(name for name in dict.fromkeys(guessed.joints) if name not in there)
+    missing = ", ".join(
+        name for name in dict.fromkeys(guessed.joints) if name not in there
+    )
     if urdf is None:
         yield "the geometry: name a URDF, or complete dh of every joint"
     elif not pairs:
         movable = ", ".join(urdf.movable) or "no movable joint"
-        yield f"no joint of the log ({missing}) is in the URDF ({movable}): give the geometry"
+        yield (
+            f"no joint of the log ({missing}) is in the URDF ({movable}): give the"
+            " geometry"
+        )
     elif missing:
         yield f"joints of the log that the URDF's chain lacks: {missing}"
     if pairs and template.left_out:

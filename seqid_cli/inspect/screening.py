@@ -1,7 +1,8 @@
 """The checks of `seqid inspect` on a log that a stage reads, without its damaged samples.
 
-A log that is passed over is looked through for damaged positions block by block; torque and motion
-are compared with each other in some pieces of it, so that memory does not grow with the log.
+A log that is passed over is looked through for damaged positions block by block; torque
+and motion are compared with each other in some pieces of it, so that memory does not
+grow with the log.
 """
 
 from collections.abc import Iterator
@@ -38,7 +39,9 @@ class Screened(NamedTuple):
 def sound(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
     """Return a log, or a piece of one, as `read_both` gives it, without its damaged samples."""
     data = LogData(recording, raw, robot)
-    return without(data, breaks_of(robot, data.t, data.joints.channels["position"])).recording
+    return without(
+        data, breaks_of(robot, data.t, data.joints.channels["position"])
+    ).recording
 
 
 def read_screened(
@@ -51,14 +54,21 @@ def read_screened(
 
 
 def screened_long(
-    log: SurveyedLog, robot: Robot, *, pieces: int = 8, piece_s: float = 20, overlap_s: float = 1.0
+    log: SurveyedLog,
+    robot: Robot,
+    *,
+    pieces: int = 8,
+    piece_s: float = 20,
+    overlap_s: float = 1.0,
 ) -> tuple[SurveyedLog, Findings]:
     """Check a log that is passed over; see `read_screened`.
 
-    Torque and motion are compared in `pieces` of `piece_s`; breaks are looked for with `overlap_s`
-    on either side of a block as well [s].
+    Torque and motion are compared in `pieces` of `piece_s`; breaks are looked for with
+    `overlap_s` on either side of a block as well [s].
     """
-    first = next(iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source)))
+    first = next(
+        iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source))
+    )
     size = min(log.samples, max(64, int(piece_s * log.rate_hz)))
     starts = np.linspace(0, log.samples - size, pieces)
     kept: dict[int, list[Block]] = {int(start): [] for start in starts}
@@ -66,14 +76,18 @@ def screened_long(
     bridges: list[Bridge] = []
     margin = max(16, int(overlap_s * log.rate_hz))
     for window, low, high in overlapping(log.blocks(), BLOCK_ROWS, margin):
-        t = np.asarray((window.start + np.arange(window.samples)) * log.step_s, dtype=np.float64)
+        t = np.asarray(
+            (window.start + np.arange(window.samples)) * log.step_s, dtype=np.float64
+        )
         for each in breaks_of(robot, t, window.q):
             findings.append(each.finding)
             bridges += _bridged(each, window, log.rate_hz)
         for start, parts in kept.items():
             at = start - window.start
             if max(at, low) < min(at + size, high):
-                parts.append(deepcopy(window.part(slice(max(at, low), min(at + size, high)))))
+                parts.append(
+                    deepcopy(window.part(slice(max(at, low), min(at + size, high))))
+                )
     sound, warnings = replace(log, bridges=tuple(bridges)), log.warnings
     for piece in map(joined, kept.values()):
         for bridge in bridges:
@@ -88,7 +102,9 @@ def _bridged(damage: Break, window: Block, rate_hz: float) -> Iterator[Bridge]:
     """Bridge damaged samples of a window, runs of them together."""
     most = max(GAP_INTERVALS, GAP_LEAST_S * rate_hz)
     q, rows = window.q[:, damage.joint], damage.rows
-    for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else ():
+    for run in (
+        np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else ()
+    ):
         start, stop = int(run[0]), int(run[-1]) + 1
         after = float(q[min(stop, len(q) - 1)])
         before = float(q[start - 1]) if start else after
@@ -117,6 +133,8 @@ def _held(
     logged = first.joints.channels
     factor = [joint.torque_per_ampere or np.nan for joint in log.robot.joints]
     currents = "current" in logged and (first.prefer_current or "torque" not in logged)
-    effort = {"current": piece.tau / np.array(factor)} if currents else {"torque": piece.tau}
+    effort = (
+        {"current": piece.tau / np.array(factor)} if currents else {"torque": piece.tau}
+    )
     joints = Stream("joints", stamps, {"position": piece.q, **effort})
     return recording, RawLog(joints, prefer_current=first.prefer_current)

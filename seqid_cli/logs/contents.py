@@ -34,7 +34,9 @@ def survey(path: Path) -> Survey:
         channels = names = read_form(path).names
     count = sum(name.startswith(f"{LEROBOT_STATE}[") for name in names)
     plain = re.compile("(?:[._]pos(?:ition)?|[.]q)$")  # motors by their names as joints
-    joints = tuple(plain.sub("", name) for name in (parquet.lerobot_names(path) if count else ()))
+    joints = tuple(
+        plain.sub("", name) for name in (parquet.lerobot_names(path) if count else ())
+    )
     if len(joints) != count:
         joints = tuple(f"joint_{k + 1}" for k in range(count))
     return Survey(kind, channels, joints, names)

@@ -1,7 +1,8 @@
 """What a log's joint channels mean: units, torque without gravity, voltage of a servo.
 
-A servo that logs its voltage u, or a duty cycle of its supply, has the current i = (u - k_e w) / R,
-with the motor's speed w = gear_ratio dq and k_e = torque_constant in SI units.
+A servo that logs its voltage u, or a duty cycle of its supply, has the current i = (u -
+k_e w) / R, with the motor's speed w = gear_ratio dq and k_e = torque_constant in SI
+units.
 """
 
 import numpy as np
@@ -16,7 +17,9 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
     angle = np.pi / 180.0 if robot.channels.unit == "deg" else 1.0
     length = 1e-3 if robot.channels.length_unit == "mm" else 1.0
     if angle != 1.0 or length != 1.0:
-        factor = np.array([length if joint.prismatic else angle for joint in robot.joints])
+        factor = np.array(
+            [length if joint.prismatic else angle for joint in robot.joints]
+        )
         positions = ("position", "velocity", "link_position")
         found |= {name: found[name] * factor for name in positions if name in found}
     if robot.channels.effort == "gravity_compensated" and "torque" in found:
@@ -25,7 +28,9 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
         # The driver has subtracted gravity as the URDF's inertials give it.
         assert robot.nominal is not None
         q, still = found["position"], np.zeros_like(found["position"])
-        weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+        weight = inverse_dynamics(
+            robot.chain, robot.gravity, robot.nominal, q, still, still
+        )
         found["torque"] = found["torque"] + weight
     voltage, duty = found.pop("voltage", None), found.pop("pwm", None)
     if voltage is None and duty is not None:
@@ -36,10 +41,13 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
 
 
 def _constants(robot: Robot, name: str) -> Array:
-    return np.array([getattr(joint, name) for joint in robot.joints], np.float64)  # None: NaN
+    # None: NaN
+    return np.array([getattr(joint, name) for joint in robot.joints], np.float64)
 
 
-def _current(voltage: Array, channels: dict[str, Array], stamps: Stamps, robot: Robot) -> Array:
+def _current(
+    voltage: Array, channels: dict[str, Array], stamps: Stamps, robot: Robot
+) -> Array:
     dq = np.full_like(channels["position"], np.nan)
     if len(stamps) > 1:
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -48,5 +56,7 @@ def _current(voltage: Array, channels: dict[str, Array], stamps: Stamps, robot: 
     dq = np.where(np.isfinite(logged), logged, dq)
     torque_constant = _constants(robot, "torque_constant")
     ratio = np.nan_to_num(_constants(robot, "gear_ratio"), nan=1.0)
-    current = (voltage - torque_constant * ratio * dq) / _constants(robot, "winding_resistance")
+    current = (voltage - torque_constant * ratio * dq) / _constants(
+        robot, "winding_resistance"
+    )
     return np.where(np.isfinite(current), current, np.nan)

@@ -53,8 +53,9 @@ def expanded(given: Sequence[Log], *, stored: bool = False) -> list[Path | Recor
             found += expand([os.fspath(log) for log in group], warn, stored=stored)  # type: ignore[arg-type]
         else:
             for log in group:  # a recording as it is, a table in the place of a path
-                held: Any = hasattr(log, "health") and hasattr(log, "tau")
-                found.append(log if held else TableLog.of(log, f"table_{len(found) + 1}"))  # type: ignore[arg-type]
+                if not (hasattr(log, "health") and hasattr(log, "tau")):
+                    log = TableLog.of(log, f"table_{len(found) + 1}")
+                found.append(log)  # type: ignore[arg-type]
     return found
 
 

@@ -1,8 +1,8 @@
 """Joints of the chain that the robot file leaves out, as a log shows them.
 
-Such a joint is taken as locked, and the arm behind it hangs on the angle at which it stands. A log
-that holds its position says which: where it stands the chain is built at that angle, where it moves
-the robot file has too few joints for the log.
+Such a joint is taken as locked, and the arm behind it hangs on the angle at which it
+stands. A log that holds its position says which: where it stands the chain is built at
+that angle, where it moves the robot file has too few joints for the log.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,8 @@ from seqid_cli.robot.types import LockedJoint, Robot
 from seqid_cli.typing import Array
 
 REMEDY = "Add its [[joint]] table to the robot file, or hold the joint while recording."
-TRAVEL = 0.01  # rad (m) that a joint may be shaken by; the arm behind it is no more precise
+# rad (m) that a joint may be shaken by; the arm behind it is no more precise
+TRAVEL = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +46,16 @@ class Standing:
         unit = "m" if self.joint.prismatic else "rad"
         about = f"lies {self.joint.place} and is not in the robot file; "
         if self.moves:
-            return f"{about}it moves in the log, from {self.low:.3g} to {self.high:.3g} {unit}"
+            return (
+                f"{about}it moves in the log, from {self.low:.3g} to {self.high:.3g}"
+                f" {unit}"
+            )
         if abs(self.usual) <= TRAVEL:
             return ""
-        return f"{about}it is taken as locked where it stands in the log, {self.usual:.4g} {unit}"
+        return (
+            f"{about}it is taken as locked where it stands in the log, {self.usual:.4g}"
+            f" {unit}"
+        )
 
 
 def standing_joints(path: Path, robot: Robot) -> list[Standing]:
@@ -78,15 +85,20 @@ def in_logged_posture(robot: Robot, standing: Sequence[Standing]) -> Robot:
     for one in standing:
         log = str(one.log)
         if one.moves:
-            raise InputError(f"joint {one.joint.name!r} {one.message}", hint=REMEDY, where=log)
+            raise InputError(
+                f"joint {one.joint.name!r} {one.message}", hint=REMEDY, where=log
+            )
         other = first.setdefault(one.joint.name, one)
         if abs(one.usual - other.usual) > TRAVEL:
             text = (
-                f"joint {one.joint.name!r} lies {one.joint.place} and is not in the robot file; "
-                f"it stands at {one.usual:.4g}, and at {other.usual:.4g} in {other.log}"
+                f"joint {one.joint.name!r} lies {one.joint.place} and is not in the"
+                f" robot file; it stands at {one.usual:.4g}, and at {other.usual:.4g}"
+                f" in {other.log}"
             )
             raise InputError(text, hint=REMEDY, where=log)
-    positions = {name: one.usual for name, one in first.items() if abs(one.usual) > TRAVEL}
+    positions = {
+        name: one.usual for name, one in first.items() if abs(one.usual) > TRAVEL
+    }
     if not positions:
         return robot
     return load_robot(robot.source, positions)
@@ -94,17 +106,21 @@ def in_logged_posture(robot: Robot, standing: Sequence[Standing]) -> Robot:
 
 def _positions(path: Path, robot: Robot, joint: LockedJoint) -> Iterator[Array]:
     """Read the positions of a joint, if the log has them by its name."""
-    # A log's other channels are those of the joints in the robot file: columns by number are
-    # theirs, and a unit holds for all.
+    # A log's other channels are those of the joints in the robot file: columns by
+    # number are theirs, and a unit holds for all.
     names = robot.channels.position
-    known: Columns | None = names if isinstance(names, str) and "{name}" in names else None
+    known: Columns | None = (
+        names if isinstance(names, str) and "{name}" in names else None
+    )
     channels = Channels(
         time=robot.channels.time,
         position=known,
         unit=robot.channels.unit,
         length_unit=robot.channels.length_unit,
     )
-    alone = replace(robot, joints=(joint.joint,), imus=(), effects=(), channels=channels)
+    alone = replace(
+        robot, joints=(joint.joint,), imus=(), effects=(), channels=channels
+    )
     try:
         for raw in READERS[check_log(path)](storage_file(path), alone):
             q = raw.joints.channels["position"][:, 0]

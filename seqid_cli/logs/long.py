@@ -1,9 +1,10 @@
 """Long logs: joint position and torque on one uniform time base, in blocks.
 
-A first pass decodes the file and lays the base; every further pass yields the same samples as
-`read_recording`, from a temporary file where there is room for one (see `Spool`), without ever
-holding more than some blocks. That works for logs whose stamps increase and whose rows hold every
-joint, but not where samples come in bursts or `lost_samples` finds some.
+A first pass decodes the file and lays the base; every further pass yields the same
+samples as `read_recording`, from a temporary file where there is room for one (see
+`Spool`), without ever holding more than some blocks. That works for logs whose stamps
+increase and whose rows hold every joint, but not where samples come in bursts or
+`lost_samples` finds some.
 """
 
 from collections.abc import Callable, Iterator
@@ -35,7 +36,8 @@ MOST = 262_144
 class Thinned:
     """Keeps every row until there are more than `most`, then every second one, fourth and so on.
 
-    What is kept, at least half of `most`, depends on the rows alone, not on how they came.
+    What is kept, at least half of `most`, depends on the rows alone, not on how they
+    came.
     """
 
     def __init__(self, most: int = MOST) -> None:
@@ -45,7 +47,9 @@ class Thinned:
 
     def push(self, rows: Array) -> None:
         """Take the next rows (M, ...)."""
-        self._parts.append(rows[-self._seen % self._every :: self._every].copy(order="K"))
+        self._parts.append(
+            rows[-self._seen % self._every :: self._every].copy(order="K")
+        )
         self._seen += len(rows)
         self._kept += len(self._parts[-1])
         while self._kept > self._most:
@@ -62,7 +66,10 @@ class Thinned:
 MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
 GROUP = 256  # rows whose distance from the base is remembered by its extremes
 _ALL = "position and torque"
-READERS: dict[str, BlockReader] = {"parquet": parquet.read_blocks, "mcap": reader.read_blocks}
+READERS: dict[str, BlockReader] = {
+    "parquet": parquet.read_blocks,
+    "mcap": reader.read_blocks,
+}
 Watch = Callable[[float, Array], None]
 
 
@@ -88,7 +95,9 @@ class Block:
 
     def part(self, where: slice) -> "Block":
         """Some samples, counted from the first of these."""
-        return Block(self.start + where.start, self.q[where], self.tau[where], self.valid[where])
+        return Block(
+            self.start + where.start, self.q[where], self.tau[where], self.valid[where]
+        )
 
 
 @dataclass(frozen=True)
@@ -104,9 +113,13 @@ class Bridge:
 
     def laid(self, block: Block) -> None:
         """Write the bridge into a block's own arrays, where it has a part of it."""
-        rows = np.arange(max(self.start, block.start), min(self.stop, block.start + len(block.q)))
+        rows = np.arange(
+            max(self.start, block.start), min(self.stop, block.start + len(block.q))
+        )
         share = (rows - self.start + 1) / (self.stop - self.start + 1)
-        block.q[rows - block.start, self.joint] = self.before + share * (self.after - self.before)
+        block.q[rows - block.start, self.joint] = self.before + share * (
+            self.after - self.before
+        )
         block.valid[rows - block.start] &= self.valid
 
 
@@ -138,13 +151,20 @@ class LongLog:
 
     @property
     def sha256(self) -> str:
-        """Digest of the file. Raises InputError: it has changed since the first pass."""
+        """Digest of the file.
+
+        Raises InputError: it has changed since the first pass.
+        """
         with files.unchanged(self.file, self.state):
             return files.sha256_of(self.file)
 
     def blocks(self) -> Iterator[Block]:
         """Pass over the samples; raises InputError if the file has changed since the first pass."""
-        rows = self._decoded() if self.spool is None else starmap(_as_stream, self.spool.parts())
+        rows = (
+            self._decoded()
+            if self.spool is None
+            else starmap(_as_stream, self.spool.parts())
+        )
         for block in self._as_logged(rows) if self.exact else self._resampled(rows):
             if self.bridges:
                 block = replace(block, q=block.q.copy(), valid=block.valid.copy())
@@ -178,7 +198,9 @@ class LongLog:
 
     def _around(self, rows: Stream, first: int, last: int | None = None) -> Stream:
         """Rows from a little before a sample on, to a little after another."""
-        ends = [self.start_ns + int(k * self.step_s * 1e9) for k in (first, last or first)]
+        ends = [
+            self.start_ns + int(k * self.step_s * 1e9) for k in (first, last or first)
+        ]
         low = max(0, int(np.searchsorted(rows.stamp_ns, ends[0])) - MARGIN)
         high = int(np.searchsorted(rows.stamp_ns, ends[1], side="right")) + MARGIN
         return rows.take(slice(low, None if last is None else high))
@@ -186,9 +208,13 @@ class LongLog:
     def _between(self, rows: Stream, start: int, stop: int) -> Iterator[Block]:
         for low in range(start, stop, parquet.BLOCK_ROWS):
             count = min(parquet.BLOCK_ROWS, stop - low)
-            window = Base(self.start_ns, self.step_s, count, self.jitter, False, (), first=low)
+            window = Base(
+                self.start_ns, self.step_s, count, self.jitter, False, (), first=low
+            )
             # Only the rows around the window: a hole may be much longer than a block.
-            both, valid, _ = resample(self._around(rows, low, low + count), _ALL, window)
+            both, valid, _ = resample(
+                self._around(rows, low, low + count), _ALL, window
+            )
             yield Block(low, both[:, : self.robot.n], both[:, self.robot.n :], valid)
 
 
@@ -205,11 +231,13 @@ class Scan:
     first: int = 0
     last: int = 0
     usual: float = 0.0  # ns, the median step of the first block
-    sums: Array = field(default_factory=lambda: np.zeros(2))  # of steps below the least gap
+    # of steps below the least gap
+    sums: Array = field(default_factory=lambda: np.zeros(2))
     beyond: list[Array] = field(default_factory=list)  # steps above it
     surplus: float = 0.0  # samples missing in longer steps
     steps: Thinned = field(default_factory=Thinned)
-    off: list[Array] = field(default_factory=list)  # (groups, 3): row, least and most distance
+    # (groups, 3): row, least and most distance
+    off: list[Array] = field(default_factory=list)
     partial: str = ""
     warnings: list[str] = field(default_factory=list)
 
@@ -217,7 +245,9 @@ class Scan:
         """Take the stamps of the next rows, and what was said of them."""
         self.partial = raw.partial or self.partial
         self.warnings += [note for note in raw.warnings if note not in self.warnings]
-        steps = np.diff(stamps, prepend=np.full(int(self.count > 0), self.last)).astype(np.float64)
+        steps = np.diff(stamps, prepend=np.full(int(self.count > 0), self.last)).astype(
+            np.float64
+        )
         if not self.count:
             if not len(steps):
                 raise UnevenError
@@ -234,29 +264,39 @@ class Scan:
         index = self.count + np.arange(len(stamps))
         off = (stamps - self.first) - index * self.usual
         starts = np.arange(0, len(off), GROUP)
-        least, most = (extreme.reduceat(off, starts) for extreme in (np.minimum, np.maximum))
+        least, most = (
+            extreme.reduceat(off, starts) for extreme in (np.minimum, np.maximum)
+        )
         self.off.append(np.stack([index[starts], least, most], axis=1))
         self.count += len(stamps)
         self.last = int(stamps[-1])
 
-    def base(self, *, stretch: float = 20.0) -> tuple[int, float, int, float, bool, int]:
+    def base(
+        self, *, stretch: float = 20.0
+    ) -> tuple[int, float, int, float, bool, int]:
         """Lay the base as `timebase.make_base` does: start, step, samples, jitter, exact, gaps."""
         if self.count < 2:
             raise UnevenError
         beyond = np.concatenate(self.beyond)
         median = float(np.median(self.steps.rows))
         gap = beyond > max(raw_log.GAP_INTERVALS * median, raw_log.GAP_LEAST_S * 1e9)
-        if abs(median / self.usual - 1) > 0.02 or gap.sum() > raw_log.BURSTS * (self.count - 1):
+        if abs(median / self.usual - 1) > 0.02 or gap.sum() > raw_log.BURSTS * (
+            self.count - 1
+        ):
             raise UnevenError
         regular = beyond[~gap]
         number = self.count - 1 - int(gap.sum())
         total = self.sums[0] + regular.sum()
         mean = total / number - self.usual
-        spread = (self.sums[1] + np.square(regular - self.usual).sum()) / number - mean**2
+        spread = (
+            self.sums[1] + np.square(regular - self.usual).sum()
+        ) / number - mean**2
         jitter = float(np.sqrt(max(spread, 0.0)) / median)
         if jitter > JITTER_LIMIT:
             raise UnevenError
-        intervals = number + self.surplus + float((np.rint(regular / median) - 1).clip(0).sum())
+        intervals = (
+            number + self.surplus + float((np.rint(regular / median) - 1).clip(0).sum())
+        )
         step = total / round(intervals) * 1e-9
         span = (self.last - self.first) * 1e-9
         if span / step > stretch * self.count:
@@ -290,12 +330,16 @@ def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
 
 
 def open_long(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header", watch: Watch | None = None
+    path: Path,
+    robot: Robot,
+    *,
+    time_source: TimeSource = "header",
+    watch: Watch | None = None,
 ) -> LongLog | None:
     """Pass over a log once and lay its time base; None where it can only be read as a whole.
 
-    `watch`: shown the rate [Hz] that the first rows have, and positions (M, n) as logged: the
-    samples of the base if the log is `exact`.
+    `watch`: shown the rate [Hz] that the first rows have, and positions (M, n) as
+    logged: the samples of the base if the log is `exact`.
     """
     kind, file = files.check_log(path), files.storage_file(path)
     if kind not in READERS:
@@ -329,7 +373,9 @@ def _rows(
             continue
         # Which joints have what torque can be taken from must be the same all along.
         there = [name for name in ("current", "torque") if name in joints.channels]
-        sources = [(k, np.isfinite(joints.channels[k]).any(axis=0).tolist()) for k in there]
+        sources = [
+            (k, np.isfinite(joints.channels[k]).any(axis=0).tolist()) for k in there
+        ]
         first_sources = first_sources or sources
         if sources and sources == first_sources:
             joints = with_torque(joints, robot, raw.prefer_current, str(path), [])
@@ -337,7 +383,9 @@ def _rows(
             raise UnevenError
         if second_publisher(raw.joints, str(path)) is not None:
             raise UnevenError
-        values = np.concatenate([joints.channels["position"].T, joints.channels["tau"].T])
+        values = np.concatenate(
+            [joints.channels["position"].T, joints.channels["tau"].T]
+        )
         stamps = np.concatenate([latest, joints.stamp_ns])
         sound = values.min() >= -ABSURD and values.max() <= ABSURD  # not with NaN
         if not sound or (np.diff(stamps) <= 0).any() or len(mended(joints).losses.rows):

@@ -1,7 +1,7 @@
 """Pieces of a log, each a recording of its own: with the stamps that it has in the log.
 
-A log that is held is cut; one that is too long for that is passed over once more, and only the rows
-of the pieces are kept.
+A log that is held is cut; one that is too long for that is passed over once more, and
+only the rows of the pieces are kept.
 """
 
 import hashlib
@@ -38,7 +38,11 @@ def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
     for number, recording in enumerate(recordings):
         whole = recording.whole
         # Two whole ones are two logs even where their content is the same.
-        key = number if whole is None else (str(recording.path), whole.sha256, whole.start)
+        key = (
+            number
+            if whole is None
+            else (str(recording.path), whole.sha256, whole.start)
+        )
         logs.setdefault(key, []).append(recording)
     return list(logs.values())
 
@@ -46,18 +50,23 @@ def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
 def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
     """Cut pieces out of a recording, from first to last moment, s since its first sample.
 
-    `t` begins at 0 in each, `start` is where it begins in the log. Warnings stay with the log.
+    `t` begins at 0 in each, `start` is where it begins in the log. Warnings stay with
+    the log.
     """
     whole, t = whole_of(recording), recording.t
     pieces = []
     for begin, end in ranges:
-        part = slice(int(np.searchsorted(t, begin - 1e-9)), int(np.searchsorted(t, end + 1e-9)))
+        part = slice(
+            int(np.searchsorted(t, begin - 1e-9)), int(np.searchsorted(t, end + 1e-9))
+        )
         own: dict[str, Any] = {}
         for name, values in vars(recording).items():
             if isinstance(values, np.ndarray):
                 own[name] = values[part].copy()
             elif isinstance(values, dict):  # IMUs
-                own[name] = {imu: readings[part].copy() for imu, readings in values.items()}
+                own[name] = {
+                    imu: readings[part].copy() for imu, readings in values.items()
+                }
         first = float(own["t"][0])
         own |= {"t": own["t"] - first, "start": recording.start + first}
         pieces.append(_piece(replace(recording, **own), whole))
@@ -84,9 +93,10 @@ def read_pieces(
 ) -> list[Recording]:
     """Read pieces of a log without holding the rest of it.
 
-    `ranges`: as of `cut`; they may overlap. `kind`: the format of a log that can be passed over; a
-    log of any other is read as a whole and cut. `sound`: takes damaged samples out of what
-    `read_both` gives. Raises InputError: the file cannot be read, or holds too little of a piece.
+    `ranges`: as of `cut`; they may overlap. `kind`: the format of a log that can be
+    passed over; a log of any other is read as a whole and cut. `sound`: takes damaged
+    samples out of what `read_both` gives. Raises InputError: the file cannot be read,
+    or holds too little of a piece.
     """
     if kind not in READERS:
         recording, all_rows = read_both(path, robot, time_source=time_source)
@@ -102,7 +112,9 @@ def read_pieces(
     pieces = []
     for (begin, _), own in zip(ranges, kept, strict=True):
         if not any(len(part.joints) for part in own):
-            raise InputError(f"no longer holds the rows {begin:.3g} s on", where=str(path))
+            raise InputError(
+                f"no longer holds the rows {begin:.3g} s on", where=str(path)
+            )
         found, raw = assemble(path, kind, whole.sha256, _following(own), robot)
         pieces.append(_piece(sound(found, raw) if sound else found, whole))
     return pieces
@@ -112,7 +124,9 @@ def _within(raw: RawLog, first: int, last: int, *, around_s: float = 0.1) -> Raw
     """What lies between two stamps, of IMUs a little more; without what was said of it."""
     imus, more = {}, int(around_s * 1e9)
     for name, streams in raw.imus.items():
-        imus[name] = tuple(_between(stream, first - more, last + more) for stream in streams)
+        imus[name] = tuple(
+            _between(stream, first - more, last + more) for stream in streams
+        )
     joints = _between(raw.joints, first - 1000, last + 1000)
     return replace(raw, joints=joints, imus=imus, warnings=(), partial="")
 
@@ -135,9 +149,10 @@ def read_parts(
 ) -> Iterator[tuple[Recording, RawLog]]:
     """Read a log part by part, in memory that does not grow with its length.
 
-    `most_values`: samples times channels of a part, about; a log of fewer is one part. `overlap_s`:
-    time at the end of a part that the next one begins with, so that nothing falls between them.
-    `failed`: told of a part that is of no use, instead of an InputError as of `read_both`.
+    `most_values`: samples times channels of a part, about; a log of fewer is one part.
+    `overlap_s`: time at the end of a part that the next one begins with, so that
+    nothing falls between them. `failed`: told of a part that is of no use, instead of
+    an InputError as of `read_both`.
     """
     kind, file = check_log(path), storage_file(path)
     width = 3 * robot.n + sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
@@ -179,7 +194,10 @@ def _parts(blocks: Iterable[RawLog], most: int, overlap_ns: int) -> Iterator[Raw
 
 
 def _size(raw: RawLog) -> int:
-    streams = (raw.joints, *(stream for streams in raw.imus.values() for stream in streams))
+    streams = (
+        raw.joints,
+        *(stream for streams in raw.imus.values() for stream in streams),
+    )
     return sum(values.size for stream in streams for values in stream.channels.values())
 
 
@@ -194,5 +212,7 @@ def _following(blocks: Sequence[RawLog]) -> RawLog:
         blocks[-1],
         joints=joined([block.joints for block in blocks]),
         imus=imus,
-        warnings=tuple(dict.fromkeys(text for block in blocks for text in block.warnings)),
+        warnings=tuple(
+            dict.fromkeys(text for block in blocks for text in block.warnings)
+        ),
     )

@@ -1,10 +1,11 @@
 """Two publishers on one topic: the messages of one are left out, or the log is refused.
 
-A simulator's or a launch file's `joint_state_publisher` beside the robot's own driver gives a log
-in which two motions take turns. Nothing in a message says who sent it. It shows in what they hold:
-one sends no effort, or always the same positions, or goes another way. Messages count as another
-publisher's only where the positions of the rest contradict them, so a joint that rests, or a driver
-that sends its effort less often than its position, is one publisher.
+A simulator's or a launch file's `joint_state_publisher` beside the robot's own driver
+gives a log in which two motions take turns. Nothing in a message says who sent it. It
+shows in what they hold: one sends no effort, or always the same positions, or goes
+another way. Messages count as another publisher's only where the positions of the rest
+contradict them, so a joint that rests, or a driver that sends its effort less often
+than its position, is one publisher.
 """
 
 from dataclasses import dataclass
@@ -53,8 +54,13 @@ def without_second_publisher(stream: Stream, where: str, warnings: list[str]) ->
     if strangers is None:
         return stream
     count = int(np.count_nonzero(strangers.rows))
-    text = f"a second publisher: {count} of {len(stream)} messages ({strangers.marks}) contradict "
-    warnings.append(f"{stream.name}: {text}the positions of the others and are left out")
+    text = (
+        f"a second publisher: {count} of {len(stream)} messages ({strangers.marks})"
+        " contradict "
+    )
+    warnings.append(
+        f"{stream.name}: {text}the positions of the others and are left out"
+    )
     return stream.take(~strangers.rows)
 
 
@@ -69,7 +75,9 @@ def second_publisher(stream: Stream, where: str) -> Strangers | None:
     effort = _effort(stream)
     silent: Mask = np.asarray(whole & ~np.isfinite(effort).any(axis=1))
     if _contradicts(stream, whole & ~silent, silent):
-        return Strangers(rows=silent, marks=", ".join([*_posture(position[silent]), "no effort"]))
+        return Strangers(
+            rows=silent, marks=", ".join([*_posture(position[silent]), "no effort"])
+        )
     if not _takes_turns(position[whole][:, logged]):
         return None
     idle: Mask = np.zeros(len(stream), dtype=np.bool_)
@@ -107,8 +115,9 @@ def _strangers(stream: Stream, whole: Mask, rows: Mask, where: str) -> Strangers
             return Strangers(rows=others, marks=text)
     counts = [int(np.count_nonzero(own)) for own in (first, second)]
     message = (
-        f"{stream.name}: two publishers take turns, with {counts[0]} and {counts[1]} messages "
-        "whose positions contradict each other; which of them is the robot cannot be told"
+        f"{stream.name}: two publishers take turns, with {counts[0]} and {counts[1]}"
+        " messages whose positions contradict each other; which of them is the robot"
+        " cannot be told"
     )
     raise InputError(message, hint=REMEDY, where=where)
 
@@ -125,7 +134,13 @@ def _posture(position: Array) -> list[str]:
     """Say where a publisher's positions (M, n) stand, if they never change."""
     if _varies(position):
         return []
-    return ["positions all zero" if not np.nan_to_num(position).any() else "positions constant"]
+    return [
+        (
+            "positions all zero"
+            if not np.nan_to_num(position).any()
+            else "positions constant"
+        )
+    ]
 
 
 def _contradicts(
@@ -146,9 +161,11 @@ def _contradicts(
     first, second : ndarray of bool, (M,)
         Messages whose motion counts, and those that are held against it.
     min_share : float
-        Share of the second's messages that must contradict; the others may meet the motion.
+        Share of the second's messages that must contradict; the others may meet the
+        motion.
     steps : float
-        Steps of the motion between two messages that a position may be off, as stamps are.
+        Steps of the motion between two messages that a position may be off, as stamps
+        are.
     range_share : float
         Share of a joint's range of motion that it may be off besides.
     """
@@ -174,8 +191,9 @@ def _contradicts(
 def _takes_turns(position: Array, *, far: float = 10.0, least: float = 1e-3) -> bool:
     """Tell whether positions (M, n) go to and fro by more than they move otherwise.
 
-    `far`: times the usual change from one message to the next or the next but one, of which two
-    publishers that alternate leave the second small. `least`: change, rad (m), that is looked at.
+    `far`: times the usual change from one message to the next or the next but one, of
+    which two publishers that alternate leave the second small. `least`: change, rad
+    (m), that is looked at.
     """
     one, two = (np.abs(position[k:] - position[:-k]).max(axis=1) for k in (1, 2))
     usual = min(float(np.median(one)), float(np.median(two)))
@@ -196,9 +214,10 @@ def _constant(given: Array, whole: Mask) -> Mask:
 def _other_track(position: Array, *, near: float = 0.2) -> Mask:
     """Part positions (M, n) into two motions that take turns; true (M,) for the rarer one.
 
-    Each message goes on with the motion that it is nearer to, forwards and backwards from the
-    largest change. Two motions are there only where changes from one to the other are large:
-    `near` is the share of them that nine in ten changes within a motion must stay below.
+    Each message goes on with the motion that it is nearer to, forwards and backwards
+    from the largest change. Two motions are there only where changes from one to the
+    other are large: `near` is the share of them that nine in ten changes within a
+    motion must stay below.
     """
     size = np.abs(np.diff(position, axis=0)).max(axis=1)
     begin = int(np.argmax(size)) + 1

@@ -1,8 +1,8 @@
 """What a reader hands over: samples as they were logged, each stream with its own stamps.
 
-Here they are put right as well: stamps sorted, without duplicates, from one clock; whole turns put
-back that encoders of one turn lose. Stamps are integer nanoseconds, so sums and differences are
-exact.
+Here they are put right as well: stamps sorted, without duplicates, from one clock;
+whole turns put back that encoders of one turn lose. Stamps are integer nanoseconds, so
+sums and differences are exact.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -31,9 +31,10 @@ GYRO = "gyro"
 class Stream:
     """Samples that share stamps.
 
-    `channels[quantity]` is (M, w), NaN where a sample lacks the value. Joint streams hold position
-    [rad], velocity [rad/s], torque, load [N m], current [A], link_position [rad], temperature
-    [degC] by the robot's joints; IMU streams `accelerometers` [m/s^2] and `gyro` [rad/s].
+    `channels[quantity]` is (M, w), NaN where a sample lacks the value. Joint streams
+    hold position [rad], velocity [rad/s], torque, load [N m], current [A],
+    link_position [rad], temperature [degC] by the robot's joints; IMU streams
+    `accelerometers` [m/s^2] and `gyro` [rad/s].
     """
 
     name: str
@@ -66,36 +67,50 @@ def joined(parts: Sequence[Stream]) -> Stream:
     there = [part for part in parts if len(part)]
     if not there:
         return parts[0]
-    widths = {name: own.shape[1] for part in there for name, own in part.channels.items()}
+    widths = {
+        name: own.shape[1] for part in there for name, own in part.channels.items()
+    }
     channels: dict[str, Array] = {}
     for name, width in widths.items():
-        own = (p.channels.get(name, np.broadcast_to(np.nan, (len(p), width))) for p in there)
+        own = (
+            p.channels.get(name, np.broadcast_to(np.nan, (len(p), width)))
+            for p in there
+        )
         channels[name] = np.concatenate([*own])
-    return Stream(there[0].name, np.concatenate([part.stamp_ns for part in there]), channels)
+    return Stream(
+        there[0].name, np.concatenate([part.stamp_ns for part in there]), channels
+    )
 
 
-def partly_logged(imu: Imu, missing: Sequence[str], where: str, there: str = "") -> InputError:
+def partly_logged(
+    imu: Imu, missing: Sequence[str], where: str, there: str = ""
+) -> InputError:
     """Make the error for an IMU of which a log has only some channels; `there`: what it holds."""
-    message = f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}"
+    message = (
+        f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}"
+    )
     hint = f"The robot file gives it {len(imu.positions)} accelerometers"
     hint += f"{' and a gyro' * imu.gyro}: log them all, or correct the robot file."
     return InputError(message, hint=f"{hint} {there}".strip(), where=where)
 
 
-# Reads the channels that the robot file knows: (path, robot, time source, rows in a block, or None
-# for one). Raises InputError: the file is damaged beyond use or lacks a channel.
+# Reads the channels that the robot file knows: (path, robot, time source, rows in a
+# block, or None for one). Raises InputError: the file is damaged beyond use or lacks a
+# channel.
 BlockReader = Callable[..., Iterator[RawLog]]
 
 
 TURN = 2.0 * np.pi
 
 
-def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stream, dict[str, int]]:
+def in_turns(
+    stream: Stream, robot: Robot, *, slack: float = 0.05
+) -> tuple[Stream, dict[str, int]]:
     """Let revolute joints run on where they wrap, within their limits; tell how often each does.
 
-    `slack`: share of a turn by which a step may differ from whole ones. A log that lies within the
-    limits (half a turn, where there are none) only with a turn more or less is moved by it. The
-    same stream is returned where nothing wraps.
+    `slack`: share of a turn by which a step may differ from whole ones. A log that lies
+    within the limits (half a turn, where there are none) only with a turn more or less
+    is moved by it. The same stream is returned where nothing wraps.
     """
     position = stream.channels["position"]
     moved, found = position.copy(), dict[str, int]()
@@ -105,7 +120,9 @@ def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stre
         run, times = _unwrapped(position[:, j], slack)
         low, high = joint.position_limits or (-np.pi, np.pi)
         least, most = np.nanmin(run, initial=np.inf), np.nanmax(run, initial=-np.inf)
-        fits = [k for k in (0, -1, 1) if low <= least + TURN * k and most + TURN * k <= high]
+        fits = [
+            k for k in (0, -1, 1) if low <= least + TURN * k and most + TURN * k <= high
+        ]
         moved[:, j] = run + TURN * (fits[0] if fits else 0)
         found |= {joint.name: times} if times else {}
     if np.array_equal(moved, position, equal_nan=True):
@@ -134,8 +151,9 @@ BURSTS = 0.05
 def tidy(stream: Stream) -> tuple[Stream, int, int, list[str]]:
     """Sort a stream by stamp; merge samples of equal stamp, of each joint the first that holds it.
 
-    Where the clock was set back, only the longest stretch of one pass is kept. Returns: the stream
-    in the order of time; its steps back in time; samples dropped as repeated; warnings.
+    Where the clock was set back, only the longest stretch of one pass is kept. Returns:
+    the stream in the order of time; its steps back in time; samples dropped as
+    repeated; warnings.
     """
     backwards = int(np.count_nonzero(np.diff(stream.stamp_ns) < 0))
     warnings: list[str] = []
@@ -149,17 +167,22 @@ def tidy(stream: Stream) -> tuple[Stream, int, int, list[str]]:
     if duplicates:
         warnings.append(f"{stream.name}: {duplicates} samples repeat a stamp; dropped")
     if conflicts > 0.01 * before:
-        text = f"{stream.name}: {conflicts} samples share a stamp with others but hold other values"
+        text = (
+            f"{stream.name}: {conflicts} samples share a stamp with others but hold"
+            " other values"
+        )
         warnings.append(f"{text}: the clock is too coarse; use the times of logging")
     return stream, backwards, duplicates, warnings
 
 
-def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1.0) -> float:
+def gap_limit(
+    steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1.0
+) -> float:
     """Return the interval from which on samples count as missing, by `steps` (M,) in a unit.
 
-    Five median intervals, but at least 20 ms, over which the curve itself follows an arm. Where
-    samples come in bursts, more than one interval in twenty is beyond that: then five mean ones.
-    `second`: one in that unit.
+    Five median intervals, but at least 20 ms, over which the curve itself follows an
+    arm. Where samples come in bursts, more than one interval in twenty is beyond that:
+    then five mean ones. `second`: one in that unit.
     """
     least = GAP_LEAST_S * second
     limit = max(GAP_INTERVALS * float(np.median(steps)), least)
@@ -179,9 +202,17 @@ def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> 
     if not len(jumps):
         return stream
     kept = _longest(stream, jumps)
-    text = f"the clock jumps back {len(jumps)} times (by up to {-steps[jumps].min() * 1e-9:.3g} s) "
-    text += f"and runs twice over the same time; only the longest stretch is kept, {len(kept)} of "
-    text += f"{len(stream)} samples. Use the times of logging, or split the log at the jump"
+    text = (
+        f"the clock jumps back {len(jumps)} times (by up to"
+        f" {-steps[jumps].min() * 1e-9:.3g} s) "
+    )
+    text += (
+        "and runs twice over the same time; only the longest stretch is kept,"
+        f" {len(kept)} of "
+    )
+    text += (
+        f"{len(stream)} samples. Use the times of logging, or split the log at the jump"
+    )
     warnings.append(f"{stream.name}: {text}")
     return kept
 
@@ -202,7 +233,9 @@ def _overlaps(stream: Stream, step: int, median_ns: float) -> bool:
     for values in region.channels.values():
         same = np.isclose(values[1:], values[:-1], rtol=0.0, atol=0.0, equal_nan=True)
         repeated[1:] &= same.all(axis=1)
-    return int(np.count_nonzero(~repeated)) > 1.25 * ((high - low) / median_ns + 1.0) + 1.0
+    return (
+        int(np.count_nonzero(~repeated)) > 1.25 * ((high - low) / median_ns + 1.0) + 1.0
+    )
 
 
 def _far_stamps_cut(stream: Stream, warnings: list[str], *, hole_s: int = 60) -> Stream:
@@ -215,8 +248,14 @@ def _far_stamps_cut(stream: Stream, warnings: list[str], *, hole_s: int = 60) ->
     if span / np.median(forward) < 20 * len(stream) + 1_000_000:  # samples on the grid
         return stream
     kept = _longest(stream, np.flatnonzero(steps > hole_s * 1_000_000_000))
-    text = f"the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the longest "
-    text += f"stretch without a hole of {hole_s} s is kept, {len(kept)} samples. Check the clock, "
+    text = (
+        f"the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the"
+        " longest "
+    )
+    text += (
+        f"stretch without a hole of {hole_s} s is kept, {len(kept)} samples. Check the"
+        " clock, "
+    )
     warnings.append(f"{stream.name}: {text}or split the log")
     return kept
 
@@ -231,7 +270,8 @@ def _merged(stream: Stream) -> tuple[Stream, int, int]:
     channels: dict[str, Array] = {}
     for name, values in stream.channels.items():
         channels[name] = np.full((len(stamps), values.shape[1]), np.nan)
-        rows, columns = np.argwhere(np.isfinite(values))[::-1].T  # so that the first counts
+        # so that the first counts
+        rows, columns = np.argwhere(np.isfinite(values))[::-1].T
         channels[name][group[rows], columns] = values[rows, columns]
     lead = next(iter(stream.channels))
     given = np.isfinite(stream.channels[lead])

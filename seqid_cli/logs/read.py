@@ -31,7 +31,9 @@ READERS: dict[str, BlockReader] = {
 ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 
 
-def read_recording(path: Path, robot: Robot, *, time_source: TimeSource = "header") -> Recording:
+def read_recording(
+    path: Path, robot: Robot, *, time_source: TimeSource = "header"
+) -> Recording:
     """Read one log on a uniform time base: a file told by its content, or a ROS 2 bag's folder.
 
     Parameters
@@ -44,9 +46,9 @@ def read_recording(path: Path, robot: Robot, *, time_source: TimeSource = "heade
     Returns
     -------
     Recording
-        Joints in the robot's order, SI units. `tau` is the logged torque [N m at the joint], else
-        current times torque constant and gear ratio. `temperature` is NaN for joints that have
-        none; everything else is finite.
+        Joints in the robot's order, SI units. `tau` is the logged torque [N m at the
+        joint], else current times torque constant and gear ratio. `temperature` is NaN
+        for joints that have none; everything else is finite.
 
     Raises
     ------
@@ -63,7 +65,9 @@ def read_both(
 ) -> tuple[Recording, RawLog]:
     """Read one log as a recording and as it was logged; see `read_recording` and `assemble`."""
     if time_source not in ("header", "log"):
-        raise UsageError(f"time source {time_source!r} is not known", hint="Use header or log.")
+        raise UsageError(
+            f"time source {time_source!r} is not known", hint="Use header or log."
+        )
     with local_copy(path) as copy:
         kind, file = check_log(copy), storage_file(copy)
         with unchanged(file):
@@ -86,8 +90,12 @@ class TorqueLackingError(InputError):
     """`joints` have neither torque nor current, and others of the robot do."""
 
     def __init__(self, joints: Sequence[str], where: str) -> None:
-        message = f"neither torque nor current of joint {', '.join(joints)}, but of others"
-        super().__init__(message, hint="Log it for every joint of the robot file.", where=where)
+        message = (
+            f"neither torque nor current of joint {', '.join(joints)}, but of others"
+        )
+        super().__init__(
+            message, hint="Log it for every joint of the robot file.", where=where
+        )
         self.joints = tuple(joints)
 
 
@@ -96,8 +104,8 @@ def assemble(
 ) -> tuple[Recording, RawLog]:
     """Lay what was logged on one time base, mended; see `read_recording`.
 
-    Returns: the recording; what was logged, without what no sensor reads, its joint samples in the
-    order of time, with `tau` [N m at the joint] beside their channels.
+    Returns: the recording; what was logged, without what no sensor reads, its joint
+    samples in the order of time, with `tau` [N m at the joint] beside their channels.
     """
     where = str(path)
     warnings = list(raw.warnings)
@@ -105,7 +113,10 @@ def assemble(
     joints = without_second_publisher(joints, where, warnings)
     present = np.isfinite(joints.channels["position"]).any(axis=0)
     if missing := [robot.joint_names[j] for j in np.flatnonzero(~present)]:
-        text = f"no position of joint {', '.join(missing)}: {len(joints)} samples, all without it"
+        text = (
+            f"no position of joint {', '.join(missing)}: {len(joints)} samples, all"
+            " without it"
+        )
         hint = "Log all joints of the robot file, by the names that it gives them."
         raise InputError(text, hint=hint, where=where)
     joints = with_torque(joints, robot, raw.prefer_current, where, warnings)
@@ -166,7 +177,9 @@ def _bridged(repair: Mended, base: Base) -> Mask | None:
     return np.asarray(repair.bridged[np.searchsorted(edges, base.t)])
 
 
-def without_absurd(stream: Stream, warnings: list[str], *, most: float = ABSURD) -> Stream:
+def without_absurd(
+    stream: Stream, warnings: list[str], *, most: float = ABSURD
+) -> Stream:
     """Treat values that are infinite or larger than `most` as missing, and say so."""
     channels, count = {}, 0
     for name, values in stream.channels.items():
@@ -185,15 +198,22 @@ def with_torque(
 ) -> Stream:
     """Add `tau`: the logged torque, else current times torque constant and gear ratio."""
     none = np.full((len(joints), robot.n), np.nan)
-    torque, current = (joints.channels.get(name, none) for name in ("torque", "current"))
+    torque, current = (
+        joints.channels.get(name, none) for name in ("torque", "current")
+    )
     factors = np.array([joint.torque_per_ampere for joint in robot.joints], np.float64)
     by_current = current * factors  # NaN where the robot file has none
     first, second = (by_current, torque) if prefer_current else (torque, by_current)
     tau = np.where(np.isfinite(first).any(axis=0), first, second)
     present: Mask = np.asarray(np.isfinite(tau).any(axis=0))
     names = np.array(robot.joint_names)
-    if len(without_drive := names[np.asarray(np.isfinite(current).any(axis=0)) & ~present]):
-        text = f"the current of {', '.join(without_drive)} cannot be turned into torque: give "
+    if len(
+        without_drive := names[np.asarray(np.isfinite(current).any(axis=0)) & ~present]
+    ):
+        text = (
+            f"the current of {', '.join(without_drive)} cannot be turned into torque:"
+            " give "
+        )
         warnings.append(f"{text}torque_constant and gear_ratio in the robot file")
     elif present.all():
         return replace(joints, channels={**joints.channels, "tau": tau})
@@ -202,7 +222,9 @@ def with_torque(
     return joints
 
 
-def _of_all_joints(stream: Stream, quantity: str, base: Base, warnings: list[str]) -> Array | None:
+def _of_all_joints(
+    stream: Stream, quantity: str, base: Base, warnings: list[str]
+) -> Array | None:
     """Resample an optional channel; None, with a warning, where only some joints have it."""
     if quantity not in stream.channels:
         return None
@@ -241,7 +263,11 @@ def _usable(name: str, streams: list[Stream], base: Base, warnings: list[str]) -
     """Tell whether an IMU can be used on the base; otherwise it is left out with a warning."""
     for stream in streams:
         covered, wrong = overlap(stream, base), ""
-        empty = [q for q, v in stream.channels.items() if not np.isfinite(v).any(axis=0).all()]
+        empty = [
+            q
+            for q, v in stream.channels.items()
+            if not np.isfinite(v).any(axis=0).all()
+        ]
         if empty:
             wrong = f"{stream.name} has no {empty[0]} values"
         elif covered <= 0.0:

@@ -47,7 +47,8 @@ class Recording:
     temperature: Array | None = None  # (N, n) degC
     load: Array | None = None  # (N, n) N m, a torque sensor behind the gear
     link_position: Array | None = None  # (N, n) rad, an encoder on the link side
-    accelerometers: dict[str, Array] = field(default_factory=dict)  # (N, K) m/s^2 by IMU
+    # (N, K) m/s^2 by IMU
+    accelerometers: dict[str, Array] = field(default_factory=dict)
     gyros: dict[str, Array] = field(default_factory=dict)  # (N, 3) rad/s by IMU
     start: float = 0.0  # s, the first sample on the log's own clock
     partial: str = ""  # what was lost, where the log was salvaged
@@ -68,7 +69,13 @@ class Recording:
 def torque_of(recording: Recording) -> Array:
     """Measured torque (N, n) N m of a log; raises InputError if it carries none, nor current."""
     if recording.tau is None:
-        text = "the log has neither joint torque nor motor current that can be turned into torque"
-        hint = "record either; current needs torque_constant and gear_ratio in the robot file"
+        text = (
+            "the log has neither joint torque nor motor current that can be turned into"
+            " torque"
+        )
+        hint = (
+            "record either; current needs torque_constant and gear_ratio in the robot"
+            " file"
+        )
         raise InputError(text, hint=hint, where=str(recording.path))
     return recording.tau

@@ -1,23 +1,24 @@
 """The friction surface (Eq. 7-10) on a scaled, orthogonal basis.
 
-With B_j functions of position, T_r Chebyshev polynomials of the scaled speed u, the friction torque
-of one joint is
+With B_j functions of position, T_r Chebyshev polynomials of the scaled speed u, the
+friction torque of one joint is
 
     tau_f(q, v) = s(v) f(q, |v|),   f = sum_jr d[j, r] B_j(q) T_r(u),   s(v) = tanh(v / v_s).
 
-Raw monomials of orders (10, 11) are not usable in floating point. Where friction depends on
-direction it has two surfaces f_+ and f_-, one per direction, and
+Raw monomials of orders (10, 11) are not usable in floating point. Where friction
+depends on direction it has two surfaces f_+ and f_-, one per direction, and
 
     tau_f = s(v) (f_+ + f_-) / 2 + (f_+ - f_-) / 2:
 
 the part that does not flip with the direction, an offset, stays at rest.
 
-Outside the identified range the basis is continued (see `friction_basis`). What is not known there
-has coefficients of its own, `extension`, four to each direction: below and above the positions,
-beyond the fastest speed, below the slowest. Their values are zero, but for a viscous slope that
-would be negative: friction does not fall with the speed for ever, and the third one takes it away.
-Their variances make the error grow outside: by the spread of friction over position, by the doubt
-about the slope, by what friction changes near the slowest speed.
+Outside the identified range the basis is continued (see `friction_basis`). What is not
+known there has coefficients of its own, `extension`, four to each direction: below and
+above the positions, beyond the fastest speed, below the slowest. Their values are zero,
+but for a viscous slope that would be negative: friction does not fall with the speed
+for ever, and the third one takes it away. Their variances make the error grow outside:
+by the spread of friction over position, by the doubt about the slope, by what friction
+changes near the slowest speed.
 """
 
 from collections.abc import Sequence
@@ -36,12 +37,15 @@ from seqid_cli.typing import Array, Mask
 
 CELLS = 33  # per axis, at which a surface's standard error is looked at
 VAGUE = 0.05  # of the friction, from which its standard error leaves it open
-SLIDES = 5.0  # sign widths, from which a joint certainly slides: all but 1e-4 of the sign is there
+# sign widths, from which a joint certainly slides: all but 1e-4 of the sign is there
+SLIDES = 5.0
 UNUSUAL = 4.0  # times the surface's median standard error, that it must be as well
-PATCHES = 1.0 / (np.sqrt(2.0 * np.pi) * FADE)  # independent patches of position in a range
+# independent patches of position in a range
+PATCHES = 1.0 / (np.sqrt(2.0 * np.pi) * FADE)
 # The mean of few patches is uncertain itself, and the spread about it too small.
 NEW_GROUND = float(np.sqrt((PATCHES + 1.0) / (PATCHES - 1.0)))
-BELOW, ABOVE, FASTER, SLOWER = range(4)  # the coefficients of the extension of one direction
+# the coefficients of the extension of one direction
+BELOW, ABOVE, FASTER, SLOWER = range(4)
 EXTENSION_SIZE = 4  # their number
 
 
@@ -71,11 +75,11 @@ class FrictionLaw(Protocol):
 class FrictionSurface:
     """Friction of one joint, ready to evaluate.
 
-    `positive`, `negative` (size, l + 1) N m for either direction; `entry_covariance` of their
-    entries, row-major, stacked where `directional`; `temperature` degC, `speeds` (K,) rad/s
-    and `postures` (n,) rad of the arm at which it was identified. Friction changes by a share of
-    `per_kelvin` above that temperature. `even_terms`: what is alike both ways is an offset and
-    asymmetries.
+    `positive`, `negative` (size, l + 1) N m for either direction; `entry_covariance` of
+    their entries, row-major, stacked where `directional`; `temperature` degC, `speeds`
+    (K,) rad/s and `postures` (n,) rad of the arm at which it was identified. Friction
+    changes by a share of `per_kelvin` above that temperature. `even_terms`: what is
+    alike both ways is an offset and asymmetries.
     """
 
     scaling: Scaling
@@ -144,7 +148,9 @@ class FrictionSurface:
     @cached_property
     def coefficients(self) -> Array:
         """Entries of the surface, one direction after the other, and of its extension (k,)."""
-        return np.concatenate([*(side.ravel() for side in self._sides), self.extension.ravel()])
+        return np.concatenate(
+            [*(side.ravel() for side in self._sides), self.extension.ravel()]
+        )
 
     @cached_property
     def extension(self) -> Array:
@@ -169,8 +175,11 @@ class FrictionSurface:
         sign = np.tanh(v / self.sign_width)[:, None]
         if not self.directional:
             return np.hstack([basis * sign, extension * sign])
-        ways = sign + 1.0, sign - 1.0  # how much of either direction's surface counts, times two
-        return np.hstack([part * way / 2 for part in (basis, extension) for way in ways])
+        # how much of either direction's surface counts, times two
+        ways = sign + 1.0, sign - 1.0
+        return np.hstack(
+            [part * way / 2 for part in (basis, extension) for way in ways]
+        )
 
     def torque(self, q: Array, v: Array) -> Array:
         """Friction torque (N,) N m at positions q (N,) and velocities v (N,)."""
@@ -206,9 +215,9 @@ class FrictionSurface:
     def error_columns(self, q: Array, v: Array) -> Array:
         """Derivatives (N, k) of the torque by `coefficients`, but for terms of the drive.
 
-        What is alike both ways is an offset and asymmetries with errors of their own, where the
-        surface was identified with them: the errors of its coefficients are then those of its odd
-        part.
+        What is alike both ways is an offset and asymmetries with errors of their own,
+        where the surface was identified with them: the errors of its coefficients are
+        then those of its odd part.
         """
         if not self.even_terms:
             return self.columns(q, v)
@@ -240,7 +249,8 @@ class FrictionSurface:
     def vague(self, q: Array, v: Array) -> Mask:
         """Samples (N,) at which the surface's own standard error is a clear share of it, and large.
 
-        Inside the ranges that the trials have reached, but in none of them at this speed here.
+        Inside the ranges that the trials have reached, but in none of them at this
+        speed here.
         """
         shares = (self.scaling.over_position.share(q), 0.5 * (self.scaling.u(v) + 1.0))
         row, column = (np.rint(share * (CELLS - 1)).astype(np.intp) for share in shares)
@@ -253,7 +263,9 @@ class FrictionSurface:
         found = np.zeros(len(basis), dtype=bool)
         for number, values in enumerate(self._sides):
             own = slice(number * size, (number + 1) * size)
-            variance = np.einsum("nk,kl,nl->n", basis, self.entry_covariance[own, own], basis)
+            variance = np.einsum(
+                "nk,kl,nl->n", basis, self.entry_covariance[own, own], basis
+            )
             clear = variance > (VAGUE * (basis @ values.ravel())) ** 2
             found |= clear & (variance > UNUSUAL**2 * np.median(variance))
         return found.reshape(CELLS, CELLS)
@@ -275,16 +287,21 @@ class FrictionSurface:
     @cached_property
     def slopes(self) -> Array:
         """Viscous slope of each direction's surface, N m s/rad, of either sign."""
-        return np.array([self.scaling.slope(*self.orders) @ side.ravel() for side in self._sides])
+        return np.array(
+            [self.scaling.slope(*self.orders) @ side.ravel() for side in self._sides]
+        )
 
     def _extension(self, q: Array, v: Array) -> Array:
         """Columns (N, 4) of the extension of one direction, without its sign."""
         speeds = np.stack([self.scaling.faster(v), self.scaling.slower(v)], axis=1)
         return np.hstack([self.scaling.over_position.novelty(q), speeds])
 
-    def _errors_of(self, side: Array, slope: float, *, slope_doubt: float = 0.3) -> Array:
+    def _errors_of(
+        self, side: Array, slope: float, *, slope_doubt: float = 0.3
+    ) -> Array:
         """Standard errors (4,) of the extension of one direction's surface of a viscous slope."""
-        # Spread over position, twice; doubt about the slope; change near the slowest speed.
+        # Spread over position, twice; doubt about the slope; change near the slowest
+        # speed.
         level = (self._grid @ side.ravel()).reshape(CELLS, CELLS)
         spread = NEW_GROUND * float(np.sqrt(np.mean((level - level.mean(axis=0)) ** 2)))
         over_speed = self.scaling.over_position.mean(self.orders[0]) @ side

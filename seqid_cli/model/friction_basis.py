@@ -1,18 +1,19 @@
 """The bases of a friction surface over position and speed, and how they go on beyond their range.
 
-Over position there are two kinds. A polynomial in Chebyshev's form knows one range. A Fourier
-series knows every angle, so it serves joints that turn more than once. Over speed there are
-Chebyshev polynomials of |v| or of its logarithm.
+Over position there are two kinds. A polynomial in Chebyshev's form knows one range. A
+Fourier series knows every angle, so it serves joints that turn more than once. Over
+speed there are Chebyshev polynomials of |v| or of its logarithm.
 
-Beyond a range the basis itself is continued, so that whatever is made of it stays linear in the
-coefficients of the surface. With f_0 the mean over position and d the distance from the range, a
-polynomial falls back to that mean as a random field of Gaussian correlation would on average:
+Beyond a range the basis itself is continued, so that whatever is made of it stays
+linear in the coefficients of the surface. With f_0 the mean over position and d the
+distance from the range, a polynomial falls back to that mean as a random field of
+Gaussian correlation would on average:
 
     f(q) = f_0 + rho (f(edge) - f_0),   rho = exp(-d^2 / (2 delta^2)),   delta = `FADE` * range.
 
-Beyond the fastest speed v_1 friction goes on as Coulomb plus viscous friction: a line whose slope
-is the least-squares slope of the position mean over the upper part of the speeds. Below the
-slowest speed the value at the slowest holds.
+Beyond the fastest speed v_1 friction goes on as Coulomb plus viscous friction: a line
+whose slope is the least-squares slope of the position mean over the upper part of the
+speeds. Below the slowest speed the value at the slowest holds.
 """
 
 from dataclasses import dataclass
@@ -42,8 +43,13 @@ class Polynomial:
         return size - 1
 
     def values(self, q: Array, order: int) -> Array:
-        """Return T_0 ... T_order (N, order + 1); beyond the range they fade to their means."""
-        found = np.asarray(chebvander(scaled(q, self.low, self.high), order), dtype=np.float64)
+        """Return T_0 ...
+
+        T_order (N, order + 1); beyond the range they fade to their means.
+        """
+        found = np.asarray(
+            chebvander(scaled(q, self.low, self.high), order), dtype=np.float64
+        )
         gone = 1.0 - self._kept(q)
         far = np.flatnonzero(gone)
         if far.size:
@@ -62,7 +68,9 @@ class Polynomial:
     def novelty(self, q: Array) -> Array:
         """Return (N, 2): sqrt(1 - rho^2) below and above the range, 0 inside."""
         new = np.sqrt(1.0 - self._kept(q) ** 2)
-        return np.stack([np.where(q < self.low, new, 0.0), np.where(q > self.high, new, 0.0)], 1)
+        return np.stack(
+            [np.where(q < self.low, new, 0.0), np.where(q > self.high, new, 0.0)], 1
+        )
 
     def outside(self, q: Array, *, outside_position: float = 0.02) -> Mask:
         """Return where positions left the range by more than `outside_position` of it."""
@@ -83,7 +91,9 @@ class Polynomial:
         """Correlation rho (N,) with the edge of the range; 1 inside."""
         if self.high <= self.low:
             return np.ones_like(q)
-        return np.asarray(np.exp(-0.5 * (self._distance(q) / (FADE * (self.high - self.low))) ** 2))
+        return np.asarray(
+            np.exp(-0.5 * (self._distance(q) / (FADE * (self.high - self.low))) ** 2)
+        )
 
 
 @dataclass(frozen=True)
@@ -130,7 +140,8 @@ class Fourier:
         return 2.0 * np.pi * share
 
 
-# An order is the highest degree of a polynomial, the highest harmonic of a Fourier series.
+# An order is the highest degree of a polynomial, the highest harmonic of a Fourier
+# series.
 PositionBasis = Polynomial | Fourier
 
 
@@ -155,17 +166,23 @@ class Scaling:
             return scaled(np.log(speed), np.log(self.speed[0]), np.log(self.speed[1]))
         return scaled(speed, *self.speed)
 
-    def basis(self, q: Array, v: Array, position_order: int, velocity_order: int) -> Array:
+    def basis(
+        self, q: Array, v: Array, position_order: int, velocity_order: int
+    ) -> Array:
         """Return products (N, size (l + 1)) of both bases at q, v (N,), r fastest, beyond as well.
 
         Orders are m and l; of v only the size counts.
         """
         X = self.over_position.values(q, position_order)
-        found = tensor(X, np.asarray(chebvander(self.u(v), velocity_order), dtype=np.float64))
+        found = tensor(
+            X, np.asarray(chebvander(self.u(v), velocity_order), dtype=np.float64)
+        )
         faster = self.faster(v)
         fast = np.flatnonzero(faster)
         if fast.size:
-            found[fast] += faster[fast, None] * self.slope(position_order, velocity_order)
+            found[fast] += faster[fast, None] * self.slope(
+                position_order, velocity_order
+            )
         return found
 
     def faster(self, v: Array) -> Array:
@@ -193,13 +210,18 @@ class Scaling:
     ) -> Mask:
         """Return where position or speed left the identified range; rest has no friction law."""
         fast = np.abs(v) > (1.0 + outside_speed) * self.speed[1]
-        slow = (np.abs(v) < (1.0 - outside_speed) * self.speed[0]) & (np.abs(v) > sign_width)
+        slow = (np.abs(v) < (1.0 - outside_speed) * self.speed[0]) & (
+            np.abs(v) > sign_width
+        )
         return self.over_position.outside(q) | fast | slow
 
 
 @lru_cache(maxsize=256)
 def _slope_over_speed(scaling: Scaling, order: int) -> Array:
-    """Least-squares slope of T_0 ... T_order (order + 1,) over the speeds of the line."""
+    """Least-squares slope of T_0 ...
+
+    T_order (order + 1,) over the speeds of the line.
+    """
     speeds = scaling.slope_speeds()
     off = speeds - speeds.mean()
     power = float(off @ off)

@@ -1,11 +1,12 @@
 """The identified model as a sum of torques: friction, rigid body, rotors.
 
-Friction steps where a joint reverses, so its spectrum goes far beyond half of a thinned rate, and
-samples of it say only to half a sample when it stepped. Around reversals the velocity is therefore
-interpolated, friction computed at `PARTS` points per sample, and these go through a short low-pass
-that passes what the motion's own one does (it is flat up to twice the cut-off at ten samples per
-period) and stops what would be folded back there. Elsewhere friction is as smooth as the motion;
-where samples are many per period of the cut-off, what would be folded back is little and far above.
+Friction steps where a joint reverses, so its spectrum goes far beyond half of a thinned
+rate, and samples of it say only to half a sample when it stepped. Around reversals the
+velocity is therefore interpolated, friction computed at `PARTS` points per sample, and
+these go through a short low-pass that passes what the motion's own one does (it is flat
+up to twice the cut-off at ten samples per period) and stops what would be folded back
+there. Elsewhere friction is as smooth as the motion; where samples are many per period
+of the cut-off, what would be folded back is little and far above.
 """
 
 import math
@@ -40,16 +41,18 @@ def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | No
     """Friction of each joint in the robot's order; None where it has not been identified."""
     found = stages.friction.joints if stages.friction else {}
     told = (found.get(name) for name in robot.joint_names)
-    return [None if joint is None else FrictionSurface.from_stage(joint) for joint in told]
+    return [
+        None if joint is None else FrictionSurface.from_stage(joint) for joint in told
+    ]
 
 
 @dataclass(frozen=True)
 class Predicted:
     """What a model, or a part of it, says of the torque of a log, whatever was measured there.
 
-    `value` (N, n) N m is filtered like `motion.tau`. Coulomb's law at rest is an interval: `low`,
-    `high` (N, n) N m bound what the model allows, where a joint slides `value` alone; of effects
-    they are what these add to friction's interval.
+    `value` (N, n) N m is filtered like `motion.tau`. Coulomb's law at rest is an
+    interval: `low`, `high` (N, n) N m bound what the model allows, where a joint slides
+    `value` alone; of effects they are what these add to friction's interval.
     """
 
     value: Array
@@ -61,8 +64,8 @@ class Predicted:
 class TorqueModel:
     """Everything identified so far, ready to predict.
 
-    `phi` (n, 10) representative link parameters, `rotor` (n,) kg m^2, both None without a
-    rigid-body stage.
+    `phi` (n, 10) representative link parameters, `rotor` (n,) kg m^2, both None without
+    a rigid-body stage.
     """
 
     robot: Robot
@@ -80,7 +83,9 @@ class TorqueModel:
         if rigid is None:
             return cls(robot, surfaces, None, None, "diagonal", delays_s(stages, robot))
         phi, rotor = standard_parameters(rigid, robot.n)
-        coupling: Coupling = "gyroscopic" if rigid.rotor_coupling == "gyroscopic" else "diagonal"
+        coupling: Coupling = (
+            "gyroscopic" if rigid.rotor_coupling == "gyroscopic" else "diagonal"
+        )
         return cls(robot, surfaces, phi, rotor, coupling, delays_s(stages, robot))
 
     def friction(self, q: Array, dq: Array) -> Array:
@@ -96,14 +101,18 @@ class TorqueModel:
         """Rigid-body, gravity and rotor torque (N, n) N m."""
         if self.phi is None or self.rotor is None:
             return np.zeros_like(q)
-        torque = inverse_dynamics(self.robot.chain, self.robot.gravity, self.phi, q, dq, ddq)
+        torque = inverse_dynamics(
+            self.robot.chain, self.robot.gravity, self.phi, q, dq, ddq
+        )
         return torque + self.rotors(q, dq, ddq) if self.rotor.any() else torque
 
     def rotors(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Torque (N, n) N m that turns the motors' rotors."""
         if self.rotor is None or not self.rotor.any():
             return np.zeros_like(q)
-        Y = rotor_regressor(self.robot.chain, q, dq, ddq, gear_ratios(self.robot), self.coupling)
+        Y = rotor_regressor(
+            self.robot.chain, q, dq, ddq, gear_ratios(self.robot), self.coupling
+        )
         return Y @ self.rotor
 
     def predict(self, motion: Motion) -> Array:
@@ -134,9 +143,10 @@ class TorqueModel:
     ) -> Predicted:
         """Torque that the model allows: one value where joints slide, an interval at rest.
 
-        At rest friction takes whatever value balances, up to what it has at the slowest speed; the
-        interval holds the model's own value as well, which near the onset of motion may lie beyond.
-        What effects add is there in either state. The measured torque plays no part.
+        At rest friction takes whatever value balances, up to what it has at the slowest
+        speed; the interval holds the model's own value as well, which near the onset of
+        motion may lie beyond. What effects add is there in either state. The measured
+        torque plays no part.
         """
         rigid, friction = self._terms(motion)
         if added is not None:
@@ -176,7 +186,9 @@ def delays_s(stages: Stages, robot: Robot) -> Array:
 
 def standard_parameters(stage: RigidStage, n: int) -> tuple[Array, Array]:
     """Representative link parameters (n, 10) and rotor inertias (n,) of a stage."""
-    values = np.array([stage.representative.get(name, 0.0) for name in standard_names(n)])
+    values = np.array(
+        [stage.representative.get(name, 0.0) for name in standard_names(n)]
+    )
     links = len(STANDARD) * n
     return values[:links].reshape(n, len(STANDARD)), values[links:]
 
@@ -189,8 +201,8 @@ def known_rotors(robot: Robot) -> Array:
 def sliding(motion: Motion, slowest: Array, *, reach_periods: float = REACH) -> Mask:
     """Samples (N, n) at which a joint certainly slides, so that friction opposes its motion.
 
-    At rest, and where the filter mixes rest in, friction is anything up to stiction. The filter is
-    taken to mix over `reach_periods` of its cut-off on either side.
+    At rest, and where the filter mixes rest in, friction is anything up to stiction.
+    The filter is taken to mix over `reach_periods` of its cut-off on either side.
     """
     velocity = np.where(motion.moving, motion.dq, 0.0)
     near = slowest_near(motion, velocity, reach_periods=reach_periods)
@@ -198,7 +210,11 @@ def sliding(motion: Motion, slowest: Array, *, reach_periods: float = REACH) -> 
 
 
 def slowest_near(
-    motion: Motion, velocity: Array, *, per_period: float = 80.0, reach_periods: float = REACH
+    motion: Motion,
+    velocity: Array,
+    *,
+    per_period: float = 80.0,
+    reach_periods: float = REACH,
 ) -> Array:
     """Least of velocities (N, k) within some periods of the cut-off, without sign."""
     cutoff = motion.lowpass.cutoff_hz
@@ -206,7 +222,9 @@ def slowest_near(
     share = (np.arange(parts) / parts)[:, None]
     # Straight between samples, so that thinning does not hide a reversal between two.
     ahead = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
-    fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(-1, velocity.shape[1])
+    fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(
+        -1, velocity.shape[1]
+    )
     size = 2 * max(1, int(reach_periods * motion.rate_hz * parts / cutoff)) + 1
     return np.asarray(minimum_filter1d(fine, size, axis=0, mode="nearest")[::parts])
 
@@ -216,8 +234,8 @@ def sampled_friction(
 ) -> Array:
     """Friction torque of a motion, its step at reversals kept below half of the rate.
 
-    Returns (N, n) [N m; N where prismatic]: before the motion's own low-pass; zero for a joint
-    whose friction is not known.
+    Returns (N, n) [N m; N where prismatic]: before the motion's own low-pass; zero for
+    a joint whose friction is not known.
     """
     torque = friction_torque(surfaces, motion.q, motion.dq)
     if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
@@ -225,13 +243,19 @@ def sampled_friction(
     inside = shrink(motion.valid, HALF + len(KNOTS) // 2)
     for j, surface in enumerate(surfaces):
         if surface is not None:
-            near = np.flatnonzero(inside & _near_reversals(motion, j, surface.sign_width))
+            near = np.flatnonzero(
+                inside & _near_reversals(motion, j, surface.sign_width)
+            )
             if near.size:
-                torque[near, j] = _band_limited(surface, motion.q[:, j], motion.dq[:, j], near)
+                torque[near, j] = _band_limited(
+                    surface, motion.q[:, j], motion.dq[:, j], near
+                )
     return _warmed(torque, surfaces, motion)
 
 
-def _warmed(torque: Array, surfaces: Sequence[FrictionLaw | None], motion: Motion) -> Array:
+def _warmed(
+    torque: Array, surfaces: Sequence[FrictionLaw | None], motion: Motion
+) -> Array:
     """Friction torque (N, n) N m at the temperatures of the joints, where they were logged."""
     if motion.celsius is None:
         return torque
@@ -266,5 +290,7 @@ def _band_limited(surface: FrictionLaw, q: Array, dq: Array, near: Index) -> Arr
 def _taps(*, beta: float = 7.5) -> Array:
     """Low-pass (2 HALF + 1, PARTS) over the points of the samples around one."""
     taps = np.zeros((2 * HALF + 1) * PARTS)
-    taps[: 2 * HALF * PARTS + 1] = firwin(2 * HALF * PARTS + 1, 1 / PARTS, window=("kaiser", beta))
+    taps[: 2 * HALF * PARTS + 1] = firwin(
+        2 * HALF * PARTS + 1, 1 / PARTS, window=("kaiser", beta)
+    )
     return taps.reshape(2 * HALF + 1, PARTS)

@@ -1,8 +1,9 @@
 """The motion of a long log, block by block: the same values as `estimate_motion` and `decimated`.
 
-Blocks lie on a fixed grid of sample numbers, whatever parts the samples come in. Each is worked on
-with so many samples more on either side that the zero-phase filters have forgotten (to 1e-13 of
-the signal) what lies beyond; gaps and the ends of the log are runs' ends like in the whole log.
+Blocks lie on a fixed grid of sample numbers, whatever parts the samples come in. Each
+is worked on with so many samples more on either side that the zero-phase filters have
+forgotten (to 1e-13 of the signal) what lies beyond; gaps and the ends of the log are
+runs' ends like in the whole log.
 """
 
 from collections.abc import Iterable, Iterator
@@ -44,10 +45,14 @@ class Plan:
 LEAST_BLOCK = 32_768  # samples; thinned ones need less memory and are twice as long
 
 
-def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff: float) -> Plan:
+def make_plan(
+    rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff: float
+) -> Plan:
     """Plan the blocks for noise steps (n,) rad; `samples_per_cutoff` stay, infinite keeps all."""
     lowpass = Lowpass(cutoff.hz, rate_hz)
-    factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz))) if lowpass.active else 1
+    factor = (
+        max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz))) if lowpass.active else 1
+    )
     margin = max(2 * lowpass.memory + SIDE, 2 * lowpass.settling, motion_reach(rate_hz))
     margin = -(-(margin + factor) // factor) * factor if factor > 1 else margin
     least = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK
@@ -59,11 +64,16 @@ def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
     """Filter, differentiate and decimate a log's samples; `t` counts from its first."""
     for window, start, stop in overlapping(blocks, plan.rows, plan.margin):
         t = (window.start + np.arange(window.samples)) / plan.rate_hz
-        later = np.broadcast_to(np.False_, window.q.shape)  # asked at the kept samples alone
-        motion = filtered_motion(t, window.q, window.valid, plan.rate_hz, plan.cutoff, later)
+        # asked at the kept samples alone
+        later = np.broadcast_to(np.False_, window.q.shape)
+        motion = filtered_motion(
+            t, window.q, window.valid, plan.rate_hz, plan.cutoff, later
+        )
         lowpass, valid = motion.lowpass, window.valid
         motion = replace(motion, tau=lowpass(lowpass(window.tau, valid), valid))
-        moving = moving_mask(window.q, plan.rate_hz, plan.step, np.arange(start, stop, plan.factor))
+        moving = moving_mask(
+            window.q, plan.rate_hz, plan.step, np.arange(start, stop, plan.factor)
+        )
         yield replace(thinned(motion, plan.factor, start, stop), moving=moving)
 
 
@@ -74,11 +84,15 @@ def joined(parts: list[S]) -> S:
     """Put consecutive parts together; motion must have torque."""
     first = parts[0]
     names = first.PER_SAMPLE if len(parts) > 1 else ()
-    whole: dict[str, Any] = {n: np.concatenate([getattr(x, n) for x in parts]) for n in names}
+    whole: dict[str, Any] = {
+        n: np.concatenate([getattr(x, n) for x in parts]) for n in names
+    }
     return replace(first, **whole)
 
 
-def overlapping(parts: Iterable[S], rows: int, margin: int) -> Iterator[tuple[S, int, int]]:
+def overlapping(
+    parts: Iterable[S], rows: int, margin: int
+) -> Iterator[tuple[S, int, int]]:
     """Cut samples into blocks of `rows` with `margin` more; yields [start, stop) within."""
     held: list[S] = []
     before = have = 0  # samples held in front of the next block, and in all

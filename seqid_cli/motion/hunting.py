@@ -1,19 +1,21 @@
 """Signs of a joint that hunts: it stops and starts between two counts of its encoder.
 
-A controller sees a coarse encoder's joint stand and then jump by a count. Its torque pushes once a
-count, or to and fro between two of them, and drives the velocity up and down with it,
+A controller sees a coarse encoder's joint stand and then jump by a count. Its torque
+pushes once a count, or to and fro between two of them, and drives the velocity up and
+down with it,
 
     dv(t) = 1 / J  integral (tau - mean) dt.
 
-Where dv is as large as the speed, the joint comes to rest within every count, or turns back. Stuck
-it bears any torque up to stiction, so the mean torque of such a trial is less than friction: a
-tenth less, or half. Friction that changes with the position makes torque swing too, but there the
-torque follows friction and the velocity does not change. Both are told apart by their frequency: a
-motion that never leaves a count but reaches the speed v has a frequency of v / (2 pi count) or
-more, and friction over so short a way does not change.
+Where dv is as large as the speed, the joint comes to rest within every count, or turns
+back. Stuck it bears any torque up to stiction, so the mean torque of such a trial is
+less than friction: a tenth less, or half. Friction that changes with the position makes
+torque swing too, but there the torque follows friction and the velocity does not
+change. Both are told apart by their frequency: a motion that never leaves a count but
+reaches the speed v has a frequency of v / (2 pi count) or more, and friction over so
+short a way does not change.
 
-The readings show it only where the joint stops for longer than a count: it passes one count or none
-where it should pass five.
+The readings show it only where the joint stops for longer than a count: it passes one
+count or none where it should pass five.
 """
 
 import numpy as np
@@ -21,11 +23,17 @@ from numpy.polynomial import Chebyshev
 
 from seqid_cli.typing import Array
 
-WITHIN_COUNT = 1.0 / (2.0 * np.pi)  # of the frequency of counts: the lowest of a motion within one
+# of the frequency of counts: the lowest of a motion within one
+WITHIN_COUNT = 1.0 / (2.0 * np.pi)
 
 
 def torque_swing(
-    tau: Array, rate_hz: float, counts_hz: float, *, floor: float = 0.3, above: float = 2.0
+    tau: Array,
+    rate_hz: float,
+    counts_hz: float,
+    *,
+    floor: float = 0.3,
+    above: float = 2.0,
 ) -> float:
     """Return the amplitude [N m s] of the torque's integral at the frequency of counts and above.
 
@@ -38,7 +46,8 @@ def torque_swing(
     counts_hz : float
         Counts of the encoder that the joint passes per second.
     floor : float
-        Quantile of the density that counts as white noise: lines of counts stand above it.
+        Quantile of the density that counts as white noise: lines of counts stand above
+        it.
     above : float
         Times that density which is taken off. A density from one spectrum scatters.
 
@@ -59,8 +68,12 @@ def torque_swing(
     inside = f >= lowest
     if np.count_nonzero(inside) < 4:
         return 0.0
-    lines = np.clip(density[inside] - above * np.quantile(density[inside], floor), 0.0, None)
-    variance = float(np.sum(lines / (2.0 * np.pi * f[inside]) ** 2)) * rate_hz / len(tau)
+    lines = np.clip(
+        density[inside] - above * np.quantile(density[inside], floor), 0.0, None
+    )
+    variance = (
+        float(np.sum(lines / (2.0 * np.pi * f[inside]) ** 2)) * rate_hz / len(tau)
+    )
     return float(np.sqrt(2.0 * variance))
 
 
@@ -75,8 +88,8 @@ def stops(
 ) -> bool:
     """Tell whether positions (N,) rad pass one count or none in the time of so many `counts`.
 
-    `speed` rad/s is the mean speed, `count` rad the encoder's step. Below `least_s` a logger that
-    repeats its values would stop as well.
+    `speed` rad/s is the mean speed, `count` rad the encoder's step. Below `least_s` a
+    logger that repeats its values would stop as well.
     """
     samples = int(np.ceil(max(counts * count / speed, least_s) * rate_hz))
     if count <= 0.0 or samples >= len(q):

@@ -24,8 +24,9 @@ SAMPLES_PER_CUTOFF = 10
 class Motion:
     """Motion on a uniform time base.
 
-    `q`, `dq`, `ddq` (N, n) went through the low-pass once, `tau` (N, n) N m twice: terms computed
-    from the motion are to be filtered once more with `lowpass` (see `filtered`), friction twice.
+    `q`, `dq`, `ddq` (N, n) went through the low-pass once, `tau` (N, n) N m twice:
+    terms computed from the motion are to be filtered once more with `lowpass` (see
+    `filtered`), friction twice.
     """
 
     t: Array
@@ -42,15 +43,18 @@ class Motion:
     # Or "imu" (`dq` and `ddq` by Eq. 30-42), "fused" (all by the smoother).
     source: str = "encoder"
     imus: tuple[str, ...] = ()  # that took part
-    error: Array | None = None  # (n,) rad/s^2, standard deviation of `ddq` that they leave
+    # (n,) rad/s^2, standard deviation of `ddq` that they leave
+    error: Array | None = None
     encoder_error: Array | None = None  # that of the encoders alone
-    # Of fused motion below the encoders' cut-off, and the part of both errors by which links and
-    # drives disagree, (n,) rad/s^2; known where IMUs were asked.
+    # Of fused motion below the encoders' cut-off, and the part of both errors by which
+    # links and drives disagree, (n,) rad/s^2; known where IMUs were asked.
     fused_error: Array | None = None
     disagreement: Array | None = None
-    velocity_error: Array | None = None  # (n,) rad/s, standard deviation of `dq` by IMUs
+    # (n,) rad/s, standard deviation of `dq` by IMUs
+    velocity_error: Array | None = None
     warnings: tuple[str, ...] = ()  # what was not as it should be
-    celsius: Array | None = None  # (N, n) the joints' temperatures, NaN where none was logged
+    # (N, n) the joints' temperatures, NaN where none was logged
+    celsius: Array | None = None
 
     PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")
 
@@ -67,7 +71,9 @@ class Motion:
     def part(self, where: slice) -> "Motion":
         """Some samples; the filter stays."""
         values = {name: getattr(self, name) for name in self.PER_SAMPLE}
-        own: dict[str, Any] = {n: None if v is None else v[where] for n, v in values.items()}
+        own: dict[str, Any] = {
+            n: None if v is None else v[where] for n, v in values.items()
+        }
         celsius = None if self.celsius is None else self.celsius[where]
         return replace(self, celsius=celsius, **own)
 
@@ -76,10 +82,13 @@ class Motion:
         return self.lowpass(values, self.valid, times=times, every=every)
 
 
-def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) -> Motion:
+def estimate_motion(
+    recording: Recording, robot: Robot, options: MotionOptions
+) -> Motion:
     """Filter and differentiate the encoder positions of one log (Sec. 2.1, parallel filtering).
 
-    Returns: at the log's own rate. Raises InputError: no stretch is long enough to filter.
+    Returns: at the log's own rate. Raises InputError: no stretch is long enough to
+    filter.
     """
     rate, resolution = recording.rate_hz, encoder_resolution(robot)
     survey = survey_of_positions(recording.q, rate)
@@ -87,7 +96,9 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
     if recording.sha256 not in options.own:
         cutoff = as_asked(cutoff, recording.path, rate, options)
     moving = moving_mask(recording.q, rate, survey.noise_step(resolution))
-    motion = filtered_motion(recording.t, recording.q, recording.valid, rate, cutoff, moving)
+    motion = filtered_motion(
+        recording.t, recording.q, recording.valid, rate, cutoff, moving
+    )
     tau, usable = filtered_torque(recording, motion.lowpass)
     return replace(
         motion,
@@ -109,7 +120,9 @@ def filtered_motion(
     return Motion(t, q, dq, ddq, None, moving, usable, valid, rate_hz, lowpass, cutoff)
 
 
-def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | None, Mask]:
+def filtered_torque(
+    recording: Recording, lowpass: Lowpass
+) -> tuple[Array | None, Mask]:
     """Torque (N, n) after two passes, if any, and the samples at which it has settled."""
     usable = shrink(recording.valid, 2 * lowpass.settling)
     if recording.bridged is not None:
@@ -123,13 +136,20 @@ def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | Non
 
 def too_short(path: Path, cutoff_hz: float) -> InputError:
     """The error of a log without a stretch that is long enough to filter."""
-    message = f"no stretch without a gap is long enough for a low-pass of {cutoff_hz:.3g} Hz"
+    message = (
+        f"no stretch without a gap is long enough for a low-pass of {cutoff_hz:.3g} Hz"
+    )
     hint = "record longer, mend the gaps, or give a higher --cutoff"
     return InputError(message, hint=hint, where=str(path))
 
 
 def as_asked(
-    chosen: Cutoff, path: Path, rate_hz: float, options: MotionOptions, *, min_samples: float = 4.0
+    chosen: Cutoff,
+    path: Path,
+    rate_hz: float,
+    options: MotionOptions,
+    *,
+    min_samples: float = 4.0,
 ) -> Cutoff:
     """The cut-off of a log: the one that it has chosen, or the user's.
 
@@ -139,9 +159,18 @@ def as_asked(
     if hz is None:
         return chosen
     if hz > highest and options.origin not in ("", "as given"):
-        few = f"{rate_hz:.4g} samples per second are too few for the cut-off of {hz:.3g} Hz"
-        message = f"{few}, {options.origin}; the highest that this log allows is {highest:.3g} Hz"
-        hint = f"identify and use the model with --cutoff {highest:.3g}, or leave this log out"
+        few = (
+            f"{rate_hz:.4g} samples per second are too few for the cut-off of"
+            f" {hz:.3g} Hz"
+        )
+        message = (
+            f"{few}, {options.origin}; the highest that this log allows is"
+            f" {highest:.3g} Hz"
+        )
+        hint = (
+            f"identify and use the model with --cutoff {highest:.3g}, or leave this"
+            " log out"
+        )
         raise InputError(message, hint=hint, where=str(path))
     return replace(chosen, hz=hz, alone_hz=chosen.hz)
 
@@ -150,11 +179,14 @@ def highest_bridged(
     recording: Recording, *, min_share: float = 0.05, max_periods: float = 0.2
 ) -> float:
     """Highest cut-off [Hz] that bridged holes allow, where more than `min_share` of samples are."""
-    # A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi f h)^2 /
-    # 12: 13 percent at `max_periods` / h. A few holes are left out of the equations instead.
+    # A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi
+    # f h)^2 / 12: 13 percent at `max_periods` / h. A few holes are left out of the
+    # equations instead.
     if recording.bridged is None or recording.bridged.mean() < min_share:
         return HIGHEST_HZ
-    lengths = [stop - start for start, stop in runs(recording.bridged, len(recording.t))]
+    lengths = [
+        stop - start for start, stop in runs(recording.bridged, len(recording.t))
+    ]
     return max_periods * recording.rate_hz / (float(np.median(lengths)) + 1.0)
 
 
@@ -165,12 +197,15 @@ def encoder_resolution(robot: Robot) -> Array:
 
 def decimated(motion: Motion, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) -> Motion:
     """Keep every k-th sample, at least `samples_per_cutoff` per period of the cut-off."""
-    # Low-passed signals lose nothing by it; the filter of computed terms runs on at the lower rate.
+    # Low-passed signals lose nothing by it; the filter of computed terms runs on at the
+    # lower rate.
     factor = int(motion.rate_hz / (samples_per_cutoff * motion.lowpass.cutoff_hz))
     return thinned(motion, factor) if factor > 1 and motion.lowpass.active else motion
 
 
-def thinned(motion: Motion, factor: int, start: int = 0, stop: int | None = None) -> Motion:
+def thinned(
+    motion: Motion, factor: int, start: int = 0, stop: int | None = None
+) -> Motion:
     """Keep every `factor`-th sample of [start, stop), valid if all up to the next one are."""
     stop = motion.samples if stop is None else stop
     rate, groups = motion.rate_hz / factor, np.arange(0, stop - start, factor)

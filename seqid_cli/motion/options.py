@@ -3,7 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-# "auto": fused where it can be had and errs less; "needed": only where encoders are much the worse.
+# "auto": fused where it can be had and errs less; "needed": only where encoders are
+# much the worse.
 SOURCES = ("auto", "needed", "encoder", "imu", "fused")
 
 
@@ -11,11 +12,14 @@ SOURCES = ("auto", "needed", "encoder", "imu", "fused")
 class MotionOptions:
     """How logs are filtered."""
 
-    cutoff_hz: float | None = None  # the low-pass of all logs; None: each log chooses its own
-    samples_per_cutoff: float = 10.0  # that stay per period of it at least; infinite: all
+    # the low-pass of all logs; None: each log chooses its own
+    cutoff_hz: float | None = None
+    # that stay per period of it at least; infinite: all
+    samples_per_cutoff: float = 10.0
     origin: str = ""  # where the cut-off came from
     encoder_hz: float | None = None  # that would suit the encoders alone
-    reads_delays: bool = True  # whether the jerk is known well enough to estimate delays by it
+    # whether the jerk is known well enough to estimate delays by it
+    reads_delays: bool = True
     own: frozenset[str] = frozenset()  # SHA-256 of logs that choose for themselves
     # Motions of logs that are worked on again and again (see `log_motion`).
     kept: dict[Any, Any] | None = field(default=None, compare=False, repr=False)

@@ -1,13 +1,14 @@
 """Planned moves as time series.
 
-A joint follows sums of sines and cosines, or strokes. Fourier moves start and stop smoothly:
+A joint follows sums of sines and cosines, or strokes. Fourier moves start and stop
+smoothly:
 
     q(t) = c + A w(t) sum_k [a_k sin(k W t) + b_k cos(k W t)],    W = 2 pi / T.
 
-The window w rises from 0 to 1 over half a period of the highest harmonic, as
-10 x^3 - 15 x^4 + 6 x^5, and falls alike, so that position, velocity and acceleration meet rest.
-A stroke gets up to its speed v and back to rest in cosine ramps, v (1 - cos(pi t / r)) / 2, of the
-length r = pi v / (2 a) at which their largest acceleration is a.
+The window w rises from 0 to 1 over half a period of the highest harmonic, as 10 x^3 -
+15 x^4 + 6 x^5, and falls alike, so that position, velocity and acceleration meet rest.
+A stroke gets up to its speed v and back to rest in cosine ramps, v (1 - cos(pi t / r))
+/ 2, of the length r = pi v / (2 a) at which their largest acceleration is a.
 """
 
 from collections.abc import Sequence
@@ -60,13 +61,19 @@ def profile(stroke: Stroke, rate_hz: float) -> tuple[Array, Array, Array]:
     moved = v * (up / 2 - np.sin(pace * up) / (2 * pace))
     moved += v * np.clip(t - ramp, 0.0, total - 2 * ramp)
     moved += v * (down / 2 + np.sin(pace * down) / (2 * pace))
-    speed = v * np.where(t < total - ramp, 1 - np.cos(pace * up), 1 + np.cos(pace * down)) / 2
+    speed = (
+        v
+        * np.where(t < total - ramp, 1 - np.cos(pace * up), 1 + np.cos(pace * down))
+        / 2
+    )
     push = v * pace / 2 * np.where(t < ramp, np.sin(pace * up), -np.sin(pace * down))
     way_sign = np.sign(stroke.end - stroke.start)
     return stroke.start + way_sign * moved, way_sign * speed, way_sign * push
 
 
-def sampled(move: PlannedMove, names: Sequence[str], rate_hz: float) -> tuple[Array, ...]:
+def sampled(
+    move: PlannedMove, names: Sequence[str], rate_hz: float
+) -> tuple[Array, ...]:
     """Return times (N,) s, positions, speeds and accelerations (N, n) of a planned move."""
     own = {}
     if move.strokes:  # of one joint, each with a rest after it
@@ -82,7 +89,9 @@ def sampled(move: PlannedMove, names: Sequence[str], rate_hz: float) -> tuple[Ar
         t, c = shapes.t, np.empty(COEFFICIENTS)
         for name, motion in move.fourier.items():
             c[0::2], c[1::2] = motion.sine, motion.cosine
-            own[name] = np.array([motion.centre + c @ shapes.y, c @ shapes.dy, c @ shapes.ddy])
+            own[name] = np.array(
+                [motion.centre + c @ shapes.y, c @ shapes.dy, c @ shapes.ddy]
+            )
     states = np.zeros((3, len(t), len(names)))
     states[0] = [move.start[name] for name in names]
     for name, values in own.items():

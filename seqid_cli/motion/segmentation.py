@@ -1,9 +1,10 @@
 """Which joints move when, and where one of them runs at constant velocity, from positions alone.
 
-A coarse encoder shows a slow joint as rare single counts, so motion is looked for on several time
-scales: a joint moves where its position changes by more than two counts within the window of a
-scale. A stretch of constant velocity is one where the windowed velocity neither drifts nor steps
-by more than the encoder's uncertainty and a few percent; ramps at its ends fall away by the window.
+A coarse encoder shows a slow joint as rare single counts, so motion is looked for on
+several time scales: a joint moves where its position changes by more than two counts
+within the window of a scale. A stretch of constant velocity is one where the windowed
+velocity neither drifts nor steps by more than the encoder's uncertainty and a few
+percent; ramps at its ends fall away by the window.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,8 @@ from seqid_cli.typing import Array, Index, Mask
 SCALES_S = (0.1, 0.3, 1.0)
 TRAVEL_STEPS = 2.5  # noise steps of travel, beyond which a joint moves
 SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
-SHAKEN = 0.01  # of the fastest joint's travel, below which a locked joint is only shaken by it
+# of the fastest joint's travel, below which a locked joint is only shaken by it
+SHAKEN = 0.01
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,8 @@ class Stretch:
     joint: int
     start: int
     stop: int
-    move_start: int  # where the move in one direction that the stretch is part of begins
+    # where the move in one direction that the stretch is part of begins
+    move_start: int
     move_stop: int
     velocity: float  # rad/s, signed
     configuration: tuple[float, ...]  # mean position of every joint, rad
@@ -45,7 +48,9 @@ class Stretch:
 def noise_step(q: Array, resolution: Array | None = None) -> Array:
     """Smallest position change of each joint (n,) rad that counts as more than encoder noise."""
     step = np.maximum(encoder_step(q), 0.0 if resolution is None else resolution)
-    return np.asarray(np.maximum(np.where(step > 0, step, 3 * white_noise(q)), SMALLEST_STEP))
+    return np.asarray(
+        np.maximum(np.where(step > 0, step, 3 * white_noise(q)), SMALLEST_STEP)
+    )
 
 
 def motion_reach(rate_hz: float) -> int:
@@ -64,7 +69,8 @@ def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) 
         least = np.maximum(TRAVEL_STEPS * step[:, None], SHAKEN * travel.max(axis=0))
         changes = np.zeros((len(rows), travel.shape[1] + 1), dtype=np.int32)
         np.cumsum(travel > least, axis=1, out=changes[:, 1:])
-        # A change within the window moves its middle and a third of a half to either side.
+        # A change within the window moves its middle and a third of a half to either
+        # side.
         reach = -(half // 3), half // 3 + 1
         low, high = (np.clip(at - half + side, 0, travel.shape[1]) for side in reach)
         moving |= changes[:, high] > changes[:, low]
@@ -75,11 +81,15 @@ def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
     """Velocity (N,) rad/s of one joint: difference of two half-window means over their distance."""
     means = uniform_filter1d(q, 2 * half + 1, mode="nearest")
     velocity = np.zeros_like(q)
-    velocity[half:-half] = (means[2 * half :] - means[: -2 * half]) * rate_hz / (2 * half)
+    velocity[half:-half] = (
+        (means[2 * half :] - means[: -2 * half]) * rate_hz / (2 * half)
+    )
     return velocity
 
 
-def constant_velocity(q: Array, rate_hz: float, *, step: Array, valid: Mask) -> list[Stretch]:
+def constant_velocity(
+    q: Array, rate_hz: float, *, step: Array, valid: Mask
+) -> list[Stretch]:
     """Every stretch in which exactly one joint moves, at constant velocity, in time order."""
     moving = moving_mask(q, rate_hz, step)
     alone = valid & (moving.sum(axis=1) == 1)
@@ -104,14 +114,17 @@ def _stretches(
             slope = float(time @ part[:, joint] / (time @ time))
             where = tuple(part.mean(axis=0).tolist())
             if slope:
-                result.append(Stretch(joint, begin + c, begin + d, begin, end, slope, where))
+                result.append(
+                    Stretch(joint, begin + c, begin + d, begin, end, slope, where)
+                )
     return result
 
 
 def _directions(position: Array, step: float) -> list[tuple[int, int]]:
     """Index ranges between reversals; a reversal is a turn back by more than three counts."""
     turns, extreme, direction = [0], 0, 0
-    # Indices at which the position has changed by a count or more: all that a turn can need.
+    # Indices at which the position has changed by a count or more: all that a turn can
+    # need.
     counts = np.round(position / step).astype(np.int64)
     for i in (np.flatnonzero(np.diff(counts)) + 1).tolist():
         change = position[i] - position[extreme]
@@ -133,7 +146,8 @@ def _plateaus(
     travel = abs(position[-1] - position[0])
     if travel < 8 * step:
         return []
-    # Half a window that holds about sixty counts, between 20 ms and a twelfth of the move.
+    # Half a window that holds about sixty counts, between 20 ms and a twelfth of the
+    # move.
     speed = np.quantile(np.abs(np.diff(position[:: max(1, len(position) // 50)])), 0.7)
     speed *= rate_hz / max(1, len(position) // 50)
     wanted = 30 * step * rate_hz / max(float(speed), 1e-9)
@@ -143,11 +157,16 @@ def _plateaus(
     inner = windowed_velocity(position, rate_hz, half)[half:-half]
     drift = np.abs(inner[2 * half :] - inner[: -2 * half])
     middle = inner[half:-half]
-    # Two windowed velocities of a quantised position differ by up to two counts per window.
-    steady = drift < velocity_tolerance * np.abs(middle) + 1.2 * step * rate_hz / (2 * half)
+    # Two windowed velocities of a quantised position differ by up to two counts per
+    # window.
+    steady = drift < velocity_tolerance * np.abs(middle) + 1.2 * step * rate_hz / (
+        2 * half
+    )
     found = []
     for a, b in runs(steady, len(steady)):
-        whole = _trimmed(position, a + 5 * half // 2, b + 2 * half - half // 2, rate_hz, step)
+        whole = _trimmed(
+            position, a + 5 * half // 2, b + 2 * half - half // 2, rate_hz, step
+        )
         found += [whole] if whole else []
     return found
 
@@ -163,8 +182,8 @@ def _trimmed(
     shortest_s: float = 0.12,
 ) -> tuple[int, int] | None:
     """Cut a steady range back until its velocity is one and the same throughout."""
-    # Drift within a window can be too slow to see and still add up, as near the top of a sine; what
-    # is left must then be a fair share of the move.
+    # Drift within a window can be too slow to see and still add up, as near the top of
+    # a sine; what is left must then be a fair share of the move.
     least = max(8 * step, least_share * abs(float(position[-1] - position[0])))
     while stop - start >= max(8, shortest_s * rate_hz):
         piece = position[start:stop]
@@ -185,12 +204,17 @@ def _end_velocities(
     x = np.linspace(-1.0, 1.0, len(piece))
     cubic = Polynomial.fit(x, piece, 3, domain=[-1, 1], window=[-1, 1]).deriv()
     mean = float(piece[-1] - piece[0]) / 2
-    # The slope of a cubic at its ends, from samples quantised to a step, is known to about this.
+    # The slope of a cubic at its ends, from samples quantised to a step, is known to
+    # about this.
     slack = 30 * step / np.sqrt(12 * len(piece)) / abs(mean)
     first, middle, last = (float(cubic(at)) / mean for at in (-1.0, 0.0, 1.0))
-    # An end faster than the middle is a controller settling, a slower one the top of a sine.
+    # An end faster than the middle is a controller settling, a slower one the top of a
+    # sine.
     steady, slower = steady + slack, slower + slack
-    return [float(max(abs(end - 1) / steady, (middle - end) / slower)) for end in (first, last)]
+    return [
+        float(max(abs(end - 1) / steady, (middle - end) / slower))
+        for end in (first, last)
+    ]
 
 
 def unmoved(
@@ -198,9 +222,10 @@ def unmoved(
 ) -> Mask:
     """Where (N,) no joint leaves its place by more than the encoder's noise, for `samples`.
 
-    Unlike `moving_mask`, whose windows are as long as a slow joint needs to pass two counts, it
-    shows short rests between moves; a joint that creeps within a count stands. `q` (N, n):
-    positions, rad (m). `resolution` (n,): smallest steps of the encoders, where known.
+    Unlike `moving_mask`, whose windows are as long as a slow joint needs to pass two
+    counts, it shows short rests between moves; a joint that creeps within a count
+    stands. `q` (N, n): positions, rad (m). `resolution` (n,): smallest steps of the
+    encoders, where known.
     """
     size = max(3, samples)
     swing = maximum_filter1d(q, size, axis=0) - minimum_filter1d(q, size, axis=0)
@@ -210,4 +235,6 @@ def unmoved(
 
 def standing(moving: Mask, rate_hz: float, margin_s: float = 0.05) -> Mask:
     """Where each joint (N, n) certainly stands still: not moving, with a margin around motion."""
-    return np.stack([shrink(~column, round(margin_s * rate_hz)) for column in moving.T], axis=1)
+    return np.stack(
+        [shrink(~column, round(margin_s * rate_hz)) for column in moving.T], axis=1
+    )

@@ -2,11 +2,12 @@
 
     S(f) = s (1 + r (f / f0)^-a)
 
-Motion, its steps and a controller that hunts only add to noise, in bands that are not known. So a
-band of a spectrum that lies z standard errors from S costs z^2 / 2 in log-likelihood (P. Whittle,
-"Estimation and information in stationary time series", Arkiv foer Matematik 2(5), 1953); but one
-above it never more than an excess there does, a parameter of its own. For each r and a the most
-likely s is then the mean of the lowest bands. What r and a may be is weighed by likelihood.
+Motion, its steps and a controller that hunts only add to noise, in bands that are not
+known. So a band of a spectrum that lies z standard errors from S costs z^2 / 2 in
+log-likelihood (P. Whittle, "Estimation and information in stationary time series",
+Arkiv foer Matematik 2(5), 1953); but one above it never more than an excess there does,
+a parameter of its own. For each r and a the most likely s is then the mean of the
+lowest bands. What r and a may be is weighed by likelihood.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array, Mask
 
-Slid = Sequence[tuple[Motion, float]]  # motion of a log, and for how many seconds the joint slides
+# motion of a log, and for how many seconds the joint slides
+Slid = Sequence[tuple[Motion, float]]
 
 GRID = 400  # frequencies, over which a band is integrated
 LEVEL = 0.95  # of the interval
@@ -33,8 +35,8 @@ REACH = 5.0  # standard deviations, up to which it is followed
 UNLIKELY = 1e-6
 RATIOS = np.geomspace(1e-2, 1e2, 25)
 EXPONENTS = (1.0, 0.5, 0.75, 1.25, 1.5)
-# Shapes that noise may have, each with how many parameters it has more than white noise: white,
-# 1/f, and other exponents.
+# Shapes that noise may have, each with how many parameters it has more than white
+# noise: white, 1/f, and other exponents.
 EXPONENT = np.concatenate([[0.0], np.repeat(EXPONENTS, len(RATIOS))])
 RATIO = np.concatenate([[0.0], np.tile(RATIOS, len(EXPONENTS))])
 MORE = np.concatenate([[0.0], np.repeat([1.0, 2.0, 2.0, 2.0, 2.0], len(RATIOS))])
@@ -42,7 +44,8 @@ WHITE = RATIO == 0.0
 TINY = 1e-300
 
 DETAIL = 0.002  # of a joint's torque, that no model gets right
-# Bins of a tapered spectrum that count as one, times the variance of a median over that of a mean.
+# Bins of a tapered spectrum that count as one, times the variance of a median over that
+# of a mean.
 HANN_MEDIAN = 1.5 * 2.08
 NYQUIST_SHARE = 0.9
 SLOWEST = 2  # waves in a stretch, from which on its spectrum is free of its trend
@@ -61,7 +64,9 @@ def power_gain(lowpass: Lowpass, frequency: Array, times: int) -> Array:
 
 def stretches(mask: Mask, length: int) -> list[int]:
     """First samples of as many stretches of `length` samples as lie within True."""
-    return [s for a, b in runs(mask, len(mask)) for s in range(a, b - length + 1, length)]
+    return [
+        s for a, b in runs(mask, len(mask)) for s in range(a, b - length + 1, length)
+    ]
 
 
 @dataclass(frozen=True)
@@ -74,23 +79,39 @@ class Spectrum:
 
     @classmethod
     def of(
-        cls, values: Array, starts: Sequence[int], length: int, rate_hz: float, *, robust: bool
+        cls,
+        values: Array,
+        starts: Sequence[int],
+        length: int,
+        rate_hz: float,
+        *,
+        robust: bool,
     ) -> Spectrum:
         """Spectrum of values (N,) over stretches, below the Nyquist frequency; none of no stretch.
 
-        The stretches have `length` samples from each of `starts` on; the trend of each is removed.
-        `robust` tapers them, as motion leaks, and takes the median over them instead of the mean.
+        The stretches have `length` samples from each of `starts` on; the trend of each
+        is removed. `robust` tapers them, as motion leaks, and takes the median over
+        them instead of the mean.
         """
         frequency = np.fft.rfftfreq(length, 1.0 / rate_hz).astype(np.float64)
-        kept = (np.arange(len(frequency)) >= SLOWEST) & (frequency < 0.5 * NYQUIST_SHARE * rate_hz)
+        kept = (np.arange(len(frequency)) >= SLOWEST) & (
+            frequency < 0.5 * NYQUIST_SHARE * rate_hz
+        )
         if not starts or not kept.any():
             return cls(np.zeros(0), np.zeros(0), np.zeros(0))
         window = np.hanning(length) if robust else np.ones(length)
-        pieces = window * detrend(np.stack([values[s : s + length] for s in starts]), axis=1)
-        power = np.abs(np.fft.rfft(pieces, axis=1)[:, kept]) ** 2 / (rate_hz * np.sum(window**2))
-        # The median of an exponential distribution is log 2 of its mean; that of two is their mean.
+        pieces = window * detrend(
+            np.stack([values[s : s + length] for s in starts]), axis=1
+        )
+        power = np.abs(np.fft.rfft(pieces, axis=1)[:, kept]) ** 2 / (
+            rate_hz * np.sum(window**2)
+        )
+        # The median of an exponential distribution is log 2 of its mean; that of two is
+        # their mean.
         middle = robust and len(starts) > 2
-        density = np.median(power, axis=0) / np.log(2.0) if middle else power.mean(axis=0)
+        density = (
+            np.median(power, axis=0) / np.log(2.0) if middle else power.mean(axis=0)
+        )
         count = len(starts) / HANN_MEDIAN if robust else len(starts)
         return cls(frequency[kept], density, np.full(len(density), count))
 
@@ -130,7 +151,8 @@ class Level:
         for motion, seconds in slid:
             top = min(0.5 * motion.rate_hz, 2.0 * motion.lowpass.cutoff_hz)
             frequency = np.geomspace(1.0 / motion.t[-1], top, GRID)
-            passing = 2.0 * power_gain(motion.lowpass, frequency, 2)  # of both signs together
+            # of both signs together
+            passing = 2.0 * power_gain(motion.lowpass, frequency, 2)
             density = passing * _shapes(frequency / self.reference_hz)
             passed += seconds / total * np.trapezoid(density, frequency)
             scatter += seconds / total**2 * np.trapezoid(density**2, frequency)
@@ -143,7 +165,9 @@ class Level:
         ends = min(low, found[0]), max(high, found[0]), max(high, middle.max())
         return np.exp(0.5 * np.array([found[0], *ends]))
 
-    def _quantiles(self, middle: Array, spread: Array, some: Mask, shares: list[float]) -> Array:
+    def _quantiles(
+        self, middle: Array, spread: Array, some: Mask, shares: list[float]
+    ) -> Array:
         """Quantiles of the logarithm of a mean square over some of the shapes."""
         middle, spread = middle[some, None], spread[some, None]
         ends = (middle - REACH * spread).min(), (middle + REACH * spread).max()
@@ -155,18 +179,21 @@ class Level:
 def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
     """White and 1/f^a noise of a joint, of which spectra show at least as much as there is.
 
-    r is their ratio at `reference_hz`. The excess of a band, noise that is not white and an
-    exponent other than 1 must each gain a log-likelihood of one (Akaike's criterion).
+    r is their ratio at `reference_hz`. The excess of a band, noise that is not white
+    and an exponent other than 1 must each gain a log-likelihood of one (Akaike's
+    criterion).
     """
     bands = zip(*(one.bands for one in spectra), strict=True)
     frequency, density, averaged = map(np.concatenate, bands)
-    # A mean of so many periodograms has a gamma distribution; its logarithm is off and scatters.
+    # A mean of so many periodograms has a gamma distribution; its logarithm is off and
+    # scatters.
     known = np.log(np.maximum(density, TINY)) - digamma(averaged) + np.log(averaged)
     above = known - np.log(_shapes(frequency / reference_hz))
     order = np.argsort(above, axis=1)
     above = np.take_along_axis(above, order, axis=1)
     precision = 1.0 / polygamma(1, averaged)[order]
-    # Of the lowest 1, 2, ... bands: their mean, and what they and an excess of all others cost.
+    # Of the lowest 1, 2, ... bands: their mean, and what they and an excess of all
+    # others cost.
     total = np.cumsum(precision, axis=1)
     mean = np.cumsum(precision * above, axis=1) / total
     lost = 0.5 * (np.cumsum(precision * above**2, axis=1) - total * mean**2)

@@ -1,7 +1,8 @@
 """The base of all documents: strict structures, and how a notebook shows them.
 
-Whatever a document holds is laid out by its own shape: structures that lie in a list or by name in
-a dictionary as the rows of one table, other values by their names. Long lists are counted.
+Whatever a document holds is laid out by its own shape: structures that lie in a list or
+by name in a dictionary as the rows of one table, other values by their names. Long
+lists are counted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,16 +12,24 @@ from typing import Any
 import msgspec
 
 _MOST_ROWS, _MOST_VALUES = 60, 6
-_LEFT_OUT = frozenset({"schema", "created", "tool", "inputs", "covariance", "representative"})
+_LEFT_OUT = frozenset(
+    {"schema", "created", "tool", "inputs", "covariance", "representative"}
+)
 
 
 class FrozenStruct(
-    msgspec.Struct, forbid_unknown_fields=True, kw_only=True, omit_defaults=False, frozen=True
+    msgspec.Struct,
+    forbid_unknown_fields=True,
+    kw_only=True,
+    omit_defaults=False,
+    frozen=True,
 ):
     """Base of structures that never change, and so can be in a set."""
 
 
-class Struct(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, omit_defaults=False):
+class Struct(
+    msgspec.Struct, forbid_unknown_fields=True, kw_only=True, omit_defaults=False
+):
     """Base of all file structures: an unknown key is an error that names its path."""
 
 
@@ -33,7 +42,9 @@ class Document(Struct):
 
 
 def _fields(struct: msgspec.Struct) -> dict[str, object]:
-    return {x: getattr(struct, x) for x in struct.__struct_fields__ if x not in _LEFT_OUT}
+    return {
+        x: getattr(struct, x) for x in struct.__struct_fields__ if x not in _LEFT_OUT
+    }
 
 
 def _tables(value: Any) -> str:
@@ -47,7 +58,9 @@ def _tables(value: Any) -> str:
     parts = [_table((), rows)] if rows else []
     for name, own in values.items():
         if own and not _short(own) and (inner := _tables(own)):
-            parts.append(f"<details open><summary>{escape(name)}</summary>{inner}</details>")
+            parts.append(
+                f"<details open><summary>{escape(name)}</summary>{inner}</details>"
+            )
     return "".join(parts)
 
 
@@ -57,7 +70,9 @@ def _short(value: object) -> str:
         return f"{value:.4g}"
     if isinstance(value, str | int):
         return escape(str(value))
-    if isinstance(value, Sequence) and all(isinstance(x, str | float | int) for x in value):
+    if isinstance(value, Sequence) and all(
+        isinstance(x, str | float | int) for x in value
+    ):
         if len(value) > _MOST_VALUES and not isinstance(value[0], str):
             return f"{len(value)} values"
         return "<br>".join(map(_short, value))
@@ -72,7 +87,9 @@ def _records(value: Any) -> str:
     columns: list[str] = []
     cells = [[_short(record)] for record in shown]
     if shown and isinstance(shown[0], msgspec.Struct):
-        texts = [{x: _short(own) for x, own in _fields(record).items()} for record in shown]
+        texts = [
+            {x: _short(own) for x, own in _fields(record).items()} for record in shown
+        ]
         columns = [x for x in texts[0] if any(text[x] for text in texts)]
         cells = [[text[x] for x in columns] for text in texts]
     if names:
@@ -84,6 +101,8 @@ def _records(value: Any) -> str:
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in columns)
-    body = "".join("<tr>" + "".join(f"<td>{x}</td>" for x in row) + "</tr>" for row in rows)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{x}</td>" for x in row) + "</tr>" for row in rows
+    )
     top = f"<thead><tr>{head}</tr></thead>" if head else ""
     return f"<table>{top}<tbody>{body}</tbody></table>"

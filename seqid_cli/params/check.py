@@ -14,9 +14,18 @@ from seqid_cli.params.evidence_schema import EvidenceEntry
 SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
 _Problem = tuple[str, str]  # key, fault
 # Fields that name joints, themselves or by their keys; a verdict may be about an IMU.
-_OF_JOINTS = {"joint", "joints", "of", "before", "after", "torque_constant_moves", "noise_floor"}
+_OF_JOINTS = {
+    "joint",
+    "joints",
+    "of",
+    "before",
+    "after",
+    "torque_constant_moves",
+    "noise_floor",
+}
 _OF_JOINTS |= {"noise_floor_interval", "gain_interval"}
-_INTERVALS = ("interval", "training_interval", "gain_interval", "noise_floor_interval")  # or empty
+# or empty
+_INTERVALS = ("interval", "training_interval", "gain_interval", "noise_floor_interval")
 
 
 def check_consistency(document: schema.OfRobot, where: str) -> None:
@@ -28,7 +37,9 @@ def check_consistency(document: schema.OfRobot, where: str) -> None:
 
 def _problems(document: schema.OfRobot) -> Iterator[_Problem]:
     joints = document.robot.joints
-    if isinstance(document, schema.ParameterFile) and not 0 < len(joints) == len(set(joints)):
+    if isinstance(document, schema.ParameterFile) and not 0 < len(joints) == len(
+        set(joints)
+    ):
         yield "$.robot.joints", "must name each joint of the robot once"
     for key, struct in _structs("$", document):
         for name in struct.__struct_fields__:
@@ -36,11 +47,16 @@ def _problems(document: schema.OfRobot) -> Iterator[_Problem]:
             if name in _OF_JOINTS and not isinstance(struct, schema.Verdict):
                 for joint in value if isinstance(value, Mapping | list) else [value]:
                     if isinstance(joint, str) and joint and joint not in joints:
-                        what = f"joint {joint!r} is none of the robot's: {', '.join(joints)}"
+                        what = (
+                            f"joint {joint!r} is none of the robot's:"
+                            f" {', '.join(joints)}"
+                        )
                         yield f"{key}.{name}", what
             entries = value if isinstance(value, Mapping) else {"": value}
             for own, entry in entries.items():
-                yield from _numbers(f"{key}.{name}.{own}".removesuffix("."), name, entry)
+                yield from _numbers(
+                    f"{key}.{name}.{own}".removesuffix("."), name, entry
+                )
         check = _CHECKS.get(type(struct))
         yield from check(key, struct) if check else ()
 
@@ -68,9 +84,15 @@ def _numbers(key: str, name: str, value: Any) -> Iterator[_Problem]:
 
 
 def _friction(key: str, joint: schema.FrictionJoint) -> Iterator[_Problem]:
-    bases = {"chebyshev": joint.position_order + 1, "fourier": 2 * joint.position_order + 1}
+    bases = {
+        "chebyshev": joint.position_order + 1,
+        "fourier": 2 * joint.position_order + 1,
+    }
     if joint.position_basis not in bases:
-        yield f"{key}.position_basis", f"is {joint.position_basis!r}, none of {', '.join(bases)}"
+        yield (
+            f"{key}.position_basis",
+            f"is {joint.position_basis!r}, none of {', '.join(bases)}",
+        )
         return
     rows, columns = bases[joint.position_basis], joint.velocity_order + 1
     for name, surface in (("positive", joint.positive), ("negative", joint.negative)):
@@ -101,7 +123,10 @@ def _rigid(key: str, stage: schema.RigidStage) -> Iterator[_Problem]:
 def _band(key: str, band: JointBand) -> Iterator[_Problem]:
     order = [(cell.fast, cell.loaded) for cell in band.cells]
     if order != [(False, False), (False, True), (True, False), (True, True)]:
-        yield f"{key}.cells", "must be slow and light, slow and loaded, fast and light, both"
+        yield (
+            f"{key}.cells",
+            "must be slow and light, slow and loaded, fast and light, both",
+        )
     if any(cell.factor <= 0.0 for cell in band.cells):
         yield f"{key}.cells", "must have positive factors"
     if band.left_std < 0.0:
@@ -115,7 +140,10 @@ def _imu(key: str, imu: schema.ImuCalibration) -> Iterator[_Problem]:
     for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         product = sum(map(mul, imu.rotation[i], imu.rotation[j]))
         if abs(product - (i == j)) > 1e-6:
-            yield f"{key}.rotation", f"is no rotation: rows {i + 1} and {j + 1} give {product:.6g}"
+            yield (
+                f"{key}.rotation",
+                f"is no rotation: rows {i + 1} and {j + 1} give {product:.6g}",
+            )
 
 
 def _session(key: str, session: schema.EffectSession) -> Iterator[_Problem]:
@@ -126,17 +154,32 @@ def _session(key: str, session: schema.EffectSession) -> Iterator[_Problem]:
 
 
 def _closed_loop(key: str, loop: schema.ClosedLoop) -> Iterator[_Problem]:
-    lists = {"rounds": loop.rounds, "unconfirmed": loop.unconfirmed, "refused": loop.refused}
+    lists = {
+        "rounds": loop.rounds,
+        "unconfirmed": loop.unconfirmed,
+        "refused": loop.refused,
+    }
     for name, tried in lists.items():
         for index, each in enumerate(tried):
             if each.accepted != (name != "refused"):
-                yield f"{key}.{name}[{index}].accepted", f"contradicts its place in {name}"
+                yield (
+                    f"{key}.{name}[{index}].accepted",
+                    f"contradicts its place in {name}",
+                )
             if name == "unconfirmed" and each.confirmed:
-                yield f"{key}.{name}[{index}].confirmed", f"contradicts its place in {name}"
+                yield (
+                    f"{key}.{name}[{index}].confirmed",
+                    f"contradicts its place in {name}",
+                )
 
 
 def _evidence(key: str, shown: EvidenceEntry) -> Iterator[_Problem]:
-    lengths = {len(shown.x), len(shown.count), len(shown.before), len(shown.before_spread)}
+    lengths = {
+        len(shown.x),
+        len(shown.count),
+        len(shown.before),
+        len(shown.before_spread),
+    }
     if shown.after or shown.after_spread:
         lengths |= {len(shown.after), len(shown.after_spread)}
     if len(lengths) > 1:
@@ -145,7 +188,10 @@ def _evidence(key: str, shown: EvidenceEntry) -> Iterator[_Problem]:
 
 def _square(key: str, covariance: schema.Matrix, *sizes: int) -> Iterator[_Problem]:
     if covariance and not any(_has_shape(covariance, size, size) for size in sizes):
-        yield f"{key}.covariance", f"must be square with {' or '.join(map(str, sizes))} rows"
+        yield (
+            f"{key}.covariance",
+            f"must be square with {' or '.join(map(str, sizes))} rows",
+        )
 
 
 def _has_shape(matrix: schema.Matrix, rows: int, columns: int) -> bool:
@@ -157,7 +203,9 @@ _CHECKS: Mapping[type, Callable[[str, Any], Iterator[_Problem]]] = {
     schema.RigidStage: _rigid,
     JointBand: _band,
     schema.ImuCalibration: _imu,
-    schema.EffectOfJoint: lambda key, own: _square(key, own.covariance, len(own.coefficients)),
+    schema.EffectOfJoint: lambda key, own: _square(
+        key, own.covariance, len(own.coefficients)
+    ),
     schema.EffectSession: _session,
     schema.ClosedLoop: _closed_loop,
     EvidenceEntry: _evidence,

@@ -1,9 +1,10 @@
 """When a result was made, so that the same inputs give the same bytes.
 
-A result carries no time of the clock on the wall: it would differ from run to run. `created` is
-SOURCE_DATE_EPOCH where that is set (https://reproducible-builds.org/specs/source-date-epoch),
-else the time of the newest input: of a log its last stamp where the stamps are dates, else
-when its file was last modified; of a result its own `created`.
+A result carries no time of the clock on the wall: it would differ from run to run.
+`created` is SOURCE_DATE_EPOCH where that is set
+(https://reproducible-builds.org/specs/source-date-epoch), else the time of the newest
+input: of a log its last stamp where the stamps are dates, else when its file was last
+modified; of a result its own `created`.
 """
 
 import os
@@ -16,8 +17,8 @@ from seqid_cli.errors import UsageError
 from seqid_cli.params.schema import Written
 
 VARIABLE = "SOURCE_DATE_EPOCH"
-# Stamps from 2000-01-01 to 2100-01-01 are dates. Others count from a start-up or a log's begin:
-# a controller would have to run for 30 years to be taken for a calendar.
+# Stamps from 2000-01-01 to 2100-01-01 are dates. Others count from a start-up or a
+# log's begin: a controller would have to run for 30 years to be taken for a calendar.
 EARLIEST_DATE_S = 946_684_800.0
 LATEST_DATE_S = 4_102_444_800.0
 _LAST_SECOND = (
@@ -82,7 +83,10 @@ def source_date_epoch() -> int | None:
     if text is None:
         return None
     if not (text.isascii() and text.isdecimal() and int(text) <= _LAST_SECOND):
-        hint = "Set it to seconds since 1970, as from: git log -1 --format=%ct; or unset it."
+        hint = (
+            "Set it to seconds since 1970, as from: git log -1 --format=%ct; or"
+            " unset it."
+        )
         raise UsageError(
             f"{VARIABLE} is no number of seconds: {text[:40]!r}", hint=hint
         )
@@ -104,8 +108,8 @@ def created_from(
     log_times_s : iterable of float
         The times of the logs [s, Unix].
     otherwise : path, optional
-        The file that dates the result where neither documents nor logs have a date, as the robot
-        file does for a plan. Without one it is the present time.
+        The file that dates the result where neither documents nor logs have a date, as
+        the robot file does for a plan. Without one it is the present time.
 
     Raises
     ------

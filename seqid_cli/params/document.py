@@ -21,7 +21,8 @@ COMMAND_OF = {  # each stage, in their order
     "inertia": "inertia",
     "effects": "refine",
 }
-# What was identified with the help of each stage, and is stale once that stage is done again.
+# What was identified with the help of each stage, and is stale once that stage is done
+# again.
 _DEPENDENTS: Mapping[str, tuple[str, ...]] = {
     "friction": ("gravity", "inertia", "effects"),
     "gravity": ("inertia", "effects"),
@@ -40,12 +41,19 @@ class Head(TypedDict):
 
 def head(name: str, created: str) -> Head:
     """Return the head of a document of this schema and date, written by this program."""
-    return {"schema": name, "created": created, "tool": schema.Tool(version=__version__)}
+    return {
+        "schema": name,
+        "created": created,
+        "tool": schema.Tool(version=__version__),
+    }
 
 
 def robot_id(robot: "Robot") -> RobotId:
     """Return the identity of a robot in the form of documents."""
-    names, slides = list(robot.joint_names), [j.name for j in robot.joints if j.prismatic]
+    names, slides = (
+        list(robot.joint_names),
+        [j.name for j in robot.joints if j.prismatic],
+    )
     return RobotId(name=robot.name, joints=names, sha256=robot.sha256, prismatic=slides)
 
 
@@ -75,13 +83,19 @@ def poor_because(verdicts: Iterable[schema.Verdict], joint: str) -> str:
     return "; ".join(v.reason for v in verdicts if v.joint == joint and not v.good)
 
 
-def stale_stages(previous: ParameterFile | None, names: Sequence[str]) -> tuple[str, ...]:
+def stale_stages(
+    previous: ParameterFile | None, names: Sequence[str]
+) -> tuple[str, ...]:
     """Return the earlier results that are void when the stages `names` are identified again."""
     if previous is None:
         return ()
     there = present(previous.stages)
-    lost = {late for name in names if name in there for late in _DEPENDENTS.get(name, ())}
-    return tuple(name for name in COMMAND_OF if name in lost & there.keys() - set(names))
+    lost = {
+        late for name in names if name in there for late in _DEPENDENTS.get(name, ())
+    }
+    return tuple(
+        name for name in COMMAND_OF if name in lost & there.keys() - set(names)
+    )
 
 
 def with_stage(
@@ -95,15 +109,18 @@ def with_stage(
 ) -> ParameterFile:
     """Return a new document: `previous` and the given stages, by their names in `Stages`.
 
-    Earlier stages and their inputs stay; a stage that is given again replaces the old one, and
-    what had been identified from the old one (`stale_stages`) is dropped. `improved` are earlier
-    stages with what the new logs show of them: nothing is dropped for these. `created` is the date
-    of the newest input (`dates.created_from`); the present where it is left out.
+    Earlier stages and their inputs stay; a stage that is given again replaces the old
+    one, and what had been identified from the old one (`stale_stages`) is dropped.
+    `improved` are earlier stages with what the new logs show of them: nothing is
+    dropped for these. `created` is the date of the newest input (`dates.created_from`);
+    the present where it is left out.
     """
     gone = {*stages, *stale_stages(previous, tuple(stages))}
     old = present(previous.stages) if previous else {}
     kept = {name: stage for name, stage in old.items() if name not in gone}
-    earlier = [log for log in previous.inputs if log.stage not in gone] if previous else []
+    earlier = (
+        [log for log in previous.inputs if log.stage not in gone] if previous else []
+    )
     content = {**kept, **(improved or {}), **stages}
     return _file(robot, [*earlier, *inputs], content, created=created)
 
@@ -119,9 +136,9 @@ def refined(
 ) -> ParameterFile:
     """Return a new document: `previous` after refinement.
 
-    `stages` replace those of `previous`. All its inputs stay, because what was identified from
-    them went into the refined stages; `inputs` are the logs that refinement read in addition.
-    `created` is as of `with_stage`.
+    `stages` replace those of `previous`. All its inputs stay, because what was
+    identified from them went into the refined stages; `inputs` are the logs that
+    refinement read in addition. `created` is as of `with_stage`.
     """
     # Effects are there even where nothing was added.
     content = {"effects": [], **present(previous.stages), **present(stages)}
@@ -139,13 +156,17 @@ def _file(
     return ParameterFile(
         **head(schema.SCHEMA, created or now()),
         robot=robot,
-        inputs=list({(log.stage, log.sha256, log.path): log for log in inputs}.values()),
+        inputs=list(
+            {(log.stage, log.sha256, log.path): log for log in inputs}.values()
+        ),
         stages=Stages(**stages),  # type: ignore[arg-type]
         closed_loop=loop,
     )
 
 
-def check_same_robot(first: tuple[str, RobotId], other: tuple[str, RobotId], hint: str) -> None:
+def check_same_robot(
+    first: tuple[str, RobotId], other: tuple[str, RobotId], hint: str
+) -> None:
     """Refuse a document about another robot than the first; each is given with its path."""
     (path, mine), (where, theirs) = first, other
     if (theirs.name, theirs.joints) != (mine.name, mine.joints):
@@ -159,14 +180,17 @@ def check_same_robot(first: tuple[str, RobotId], other: tuple[str, RobotId], hin
 def join(files: Sequence[tuple[str, ParameterFile]]) -> ParameterFile:
     """Join parameter files of one robot, given with the names to use in messages.
 
-    Raises ConfigError: there are none, of different robots, or that disagree on a stage.
+    Raises ConfigError: there are none, of different robots, or that disagree on a
+    stage.
     """
     if not files:
         raise ConfigError("no parameter file given", hint="Name one with -p.")
     path, first = files[0]
     found: dict[str, tuple[object, str]] = {}
     for name, file in files:
-        check_same_robot((path, first.robot), (name, file.robot), "Join files of one robot only.")
+        check_same_robot(
+            (path, first.robot), (name, file.robot), "Join files of one robot only."
+        )
         for stage, content in present(file.stages).items():
             known, source = found.setdefault(stage, (content, name))
             if known != content:

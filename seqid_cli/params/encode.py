@@ -1,7 +1,7 @@
 """From structures to JSON text that a person can read and compare.
 
-Objects are indented, lists of numbers stay on one line, floats have 12 significant digits: enough
-for every result, few enough to hide the last bits of another BLAS.
+Objects are indented, lists of numbers stay on one line, floats have 12 significant
+digits: enough for every result, few enough to hide the last bits of another BLAS.
 """
 
 import json
@@ -19,7 +19,8 @@ _SCALARS = (str, int, float, bool, type(None))
 def encode(document: object) -> str:
     """Render a structure as JSON text, ending in a newline.
 
-    Raises ValueError for a number that is not finite, TypeError for what has no JSON form.
+    Raises ValueError for a number that is not finite, TypeError for what has no JSON
+    form.
     """
     return _render(plain(document), "") + "\n"
 
@@ -30,12 +31,18 @@ def plain(value: object, path: str = "$") -> Json:
         return value
     if isinstance(value, float):
         if not math.isfinite(value):
-            raise ValueError(f"{path} is {value}: every number of a result must be finite")
+            raise ValueError(
+                f"{path} is {value}: every number of a result must be finite"
+            )
         return float(f"{min(max(value, -LARGEST), LARGEST):.{_DIGITS}g}")
     if isinstance(value, msgspec.Struct):
         sparse = value.__struct_config__.omit_defaults
         fields = {name: getattr(value, name) for name in value.__struct_fields__}
-        kept = {name: item for name, item in fields.items() if item is not None or not sparse}
+        kept = {
+            name: item
+            for name, item in fields.items()
+            if item is not None or not sparse
+        }
         return {name: plain(item, f"{path}.{name}") for name, item in kept.items()}
     if isinstance(value, Mapping):
         return {str(key): plain(item, f"{path}.{key}") for key, item in value.items()}
@@ -47,9 +54,14 @@ def plain(value: object, path: str = "$") -> Json:
 def _render(value: Json, margin: str) -> str:
     inner = margin + "  "
     if isinstance(value, dict) and value:
-        items = [f"{inner}{json.dumps(key)}: {_render(item, inner)}" for key, item in value.items()]
+        items = [
+            f"{inner}{json.dumps(key)}: {_render(item, inner)}"
+            for key, item in value.items()
+        ]
         return "{\n" + ",\n".join(items) + f"\n{margin}}}"
-    if isinstance(value, list) and not all(isinstance(item, _SCALARS) for item in value):
+    if isinstance(value, list) and not all(
+        isinstance(item, _SCALARS) for item in value
+    ):
         items = [inner + _render(item, inner) for item in value]
         return "[\n" + ",\n".join(items) + f"\n{margin}]"
     return json.dumps(value, allow_nan=False)

@@ -6,13 +6,14 @@ from seqid_cli.params.base import Struct
 class EvidenceEntry(Struct, kw_only=True):
     """Residual of `joint`, N m, over the quantity of an effect, before and after it is taken off.
 
-    Before is what the model leaves without the effect, its base fitted anew, after is what it
-    leaves with it, both on blocks that were left out of the fit. `quantity` is position, velocity,
-    speed, acceleration, load, temperature or time of joint `of`, `driving_load` (times direction:
-    above zero where the gear drives), `wave` (place on the effect's own wave, in turns) or `torque`
-    (that of the effect itself). Where the effect turns with the direction of
-    motion the torque is told times this (`sided`). Per bin: mean of the quantity, samples, mean
-    residual and its standard deviation; `after` is empty where nothing can be taken off (a push).
+    Before is what the model leaves without the effect, its base fitted anew, after is
+    what it leaves with it, both on blocks that were left out of the fit. `quantity` is
+    position, velocity, speed, acceleration, load, temperature or time of joint `of`,
+    `driving_load` (times direction: above zero where the gear drives), `wave` (place on
+    the effect's own wave, in turns) or `torque` (that of the effect itself). Where the
+    effect turns with the direction of motion the torque is told times this (`sided`).
+    Per bin: mean of the quantity, samples, mean residual and its standard deviation;
+    `after` is empty where nothing can be taken off (a push).
     """
 
     joint: str
@@ -31,8 +32,8 @@ class EvidenceEntry(Struct, kw_only=True):
 class RivalEntry(Struct, kw_only=True):
     """A term that was tried and not taken; `joint` is null for a term of the whole arm.
 
-    `log_gain` is the gain in log predictive density of blocks that were left out [nats]; `why_not`
-    says why it was not taken.
+    `log_gain` is the gain in log predictive density of blocks that were left out
+    [nats]; `why_not` says why it was not taken.
     """
 
     effect: str
@@ -44,12 +45,13 @@ class RivalEntry(Struct, kw_only=True):
 class RefinementRound(Struct, kw_only=True):
     """An effect that was tried in a round of refinement, at one joint or of the whole arm.
 
-    The same effect at several joints is one round: `round` is its number, from 1, null where it was
-    refused. Gains are shares of the squared error that the effect took away where its joints slide:
-    `training_gain`, on left-out blocks of the logs that were fitted, decided; `held_out_gain` was
-    looked at afterwards, and `confirmed` says whether it is certainly more than nothing. Intervals
-    are 95 % (empty: not known), `interval` that of the held-out gain. `evidence` and `rivals` are
-    of the logs that were fitted, beside the effects of the rounds before.
+    The same effect at several joints is one round: `round` is its number, from 1, null
+    where it was refused. Gains are shares of the squared error that the effect took
+    away where its joints slide: `training_gain`, on left-out blocks of the logs that
+    were fitted, decided; `held_out_gain` was looked at afterwards, and `confirmed` says
+    whether it is certainly more than nothing. Intervals are 95 % (empty: not known),
+    `interval` that of the held-out gain. `evidence` and `rivals` are of the logs that
+    were fitted, beside the effects of the rounds before.
     """
 
     effect: str

@@ -13,35 +13,49 @@ from seqid_cli.errors import UsageError
 
 T = TypeVar("T")
 By = Literal["name", "folder"]  # what tells robots apart
-_STREAM = re.compile("-|/dev/std(out|err)|/(dev|proc/self)/fd/[0-9]+")  # may be a file, if piped
+# may be a file, if piped
+_STREAM = re.compile("-|/dev/std(out|err)|/(dev|proc/self)/fd/[0-9]+")
 
 
 def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Find out before any work whether `path` can be written.
 
-    Raises UsageError: the folder is missing or takes no file of this name, `path` is a folder, or
-    it is one of `inputs`.
+    Raises UsageError: the folder is missing or takes no file of this name, `path` is a
+    folder, or it is one of `inputs`.
     """
     with writing(path):
         folder, special = path.parent, _is_special(path)
         if _STREAM.fullmatch(str(path)):
-            raise UsageError("an output must be a file", hint="Use --json to print the result.")
+            raise UsageError(
+                "an output must be a file", hint="Use --json to print the result."
+            )
         if not folder.is_dir():
             hint = f"Make it: mkdir -p {folder}"
             raise UsageError("its folder does not exist", where=str(path), hint=hint)
         if path.is_dir():
-            raise UsageError("is a folder, not a file", where=str(path), hint="Name a file in it.")
+            raise UsageError(
+                "is a folder, not a file", where=str(path), hint="Name a file in it."
+            )
         if special and path != Path(os.devnull):
-            hint = "A pipe or a device may wait without end: name a file, and copy it there "
-            raise UsageError("is no regular file", where=str(path), hint=f"{hint}afterwards.")
+            hint = (
+                "A pipe or a device may wait without end: name a file, and copy it"
+                " there "
+            )
+            raise UsageError(
+                "is no regular file", where=str(path), hint=f"{hint}afterwards."
+            )
         if not os.access(path if special else folder, os.W_OK):
             message = f"the folder {folder} is not writable"
-            raise UsageError(message, where=str(path), hint="Choose another output with -o.")
+            raise UsageError(
+                message, where=str(path), hint="Choose another output with -o."
+            )
         for source in inputs:
             both = path.exists() and source.exists()
             if path.samefile(source) if both else _target(path) == _target(source):
                 hint = "Choose another output, the input is never overwritten."
-                raise UsageError("is an input of this command", where=str(path), hint=hint)
+                raise UsageError(
+                    "is an input of this command", where=str(path), hint=hint
+                )
         if not special:
             trial = _temporary(_target(path))
             trial.touch()
@@ -55,17 +69,19 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         message = f"cannot be written: {error.strerror or error}"
-        raise UsageError(message, where=str(path), hint="Check space and rights there.") from error
+        raise UsageError(
+            message, where=str(path), hint="Check space and rights there."
+        ) from error
 
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` that takes its place when the block ends well.
 
-    When the block raises, or the process dies in it, `path` stays as it was. A device such as
-    /dev/null is written directly. Only the replacement itself is turned into a message here; the
-    block wraps its own writing in `writing`. Raises UsageError: the file system refused the
-    replacement.
+    When the block raises, or the process dies in it, `path` stays as it was. A device
+    such as /dev/null is written directly. Only the replacement itself is turned into a
+    message here; the block wraps its own writing in `writing`. Raises UsageError: the
+    file system refused the replacement.
     """
     if _is_special(path):
         yield path
@@ -111,7 +127,8 @@ def process_runs(process: int) -> bool:
     """Tell whether there is a process of this number."""
     try:
         os.kill(process, 0)
-    except (OSError, OverflowError) as error:  # any other one: the process is somebody else's
+    # any other one: the process is somebody else's
+    except (OSError, OverflowError) as error:
         return not isinstance(error, ProcessLookupError)
     return True
 
@@ -138,13 +155,18 @@ def _sync(path: Path) -> None:
 def by_robot(files: Sequence[tuple[str, str, T]], by: By) -> dict[str, list[T]]:
     """Sort things by their robots; each is given with its path and the name of the robot in it.
 
-    By `folder` a robot's name is the file's folder, without what is common to all of them.
+    By `folder` a robot's name is the file's folder, without what is common to all of
+    them.
     """
     folders = [Path(path).parent.absolute() for path, _, _ in files]
     common = Path(os.path.commonpath(folders)) if by == "folder" else Path()
     found: dict[str, list[T]] = {}
     for folder, (_, name, item) in zip(folders, files, strict=True):
         if by == "folder":
-            name = common.name if {*folders} == {common} else str(folder.relative_to(common))
+            name = (
+                common.name
+                if {*folders} == {common}
+                else str(folder.relative_to(common))
+            )
         found.setdefault(name, []).append(item)
     return found

@@ -29,7 +29,8 @@ Document = ParameterFile | Result
 D = TypeVar("D", bound=Document, covariant=True)
 
 PARAMS_VERSION = 1  # of the others there is one version
-# From each older version: the function that turns it into the next. Version 1 is the oldest.
+# From each older version: the function that turns it into the next. Version 1 is the
+# oldest.
 PARAMS_MIGRATIONS: Mapping[int, Callable[[Json], Json]] = {}
 _KINDS: Mapping[str, type[Document | TrendFile]] = {
     "params": ParameterFile,
@@ -46,7 +47,9 @@ _MAX_BYTES = 256 * 1024 * 1024
 _NAME = re.compile(r"seqid/(?P<kind>[a-z_]+)@(?P<version>[1-9][0-9]{0,5})")
 _BYTE = re.compile(r"\(byte (\d+)\)")
 # 1e30 and more: no result has such numbers, and their squares and products overflow.
-_HUGE = re.compile(rb"(?<=[\s:,\[])-?(?:[0-9.]+[eE]\+?(?:[3-9][0-9]|[0-9]{3,})|[0-9]{31,})")
+_HUGE = re.compile(
+    rb"(?<=[\s:,\[])-?(?:[0-9.]+[eE]\+?(?:[3-9][0-9]|[0-9]{3,})|[0-9]{31,})"
+)
 _PLACE = re.compile(r"^(?P<what>.*) - at `(?P<key>.*)`$")
 
 
@@ -62,8 +65,9 @@ class Source(Generic[D]):
 def read_parameters(path: Path) -> ParameterFile:
     """Read one parameter file strictly.
 
-    Raises ConfigError: the file is missing, is no JSON, is another kind of document, is newer than
-    this version knows, or does not follow the schema. The message names the line or the key.
+    Raises ConfigError: the file is missing, is no JSON, is another kind of document, is
+    newer than this version knows, or does not follow the schema. The message names the
+    line or the key.
     """
     return cast(ParameterFile, _read(path, ["params"], _PARAMETER_HINT)[1])
 
@@ -71,13 +75,17 @@ def read_parameters(path: Path) -> ParameterFile:
 def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
     """Read parameter files and results about one robot, in the order given.
 
-    Raises ConfigError as `read_parameters` does; the message names the file and the key.
+    Raises ConfigError as `read_parameters` does; the message names the file and the
+    key.
     """
     return [Source(str(path), *_read(path, _OF_ROBOT, _RESULT_HINT)) for path in paths]
 
 
 def read_trend(path: Path) -> TrendFile | None:
-    """Read a trend; None where it is another document. Raises as `read_parameters` does."""
+    """Read a trend; None where it is another document.
+
+    Raises as `read_parameters` does.
+    """
     opened = _opened(path, _RESULT_HINT)
     if not str(opened[1].get("schema")).startswith("seqid/trend@"):
         return None
@@ -85,7 +93,10 @@ def read_trend(path: Path) -> TrendFile | None:
 
 
 def _read(
-    path: Path, kinds: Collection[str], hint: str, opened: tuple[bytes, Json] | None = None
+    path: Path,
+    kinds: Collection[str],
+    hint: str,
+    opened: tuple[bytes, Json] | None = None,
 ) -> tuple[str, Any]:
     """Return SHA-256 and content of a document of these kinds; an old one is brought up to date."""
     where, (data, document) = str(path), opened or _opened(path, hint)
@@ -93,22 +104,32 @@ def _read(
     schema, kind, version = _schema_of(document, kinds, where, hint)
     newest = PARAMS_VERSION if kind == "params" else 1
     if version > newest:
-        message = f"is of the newer version {schema}; this seqid reads up to seqid/{kind}@{newest}"
-        raise ConfigError(message, where=where, hint="Upgrade seqid: pip install --upgrade seqid.")
+        message = (
+            f"is of the newer version {schema}; this seqid reads up to"
+            f" seqid/{kind}@{newest}"
+        )
+        raise ConfigError(
+            message, where=where, hint="Upgrade seqid: pip install --upgrade seqid."
+        )
     try:
         for older in range(version, newest):
             document = PARAMS_MIGRATIONS[older](document)
             data = msgspec.json.encode(document)
     except (LookupError, TypeError, ValueError, RecursionError) as error:
         message = f"is of the old version {schema} and cannot be brought up to date"
-        raise ConfigError(message, where=where, hint="Identify again from the logs.") from error
+        raise ConfigError(
+            message, where=where, hint="Identify again from the logs."
+        ) from error
     try:
         content = msgspec.json.decode(data, type=_KINDS[kind])
     except (msgspec.ValidationError, RecursionError) as error:
         match = _PLACE.match(str(error))
         text = f"{match['key']}: {match['what']}" if match else str(error)
         message = "is nested too deeply" if isinstance(error, RecursionError) else text
-        remedy = f"The file was edited or damaged: run the command that wrote the {kind} again."
+        remedy = (
+            f"The file was edited or damaged: run the command that wrote the {kind}"
+            " again."
+        )
         raise ConfigError(message, where=where, hint=remedy) from error
     if isinstance(content, OfRobot):
         check_consistency(content, where)
@@ -126,9 +147,13 @@ def _schema_of(
         raise ConfigError(f"is no result: `schema` is {found}", where=where, hint=hint)
     if name["kind"] not in kinds:
         known = ", ".join(f"seqid/{kind}" for kind in kinds)
-        message = f"is a {name['kind']} file ({name[0]}); what can be read here: {known}"
+        message = (
+            f"is a {name['kind']} file ({name[0]}); what can be read here: {known}"
+        )
         hint = f"Give the parameters that the {name['kind']} used."
-        raise ConfigError(message, where=where, hint=hint if len(kinds) == 1 else "Leave it out.")
+        raise ConfigError(
+            message, where=where, hint=hint if len(kinds) == 1 else "Leave it out."
+        )
     return name[0], name["kind"], int(name["version"])
 
 
@@ -140,13 +165,22 @@ def check_robot(file: OfRobot, robot: "Robot", *, where: str = "") -> tuple[str,
             f"is about robot {file.robot.name!r} with joints {', '.join(theirs)}, "
             f"but {robot.source} is {robot.name!r} with joints {', '.join(mine)}"
         )
-        raise ConfigError(message, where=where, hint="Give the robot file it was made with (-r).")
+        raise ConfigError(
+            message, where=where, hint="Give the robot file it was made with (-r)."
+        )
     if file.robot.sha256 != robot.sha256:
-        return (f"{where}: the robot file {robot.source} has changed since this was identified",)
+        return (
+            (
+                f"{where}: the robot file {robot.source} has changed since this was"
+                " identified"
+            ),
+        )
     return ()
 
 
-def write_json_atomic(path: Path, document: object, *, inputs: Iterable[Path] = ()) -> None:
+def write_json_atomic(
+    path: Path, document: object, *, inputs: Iterable[Path] = ()
+) -> None:
     """Write a document as JSON in one step; see `encode` and `check_output` for errors."""
     write_text_atomic(path, encode(document), inputs=inputs)
 
@@ -168,8 +202,12 @@ def _bytes(path: Path, hint: str = "Check the path given with -p.") -> bytes:
             raise ConfigError(message, where=where, hint=hint)
         return path.read_bytes()
     except (OSError, ValueError) as error:
-        message = f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
-        raise ConfigError(message, where=where, hint="Check the path and the rights.") from error
+        message = (
+            f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
+        )
+        raise ConfigError(
+            message, where=where, hint="Check the path and the rights."
+        ) from error
 
 
 def _opened(path: Path, hint: str) -> tuple[bytes, Json]:
@@ -178,14 +216,20 @@ def _opened(path: Path, hint: str) -> tuple[bytes, Json]:
     try:
         document = msgspec.json.decode(data, type=dict[str, object])
     except msgspec.ValidationError as error:
-        raise ConfigError(str(error).partition(" - at `")[0], where=where, hint=hint) from error
+        raise ConfigError(
+            str(error).partition(" - at `")[0], where=where, hint=hint
+        ) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         message = f"is not valid JSON: {_syntax(error, data)}"
         raise ConfigError(message, where=where, hint=hint) from error
     if huge := _HUGE.search(data):
         line = data.count(b"\n", 0, huge.start()) + 1
-        message = f"holds the number {huge[0][:20].decode()} at line {line}, beyond 1e30"
-        raise ConfigError(message, where=where, hint="Run the command again that wrote it.")
+        message = (
+            f"holds the number {huge[0][:20].decode()} at line {line}, beyond 1e30"
+        )
+        raise ConfigError(
+            message, where=where, hint="Run the command again that wrote it."
+        )
     return data, document
 
 

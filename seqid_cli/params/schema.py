@@ -1,7 +1,8 @@
 """The parameter file, `seqid/params@1`, as typed data.
 
-Keys of the contract keep their names; what stands beside them is what the next command needs.
-Every number is finite: what the logs do not determine is listed by name, never written as a value.
+Keys of the contract keep their names; what stands beside them is what the next command
+needs. Every number is finite: what the logs do not determine is listed by name, never
+written as a value.
 """
 
 from typing import Literal
@@ -41,7 +42,9 @@ class RobotId(Struct, kw_only=True):
 
     def unit(self, unit: str, *joints: str) -> str:
         """Return a unit, as for revolute joints, for these; both where they are of either kind."""
-        return " or ".join(dict.fromkeys(unit_of(unit, name in self.prismatic) for name in joints))
+        return " or ".join(
+            dict.fromkeys(unit_of(unit, name in self.prismatic) for name in joints)
+        )
 
 
 class OfRobot(Written, kw_only=True):
@@ -53,8 +56,8 @@ class OfRobot(Written, kw_only=True):
 class InputLog(Struct, kw_only=True):
     """One log that a stage read.
 
-    `recorded` are its first and last stamp: dates in UTC where the stamps are dates, else seconds
-    of the log's own clock. Files of before it was known have none.
+    `recorded` are its first and last stamp: dates in UTC where the stamps are dates,
+    else seconds of the log's own clock. Files of before it was known have none.
     """
 
     path: str
@@ -78,9 +81,9 @@ LEVELS: tuple[Level, ...] = ("good", "usable", "poor")  # the best first
 class Verdict(Struct, kw_only=True):
     """Whether a joint's result (or a whole stage's, joint empty) can be trusted, and why not.
 
-    `good`: what is left of the torque is noise, and the stated standard errors hold. `usable`: the
-    torque is predicted to the share that the reason gives, but more than noise is left, and the
-    standard errors are widened by it. `poor`: not to be used.
+    `good`: what is left of the torque is noise, and the stated standard errors hold.
+    `usable`: the torque is predicted to the share that the reason gives, but more than
+    noise is left, and the standard errors are widened by it. `poor`: not to be used.
     """
 
     joint: str = ""
@@ -97,7 +100,8 @@ class Verdict(Struct, kw_only=True):
 class Parameter(Struct, kw_only=True):
     """One identified parameter.
 
-    `terms` is the expression as factors of standard link parameters, `expression` the same to read.
+    `terms` is the expression as factors of standard link parameters, `expression` the
+    same to read.
     """
 
     name: str
@@ -112,9 +116,9 @@ class Parameter(Struct, kw_only=True):
 class SpeedLevel(Struct, kw_only=True):
     """Constant-velocity data of one joint at one speed (rad/s).
 
-    `friction` is its RMS there, `std_error` that of the surface, `rmse` and `left_out` its error
-    with this speed and without, N m, of averages over a quarter of a trial. The slowest and the
-    fastest speed are never left out.
+    `friction` is its RMS there, `std_error` that of the surface, `rmse` and `left_out`
+    its error with this speed and without, N m, of averages over a quarter of a trial.
+    The slowest and the fastest speed are never left out.
     """
 
     speed: float
@@ -129,11 +133,12 @@ class SpeedLevel(Struct, kw_only=True):
 class Nuisance(Struct, kw_only=True):
     """What a joint's drive adds to its torque whatever the arm.
 
-    A positive `delay` (s): torque is logged late against the positions. `offset`: torque that is
-    always there. `asymmetry`: the share of dry friction that is added forward and taken off
-    backward; `viscous_asymmetry`: the same of what friction has more at higher speeds. `thermal`
-    (1/K): the share by which friction changes per kelvin of the joint's logged temperature. Where
-    the logs do not show one its value is near zero and its standard error that of the prior.
+    A positive `delay` (s): torque is logged late against the positions. `offset`:
+    torque that is always there. `asymmetry`: the share of dry friction that is added
+    forward and taken off backward; `viscous_asymmetry`: the same of what friction has
+    more at higher speeds. `thermal` (1/K): the share by which friction changes per
+    kelvin of the joint's logged temperature. Where the logs do not show one its value
+    is near zero and its standard error that of the prior.
     """
 
     name: str
@@ -154,27 +159,29 @@ class GravityOfTrial(Struct, kw_only=True):
 class FrictionJoint(Struct, kw_only=True):
     """The friction surface of one joint (Eq. 7-10).
 
-    tau_f = s(v) sum_jr d[j][r] T_j(x) T_r(u): T Chebyshev polynomials, x the position scaled from
-    `position_range` and u the speed |v| scaled from `speed_range` to [-1, 1];
-    s(v) = tanh(v / sign_width). With the `position_basis` "fourier" 1, cos q, sin q, cos 2q, ...
-    stand for T_j(x), two to an order: 2 position_order + 1 rows. `negative` differs from
-    `positive` where friction depends on direction. Beyond the fastest speed friction goes on as
-    Coulomb and viscous friction, below the slowest it holds; beyond the positions it fades to its
-    mean over them.
+    tau_f = s(v) sum_jr d[j][r] T_j(x) T_r(u): T Chebyshev polynomials, x the position
+    scaled from `position_range` and u the speed |v| scaled from `speed_range` to [-1,
+    1]; s(v) = tanh(v / sign_width). With the `position_basis` "fourier" 1, cos q, sin
+    q, cos 2q, ... stand for T_j(x), two to an order: 2 position_order + 1 rows.
+    `negative` differs from `positive` where friction depends on direction. Beyond the
+    fastest speed friction goes on as Coulomb and viscous friction, below the slowest it
+    holds; beyond the positions it fades to its mean over them.
 
-    Errors are of averages of the data over a quarter of a trial. `rmse` and `max_error` (Eq. 11)
-    are those of the surface. `held_out_rmse`, `max_abs_error` (N m) and `max_error_left_out` (of
-    the friction) are those of surfaces without the speed, and of the surface itself at the slowest
-    and the fastest. `max_error_beyond_noise` is `max_error` after two standard errors of each
-    average were taken off, `max_error_of_noise` what noise alone, white and of trials, makes of it.
+    Errors are of averages of the data over a quarter of a trial. `rmse` and `max_error`
+    (Eq. 11) are those of the surface. `held_out_rmse`, `max_abs_error` (N m) and
+    `max_error_left_out` (of the friction) are those of surfaces without the speed, and
+    of the surface itself at the slowest and the fastest. `max_error_beyond_noise` is
+    `max_error` after two standard errors of each average were taken off,
+    `max_error_of_noise` what noise alone, white and of trials, makes of it.
 
-    `nuisances` are the terms of the drive that the surface was identified with; offset and
-    asymmetries are in `positive`, `negative` and `covariance`, and `nuisance_covariance` is theirs.
-    All entries of the surface move by `term_moves` per unit by which the delay, or the thermal
-    term, is another.
+    `nuisances` are the terms of the drive that the surface was identified with; offset
+    and asymmetries are in `positive`, `negative` and `covariance`, and
+    `nuisance_covariance` is theirs. All entries of the surface move by `term_moves` per
+    unit by which the delay, or the thermal term, is another.
 
-    `torque_constant_error` is the relative error that the torque constant adds to every torque: all
-    entries move together. `covariance` is without it, the standard errors of `speeds` are with it.
+    `torque_constant_error` is the relative error that the torque constant adds to every
+    torque: all entries move together. `covariance` is without it, the standard errors
+    of `speeds` are with it.
     """
 
     position_order: int
@@ -182,9 +189,11 @@ class FrictionJoint(Struct, kw_only=True):
     max_error: float
     rmse: float
     position_range: list[float]
-    position_basis: str = "chebyshev"  # or "fourier", for joints that turn more than once
+    # or "fourier", for joints that turn more than once
+    position_basis: str = "chebyshev"
     speed_range: list[float]
-    speed_scale: str = "linear"  # what u is scaled from: |v| ("linear") or its logarithm ("log")
+    # what u is scaled from: |v| ("linear") or its logarithm ("log")
+    speed_scale: str = "linear"
     sign_width: float
     directional: bool
     positive: Matrix
@@ -203,7 +212,8 @@ class FrictionJoint(Struct, kw_only=True):
     gravity: list[GravityOfTrial] = []
     nuisances: list[Nuisance] = []
     nuisance_covariance: Matrix = []  # of offset and asymmetry
-    term_moves: dict[str, list[float]] = {}  # by the term's name, of the entries of `covariance`
+    # by the term's name, of the entries of `covariance`
+    term_moves: dict[str, list[float]] = {}
     speeds: list[SpeedLevel] = []
     parameters: list[Parameter] = []  # Coulomb, viscous, offset of a simultaneous fit
     unit: str = "N m"
@@ -223,13 +233,14 @@ class FrictionStage(Struct, kw_only=True):
 class MotionUse(Struct, kw_only=True):
     """Where the motion of one log came from: "encoder", "imu" (Eq. 30-42) or "fused".
 
-    Errors are standard deviations of the acceleration, rad/s^2 (m/s^2 where prismatic), of the
-    joints that move: of what was used, and of what the encoders alone would have given at the
-    cut-off that suits them. `fused_error` is that of fused motion below this cut-off, where there
-    were IMUs to ask: `--motion auto` takes the source with the smaller one. `disagreement` is the
-    part of both by which links do not follow their encoders, joints that bend. `velocity_error`,
-    rad/s (m/s), is there where velocities are the IMUs' (Eq. 31, 41). `imus` took part;
-    `warnings` say which did not, and why.
+    Errors are standard deviations of the acceleration, rad/s^2 (m/s^2 where prismatic),
+    of the joints that move: of what was used, and of what the encoders alone would have
+    given at the cut-off that suits them. `fused_error` is that of fused motion below
+    this cut-off, where there were IMUs to ask: `--motion auto` takes the source with
+    the smaller one. `disagreement` is the part of both by which links do not follow
+    their encoders, joints that bend. `velocity_error`, rad/s (m/s), is there where
+    velocities are the IMUs' (Eq. 31, 41). `imus` took part; `warnings` say which did
+    not, and why.
     """
 
     log: str
@@ -247,22 +258,24 @@ class MotionUse(Struct, kw_only=True):
 class RigidStage(Struct, kw_only=True):
     """Base parameters of gravity (Sec. 2.2.3) or inertia (Sec. 2.2.4).
 
-    `representative` are standard parameters (most of them zero) that give the torque of this
-    stage's model; for inertia, of the whole rigid body, gravity included. They are not physical by
-    themselves. `encoder_std_errors` are what the parameters' standard errors would be, had the same
-    logs been used with encoders alone (empty: they were, or it was not asked).
-    `friction_sensitivity` holds, by joint, the change of every parameter (a row) per change of
-    every entry of that joint's friction `covariance` (a column), through gravity as well: with the
-    covariances it gives that of everything identified with everything. `torque_constant_moves`
-    holds, by joint, what one standard error of its torque constant moves every parameter by,
-    through gravity as well. `tolerance_moves` hold the same for what no log shows and the robot
-    file gives a tolerance of. `covariance` is without these moves, the standard errors with them.
-    `noise_density` (N m/sqrt(Hz)) is the white noise that would make the parameters' own errors.
-    `noise_floor` (N m) is what noise alone would leave beside the `rmse` of the fit, and
-    `noise_floor_high` the upper end of its 95 % interval.
-    `bands` say how far predicted torques were off on left-out parts of the logs.
-    `nuisances` are delays, offsets and asymmetries as this stage found them beside its parameters;
-    `nuisance_covariance` is the joint covariance of the parameters and then of all of them.
+    `representative` are standard parameters (most of them zero) that give the torque of
+    this stage's model; for inertia, of the whole rigid body, gravity included. They are
+    not physical by themselves. `encoder_std_errors` are what the parameters' standard
+    errors would be, had the same logs been used with encoders alone (empty: they were,
+    or it was not asked). `friction_sensitivity` holds, by joint, the change of every
+    parameter (a row) per change of every entry of that joint's friction `covariance` (a
+    column), through gravity as well: with the covariances it gives that of everything
+    identified with everything. `torque_constant_moves` holds, by joint, what one
+    standard error of its torque constant moves every parameter by, through gravity as
+    well. `tolerance_moves` hold the same for what no log shows and the robot file gives
+    a tolerance of. `covariance` is without these moves, the standard errors with them.
+    `noise_density` (N m/sqrt(Hz)) is the white noise that would make the parameters'
+    own errors. `noise_floor` (N m) is what noise alone would leave beside the `rmse` of
+    the fit, and `noise_floor_high` the upper end of its 95 % interval. `bands` say how
+    far predicted torques were off on left-out parts of the logs. `nuisances` are
+    delays, offsets and asymmetries as this stage found them beside its parameters;
+    `nuisance_covariance` is the joint covariance of the parameters and then of all of
+    them.
     """
 
     parameters: list[Parameter]
@@ -317,15 +330,17 @@ class JointDeflection(Struct, kw_only=True):
 class ImuCalibration(Struct, kw_only=True):
     """Eq. 29-38: `rotation` turns IMU coordinates into those of the link that carries it.
 
-    Accelerometer k at r_k of the robot file, on a link with the specific force f at its origin,
-    angular velocity w and acceleration dw, all in the link's frame, reads at the stamp t
+    Accelerometer k at r_k of the robot file, on a link with the specific force f at its
+    origin, angular velocity w and acceleration dw, all in the link's frame, reads at
+    the stamp t
 
-        y_k(t) = scale_k axis_k' R' [f + dw x p + w x (w x p)](t - time_offset_s) + bias_k,
+        y_k(t) = scale_k axis_k' R' [f + dw x p + w x (w x p)](t - time_offset_s) +
+        bias_k,
 
-    R the rotation, p = lever + R r_k; a gyro reads gyro_scale_k gyro_axis_k' R' w + gyro_bias_k,
-    with w at t - time_offset_s - gyro_delay_s.
-    An empty list was not calibrated; an entry that the logs do not determine is null, and
-    `not_determined` says so in words. Axes are units in the IMU's frame.
+    R the rotation, p = lever + R r_k; a gyro reads gyro_scale_k gyro_axis_k' R' w +
+    gyro_bias_k, with w at t - time_offset_s - gyro_delay_s. An empty list was not
+    calibrated; an entry that the logs do not determine is null, and `not_determined`
+    says so in words. Axes are units in the IMU's frame.
     """
 
     rotation: Matrix
@@ -337,11 +352,15 @@ class ImuCalibration(Struct, kw_only=True):
     not_determined: list[str] = []
     axis_rmse_deg: float | None = None
     noise_density: float | None = None  # rad/s^2/sqrt(Hz), of the angular acceleration
-    time_offset_s: float = 0.0  # the IMU's stamp minus the encoder's of the same instant
-    time_offset_std_error_s: float | None = None  # null: not determined, the offset is taken as 0
-    gyro_delay_s: float = 0.0  # the gyro's stamp minus the accelerometers' of the same instant
+    # the IMU's stamp minus the encoder's of the same instant
+    time_offset_s: float = 0.0
+    # null: not determined, the offset is taken as 0
+    time_offset_std_error_s: float | None = None
+    # the gyro's stamp minus the accelerometers' of the same instant
+    gyro_delay_s: float = 0.0
     gyro_delay_std_error_s: float | None = None  # null without a gyro
-    acceleration_std_error: float | None = None  # relative, of the last joint's own acceleration
+    # relative, of the last joint's own acceleration
+    acceleration_std_error: float | None = None
     lever: list[float | None] = []  # m, the IMU's origin in the link's frame
     lever_std_errors: list[float | None] = []
     accelerometer_bias: list[float | None] = []  # m/s^2
@@ -350,7 +369,8 @@ class ImuCalibration(Struct, kw_only=True):
     accelerometer_scale_std_errors: list[float | None] = []
     accelerometer_axes: Matrix = []  # of the robot file where `tilt` says null
     accelerometer_tilt_std_errors_deg: list[float | None] = []
-    accelerometer_noise: list[float] = []  # m/s^2/sqrt(Hz), one-sided: per sample x sqrt(rate / 2)
+    # m/s^2/sqrt(Hz), one-sided: per sample x sqrt(rate / 2)
+    accelerometer_noise: list[float] = []
     gyro_bias: list[float | None] = []  # rad/s
     gyro_bias_std_errors: list[float | None] = []
     gyro_scale: list[float | None] = []
@@ -377,8 +397,9 @@ class ImuStage(Struct, kw_only=True):
 class EffectSession(Struct, kw_only=True):
     """The logs that effects were identified from, for those that depend on time or on the log.
 
-    `logs` are hashes in the order in which the effect counts them. `starts` [s] count from
-    `origin`, the earliest start on the logs' own clock; both are missing if they share no clock.
+    `logs` are hashes in the order in which the effect counts them. `starts` [s] count
+    from `origin`, the earliest start on the logs' own clock; both are missing if they
+    share no clock.
     """
 
     logs: list[str]
@@ -389,8 +410,8 @@ class EffectSession(Struct, kw_only=True):
 class EffectOfJoint(Struct, kw_only=True):
     """A physical effect that was added to the model.
 
-    Its torque is linear in `coefficients`, with their `covariance`, once the `settings` are fixed;
-    `parameters` are the same in physical terms.
+    Its torque is linear in `coefficients`, with their `covariance`, once the `settings`
+    are fixed; `parameters` are the same in physical terms.
     """
 
     effect: str
@@ -433,14 +454,15 @@ class ClosedLoop(Struct, kw_only=True):
     """What refinement did, measured on the held-out logs alone.
 
     `rounds` are the effects that the model has, in the order in which they were added;
-    `unconfirmed` those that were added and taken out again, as the held-out logs do not confirm
-    them; `refused` those that were tried and did not help. The `verdict` is poor if an effect of
-    `rounds` is not confirmed or one of `verdicts` is poor, which say what is wrong with the logs.
-    `stopped_at` is null where no limit of rounds has stopped the search. `before` is by the model
-    as it came in, `after` by the one that is written; `gain_interval` is of
-    1 - (after / before)^2, 95 %. All are over the same samples, those in which a joint slides.
-    `noise_floor` is what torque noise and encoder alone leave there, N m, estimated by itself, with
-    its 95 % interval. `held_out` identifies the logs that `evaluated_on` names.
+    `unconfirmed` those that were added and taken out again, as the held-out logs do not
+    confirm them; `refused` those that were tried and did not help. The `verdict` is
+    poor if an effect of `rounds` is not confirmed or one of `verdicts` is poor, which
+    say what is wrong with the logs. `stopped_at` is null where no limit of rounds has
+    stopped the search. `before` is by the model as it came in, `after` by the one that
+    is written; `gain_interval` is of 1 - (after / before)^2, 95 %. All are over the
+    same samples, those in which a joint slides. `noise_floor` is what torque noise and
+    encoder alone leave there, N m, estimated by itself, with its 95 % interval.
+    `held_out` identifies the logs that `evaluated_on` names.
     """
 
     verdict: Literal["good", "poor"] = "good"

@@ -1,18 +1,19 @@
 """Least squares for the body at the flange, and its errors.
 
-A body at the flange adds its standard parameters phi (10,) to those of the last link, so that with
-H the regressor of the base parameters (Eq. 4) and E their expression in standard parameters
+A body at the flange adds its standard parameters phi (10,) to those of the last link,
+so that with H the regressor of the base parameters (Eq. 4) and E their expression in
+standard parameters
 
     tau - tau_model(q, dq, ddq) = H E_n phi + sum_k a_k f_k + e,
 
-E_n the ten columns of E for the last link. Friction may have changed since the model was
-identified: f is the joint's own friction and friction in proportion to its speed, a_k their changes
-as a share, known to be about zero. Effects of the model that depend on the load are evaluated with
-the payload found so far.
+E_n the ten columns of E for the last link. Friction may have changed since the model
+was identified: f is the joint's own friction and friction in proportion to its speed,
+a_k their changes as a share, known to be about zero. Effects of the model that depend
+on the load are evaluated with the payload found so far.
 
-Errors come from the logs with the payload (blocks of time, jackknifed), from the parameters of the
-model without it, from friction that may have changed, and from the torque constants, which scale
-the payload as they scale the model.
+Errors come from the logs with the payload (blocks of time, jackknifed), from the
+parameters of the model without it, from friction that may have changed, and from the
+torque constants, which scale the payload as they scale the model.
 """
 
 from collections.abc import Iterable
@@ -24,7 +25,12 @@ from seqid_cli.errors import QualityError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import Predictor
 from seqid_cli.identify.regression.equations import blocks, filtered_regressor
-from seqid_cli.identify.regression.least_squares import Accumulator, Prior, Solution, solve
+from seqid_cli.identify.regression.least_squares import (
+    Accumulator,
+    Prior,
+    Solution,
+    solve,
+)
 from seqid_cli.identify.rigid.posterior import constant_moves, moves_covariance
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.bodies.nearest import identified
@@ -38,7 +44,8 @@ from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
-FRICTION_TERMS = 2  # changes of each joint's friction: as it is, and in proportion to the speed
+# changes of each joint's friction: as it is, and in proportion to the speed
+FRICTION_TERMS = 2
 
 
 @dataclass(frozen=True)
@@ -72,9 +79,14 @@ def fit_payload(
     logs = []
     for log in recordings:
         torque_of(log)  # there, before the motion is worked out
-        motion = log_motion(log, robot, options.motion, imu=stages.imu, source=options.source)
+        motion = log_motion(
+            log, robot, options.motion, imu=stages.imu, source=options.source
+        )
         logs.append((log, motion))
-    model, effects = TorqueModel.from_stages(stages, robot), fitted_effects(stages, robot)
+    model, effects = (
+        TorqueModel.from_stages(stages, robot),
+        fitted_effects(stages, robot),
+    )
     bare = Predictor(model, stages, options, effects)
     first = rows = PayloadRows(bare, logs)
     if not rows.samples.any():
@@ -88,7 +100,9 @@ def fit_payload(
         rows = PayloadRows(replace(bare, model=loaded), logs)
         solution = rows.solved(friction_change)
         phi = phi + solution.theta[:PER_LINK]
-    left = [own.residual_rms(solution.theta) if own.samples else 0.0 for own in rows.joints]
+    left = [
+        own.residual_rms(solution.theta) if own.samples else 0.0 for own in rows.joints
+    ]
     count = np.maximum(first.samples, 1)
     return PayloadFit(
         phi=phi,
@@ -105,24 +119,32 @@ def fit_payload(
 class PayloadRows:
     """Rows of logs beyond a model, joint by joint.
 
-    `joints` accumulate [H E_n, friction | left over torque]; `cross` (n, 10 + k, p) are their
-    products with H, `scaled` (n, 10 + k) those with torque that a torque constant scales;
-    `samples`, `before` and `measured` (n,) are counts of sliding samples, and their squares.
+    `joints` accumulate [H E_n, friction | left over torque]; `cross` (n, 10 + k, p) are
+    their products with H, `scaled` (n, 10 + k) those with torque that a torque constant
+    scales; `samples`, `before` and `measured` (n,) are counts of sliding samples, and
+    their squares.
     """
 
-    def __init__(self, predictor: Predictor, logs: Iterable[tuple[Recording, Motion]]) -> None:
+    def __init__(
+        self, predictor: Predictor, logs: Iterable[tuple[Recording, Motion]]
+    ) -> None:
         self.predictor, self.robot = predictor, predictor.model.robot
         self.basis, n = free_basis(self.robot), self.robot.n
         size = PER_LINK + FRICTION_TERMS * n
         self.joints = [Accumulator(size) for _ in range(n)]
-        self.cross, self.scaled = np.zeros((n, size, self.basis.size)), np.zeros((n, size))
+        self.cross, self.scaled = (
+            np.zeros((n, size, self.basis.size)),
+            np.zeros((n, size)),
+        )
         self.samples, self.before, self.measured = np.zeros((3, n))
         for recording, motion in logs:
             self._add(recording, motion)
 
     def _add(self, recording: Recording, motion: Motion) -> None:
         log = self.predictor.part(motion, recording, slice(None))
-        friction = motion.filtered(sampled_friction(self.predictor.model.surfaces, motion), times=2)
+        friction = motion.filtered(
+            sampled_friction(self.predictor.model.surfaces, motion), times=2
+        )
         speed = np.abs(motion.dq) / np.maximum(np.abs(motion.dq).max(axis=0), 1e-12)
         tables = log.residual, log.tau, friction, speed
         kept_hz = self.predictor.options.motion.samples_per_cutoff * motion.cutoff.hz
@@ -151,12 +173,16 @@ class PayloadRows:
         return solve(self.joints, prior=Prior(known, np.zeros(len(known))))
 
 
-def _covariance(rows: PayloadRows, solution: Solution, stages: Stages, robot: Robot) -> Array:
+def _covariance(
+    rows: PayloadRows, solution: Solution, stages: Stages, robot: Robot
+) -> Array:
     """Own errors, those of the model's base parameters, those of the torque constants."""
     found, weights = identified(stages, robot), solution.sigma**-2.0
     gain = -solution.bread @ np.tensordot(weights, rows.cross, 1)[:, list(found.rows)]
     scaled = solution.shares - (weights[:, None] * rows.scaled) @ solution.bread
     through = {j: gain @ move for j, move in enumerate(found.moves) if move.any()}
-    moves = constant_moves(solution, robot.torque_constant_errors, dict(enumerate(scaled)), through)
+    moves = constant_moves(
+        solution, robot.torque_constant_errors, dict(enumerate(scaled)), through
+    )
     inherited = gain @ found.held_covariance @ gain.T
     return solution.covariance + inherited + moves_covariance(moves, len(gain))

@@ -9,10 +9,11 @@ from seqid_cli.identify.options import LogOptions, Source
 class PayloadOptions(LogOptions):
     """How a payload is identified.
 
-    `source` is where joint motion comes from. `friction_change` [1] is the standard deviation by
-    which each joint's friction may differ from the model's, as a share of it: between two
-    recordings it changes with temperature and load. `good_error` [1] is the largest standard error
-    of the mass, as a share of it, with which the result is good.
+    `source` is where joint motion comes from. `friction_change` [1] is the standard
+    deviation by which each joint's friction may differ from the model's, as a share of
+    it: between two recordings it changes with temperature and load. `good_error` [1] is
+    the largest standard error of the mass, as a share of it, with which the result is
+    good.
     """
 
     source: Source = "auto"

@@ -1,19 +1,20 @@
 """From the fit of a payload to the document: numbers where the logs give them, and a verdict.
 
-The estimate need not belong to a body: noise makes an inertia negative, and what the logs do not
-excite is whatever the least squares left. The body that is given is the one with a positive
-semidefinite pseudo-inertia J nearest to the estimate in its own errors,
+The estimate need not belong to a body: noise makes an inertia negative, and what the
+logs do not excite is whatever the least squares left. The body that is given is the one
+with a positive semidefinite pseudo-inertia J nearest to the estimate in its own errors,
 
     min over J >= 0 of  (phi(J) - phi)' C^-1 (phi(J) - phi),
 
-a conic problem (Wensing, Kim, Slotine, "Linear matrix inequalities for physically consistent
-inertial parameter identification", RA-L 2018). Where the estimate is a body, the two are the same.
+a conic problem (Wensing, Kim, Slotine, "Linear matrix inequalities for physically
+consistent inertial parameter identification", RA-L 2018). Where the estimate is a body,
+the two are the same.
 
 The body also stands there in the words of robot controllers. Universal Robots:
-`set_target_payload(m, cog, inertia)` of URScript, inertia about the centre of mass as [Ixx, Iyy,
-Izz, Ixy, Ixz, Iyz]; `set_payload(m, cog)` before software 5.10. Franka Robotics:
-`Robot::setLoad(load_mass, F_x_Cload, load_inertia)` of libfranka, the inertia column by column. ROS
-2: `geometry_msgs/msg/Inertia`.
+`set_target_payload(m, cog, inertia)` of URScript, inertia about the centre of mass as
+[Ixx, Iyy, Izz, Ixy, Ixz, Iyz]; `set_payload(m, cog)` before software 5.10. Franka
+Robotics: `Robot::setLoad(load_mass, F_x_Cload, load_inertia)` of libfranka, the inertia
+column by column. ROS 2: `geometry_msgs/msg/Inertia`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -78,10 +79,16 @@ def payload_file(
     )
 
 
-def _entry(fit: PayloadFit, joint: str) -> tuple[payload.CarriedBodyEntry, dict[str, str]]:
+def _entry(
+    fit: PayloadFit, joint: str
+) -> tuple[payload.CarriedBodyEntry, dict[str, str]]:
     """The body, and how controllers take it where it has a mass and a centre."""
     known, whole = fit.determined[:4].copy(), bool(fit.determined.all())
-    values, errors, distance = fit.phi, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), 0.0
+    values, errors, distance = (
+        fit.phi,
+        np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)),
+        0.0,
+    )
     if known[0] and fit.phi[0] > 0.0:
         values, errors, distance = carried(fit.phi, fit.covariance, whole=whole)
     else:
@@ -102,19 +109,26 @@ def _entry(fit: PayloadFit, joint: str) -> tuple[payload.CarriedBodyEntry, dict[
         inertia_std_errors=errors[4:].reshape(3, 3).tolist() if whole else [],
         distance=distance,
     )
-    return entry, settings_of(values[0], values[1:4], entry.inertia) if known.all() else {}
+    return entry, (
+        settings_of(values[0], values[1:4], entry.inertia) if known.all() else {}
+    )
 
 
-def carried(phi: Array, covariance: Array, *, whole: bool = True) -> tuple[Array, Array, float]:
+def carried(
+    phi: Array, covariance: Array, *, whole: bool = True
+) -> tuple[Array, Array, float]:
     """Mass, centre, inertia about it (13,) of the body nearest to an estimate; their errors.
 
     `phi` (10,): standard parameters of positive mass, inertia about the frame's origin.
-    `covariance` (10, 10). `whole`: whether the inertia is known as well. The distance between the
-    estimate and the body comes last, in standard errors (chi); zero where it is one.
+    `covariance` (10, 10). `whole`: whether the inertia is known as well. The distance
+    between the estimate and the body comes last, in standard errors (chi); zero where
+    it is one.
     """
     distance = 0.0
     if whole and np.linalg.eigvalsh(pseudo_inertia(phi))[0] < 0.0:
-        phi, distance = nearest_body(phi, whitening(covariance, 1e-9 * float(np.abs(phi).max())))
+        phi, distance = nearest_body(
+            phi, whitening(covariance, 1e-9 * float(np.abs(phi).max()))
+        )
     step = 1e-6 * np.maximum(np.abs(phi), 1e-3 * np.abs(phi).max())
     moved = _moments(phi + np.diag(step)) - _moments(phi - np.diag(step))
     slopes = moved.T / (2.0 * step)
@@ -128,7 +142,9 @@ def _moments(phi: Array) -> Array:
     mass, h = J[..., 3:, 3], J[..., :3, 3]
     S = J[..., :3, :3] - h[..., :, None] * h[..., None, :] / mass[..., None]
     inertia = np.trace(S, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - S
-    return np.concatenate([mass, h / mass, inertia.reshape(*mass.shape[:-1], 9)], axis=-1)
+    return np.concatenate(
+        [mass, h / mass, inertia.reshape(*mass.shape[:-1], 9)], axis=-1
+    )
 
 
 def _joint(fit: PayloadFit, j: int) -> payload.JointWithPayload:
@@ -156,7 +172,10 @@ def _verdicts(
         return
     faults = ""
     if not error < good_error * abs(mass):
-        faults += f", above {percent(good_error)} of it: record more moves with more of the arm"
+        faults += (
+            f", above {percent(good_error)} of it: record more moves with more of"
+            " the arm"
+        )
     if mass < -numbers.negative_sigma * error:
         faults += "; the model holds a body that these logs do not carry: swap the two"
     if entry.distance > numbers.max_distance:
@@ -180,15 +199,20 @@ def _notes(
         away = f"{entry.distance:.2g} standard errors away"
         yield f"the least-squares estimate is no body; the nearest one is given, {away}"
     changes = zip(names, fit.friction_change.tolist(), strict=True)
-    if changed := [f"{name} {percent(change)}" for name, change in changes if abs(change) > 0.05]:
+    if changed := [
+        f"{name} {percent(change)}" for name, change in changes if abs(change) > 0.05
+    ]:
         yield f"friction differs from the model's: {', '.join(changed)}"
 
 
-def settings_of(mass: float, center: Sequence[float] | Array, inertia: Matrix) -> dict[str, str]:
+def settings_of(
+    mass: float, center: Sequence[float] | Array, inertia: Matrix
+) -> dict[str, str]:
     """Write a payload as controllers take it.
 
-    `mass`: kg. `center` (3,): centre of mass in the flange's frame, m. `inertia` (3, 3): about the
-    centre of mass, in the axes of the flange's frame, kg m^2; empty if not known.
+    `mass`: kg. `center` (3,): centre of mass in the flange's frame, m. `inertia` (3,
+    3): about the centre of mass, in the axes of the flange's frame, kg m^2; empty if
+    not known.
     """
     m, (x, y, z) = _number(mass), map(_number, center)
     I = [[_number(value) for value in row] for row in inertia or [[0.0] * 3] * 3]
@@ -197,7 +221,11 @@ def settings_of(mass: float, center: Sequence[float] | Array, inertia: Matrix) -
     upper = [(i, k) for i in range(3) for k in range(i, 3)]
     named = ", ".join(f"i{'xyz'[i]}{'xyz'[k]}: {I[i][k]}" for i, k in upper)
     at = f"{x}, {y}, {z}"
-    script = f"set_target_payload({m}, [{at}], [{six}])" if inertia else f"set_payload({m}, [{at}])"
+    script = (
+        f"set_target_payload({m}, [{at}], [{six}])"
+        if inertia
+        else f"set_payload({m}, [{at}])"
+    )
     return {
         "urscript": script,
         "libfranka": f"robot.setLoad({m}, {{{at}}}, {{{by_column}}});",

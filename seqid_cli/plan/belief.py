@@ -1,9 +1,10 @@
 """Prior knowledge of the robot before the experiment: its torque, noise and parameters.
 
-The noise counts by its one-sided density S: 2 / S of information per second and (N m)^2. An inertia
-stage has measured it as its parameters felt it. Without one, a residual of standard deviation s
-below a cut-off f has S = s^2 / f, and the error of the friction surface, of standard deviation r,
-which changes slowly, adds r^2 over `friction_hz`.
+The noise counts by its one-sided density S: 2 / S of information per second and (N
+m)^2. An inertia stage has measured it as its parameters felt it. Without one, a
+residual of standard deviation s below a cut-off f has S = s^2 / f, and the error of the
+friction surface, of standard deviation r, which changes slowly, adds r^2 over
+`friction_hz`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,12 @@ from seqid_cli.plan.nuisance import (
     friction_size,
     move_terms,
 )
-from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, gear_ratios
+from seqid_cli.robot.base_parameters import (
+    Basis,
+    base_regressor,
+    free_basis,
+    gear_ratios,
+)
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
@@ -46,12 +52,13 @@ NOISE_HZ = 25.0  # the bandwidth of that noise
 class Belief:
     """A robot before the experiment.
 
-    `theta` (b,) are its base parameters, None where neither a stage nor a URDF gives any, with the
-    covariance ``root @ root.T``, `root` (b, k). `friction` (n,) N m is the size of friction where
-    no surface tells it. `density` (n,) is the information per second and (N m)^2, `sweep_variance`
-    (n,) (N m)^2 what a friction stage has seen its surface leave of one way of a slow sweep (NaN:
-    not seen); `prior` (b, b) that on the base parameters which earlier stages hold, `slow` (n,) the
-    speed below which a joint's samples do not count.
+    `theta` (b,) are its base parameters, None where neither a stage nor a URDF gives
+    any, with the covariance ``root @ root.T``, `root` (b, k). `friction` (n,) N m is
+    the size of friction where no surface tells it. `density` (n,) is the information
+    per second and (N m)^2, `sweep_variance` (n,) (N m)^2 what a friction stage has seen
+    its surface leave of one way of a slow sweep (NaN: not seen); `prior` (b, b) that on
+    the base parameters which earlier stages hold, `slow` (n,) the speed below which a
+    joint's samples do not count.
     """
 
     robot: Robot
@@ -76,7 +83,9 @@ class Belief:
 
     def touches(self, q: Array) -> Mask:
         """Return which of the postures q (N, n) touch something or have a point below the floor."""
-        touched = np.zeros(len(q), dtype=bool) if self.floor is None else self.floor.below(q)
+        touched = (
+            np.zeros(len(q), dtype=bool) if self.floor is None else self.floor.below(q)
+        )
         if self.geometry is not None and not touched.all():
             touched[~touched] = self.geometry.collides(q[~touched])
         return touched
@@ -98,7 +107,9 @@ class Belief:
         """Rows H (M, N, n, b) of the base parameters."""
         M, N, n = moves.q.shape
         states = (x.reshape(-1, n) for x in (moves.q, moves.dq, moves.ddq))
-        return base_regressor(self.robot, self.basis, *states).reshape(M, N, n, self.basis.size)
+        return base_regressor(self.robot, self.basis, *states).reshape(
+            M, N, n, self.basis.size
+        )
 
     def weights(self, moves: Moves) -> Array:
         """What samples (M, N, n) tell, per (N m)^2: those that slide, by the noise."""
@@ -107,7 +118,9 @@ class Belief:
 
     def information(self, moves: Moves, H: Array) -> Array:
         """Information (M, b, b) of moves."""
-        flat = (np.sqrt(self.weights(moves))[..., None] * H).reshape(len(H), -1, H.shape[3])
+        flat = (np.sqrt(self.weights(moves))[..., None] * H).reshape(
+            len(H), -1, H.shape[3]
+        )
         return np.asarray(flat.transpose(0, 2, 1) @ flat)
 
     def friction_sizes(self, states: Moves) -> Array:
@@ -134,7 +147,9 @@ class Belief:
         rigid = self.regressor(states) @ self.theta + rotors * states.ddq
         # Friction's step at a reversal is no rate: samples there do not count.
         friction = np.gradient(self.friction_sizes(states), step, axis=1)
-        return np.asarray(np.gradient(rigid, step, axis=1) + np.sign(states.dq) * friction)
+        return np.asarray(
+            np.gradient(rigid, step, axis=1) + np.sign(states.dq) * friction
+        )
 
     def add_nuisances(
         self,
@@ -175,7 +190,10 @@ class Belief:
         if self.theta is None:
             return np.zeros(H.shape[:3])
         n = self.robot.n
-        tau = H @ self.theta + gear_ratios(self.robot) ** 2 * known_rotors(self.robot) * moves.ddq
+        tau = (
+            H @ self.theta
+            + gear_ratios(self.robot) ** 2 * known_rotors(self.robot) * moves.ddq
+        )
         states = (moves.q.reshape(-1, n), moves.dq.reshape(-1, n))
         tau += friction_torque(self.surfaces, *states).reshape(tau.shape)
         doubt = np.sqrt(np.sum((H @ self.root) ** 2, axis=3))
@@ -198,8 +216,8 @@ def belief_of(
 ) -> Belief:
     """Collect the knowledge of a robot from stages and the URDF.
 
-    Where no surface tells it, friction is a `friction_share` of the usual torque; below a
-    `rest_share` of the largest speed samples count little.
+    Where no surface tells it, friction is a `friction_share` of the usual torque; below
+    a `rest_share` of the largest speed samples count little.
     """
     basis = free_basis(robot)
     surfaces = friction_surfaces(stages, robot)
@@ -237,8 +255,8 @@ def belief_of(
 def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:
     """Sum up the information (b, b) of logs, over samples in which joints slide.
 
-    Each log has nuisance terms of its own, which are marginalised: logs of different sessions need
-    not share them.
+    Each log has nuisance terms of its own, which are marginalised: logs of different
+    sessions need not share them.
     """
     total = np.zeros((belief.basis.size, belief.basis.size))
     for recording in recordings:
@@ -284,7 +302,9 @@ def _parameters(
         if stage is None or not stage.parameters:
             continue
         if theta is None:
-            phi = np.concatenate([x.ravel() for x in standard_parameters(stage, robot.n)])
+            phi = np.concatenate(
+                [x.ravel() for x in standard_parameters(stage, robot.n)]
+            )
             theta = basis.expression @ phi
         own = [basis.names.index(parameter.name) for parameter in stage.parameters]
         theta[own] = [parameter.value for parameter in stage.parameters]
@@ -316,7 +336,9 @@ def _density(
     sizes = noise_share * usual
     origin = "assumed: a thirtieth of the usual torque; errors are relative to that"
     if not sizes.any():
-        why = "no torque is known" if belief.theta is None else "the links weigh nothing"
+        why = (
+            "no torque is known" if belief.theta is None else "the links weigh nothing"
+        )
         sizes, origin = np.ones(belief.robot.n), f"assumed: 1 N m, as {why}"
     noise = np.maximum(sizes, 0.1 * sizes.max()) ** 2 / NOISE_HZ
     inertia = stages.inertia
@@ -336,10 +358,13 @@ def _density(
 def _sweep_variance(robot: Robot, stages: Stages, *, parts: int = 4) -> Array:
     """Return the variance (n,) (N m)^2 of what friction surfaces leave of one slow way.
 
-    Friction trials are such ways, so that nothing has to be assumed. The RMSE of a surface is that
-    of averages over a quarter of a trial: a way has so many `parts`, and their mean that much less.
-    NaN for joints without a surface.
+    Friction trials are such ways, so that nothing has to be assumed. The RMSE of a
+    surface is that of averages over a quarter of a trial: a way has so many `parts`,
+    and their mean that much less. NaN for joints without a surface.
     """
     friction = stages.friction.joints if stages.friction else {}
-    rmse = [friction[name].rmse if name in friction else np.nan for name in robot.joint_names]
+    rmse = [
+        friction[name].rmse if name in friction else np.nan
+        for name in robot.joint_names
+    ]
     return np.array(rmse) ** 2 / parts

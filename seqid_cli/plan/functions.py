@@ -41,14 +41,16 @@ def plan(
     ----------
     what : {"friction", "gravity", "imu-calib", "inertia", "payload", "validation", "all", \
 "discriminate"}
-        The stage to record for, a whole session, or the question which of two effects it is.
+        The stage to record for, a whole session, or the question which of two effects
+        it is.
     robot : path or Robot
         Limits are the tighter of the robot file's and its URDF's.
     parameters : path or ParameterFile, or a sequence of them
         What is identified already: torque and noise are taken from it.
     options : PlanOptions
     have : path, table, recording, or a sequence of them
-        Logs that the inertia stage, or the diagnosis that tells two effects apart, gets as well.
+        Logs that the inertia stage, or the diagnosis that tells two effects apart, gets
+        as well.
     output, trajectories : path, optional
         Where the plan goes, and the folder for the files of each move.
 
@@ -70,7 +72,8 @@ def plan(
         check_output(folder.parent / f"{folder.name}.csv")
     _check(what, options, given, logs)
     found = expanded(logs)
-    # The robot file comes first: its faults are reported before a parameter file's faults.
+    # The robot file comes first: its faults are reported before a parameter file's
+    # faults.
     arm = robot_of(robot, ())
     models = read_models(given)
     robot_of(arm, models)
@@ -79,7 +82,9 @@ def plan(
     from seqid_cli.plan.limits import limits_of
     from seqid_cli.plan.make import make_plan
 
-    limits = limits_of(arm, ramp_s=options.ramp_s, share=options.share, locked=options.locked)
+    limits = limits_of(
+        arm, ramp_s=options.ramp_s, share=options.share, locked=options.locked
+    )
     ids = [model_id(name, file, files) for name, file in models]
     recorded = LogSet(found, arm)
     geometry = _geometry(arm, limits, options)
@@ -109,11 +114,17 @@ def _check(what: str, options: PlanOptions, parameters: Sized, have: Sized) -> N
         hint = "Give -p with the result of seqid inertia."
         raise UsageError(f"{what} is planned for a model that is identified", hint=hint)
     if (what == "discriminate") != bool(options.between):
-        hint = "As in plan discriminate --between stribeck,quadratic_drag --joint elbow."
-        raise UsageError("discriminate needs --between, and no other plan takes it", hint=hint)
+        hint = (
+            "As in plan discriminate --between stribeck,quadratic_drag --joint elbow."
+        )
+        raise UsageError(
+            "discriminate needs --between, and no other plan takes it", hint=hint
+        )
     if have and what not in ("inertia", "all", "discriminate"):
         hint = "Leave it out, or plan the inertia stage."
-        raise UsageError(f"--have counts for inertia and discriminate, not for {what}", hint=hint)
+        raise UsageError(
+            f"--have counts for inertia and discriminate, not for {what}", hint=hint
+        )
 
 
 def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | None:
@@ -126,7 +137,10 @@ def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | 
     postures = postures_of(limits, 200, np.random.default_rng(0))
     found = geometry_of(robot, postures, options.keep_out, options.workspace)
     if found is None and (options.keep_out or options.workspace):
-        hint = "Give a URDF with <collision> shapes and their meshes, or leave the boxes out."
+        hint = (
+            "Give a URDF with <collision> shapes and their meshes, or leave the boxes"
+            " out."
+        )
         message = "--workspace and --keep-out need the shapes of the links"
         raise ConfigError(message, where=str(robot.source), hint=hint)
     return found

@@ -10,7 +10,12 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.planned import sampled
 from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
-from seqid_cli.params.results.plan import PLAN_SCHEMA, JointLimits, PlanFile, PlannedMove
+from seqid_cli.params.results.plan import (
+    PLAN_SCHEMA,
+    JointLimits,
+    PlanFile,
+    PlannedMove,
+)
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of, information_of
@@ -52,7 +57,9 @@ def make_plan(
         moves += [structs.replace(move, stage=name) for move in planned.moves]
     if belief.theta is not None:
         heavy = loaded(belief, options.load_kg)
-        moves = [_with_torque(heavy if m.stage == "payload" else belief, m) for m in moves]
+        moves = [
+            _with_torque(heavy if m.stage == "payload" else belief, m) for m in moves
+        ]
     names = robot.joint_names
     noise = np.sqrt(2.0 / belief.density)
     durations = [move.duration_s for move in moves]
@@ -67,7 +74,9 @@ def make_plan(
                 position=[float(limits.lower[j]), float(limits.upper[j])],
                 speed=float(limits.speed[j]),
                 acceleration=float(limits.acceleration[j]),
-                torque=float(limits.torque[j]) if np.isfinite(limits.torque[j]) else None,
+                torque=(
+                    float(limits.torque[j]) if np.isfinite(limits.torque[j]) else None
+                ),
                 moves=bool(limits.moves[j]),
             )
             for j, name in enumerate(names)
@@ -79,13 +88,19 @@ def make_plan(
         duration_s=sum(durations),
         total_s=sum(durations) + _ways(moves, limits, names),
         speed_scale=options.speed_scale,
-        verdicts=[v for name, planned in found.items() for v in _verdicts(name, planned)],
+        verdicts=[
+            v for name, planned in found.items() for v in _verdicts(name, planned)
+        ],
         notes=_notes(belief, options),
     )
 
 
 def _session(
-    what: str, belief: Belief, stages: Stages, options: PlanOptions, have: Iterable[Recording]
+    what: str,
+    belief: Belief,
+    stages: Stages,
+    options: PlanOptions,
+    have: Iterable[Recording],
 ) -> dict[str, Planned]:
     """Plan one stage, or all one after the other, each on what logs and moves tell by then."""
     known = information_of(belief, have)
@@ -131,7 +146,9 @@ def _with_torque(
     parts = np.array([part.max(axis=0) for part in np.array_split(torque, points)])
     limited = np.isfinite(belief.limits.torque).any()
     share = float((torque / belief.limits.torque).max()) if limited else None
-    shown = {name: [float(f"{x:.4g}") for x in parts[:, j]] for j, name in enumerate(names)}
+    shown = {
+        name: [float(f"{x:.4g}") for x in parts[:, j]] for j, name in enumerate(names)
+    }
     return structs.replace(move, torque=shown, torque_share=share)
 
 
@@ -148,10 +165,16 @@ def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) ->
 def _verdicts(what: str, planned: Planned) -> list[Verdict]:
     stage, told = planned.stage, planned.stage.separation
     if told is not None:
-        pairs = zip(told.between, reversed(told.between), told.powers, told.imitations, strict=True)
+        pairs = zip(
+            told.between,
+            reversed(told.between),
+            told.powers,
+            told.imitations,
+            strict=True,
+        )
         reason = "; ".join(
-            f"if it is {one}, the diagnosis drops {other} with probability {percent(power, 0)}"
-            f" ({other} reaches up to {percent(most)} of the gain)"
+            f"if it is {one}, the diagnosis drops {other} with probability"
+            f" {percent(power, 0)} ({other} reaches up to {percent(most)} of the gain)"
             for one, other, power, most in pairs
         )
         return [Verdict(good=told.power >= ENOUGH, reason=reason)]
@@ -168,24 +191,32 @@ def _notes(belief: Belief, options: PlanOptions) -> list[str]:
     robot, limits = belief.robot, belief.limits
     names = np.array(robot.joint_names)
     notes = [
-        f"limits: {percent(options.share, 0)} of the tighter of robot file and URDF; from rest to"
-        f" the largest speed in {options.ramp_s:g} s or more"
+        f"limits: {percent(options.share, 0)} of the tighter of robot file and URDF;"
+        f" from rest to the largest speed in {options.ramp_s:g} s or more"
     ]
 
     unlimited = names[limits.moves & np.isinf(limits.torque)]
     if belief.theta is None:
-        notes.append("no torque is known (neither -p nor a URDF with inertias): none was checked")
+        notes.append(
+            "no torque is known (neither -p nor a URDF with inertias): none was checked"
+        )
     elif len(unlimited):
         listed = ", ".join(unlimited)
         notes.append(f"no torque limit in a URDF, none was checked: {listed}")
     if not any(belief.surfaces):
-        notes.append("friction is not known: it is not part of the torque that was checked")
+        notes.append(
+            "friction is not known: it is not part of the torque that was checked"
+        )
 
     notes.append(_floor_note(belief, options))
     if belief.geometry is None:
-        notes.append("no collision shapes in a URDF: watch the first run for collisions")
+        notes.append(
+            "no collision shapes in a URDF: watch the first run for collisions"
+        )
     else:
-        notes.append("links keep 2 cm from each other and from boxes, meshes by convex hulls")
+        notes.append(
+            "links keep 2 cm from each other and from boxes, meshes by convex hulls"
+        )
     notes.append("the ways between moves are not checked")
 
     still = names[~limits.moves]
@@ -199,7 +230,9 @@ def _floor_note(belief: Belief, options: PlanOptions) -> str:
     if belief.floor is not None:
         return belief.floor.note
     if not options.floor:
-        return "floor: none (--no-floor); points of the arm may come below the base plane"
+        return (
+            "floor: none (--no-floor); points of the arm may come below the base plane"
+        )
     if not belief.robot.gravity.any():
         return "floor: none, as the robot file has no gravity to say where down is"
     return "floor: no joint is known to lift any point of the arm, none was checked"

@@ -1,14 +1,15 @@
 """What every drive adds to its torque unasked, marginalised as the stages will marginalise it.
 
-A stage fits its parameters beside nuisance terms with priors of zero mean. With rows
-H of the parameters and X of these terms, W the information of the rows and P that of the priors,
-what is left of the information on the parameters is
+A stage fits its parameters beside nuisance terms with priors of zero mean. With rows H
+of the parameters and X of these terms, W the information of the rows and P that of the
+priors, what is left of the information on the parameters is
 
     H'W H - H'W X (X'W X + P)^-1 X'W H.
 
-Slow sweeps (gravity) have two terms for each joint: a constant torque, and a share of friction's
-size |f| that does not turn with the direction. Fast moves (inertia, payload) have a constant
-torque for each joint and d tau / dt, the torque of a delay: one for all joints, one for each.
+Slow sweeps (gravity) have two terms for each joint: a constant torque, and a share of
+friction's size |f| that does not turn with the direction. Fast moves (inertia, payload)
+have a constant torque for each joint and d tau / dt, the torque of a delay: one for all
+joints, one for each.
 """
 
 from dataclasses import dataclass
@@ -146,8 +147,8 @@ def friction_size(
     q, dq : (N,) float
         Positions and speeds of the joint [rad, rad/s].
     slowest : float
-        Speed below which the sign of friction is not certain [rad/s]: such samples count little,
-        and a step of friction would look like a rate of the torque.
+        Speed below which the sign of friction is not certain [rad/s]: such samples
+        count little, and a step of friction would look like a rate of the torque.
     """
     if surface is None:
         return np.full(len(q), assumed)

@@ -32,8 +32,9 @@ def report(
     Parameters
     ----------
     files : path or sequence of paths
-        Parameter, prediction, diagnosis, payload and plan files of one robot, of one model or
-        several; torque files may be among them. Or one trend, which is a page of its own.
+        Parameter, prediction, diagnosis, payload and plan files of one robot, of one
+        model or several; torque files may be among them. Or one trend, which is a page
+        of its own.
     output : path
         Where the page goes.
     torques : path, optional
@@ -41,7 +42,8 @@ def report(
     title : str
         Instead of the robot's name.
     by : {"name", "folder"}, optional
-        A page about many robots, told apart by their names or by the folders of their files.
+        A page about many robots, told apart by their names or by the folders of their
+        files.
 
     Raises
     ------
@@ -53,7 +55,9 @@ def report(
     tables = list(dict.fromkeys(path for path in inputs if path.suffix == ".parquet"))
     documents = [path for path in inputs if path not in tables]
     if not documents:
-        raise UsageError("no JSON file given", hint="Name the files that the stages wrote.")
+        raise UsageError(
+            "no JSON file given", hint="Name the files that the stages wrote."
+        )
     check_output(target, inputs)
     page = _page(documents, tables, title, by)
     html, judgement = page.html, page.judgement
@@ -65,15 +69,22 @@ def report(
         robot=page.robot,
         verdict=judgement.level,
         sentence=judgement.sentence,
-        points=[ReportPoint(weight=p.weight, text=p.text, where=p.where) for p in judgement.points],
-        sections=[ReportSection(id=own.id, complete=own.complete) for own in page.sections],
+        points=[
+            ReportPoint(weight=p.weight, text=p.text, where=p.where)
+            for p in judgement.points
+        ],
+        sections=[
+            ReportSection(id=own.id, complete=own.complete) for own in page.sections
+        ],
         files=list(page.files),
         torques=", ".join(page.torques) or None,
         bytes=len(html.encode()),
     )
 
 
-def _page(documents: Sequence[Path], torques: Sequence[Path], title: str, by: By | None) -> Page:
+def _page(
+    documents: Sequence[Path], torques: Sequence[Path], title: str, by: By | None
+) -> Page:
     """Return a page about one robot, many, or what changed over time."""
     if len(documents) == 1 and (trend := read_trend(documents[0])) is not None:
         from seqid_cli.report.trend import trend_page
@@ -90,5 +101,7 @@ def _page(documents: Sequence[Path], torques: Sequence[Path], title: str, by: By
         raise UsageError(message, hint=hint, where=str(torques[0]))
     from seqid_cli.report.fleet import fleet_page
 
-    robots = by_robot([(item.path, item.content.robot.name, item) for item in sources], by)
+    robots = by_robot(
+        [(item.path, item.content.robot.name, item) for item in sources], by
+    )
     return fleet_page(robots, title=title)

@@ -1,9 +1,10 @@
 """Drawings as SVG text: panels with axes, the base of every plot, and charts with a row per name.
 
-A drawing is one `<svg role="img">` with title and description; every value in it is escaped.
-Coordinates are user units of the drawing, y downwards; colours come from the classes of the page's
-style sheet, so that one drawing serves light and dark. Lines carry their name, unit and the values
-at both ends of their axis, from which the page's script reads values back.
+A drawing is one `<svg role="img">` with title and description; every value in it is
+escaped. Coordinates are user units of the drawing, y downwards; colours come from the
+classes of the page's style sheet, so that one drawing serves light and dark. Lines
+carry their name, unit and the values at both ends of their axis, from which the page's
+script reads values back.
 """
 
 import math
@@ -22,14 +23,15 @@ WIDE, SMALL = 580.0, 372.0  # widths of drawings
 _LEFT, _RIGHT, _TOP, _FOOT = 62.0, 12.0, 26.0, 44.0  # around a panel
 _ROW, _NAMES, _LONGEST = 28.0, 150.0, 20  # height, width and letters of a row's name
 Numbers = Sequence[float] | Array
-Dots = Mapping[str, Sequence[tuple[str, float]]]  # style and value, by the name of the row
+# style and value, by the name of the row
+Dots = Mapping[str, Sequence[tuple[str, float]]]
 
 
 def element(name: str, /, *children: str, **attributes: str | float) -> Markup:
     """Return one element; text is escaped, children made by this function are not again.
 
-    `name` and the attributes' names (`class_`, `text_anchor`) come from the program, never from a
-    file; an attribute without text is left out.
+    `name` and the attributes' names (`class_`, `text_anchor`) come from the program,
+    never from a file; an attribute without text is left out.
     """
     start = f"<{name}"
     for key, value in attributes.items():
@@ -45,7 +47,9 @@ def line(style: str, x1: float, y1: float, x2: float, y2: float) -> Markup:
     return element("line", class_=style, x1=x1, y1=y1, x2=x2, y2=y2)
 
 
-def label(x: float, y: float, text: str, anchor: str = "start", style: str = "") -> Markup:
+def label(
+    x: float, y: float, text: str, anchor: str = "start", style: str = ""
+) -> Markup:
     """Return a piece of text."""
     return element("text", text, x=x, y=y, text_anchor=anchor, class_=style)
 
@@ -57,7 +61,10 @@ def short(value: float) -> str:
 
 def padded(values: Numbers, share: float = 0.05) -> tuple[float, float]:
     """Return limits a little wider than the values; their width is never zero."""
-    low, high = float(np.min(values, initial=np.inf)), float(np.max(values, initial=-np.inf))
+    low, high = (
+        float(np.min(values, initial=np.inf)),
+        float(np.max(values, initial=-np.inf)),
+    )
     if not (math.isfinite(low) and math.isfinite(high)):
         return -1.0, 1.0
     span = high - low
@@ -80,7 +87,11 @@ class Scale:
         """Return the coordinate of a value; values beyond the ends are held there."""
         low, high, at = self.low, self.high, value
         if self.log:
-            low, high, at = math.log10(low), math.log10(high), math.log10(max(value, 1e-300))
+            low, high, at = (
+                math.log10(low),
+                math.log10(high),
+                math.log10(max(value, 1e-300)),
+            )
         share = (at - low) / (high - low) if high > low else 0.5
         return self.start + min(max(share, 0.0), 1.0) * (self.end - self.start)
 
@@ -88,7 +99,10 @@ class Scale:
         """Return about `count` round values inside (decades if logarithmic), and as text."""
         low, high = self.low, self.high
         if self.log:
-            first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
+            first, last = (
+                math.ceil(math.log10(low) - 1e-9),
+                math.floor(math.log10(high) + 1e-9),
+            )
             every = max(1, math.ceil((last - first + 1) / 6))
             found = [10.0**k for k in range(first, last + 1, every)]
         elif not 1e-290 < (raw := (high - low) / max(count, 1)) < 1e290:
@@ -96,7 +110,9 @@ class Scale:
         else:
             power = 10.0 ** math.floor(math.log10(raw))
             steps = (power, 2.0 * power, 5.0 * power)
-            step = next((step for step in steps if step >= raw * (1 - 1e-9)), 10.0 * power)
+            step = next(
+                (step for step in steps if step >= raw * (1 - 1e-9)), 10.0 * power
+            )
             first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
             found = [k * step for k in range(first, last + 1)]
         return [(tick, f"{tick:.10g}".replace("-", MINUS)) for tick in found if count]
@@ -139,7 +155,9 @@ class Panel:
         self.x = Scale(*self.x_range, self.box.left, self.box.right)
         self.y = Scale(*self.y_range, self.box.bottom, self.box.top, self.y_log)
 
-    def line(self, x: Numbers, y: Numbers, style: str, *, name: str = "", unit: str = "") -> None:
+    def line(
+        self, x: Numbers, y: Numbers, style: str, *, name: str = "", unit: str = ""
+    ) -> None:
         """Draw a line through points; with a name the script reads values from it."""
         if len(x):
             own = {"class_": f"line {style}", "points": self._points(x, y)}
@@ -178,20 +196,30 @@ class Panel:
         return element("g", *self._axes(), marks, *self.words, class_="panel", **data)
 
     def _points(self, x: Numbers, y: Numbers) -> str:
-        points = ((self.x(float(a)), self.y(float(b))) for a, b in zip(x, y, strict=True))
+        points = (
+            (self.x(float(a)), self.y(float(b))) for a, b in zip(x, y, strict=True)
+        )
         return " ".join(f"{short(a)},{short(b)}" for a, b in points)
 
     def _axes(self) -> list[Markup]:
         box, up, along = self.box, [], []
         for tick, text in self.y.ticks(self.y_ticks):
             at = self.y(tick)
-            up.append(line("grid zero" if tick == 0.0 else "grid", box.left, at, box.right, at))
+            up.append(
+                line(
+                    "grid zero" if tick == 0.0 else "grid", box.left, at, box.right, at
+                )
+            )
             up.append(label(box.left - 6, at + 4, text, "end"))
         for place, (tick, text) in enumerate(self.x.ticks(self.x_ticks)):
             at = self.x(tick)
             along.append(line("tick", at, box.bottom, at, box.bottom + 4))
             if self.show_x:
-                along.append(label(at, box.bottom + 18, text, "middle", "odd" if place % 2 else ""))
+                along.append(
+                    label(
+                        at, box.bottom + 18, text, "middle", "odd" if place % 2 else ""
+                    )
+                )
         return [
             element("g", *up, class_="ticks-y"),
             element("g", *along, class_="ticks-x"),
@@ -250,12 +278,17 @@ def figure(
 def dots(
     title: str, rows: Dots, x_title: str, legend: Legend, *, mark: float = 0.0
 ) -> Figure | None:
-    """Draw a row of joined dots per name; a `mark` crosses all rows. None where there are none."""
+    """Draw a row of joined dots per name; a `mark` crosses all rows.
+
+    None where there are none.
+    """
     if not rows:
         return None
     far = max([mark, *(value for points in rows.values() for _, value in points)])
     box = Box(_NAMES, 8.0, WIDE - _RIGHT, 8.0 + _ROW * len(rows))
-    panel = Panel(box, (0.0, padded([0.0, far or 1.0])[1]), (0.0, 1.0), x_title, y_ticks=0)
+    panel = Panel(
+        box, (0.0, padded([0.0, far or 1.0])[1]), (0.0, 1.0), x_title, y_ticks=0
+    )
     if mark:
         panel.upright(mark, "floor")
     for k, (name, points) in enumerate(rows.items()):
@@ -265,5 +298,7 @@ def dots(
         panel.marks.append(line("dumbbell", min(x), y, max(x), y))
         for (style, _), at in zip(points, x, strict=True):
             panel.marks.append(element("circle", class_=style, cx=at, cy=y, r=5))
-    said = (f"{name}: {', '.join(number(x) for _, x in own)}" for name, own in rows.items())
+    said = (
+        f"{name}: {', '.join(number(x) for _, x in own)}" for name, own in rows.items()
+    )
     return figure([panel], title, "; ".join(said), legend, None)

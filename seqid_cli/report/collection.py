@@ -41,7 +41,8 @@ class Place(NamedTuple):
 class Model:
     """Parameter files that belong to one model, joined.
 
-    `identified` step by step, `refined` with effects in it, or `simultaneous` in one least squares.
+    `identified` step by step, `refined` with effects in it, or `simultaneous` in one
+    least squares.
     """
 
     kind: Kind
@@ -82,18 +83,26 @@ class Collection:
 
     def place(self, joint: str) -> Place:
         """Return a joint with its units."""
-        return Place(joint, *(unit_text(self.robot.unit(unit, joint)) for unit in ("N m", "rad")))
+        return Place(
+            joint, *(unit_text(self.robot.unit(unit, joint)) for unit in ("N m", "rad"))
+        )
 
     def residual(self, prediction: Prediction, joint: str) -> ResidualEntry | None:
         """Return a joint's residual from a diagnosis of the prediction's own logs."""
         logs = {log.sha256 for log in prediction.content.logs}
-        own = (d.content for d in self.diagnoses if {x.sha256 for x in d.content.inputs} == logs)
+        own = (
+            d.content
+            for d in self.diagnoses
+            if {x.sha256 for x in d.content.inputs} == logs
+        )
         return next((file.joints[joint] for file in own if joint in file.joints), None)
 
     def model_of(self, prediction: Prediction) -> Model | None:
         """Return the model that a prediction was made with, if its file was given."""
         used = {item.sha256 for item in prediction.content.parameters}
-        known = (model for model in self.models if used & {s.sha256 for s in model.sources})
+        known = (
+            model for model in self.models if used & {s.sha256 for s in model.sources}
+        )
         return next(known, None)
 
     def call(self, name: str, *logs: str, output: str = "") -> str:
@@ -105,12 +114,18 @@ class Collection:
     @property
     def judged(self) -> tuple[Prediction, ...]:
         """The predictions of the model that the report shows; all if there is none of it."""
-        own = [p for p in self.predictions if self.models and self.model_of(p) is self.model]
+        own = [
+            p
+            for p in self.predictions
+            if self.models and self.model_of(p) is self.model
+        ]
         return tuple(own) or self.predictions
 
     def label(self, prediction: Prediction) -> str:
         """Return the file of a prediction's model, and which is before and after refinement."""
-        paths = [item.path for item in prediction.content.parameters[-1:]] or [prediction.path]
+        paths = [item.path for item in prediction.content.parameters[-1:]] or [
+            prediction.path
+        ]
         kinds = [model.kind for p in self.predictions if (model := self.model_of(p))]
         model, name = self.model_of(prediction), short_path(paths[0])
         if sorted(kinds) != ["identified", "refined"] or model is None:
@@ -118,7 +133,9 @@ class Collection:
         return f"{'after' if model.kind == 'refined' else 'before'}: {name}"
 
 
-def of_kind(documents: Iterable[Source[Document]], kind: type[D]) -> tuple[Source[D], ...]:
+def of_kind(
+    documents: Iterable[Source[Document]], kind: type[D]
+) -> tuple[Source[D], ...]:
     """Return the documents of one kind."""
     found = (item for item in documents if isinstance(item.content, kind))
     return tuple(found)  # type: ignore[arg-type]
@@ -127,15 +144,21 @@ def of_kind(documents: Iterable[Source[Document]], kind: type[D]) -> tuple[Sourc
 def collect(documents: Sources) -> Collection:
     """Sort documents and make sure that they are about one robot and agree."""
     if not documents:
-        raise ConfigError("no file given", hint="Name the JSON files that the stages wrote.")
+        raise ConfigError(
+            "no file given", hint="Name the JSON files that the stages wrote."
+        )
     unique = tuple({(item.path, item.sha256): item for item in documents}.values())
     first = (unique[0].path, unique[0].content.robot)
     for item in unique[1:]:
-        check_same_robot(first, (item.path, item.content.robot), "Report on one robot at a time.")
+        check_same_robot(
+            first, (item.path, item.content.robot), "Report on one robot at a time."
+        )
     joints = first[1].joints
     if not 0 < len(joints) == len(set(joints)) <= _MOST_JOINTS:
         message = f"$.robot.joints: must name 1 to {_MOST_JOINTS} joints, each once"
-        raise ConfigError(message, where=first[0], hint="Run the command again that wrote it.")
+        raise ConfigError(
+            message, where=first[0], hint="Run the command again that wrote it."
+        )
     found = Collection(
         robot=first[1],
         sources=unique,
@@ -147,7 +170,9 @@ def collect(documents: Sources) -> Collection:
         warnings=tuple(_warnings(unique)),
     )
     ranks = {id(model): rank for rank, model in enumerate(found.models)}
-    best = sorted(found.predictions, key=lambda p: ranks.get(id(found.model_of(p)), len(ranks)))
+    best = sorted(
+        found.predictions, key=lambda p: ranks.get(id(found.model_of(p)), len(ranks))
+    )
     return replace(found, predictions=tuple(best))
 
 
@@ -162,7 +187,10 @@ def _warnings(documents: Sources) -> Iterator[str]:
     for item in documents:
         hashes.setdefault(item.content.robot.sha256, item.path)
     if len(hashes) > 1:
-        yield f"the robot file changed between these results: {', '.join(hashes.values())}"
+        yield (
+            "the robot file changed between these results:"
+            f" {', '.join(hashes.values())}"
+        )
     given = {Path(s.path).resolve(): s for s in of_kind(documents, ParameterFile)}
     known = {item.sha256 for item in given.values()}
     made_with = [
@@ -173,14 +201,20 @@ def _warnings(documents: Sources) -> Iterator[str]:
         if given and used.sha256 not in known
     ]
     for item, used in made_with:
-        was, now = f"{used.path} (sha256 {used.sha256[:12]})", given.get(Path(used.path).resolve())
+        was, now = (
+            f"{used.path} (sha256 {used.sha256[:12]})",
+            given.get(Path(used.path).resolve()),
+        )
         if now is not None:
             message = (
-                f"was made with {used.path} as it was before (sha256 {used.sha256[:12]}); "
-                f"{now.path} has changed since (now {now.sha256[:12]})"
+                f"was made with {used.path} as it was before (sha256"
+                f" {used.sha256[:12]}); {now.path} has changed since (now"
+                f" {now.sha256[:12]})"
             )
             again = f"Run seqid {WRITTEN_BY[type(item.content)]} again"
-            raise ConfigError(message, where=item.path, hint=f"{again}, or leave {item.path} out.")
+            raise ConfigError(
+                message, where=item.path, hint=f"{again}, or leave {item.path} out."
+            )
         yield f"{item.path} was made with {was}, which is not among the files given"
 
 
@@ -189,7 +223,9 @@ def kind_of(file: ParameterFile) -> Kind:
     stages = file.stages
     if file.closed_loop is not None or stages.effects is not None:
         return "refined"
-    methods = {stage.method for stage in (stages.friction, stages.inertia) if stage is not None}
+    methods = {
+        stage.method for stage in (stages.friction, stages.inertia) if stage is not None
+    }
     return "simultaneous" if "simultaneous" in methods else "identified"
 
 
@@ -199,13 +235,19 @@ def _models(files: Sequence[Parameters]) -> Iterator[Model]:
     for kind in KINDS:
         branches: list[list[Parameters]] = []
         for given in [item for item in fullest if kind_of(item.content) == kind]:
-            agreeing = (b for b in branches if all(_agree(given.content, x.content) for x in b))
+            agreeing = (
+                b for b in branches if all(_agree(given.content, x.content) for x in b)
+            )
             if branch := next(agreeing, None):
                 branch.insert(0, given)
             else:
                 branches.append([given])
         for branch in branches:
-            yield Model(kind, tuple(branch), join([(item.path, item.content) for item in branch]))
+            yield Model(
+                kind,
+                tuple(branch),
+                join([(item.path, item.content) for item in branch]),
+            )
 
 
 def _agree(one: ParameterFile, other: ParameterFile) -> bool:

@@ -16,7 +16,8 @@ from seqid_cli.report.judgement import Judgement, judge
 from seqid_cli.report.views import Group, Page, Section, Table, table
 from seqid_cli.report.words import listed, plural
 
-_BADGES = {"poor": "poor", "not_judged": "", "reservations": "open", "good": "good"}  # worst first
+# worst first
+_BADGES = {"poor": "poor", "not_judged": "", "reservations": "open", "good": "good"}
 
 
 class _Robot(NamedTuple):
@@ -37,14 +38,20 @@ class _Robot(NamedTuple):
         }
 
 
-def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str = "") -> Page:
+def fleet_page(
+    robots: Mapping[str, Sequence[Source[Document]]], *, title: str = ""
+) -> Page:
     """Return the page on `robots`, documents by name, with the verdict on the worst of them."""
     found = {name: collect(documents) for name, documents in robots.items()}
     judged = [_Robot(name, own, judge(own)) for name, own in found.items()]
     judged.sort(key=lambda robot: list(_BADGES).index(robot.judgement.level))
     by_level = groupby(judged, key=lambda robot: robot.judgement.level)
-    said = [f"{TITLES[k].lower()}: {listed([own.name for own in of])}" for k, of in by_level]
-    points = [p for robot in judged for p in robot.judgement.points if p.weight == "poor"]
+    said = [
+        f"{TITLES[k].lower()}: {listed([own.name for own in of])}" for k, of in by_level
+    ]
+    points = [
+        p for robot in judged for p in robot.judgement.points if p.weight == "poor"
+    ]
     sentence = f"{plural(len(judged), 'robot')}. {'; '.join(said).capitalize()}."
     whole = Judgement(judged[0].judgement.level, sentence, (), tuple(points))
     groups = [_group(place, robot) for place, robot in enumerate(judged, start=1)]
@@ -55,7 +62,9 @@ def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str =
         [_overview(judged, whole), Section("robots", "Robot by robot", groups=groups)],
         ", ".join(robots),
         [item.path for documents in robots.values() for item in documents],
-        created_from(item.content for documents in robots.values() for item in documents),
+        created_from(
+            item.content for documents in robots.values() for item in documents
+        ),
         subject="Fleet",
     )
 
@@ -71,15 +80,22 @@ def _overview(robots: Sequence[_Robot], whole: Judgement) -> Section:
         if errors:
             shares[name] = [("after", 100.0 * share) for _, share in errors.values()]
     titles = "robot | verdict | largest error, of RMS torque | at | open points"
-    x_title, legend = "RMS error of each joint, % of its RMS torque", {"after": "a joint"}
+    x_title, legend = (
+        "RMS error of each joint, % of its RMS torque",
+        {"after": "a joint"},
+    )
     group = Group(
         "fleet",
         "The robots, the worst first",
         figures=[dots("Errors of all robots", shares, x_title, legend)],
-        tables=[table("Models and their errors", titles, "text text share text count", rows)],
+        tables=[
+            table("Models and their errors", titles, "text text share text count", rows)
+        ],
         unfolded=True,
     )
-    return Section("verdict", f"The fleet: {whole.title.lower()}", whole.sentence, [group])
+    return Section(
+        "verdict", f"The fleet: {whole.title.lower()}", whole.sentence, [group]
+    )
 
 
 def _group(place: int, robot: _Robot) -> Group:

@@ -13,11 +13,20 @@ from seqid_cli.params.results.diagnosis import (
 from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.schema import ClosedLoop, ParameterFile, Stages, Verdict
 from seqid_cli.report.collection import Collection, Prediction, of_kind
-from seqid_cli.report.words import effect_at, file_name, listed, number, percent, plural, short_path
+from seqid_cli.report.words import (
+    effect_at,
+    file_name,
+    listed,
+    number,
+    percent,
+    plural,
+    short_path,
+)
 
 Level = Literal["good", "reservations", "poor", "not_judged"]
 Weight = Literal["poor", "open"]
-Tested = list[tuple[Prediction, list[str]]]  # predictions with the logs that are new to the model
+# predictions with the logs that are new to the model
+Tested = list[tuple[Prediction, list[str]]]
 
 
 @dataclass(frozen=True)
@@ -56,8 +65,9 @@ class Judgement:
 def judge(collection: Collection) -> Judgement:
     """Judge the model by all documents.
 
-    Poor is what a prediction on independent logs, or without one a stage, calls poor. Good needs a
-    prediction on logs that the model is not from; what is open besides is a reservation.
+    Poor is what a prediction on independent logs, or without one a stage, calls poor.
+    Good needs a prediction on logs that the model is not from; what is open besides is
+    a reservation.
     """
     tested = [(p, new) for p in collection.judged if (new := _new_logs(collection, p))]
     points = [
@@ -75,17 +85,25 @@ def judge(collection: Collection) -> Judgement:
     else:
         level = "reservations" if points else "good"
     sentence = _sentence(level, collection, tested, points)
-    return Judgement(level, sentence, tuple(_support(collection, tested)), tuple(points))
+    return Judgement(
+        level, sentence, tuple(_support(collection, tested)), tuple(points)
+    )
 
 
 def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
     """Return the logs that judge the model: not those it was identified from."""
     used, trained = {item.sha256 for item in prediction.content.parameters}, set()
-    made_with = [x.content for x in of_kind(collection.sources, ParameterFile) if x.sha256 in used]
+    made_with = [
+        x.content
+        for x in of_kind(collection.sources, ParameterFile)
+        if x.sha256 in used
+    ]
     # Where its parameter files were not given, those of all models count.
     for file in made_with or [model.file for model in collection.models]:
         held_out = file.closed_loop.held_out if file.closed_loop is not None else []
-        trained |= {log.sha256 for log in file.inputs} - {log.sha256 for log in held_out}
+        trained |= {log.sha256 for log in file.inputs} - {
+            log.sha256 for log in held_out
+        }
     counted = [log for log in prediction.content.logs if log.sha256 not in trained]
     errors = [error for log in counted for error in log.joints.values()]
     judged = any(error.relative_rmse is not None for error in errors)
@@ -96,35 +114,49 @@ def _errors(item: Prediction, new: list[str]) -> dict[str, float]:
     """Return each joint's relative error; on the new logs alone where others are among them."""
     logs = [log.joints for log in item.content.logs if log.path in new]
     found: dict[str, float] = {}
-    for joints in [item.content.joints] if len(logs) == len(item.content.logs) else logs:
+    for joints in (
+        [item.content.joints] if len(logs) == len(item.content.logs) else logs
+    ):
         for name, error in joints.items():
             if error.relative_rmse is not None:
                 found[name] = max(found.get(name, 0.0), error.relative_rmse)
     return found
 
 
-def _sentence(level: Level, collection: Collection, tested: Tested, points: list[Point]) -> str:
+def _sentence(
+    level: Level, collection: Collection, tested: Tested, points: list[Point]
+) -> str:
     if level == "poor":
         poor = [point.text for point in points if point.weight == "poor"]
-        rest = f", and {plural(len(poor) - 1, 'more point')} below" if len(poor) > 1 else ""
+        rest = (
+            f", and {plural(len(poor) - 1, 'more point')} below"
+            if len(poor) > 1
+            else ""
+        )
         return f"Do not rely on this model yet: {poor[0]}{rest}."
     errors = [pair for item, new in tested for pair in _errors(item, new).items()]
     if not errors:
         return (
-            "Nothing here shows how well the model predicts logs that it was not identified from."
+            "Nothing here shows how well the model predicts logs that it was not"
+            " identified from."
         )
     name, share = max(errors, key=lambda pair: pair[1])
     logs = {path for _, new in tested for path in new}
-    made = sorted({file_name(p.path) for item, _ in tested for p in item.content.parameters})
+    made = sorted(
+        {file_name(p.path) for item, _ in tested for p in item.content.parameters}
+    )
     several = len(collection.robot.joints) > 1
     said = (
-        f"On {plural(len(logs), 'log')} that it was not identified from, the model of "
-        f"{listed(made, 3)} predicts the torque of {'every' if several else 'the'} joint to "
-        f"{percent(share)} or better"
+        f"On {plural(len(logs), 'log')} that it was not identified from, the model of"
+        f" {listed(made, 3)} predicts the torque of {'every' if several else 'the'}"
+        f" joint to {percent(share)} or better"
     )
     said += f" (RMS error over RMS torque; the worst is {name})" if several else ""
     if level == "reservations":
-        said += f"; {plural(len(points), 'point')} below {'is' if len(points) == 1 else 'are'} open"
+        said += (
+            f"; {plural(len(points), 'point')} below"
+            f" {'is' if len(points) == 1 else 'are'} open"
+        )
     return said + "."
 
 
@@ -135,7 +167,9 @@ def _prediction_points(collection: Collection) -> Iterator[Point]:
         yield from _poor(file.verdicts, "the prediction", item.path, diagnose)
         if still := [n for n, error in file.joints.items() if not error.samples]:
             text = f"{listed(still)} never slides in these logs and is not judged"
-            yield Point("open", text, item.path, "Predict logs in which every joint moves.")
+            yield Point(
+                "open", text, item.path, "Predict logs in which every joint moves."
+            )
         for name, error in file.joints.items():
             entry = collection.residual(item, name)
             if entry is not None and (times := times_noise(entry, error.rmse)):
@@ -146,21 +180,32 @@ def _prediction_points(collection: Collection) -> Iterator[Point]:
             yield Point("open", text, item.path, "Predict logs that no stage has read.")
         elif len(new) < len(file.logs):
             text = (
-                f"{len(file.logs) - len(new)} of the {plural(len(file.logs), 'log')} predicted had "
-                "been used to identify the model; the first line counts the others"
+                f"{len(file.logs) - len(new)} of the {plural(len(file.logs), 'log')}"
+                " predicted had been used to identify the model; the first line counts"
+                " the others"
             )
             yield Point("open", text, item.path)
     if not collection.predictions:
-        text = "no prediction was given, so nothing tests the model on logs it has not seen"
+        text = (
+            "no prediction was given, so nothing tests the model on logs it has not"
+            " seen"
+        )
         call = collection.call("predict", output="prediction.json")
         yield Point("open", text, command=f"{call} --torques torques.parquet")
 
 
-def _poor(verdicts: Iterable[Verdict], whole: str, path: str, call: str = "") -> Iterator[Point]:
+def _poor(
+    verdicts: Iterable[Verdict], whole: str, path: str, call: str = ""
+) -> Iterator[Point]:
     for verdict in verdicts:
         if not verdict.good:
             weight: Weight = "open" if verdict.level == "usable" else "poor"
-            yield Point(weight, f"{verdict.joint or whole}: {verdict.reason}", path, command=call)
+            yield Point(
+                weight,
+                f"{verdict.joint or whole}: {verdict.reason}",
+                path,
+                command=call,
+            )
 
 
 def _model_points(collection: Collection, judged: bool) -> Iterator[Point]:
@@ -180,9 +225,15 @@ def _model_points(collection: Collection, judged: bool) -> Iterator[Point]:
         stage = getattr(stages, name)
         for verdict in stage.verdicts if stage else []:
             if not verdict.good:
-                what = f"{name} of {verdict.joint}" if verdict.joint else f"the {name} stage"
+                what = (
+                    f"{name} of {verdict.joint}"
+                    if verdict.joint
+                    else f"the {name} stage"
+                )
                 usable = verdict.level == "usable"
-                yield Point("open" if usable else weight, f"{what}: {verdict.reason}", path)
+                yield Point(
+                    "open" if usable else weight, f"{what}: {verdict.reason}", path
+                )
     for name, rigid in (("gravity", stages.gravity), ("inertia", stages.inertia)):
         if rigid is not None and rigid.not_excited:
             text = f"not determined by the {name} logs: {listed(rigid.not_excited)}"
@@ -194,7 +245,9 @@ def _model_points(collection: Collection, judged: bool) -> Iterator[Point]:
     for name in ("friction", "gravity", "inertia"):
         needed = name != "gravity" or model.kind == "identified"
         if needed and getattr(stages, name) is None:
-            yield Point("open", f"the model has no {name} stage", path, command=f"seqid {name}")
+            yield Point(
+                "open", f"the model has no {name} stage", path, command=f"seqid {name}"
+            )
     known = stages.friction.joints if stages.friction else collection.robot.joints
     if without := [name for name in collection.robot.joints if name not in known]:
         text = f"no friction is known of {listed(without)}"
@@ -212,7 +265,9 @@ def not_kept(loop: ClosedLoop) -> list[str]:
     said = []
     if loop.unconfirmed:
         names = [effect_at(item.effect, item.joint) for item in loop.unconfirmed]
-        said.append(f"not kept, as the held-out logs do not confirm it: {listed(names)}")
+        said.append(
+            f"not kept, as the held-out logs do not confirm it: {listed(names)}"
+        )
     if loop.stopped_at is not None:
         names = [effect_at(item.effect, item.joint) for item in loop.stopped_at.untried]
         limit = f"the limit of rounds ({loop.stopped_at.rounds})"
@@ -222,36 +277,50 @@ def not_kept(loop: ClosedLoop) -> list[str]:
 
 def _diagnosis_points(collection: Collection) -> Iterator[Point]:
     known = known_effects(collection)
-    refine = collection.call("refine", "LOG...", "--holdout", "LOG...", output="refined.json")
+    refine = collection.call(
+        "refine", "LOG...", "--holdout", "LOG...", output="refined.json"
+    )
     for item in collection.diagnoses:
         file = item.content
         yield from _poor(file.verdicts, "the diagnosis", item.path)
         for finding in file.findings:
             if (finding.effect, finding.joint) not in known:
                 text = (
-                    f"the model lacks {effect_at(finding.effect, finding.joint)} "
-                    f"(confidence {percent(finding.confidence, 0)}, "
-                    f"explains {percent(finding.explains, 0)} of the residual above the noise)"
+                    f"the model lacks {effect_at(finding.effect, finding.joint)}"
+                    f" (confidence {percent(finding.confidence, 0)}, explains"
+                    f" {percent(finding.explains, 0)} of the residual above the noise)"
                 )
                 yield Point("open", text, item.path, command=refine)
         silent = file.verdict in ("too_short", "nothing_seen")
         if silent or (file.verdict == "nothing_missing" and file.leaves_more):
             yield Point("open", nothing_found(file), item.path)
         for one in file.changed:
-            yield Point("open", f"the file's values do not hold: {values_at(one)}", item.path)
+            yield Point(
+                "open", f"the file's values do not hold: {values_at(one)}", item.path
+            )
         for part in file.unexplained:
-            yield Point("open", f"{unexplained(part)}, but fits no known effect", item.path)
+            yield Point(
+                "open", f"{unexplained(part)}, but fits no known effect", item.path
+            )
 
 
 def unexplained(part: UnexplainedPart) -> str:
     """Return how much of the residual is not explained, and what it depends on."""
-    on = listed([name.replace("_", " ") for name in part.depends_on]) or "nothing that was logged"
-    return f"{part.joint}: {percent(part.share, 0)} of the residual above the noise depends on {on}"
+    on = (
+        listed([name.replace("_", " ") for name in part.depends_on])
+        or "nothing that was logged"
+    )
+    return (
+        f"{part.joint}: {percent(part.share, 0)} of the residual above the noise"
+        f" depends on {on}"
+    )
 
 
 def known_effects(collection: Collection) -> frozenset[tuple[str, str | None]]:
     """Return the effects that a refined model holds, with their joints."""
-    added = [effect for model in collection.models for effect in model.stages.effects or []]
+    added = [
+        effect for model in collection.models for effect in model.stages.effects or []
+    ]
     return frozenset((effect.effect, effect.joint) for effect in added)
 
 
@@ -261,28 +330,42 @@ def _support(collection: Collection, tested: Tested) -> Iterator[str]:
         if shares:
             logs = plural(len(new), "new log")
             span = f"{percent(min(shares))} to {percent(max(shares))}"
-            yield f"Torque predicted on {logs} with an RMS error of {span} of the RMS torque."
+            yield (
+                f"Torque predicted on {logs} with an RMS error of {span} of the RMS"
+                " torque."
+            )
     stages = collection.model.stages if collection.model else Stages()
     if stages.friction is not None and all(v.good for v in stages.friction.verdicts):
-        held_out = [x for x in stages.friction.joints.values() if x.held_out_rmse is not None]
+        held_out = [
+            x for x in stages.friction.joints.values() if x.held_out_rmse is not None
+        ]
         if held_out:
             count = plural(len(held_out), "joint")
             yield f"Friction of {count} holds at speeds that were left out of the fit."
     for name, stage in (("Gravity", stages.gravity), ("Inertia", stages.inertia)):
         if stage is not None and stage.parameters and not stage.not_excited:
             yield (
-                f"{name}: all {plural(len(stage.parameters), 'parameter')} of the stage determined "
-                f"by the logs (condition {number(stage.condition)})."
+                f"{name}: all {plural(len(stage.parameters), 'parameter')} of the stage"
+                f" determined by the logs (condition {number(stage.condition)})."
             )
     for diagnosis in collection.diagnoses:
         file, path = diagnosis.content, short_path(diagnosis.path)
         if file.verdict == "nothing_missing" and not file.leaves_more:
             logs = plural(len(file.inputs), "log")
-            yield f"What {logs} leave of the torque is noise: nothing is missing ({path})."
-    loops = [loop for model in collection.models if (loop := model.file.closed_loop) is not None]
+            yield (
+                f"What {logs} leave of the torque is noise: nothing is missing"
+                f" ({path})."
+            )
+    loops = [
+        loop
+        for model in collection.models
+        if (loop := model.file.closed_loop) is not None
+    ]
     for loop in [loop for loop in loops if loop.rounds and loop.verdict != "poor"]:
         added = listed([effect_at(item.effect, item.joint) for item in loop.rounds])
-        gains = [(limits[0], joint) for joint, limits in loop.gain_interval.items() if limits]
+        gains = [
+            (limits[0], joint) for joint, limits in loop.gain_interval.items() if limits
+        ]
         gain, joint = max(gains, default=(0.0, ""))
         proof = f"; on held-out logs the error variance of {joint} falls by at least "
         proof = f"{proof}{percent(gain, 0)} (95 %)" if gain > 0.0 else ""

@@ -23,22 +23,29 @@ from seqid_cli.report.words import plural
 
 
 def make_report(
-    documents: Sequence[Source[Document]], *, torques: Sequence[Path] = (), title: str = ""
+    documents: Sequence[Source[Document]],
+    *,
+    torques: Sequence[Path] = (),
+    title: str = "",
 ) -> Page:
     """Make the page about one robot from the documents of `read_any`.
 
-    `torques`: what `seqid predict --torques` wrote, a file for each prediction; for those without
-    one the `torques.parquet` beside it is taken if it holds exactly its logs. `title`: instead of
-    the robot's name. Raises ConfigError: the documents are about two robots or contradict each
-    other. Raises InputError: a torque file is unreadable or of another robot, log or model.
+    `torques`: what `seqid predict --torques` wrote, a file for each prediction; for
+    those without one the `torques.parquet` beside it is taken if it holds exactly its
+    logs. `title`: instead of the robot's name. Raises ConfigError: the documents are
+    about two robots or contradict each other. Raises InputError: a torque file is
+    unreadable or of another robot, log or model.
     """
     collection = collect(documents)
     tables, notes = open_torques(torques, collection)
     judgement = judge(collection)
     sections = [overview(collection, judgement), pipeline(collection)]
     sections.append(torque(collection, tables, notes))
-    sections += [make(collection) for make in (friction, parameters, imu, diagnosis, closed_loop)]
-    results = (payload(collection), plan(collection))  # None where no file of one is given
+    sections += [
+        make(collection) for make in (friction, parameters, imu, diagnosis, closed_loop)
+    ]
+    # None where no file of one is given
+    results = (payload(collection), plan(collection))
     robot = collection.robot
     return Page(
         title or robot.name,
@@ -59,15 +66,22 @@ def open_torques(
     """Open a torque table for each prediction, in their order; say which ones were found."""
     tables = [TorqueTable.open(path, collection) for path in paths]
     whose = [table.prediction for table in tables]
-    if doubled := [t.path for t in tables if t.prediction and whose.count(t.prediction) > 1]:
+    if doubled := [
+        t.path for t in tables if t.prediction and whose.count(t.prediction) > 1
+    ]:
         message = f"torque files of one prediction: {', '.join(doubled)}"
         raise UsageError(message, hint="Name the one that belongs to it.")
     notes = []
     for prediction in collection.predictions:
         if prediction not in whose:
-            path, alone = Path(prediction.path).with_name("torques.parquet"), (prediction,)
+            path, alone = (
+                Path(prediction.path).with_name("torques.parquet"),
+                (prediction,),
+            )
             with suppress(InputError):  # it is not there, or of another prediction
-                tables.append(TorqueTable.open(path, replace(collection, predictions=alone)))
+                tables.append(
+                    TorqueTable.open(path, replace(collection, predictions=alone))
+                )
                 notes.append(f"The torques are those of {path}, beside the prediction.")
     order = [*collection.predictions, None]
     return sorted(tables, key=lambda table: order.index(table.prediction)), notes

@@ -41,7 +41,9 @@ class Drawing:
         page = f"<style>{resource('style.css')} figure{{max-width:{_WIDTH}px}}</style>"
         key = '<span><span class="key {}"></span>{} </span>'
         for figure in self.figures:
-            keys = "".join(key.format(style, escape(x)) for style, x in figure.legend.items())
+            keys = "".join(
+                key.format(style, escape(x)) for style, x in figure.legend.items()
+            )
             title = f"<figcaption>{escape(figure.title)}</figcaption>"
             page += f"<figure>{title}{figure.drawing}{keys}</figure>"
         frame = f'width="100%" height="{_HEIGHT * len(self.figures)}" style="border:0"'
@@ -55,8 +57,12 @@ def plot_friction(file: ParameterFile, joint: str) -> Drawing:
     known = file.stages.friction.joints if file.stages.friction else {}
     if joint not in known:
         names = ", ".join(known) or "none"
-        raise UsageError(f"no friction of {joint!r} is in this file", hint=f"It has: {names}.")
-    return Drawing(tuple(friction_figures(known[joint], _collection(file).place(joint))))
+        raise UsageError(
+            f"no friction of {joint!r} is in this file", hint=f"It has: {names}."
+        )
+    return Drawing(
+        tuple(friction_figures(known[joint], _collection(file).place(joint)))
+    )
 
 
 def plot_evidence(file: DiagnosisFile) -> Drawing:
@@ -69,7 +75,9 @@ def plot_evidence(file: DiagnosisFile) -> Drawing:
     return Drawing(tuple(figure for figure in figures if figure is not None))
 
 
-def plot_torques(files: Paths, torques: Paths, joint: str, *, columns: int = 200) -> Drawing:
+def plot_torques(
+    files: Paths, torques: Paths, joint: str, *, columns: int = 200
+) -> Drawing:
     """Draw measured and predicted torque of a joint over time, of one model or several.
 
     Parameters

@@ -27,11 +27,11 @@ _AGAIN = "Run seqid predict again."
 class Series:
     """One joint in one log: samples (N,); NaN where a value is missing.
 
-    `residual` is measured torque minus the nearest torque that the model allows: where the joint
-    slides the predicted torque, at rest between `low` and `high` (NaN where it slides). Position
-    and velocity are None where the file was written without them, and so is `std`, the standard
-    deviation of the prediction; `used` marks the samples that
-    count, `sliding` those that the errors are computed from.
+    `residual` is measured torque minus the nearest torque that the model allows: where
+    the joint slides the predicted torque, at rest between `low` and `high` (NaN where
+    it slides). Position and velocity are None where the file was written without them,
+    and so is `std`, the standard deviation of the prediction; `used` marks the samples
+    that count, `sliding` those that the errors are computed from.
     """
 
     log: str
@@ -62,7 +62,8 @@ class TorqueTable:
     def open(cls, path: Path, collection: Collection) -> Self:
         """Open a torque file and check it against the documents.
 
-        Raises InputError: it is unreadable, no torque file, or of another robot, log or model.
+        Raises InputError: it is unreadable, no torque file, or of another robot, log or
+        model.
         """
         where, robot = str(path), collection.robot
         if not path.is_file():
@@ -71,9 +72,19 @@ class TorqueTable:
             file = opened_table(path)
             rows = _log_rows(path)
         numeric = (pa.types.is_floating, pa.types.is_boolean)
-        columns = {x.name for x in file.schema_arrow if any(is_one(x.type) for is_one in numeric)}
-        there = {name.removesuffix(".predicted") for name in columns if name.endswith(".predicted")}
-        joints = tuple(x for x in robot.joints if columns >= {f"{x}.{kind}" for kind in _KINDS})
+        columns = {
+            x.name
+            for x in file.schema_arrow
+            if any(is_one(x.type) for is_one in numeric)
+        }
+        there = {
+            name.removesuffix(".predicted")
+            for name in columns
+            if name.endswith(".predicted")
+        }
+        joints = tuple(
+            x for x in robot.joints if columns >= {f"{x}.{kind}" for kind in _KINDS}
+        )
         if "t" not in columns:
             message = "is no torque file: its column t must hold numbers"
             raise InputError(message, where=where, hint=_HINT)
@@ -83,19 +94,37 @@ class TorqueTable:
                 f"{collection.sources[0].path} about robot {robot.name!r} "
                 f"({', '.join(robot.joints)})"
             )
-            raise InputError(message, where=where, hint="Give the torques of the same robot.")
-        made = (file.schema_arrow.metadata or {}).get(PARAMETERS.encode(), b"").decode().split()
+            raise InputError(
+                message, where=where, hint="Give the torques of the same robot."
+            )
+        made = (
+            (file.schema_arrow.metadata or {})
+            .get(PARAMETERS.encode(), b"")
+            .decode()
+            .split()
+        )
         prediction = _whose(rows, set(made), collection.predictions, where)
         return cls(where, prediction, joints, rows, frozenset(columns))
 
     def series(self, joint: str) -> list[Series]:
         """Read a joint, log by log; raises InputError for infinite values, or time going back."""
-        names = {"t": "t", "used": "used", **{k: f"{joint}.{k}" for k in (*_KINDS, *_MORE)}}
+        names = {
+            "t": "t",
+            "used": "used",
+            **{k: f"{joint}.{k}" for k in (*_KINDS, *_MORE)},
+        }
         there = {kind: name for kind, name in names.items() if name in self.columns}
         with _readable(self.path, "is damaged"):
-            table = pq.read_table(self.path, columns=list(there.values()), partitioning=None)
+            table = pq.read_table(
+                self.path, columns=list(there.values()), partitioning=None
+            )
             values = {
-                kind: table.column(name).combine_chunks().cast(pa.float64()).to_numpy(False)
+                kind: (
+                    table.column(name)
+                    .combine_chunks()
+                    .cast(pa.float64())
+                    .to_numpy(False)
+                )
                 for kind, name in there.items()
             }
         for kind, value in values.items():
@@ -112,9 +141,13 @@ class TorqueTable:
     def _one(self, log: str, own: Mapping[str, Array]) -> Series:
         t, torque, left = own["t"], own["torque"], own["residual"]
         if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0.0):
-            raise InputError(f"t is missing or goes back in {log}", where=self.path, hint=_AGAIN)
+            raise InputError(
+                f"t is missing or goes back in {log}", where=self.path, hint=_AGAIN
+            )
         low, high = (own.get(kind, np.full(len(t), np.nan)) for kind in ("low", "high"))
-        used, sliding = (own.get(name, np.ones(len(t))) > 0.0 for name in ("used", "sliding"))
+        used, sliding = (
+            own.get(name, np.ones(len(t))) > 0.0 for name in ("used", "sliding")
+        )
         # NaN bounds, where the joint slides, leave the residual as it is.
         nearest = np.fmin(np.fmax(torque, low), high)
         left = np.where(np.isnan(low) | np.isnan(torque), left, torque - nearest)
@@ -147,23 +180,38 @@ def _readable(where: str, wrong: str) -> Iterator[None]:
 def _log_rows(path: Path) -> dict[str, slice]:
     table = pq.read_table(path, columns=["log"], partitioning=None)
     column = table.column("log").combine_chunks().dictionary_encode()
-    codes, names = column.indices.to_numpy(zero_copy_only=False), column.dictionary.to_pylist()
+    codes, names = (
+        column.indices.to_numpy(zero_copy_only=False),
+        column.dictionary.to_pylist(),
+    )
     texts = bool(names) and all(isinstance(name, str) for name in names)
-    starts = [] if column.null_count else np.flatnonzero(np.diff(codes, prepend=-1)).tolist()
+    starts = (
+        [] if column.null_count else np.flatnonzero(np.diff(codes, prepend=-1)).tolist()
+    )
     if not texts or len(starts) != len(names):
-        message = "column log must name the log of every row, and rows of a log follow each other"
+        message = (
+            "column log must name the log of every row, and rows of a log follow each"
+            " other"
+        )
         raise ValueError(message)
     ends = zip(starts, [*starts[1:], len(codes)], strict=True)
     return {names[codes[start]]: slice(start, end) for start, end in ends}
 
 
 def _whose(
-    rows: Mapping[str, slice], made: set[str], predictions: Sequence[Prediction], where: str
+    rows: Mapping[str, slice],
+    made: set[str],
+    predictions: Sequence[Prediction],
+    where: str,
 ) -> Prediction | None:
     """Return the prediction with these logs, sample by sample, and with this model."""
     mine = {log: part.stop - part.start for log, part in rows.items()}
-    logs = [{log.path: log.samples for log in item.content.logs} for item in predictions]
-    same = [item for item, theirs in zip(predictions, logs, strict=True) if theirs == mine]
+    logs = [
+        {log.path: log.samples for log in item.content.logs} for item in predictions
+    ]
+    same = [
+        item for item, theirs in zip(predictions, logs, strict=True) if theirs == mine
+    ]
     for prediction in same:  # without the entry any model may
         if not made or made == {item.sha256 for item in prediction.content.parameters}:
             return prediction

@@ -17,10 +17,14 @@ _DAY = 86400.0
 
 def trend_page(file: TrendFile, path: str, *, title: str = "") -> Page:
     """Return the page about the trend at `path`; `title` instead of the number of robots."""
-    names = list(dict.fromkeys(entry.robot for entry in file.changes))  # clearest change first
+    # clearest change first
+    names = list(dict.fromkeys(entry.robot for entry in file.changes))
     judgement = Judgement("good", "Nothing changed beyond its error.", (), ())
     if names:
-        text = f"{plural(len(file.changes), 'change')} beyond the error: {', '.join(names)}."
+        text = (
+            f"{plural(len(file.changes), 'change')} beyond the error:"
+            f" {', '.join(names)}."
+        )
         judgement = Judgement("poor", text, (), ())
     changed, robots = {_key(entry) for entry in file.changes}, []
     for place, name in enumerate(names, start=1):
@@ -41,16 +45,23 @@ def trend_page(file: TrendFile, path: str, *, title: str = "") -> Page:
 
 def _overview(file: TrendFile, judgement: Judgement) -> Section:
     lead = (
-        f"{judgement.sentence} A change counts from {number(file.limit)} standard errors on: all "
-        "steps between two dates and all lines over time were tried, quantity by quantity."
+        f"{judgement.sentence} A change counts from {number(file.limit)} standard"
+        " errors on: all steps between two dates and all lines over time were tried,"
+        " quantity by quantity."
     )
-    inflated = [f"{stage} {number(x)}" for stage, x in file.inflation.items() if x > 1.0]
+    inflated = [
+        f"{stage} {number(x)}" for stage, x in file.inflation.items() if x > 1.0
+    ]
     notes = list(file.notes)
     if inflated:
-        notes.append(f"Standard errors were taken larger by these factors: {', '.join(inflated)}")
+        notes.append(
+            f"Standard errors were taken larger by these factors: {', '.join(inflated)}"
+        )
     shown = Table("Changes, the clearest first", changes(file.changes))
     groups = [Group("changes", "All changes", tables=[shown], unfolded=True)]
-    return Section("verdict", "What changed", lead, groups if file.changes else [], notes=notes)
+    return Section(
+        "verdict", "What changed", lead, groups if file.changes else [], notes=notes
+    )
 
 
 def _key(entry: ChangeEntry | SeriesEntry) -> tuple[str, str, str, str]:
@@ -59,10 +70,15 @@ def _key(entry: ChangeEntry | SeriesEntry) -> tuple[str, str, str, str]:
 
 def _figure(series: SeriesEntry) -> Figure:
     """Values with 95 % intervals over days since the first date."""
-    times = np.array([datetime.fromisoformat(date).timestamp() for date in series.dates])
+    times = np.array(
+        [datetime.fromisoformat(date).timestamp() for date in series.dates]
+    )
     days = (times - times[0]) / _DAY
     values, half = np.array(series.values), Z95 * np.array(series.std_errors)
-    x, x_range = (f"days since {series.dates[0][:10]}", ""), padded([0.0, max(days[-1], 1.0)], 0.02)
+    x, x_range = (
+        (f"days since {series.dates[0][:10]}", ""),
+        padded([0.0, max(days[-1], 1.0)], 0.02),
+    )
     edges = np.concatenate([values - half, values + half])
     panel = small_panel(x, x_range, series.unit, padded(edges))
     panel.hover = "time|d"
@@ -70,6 +86,13 @@ def _figure(series: SeriesEntry) -> Figure:
     what = " ".join(part for part in (series.joint, series.stage, series.name) if part)
     panel.line(days, values, "predicted", name=what, unit=series.unit)
     text = f"{what} from {number(values[0])} to {number(values[-1])} {series.unit}"
-    rows = zip((date[:10] for date in series.dates), series.values, series.std_errors, strict=True)
+    rows = zip(
+        (date[:10] for date in series.dates),
+        series.values,
+        series.std_errors,
+        strict=True,
+    )
     titles, kinds = "date | value [{unit}] | std error", "text number5 number2"
-    return figure([panel], what, text, {}, table(what, titles, kinds, rows, unit=series.unit))
+    return figure(
+        [panel], what, text, {}, table(what, titles, kinds, rows, unit=series.unit)
+    )

@@ -1,7 +1,8 @@
 """Figures, tables and sections for the templates: plain data, no HTML but finished drawings.
 
-Everything that comes from a file is escaped by the templates. The page may not load anything: its
-policy names the style sheet and the script by their hashes and forbids everything else.
+Everything that comes from a file is escaped by the templates. The page may not load
+anything: its policy names the style sheet and the script by their hashes and forbids
+everything else.
 """
 
 import base64
@@ -25,7 +26,8 @@ from seqid_cli.templates import filled
 
 Legend = Mapping[str, str]  # what a line is, by the class that it has in the drawing
 VALUE_HEADS = heads(
-    "parameter | value | std error | 95 % interval | unit", "text number number number text"
+    "parameter | value | std error | 95 % interval | unit",
+    "text number number number text",
 )
 
 
@@ -42,7 +44,11 @@ class Table:
     @cached_property
     def rows(self) -> Sequence[Sequence[str]]:
         """The values as text."""
-        forms = {"effect": words.effect_words, "path": words.short_path, "unit": words.unit_text}
+        forms = {
+            "effect": words.effect_words,
+            "path": words.short_path,
+            "unit": words.unit_text,
+        }
         return self.values.cells(words.number, words.percent, **forms)
 
 
@@ -53,11 +59,17 @@ def table(
     return Table(caption, values(titles, kinds, rows, **names))
 
 
-def value_row(name: str, value: float | None, error: float | None, unit: str) -> tuple[str, ...]:
+def value_row(
+    name: str, value: float | None, error: float | None, unit: str
+) -> tuple[str, ...]:
     """Return the cells of an estimate under `VALUE_HEADS`; without an error it is fixed."""
     if value is None or error is None or error >= UNTOLD:
         return name, "not determined", words.DASH, words.DASH, words.unit_text(unit)
-    texts = words.with_error(value, error) if error > 0.0 else (words.number(value), "fixed")
+    texts = (
+        words.with_error(value, error)
+        if error > 0.0
+        else (words.number(value), "fixed")
+    )
     return name, *texts, words.interval(value, error), words.unit_text(unit)
 
 
@@ -65,8 +77,8 @@ def value_row(name: str, value: float | None, error: float | None, unit: str) ->
 class Figure:
     """A drawing with its title, legend and the table of its values.
 
-    `joint` names the joint that it is about, where it stands in a group about several: the page
-    hides it when another joint is chosen.
+    `joint` names the joint that it is about, where it stands in a group about several:
+    the page hides it when another joint is chosen.
     """
 
     title: str
@@ -142,9 +154,9 @@ def lacking(key: str, title: str, text: str, command: str) -> Section:
 class Page:
     """The content of a page.
 
-    `about` are facts under its title, `subject` says what it is about; `robot`, `files` and
-    `torques` name what it was made of, `created` is the newest date of that, `warnings` are about
-    files that fit, but not perfectly.
+    `about` are facts under its title, `subject` says what it is about; `robot`, `files`
+    and `torques` name what it was made of, `created` is the newest date of that,
+    `warnings` are about files that fit, but not perfectly.
     """
 
     title: str
@@ -169,7 +181,9 @@ class Page:
         policy += "img-src data:; base-uri 'none'; form-action 'none'"
         content = {"page": self, "version": __version__, "policy": policy} | parts
         filters = {"unit": words.unit_text, "short": words.short_path}
-        return filled("seqid_cli.report", "report.html.j2", content, filters=filters, markup=True)
+        return filled(
+            "seqid_cli.report", "report.html.j2", content, filters=filters, markup=True
+        )
 
 
 def resource(name: str) -> str:

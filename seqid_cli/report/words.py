@@ -78,7 +78,9 @@ def symbol(name: str) -> Markup:
     base, axes, index = match.groups()
     if base == "m":  # the axis of a first moment stands beside it
         return Markup("<i>m</i>{}<sub>{}</sub>").format(axes, index)
-    return Markup("<i>{}</i><sub>{}</sub>").format(base, f"{axes}\u202f{index}" if axes else index)
+    return Markup("<i>{}</i><sub>{}</sub>").format(
+        base, f"{axes}\u202f{index}" if axes else index
+    )
 
 
 def expression(terms: Mapping[str, float], fallback: str) -> Markup:
@@ -120,7 +122,9 @@ def effect_words(effect: str) -> str:
 
 def command(*words: str) -> str:
     """Return a command line that a shell takes as it stands; capitals such as LOG... stay."""
-    return " ".join(word if word.endswith("...") else shlex.quote(word) for word in words)
+    return " ".join(
+        word if word.endswith("...") else shlex.quote(word) for word in words
+    )
 
 
 def file_name(path: str) -> str:

@@ -1,16 +1,17 @@
 """Base parameters: the combinations of standard parameters that the joint torque depends on.
 
-Symbols: phi (p,) standard parameters, 10 per link and then one rotor inertia per joint; `pi` (b,)
-base parameters; E and P as in pi = E phi and Y P pi = Y phi, for every state. Y is the regressor of
-Eq. 3, H = Y P that of Eq. 4. States `q`, `dq`, `ddq` (N, n) are in rad, rad/s, rad/s^2 (m where
-prismatic).
+Symbols: phi (p,) standard parameters, 10 per link and then one rotor inertia per joint;
+`pi` (b,) base parameters; E and P as in pi = E phi and Y P pi = Y phi, for every state.
+Y is the regressor of Eq. 3, H = Y P that of Eq. 4. States `q`, `dq`, `ddq` (N, n) are
+in rad, rad/s, rad/s^2 (m where prismatic).
 
 Columns of Y are taken one by one in a readable order (first link first, a link's mass
-last, rotors after all links); a column that depends on those before it is dropped and its parameter
-regrouped into theirs. The order reproduces the usual regrouping towards the base (Khalil and
-Dombre, Modeling, Identification and Control of Robots, ch. 9). Columns of the gravity torque come
-first, and the coordinates are then changed so that the gravity parameters are exactly those of the
-gravity torque alone (Eq. 17-18): the remaining columns of H vanish at rest.
+last, rotors after all links); a column that depends on those before it is dropped and
+its parameter regrouped into theirs. The order reproduces the usual regrouping towards
+the base (Khalil and Dombre, Modeling, Identification and Control of Robots, ch. 9).
+Columns of the gravity torque come first, and the coordinates are then changed so that
+the gravity parameters are exactly those of the gravity torque alone (Eq. 17-18): the
+remaining columns of H vanish at rest.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,9 @@ from seqid_cli.robot.types import Array, Chain, Robot
 STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 ROTOR = "Ia"
 
-# A column is dependent where its part outside the span of the others is below this share of it.
-# Geometry finer than 1e-5 rad or 1e-6 m is tidied away on reading, so the gap is wide.
+# A column is dependent where its part outside the span of the others is below this
+# share of it. Geometry finer than 1e-5 rad or 1e-6 m is tidied away on reading, so the
+# gap is wide.
 _DEPENDENT = 1e-8
 _SNAP = 1e-9
 
@@ -39,7 +41,8 @@ class Basis:
 
     names: tuple[str, ...]  # the standard parameter that stands for each base parameter
     expression: Array  # E (b, p): base parameters from standard ones, p = 11 n
-    representative: Array  # P (p, b): standard ones, most of them zero, that give the same torque
+    # P (p, b): standard ones, most of them zero, that give the same torque
+    representative: Array
     gravity: NDArray[np.bool_]  # (b,) those of the gravity torque; these come first
 
     @property
@@ -100,18 +103,26 @@ def standard_regressor(
 ) -> Array:
     """Compute the regressor (N, n, 11 n) of the standard parameters, rotors last (Eq. 3)."""
     Y = regressor.torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
-    rotors = regressor.rotor_regressor(robot.chain, q, dq, ddq, gear_ratios(robot), coupling)
+    rotors = regressor.rotor_regressor(
+        robot.chain, q, dq, ddq, gear_ratios(robot), coupling
+    )
     return np.concatenate((Y, rotors), axis=2)
 
 
 def base_regressor(
-    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, *, out: Array | None = None
+    robot: Robot,
+    basis: Basis,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    *,
+    out: Array | None = None,
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
-    `out` (n, b or more, M): written to, where `loaded_columns` tells that H can differ from zero;
-    zeros elsewhere. More columns are the caller's. Returns (N, n, b or more): each column
-    contiguous in memory.
+    `out` (n, b or more, M): written to, where `loaded_columns` tells that H can differ
+    from zero; zeros elsewhere. More columns are the caller's. Returns (N, n, b or
+    more): each column contiguous in memory.
     """
     whole = np.zeros((robot.n, basis.size, len(q))) if out is None else out
     H = whole[:, :, : len(q)]
@@ -147,10 +158,13 @@ def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
 
 
 @lru_cache(maxsize=8)
-def base_parameters(robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10) -> Basis:
+def base_parameters(
+    robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10
+) -> Basis:
     """Find the base parameters of the rigid body and of the rotors to identify, gravity's first.
 
-    `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known, left out.
+    `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known,
+    left out.
     """
     W_gravity, W = _random_regressors(robot)
     order = _reading_order(robot.chain)
@@ -167,7 +181,10 @@ def base_parameters(robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10
     for k, column in enumerate(gravity + others):
         representative[column, k] = 1.0
     representative[gravity, len(gravity) :] = -E_gravity[:, others]
-    standard, of_gravity = standard_names(robot.n), np.arange(len(expression)) < len(gravity)
+    standard, of_gravity = (
+        standard_names(robot.n),
+        np.arange(len(expression)) < len(gravity),
+    )
     names = tuple(standard[c] for c in gravity + others)
     return Basis(names, expression, representative + 0.0, of_gravity)
 
@@ -192,28 +209,35 @@ def _reading_order(chain: Chain) -> list[int]:
 
 def _random_regressors(robot: Robot) -> tuple[Array, Array]:
     """Stack gravity and full regressors (rows, 11 n) over random states."""
-    # Joint limits play no part: the torque is analytic in the state, so columns that depend
-    # linearly in one range do so in all, and a wide range shows it with the widest gap.
+    # Joint limits play no part: the torque is analytic in the state, so columns that
+    # depend linearly in one range do so in all, and a wide range shows it with the
+    # widest gap.
     rng, n = np.random.default_rng(0), robot.n
     q, dq, ddq = rng.uniform(-1.0, 1.0, size=(3, 3 * (PER_LINK + 1) * n, n))
     q = q * np.where(robot.chain.prismatic, 1.0, np.pi)
     Y = standard_regressor(robot, q, 3.0 * dq, 10.0 * ddq, coupling="diagonal")
     Y_gravity = np.zeros_like(Y)
-    Y_gravity[:, :, : PER_LINK * n] = regressor.gravity_regressor(robot.chain, robot.gravity, q)
+    Y_gravity[:, :, : PER_LINK * n] = regressor.gravity_regressor(
+        robot.chain, robot.gravity, q
+    )
     return Y_gravity.reshape(-1, Y.shape[2]), Y.reshape(-1, Y.shape[2])
 
 
-def _independent(W: Array, order: Sequence[int], *, floor: float, given: int = 0) -> list[int]:
+def _independent(
+    W: Array, order: Sequence[int], *, floor: float, given: int = 0
+) -> list[int]:
     """Choose columns of W, in `order`, independent of those before; the first `given` are taken."""
-    # Columns whose norm is below `floor` are rounding, not torque. The diagonal of R holds what
-    # each column has outside the span of those before.
+    # Columns whose norm is below `floor` are rounding, not torque. The diagonal of R
+    # holds what each column has outside the span of those before.
     size = np.linalg.norm(W, axis=0)
     columns = [c for c in order if size[c] > floor]
     outside = np.abs(np.diag(np.linalg.qr(W[:, columns] / size[columns], mode="r")))
     return [c for k, c in enumerate(columns) if k < given or outside[k] > _DEPENDENT]
 
 
-def _regrouping(W: Array, kept: Sequence[int], used: Sequence[int], *, floor: float) -> Array:
+def _regrouping(
+    W: Array, kept: Sequence[int], used: Sequence[int], *, floor: float
+) -> Array:
     """Solve W[:, kept] E = W for E (len(kept), p), on the `used` columns."""
     E = np.zeros((len(kept), W.shape[1]))
     if not len(kept):
@@ -224,5 +248,7 @@ def _regrouping(W: Array, kept: Sequence[int], used: Sequence[int], *, floor: fl
     E[:, used] = np.linalg.solve(R, Q.T @ W[:, used]) / size[kept][:, None]
     E[:, kept] = np.eye(len(kept))
     snapped = np.where(np.abs(E - np.round(E)) < _SNAP, np.round(E), E)
-    worse = np.linalg.norm(basis @ snapped - W, axis=0) > _DEPENDENT * np.maximum(size, floor)
+    worse = np.linalg.norm(basis @ snapped - W, axis=0) > _DEPENDENT * np.maximum(
+        size, floor
+    )
     return np.where(worse, E, snapped) + 0.0

@@ -1,4 +1,7 @@
-"""`robot.toml` to a checked Robot. Imports numpy and Pinocchio only once the text is in order."""
+"""`robot.toml` to a checked Robot.
+
+Imports numpy and Pinocchio only once the text is in order.
+"""
 
 import hashlib
 from pathlib import Path
@@ -20,9 +23,9 @@ if TYPE_CHECKING:
 def load_robot(path: Path, positions: "Mapping[str, float] | None" = None) -> "Robot":
     """Read the robot file `path`, and the URDF beside it that it names, and check both.
 
-    Joints of the URDF that it leaves out are locked at `positions` [rad, m], else at zero. The
-    robot's `sha256` is over the bytes of the one and then the other. Raises ConfigError naming
-    the file, the key's full path, the value and the remedy.
+    Joints of the URDF that it leaves out are locked at `positions` [rad, m], else at
+    zero. The robot's `sha256` is over the bytes of the one and then the other. Raises
+    ConfigError naming the file, the key's full path, the value and the remedy.
     """
     content, formulas, raw, urdf_raw = read_robot_file(path)
     names = tuple(joint.name for joint in content.joint)
@@ -47,19 +50,31 @@ def load_robot(path: Path, positions: "Mapping[str, float] | None" = None) -> "R
     if content.channels.effort == "gravity_compensated" and nominal is None:
         unknown = "the gravity that the driver subtracts is not known"
         message = f"channels.effort is 'gravity_compensated', but {unknown}"
-        hint = "Name a urdf with <inertial> that the driver uses, or log the torque as it is."
+        hint = (
+            "Name a urdf with <inertial> that the driver uses, or log the torque as"
+            " it is."
+        )
         raise ConfigError(message, where=str(path), hint=hint)
     known = urdf.joints if urdf else {}
     joints = []
     for entry, slides in zip(content.joint, chain.prismatic, strict=True):
-        given = {key: getattr(entry, key) for key in entry.__struct_fields__ if key != "dh"}
-        joints.append(Joint(**{**given, "prismatic": bool(slides)}, urdf=known.get(entry.name)))
+        given = {
+            key: getattr(entry, key) for key in entry.__struct_fields__ if key != "dh"
+        }
+        joints.append(
+            Joint(**{**given, "prismatic": bool(slides)}, urdf=known.get(entry.name))
+        )
     locked = [
         LockedJoint(Joint(x.name, prismatic=x.kind == "prismatic", urdf=x), place)
         for x, place in (left_out(urdf, names) if urdf else ())
     ]
     effects = [
-        OwnEffect(x.name, None if x.joint is None else names.index(x.joint), formula, x.settings)
+        OwnEffect(
+            x.name,
+            None if x.joint is None else names.index(x.joint),
+            formula,
+            x.settings,
+        )
         for x, formula in zip(content.effect, formulas, strict=True)
     ]
     return Robot(
@@ -88,7 +103,9 @@ def _imu(entry: "ImuEntry", joints: tuple[str, ...]) -> "Imu":
 
     positions, axes = np.zeros((3, 3)), np.eye(3)
     if entry.accelerometers:
-        positions = np.array([sensor.position for sensor in entry.accelerometers], dtype=float)
+        positions = np.array(
+            [sensor.position for sensor in entry.accelerometers], dtype=float
+        )
         axes = np.array([sensor.axis for sensor in entry.accelerometers], dtype=float)
         axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
     return Imu(entry.name, joints.index(entry.after_joint), positions, axes, entry.gyro)

@@ -2,9 +2,10 @@
 
     torque = "c1 * sign(dq) * abs(load) + c2 * tanh(dq / width)"
 
-A formula is a sum of terms that are each linear in one coefficient (`c`, or `c1`, `c2`, ...). It
-may also hold numbers, `+ - * / **`, the functions and symbols below, and its own settings, which
-are searched. A symbol is of the effect's own joint; `dq_2` is that of the second joint.
+A formula is a sum of terms that are each linear in one coefficient (`c`, or `c1`, `c2`,
+...). It may also hold numbers, `+ - * / **`, the functions and symbols below, and its
+own settings, which are searched. A symbol is of the effect's own joint; `dq_2` is that
+of the second joint.
 """
 
 import ast
@@ -26,7 +27,19 @@ SYMBOLS = {
     "temperature": "logged temperature, degC",
     "t": "time since the session's start, s",
 }
-FUNCTIONS = ("abs", "sign", "sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "min", "max")
+FUNCTIONS = (
+    "abs",
+    "sign",
+    "sqrt",
+    "exp",
+    "log",
+    "sin",
+    "cos",
+    "tan",
+    "tanh",
+    "min",
+    "max",
+)
 LONGEST, DEEPEST = 500, 40  # characters; operations within each other
 
 _COEFFICIENT = re.compile(r"c[0-9]{0,2}")
@@ -66,7 +79,9 @@ def parse_formula(text: str, joints: int, settings: Collection[str] = ()) -> For
     tree = _tree(text.strip(), before)
     reader = _Reader(joints, frozenset(settings), before)
     if not reader.linear(tree, 0):
-        raise FormulaError("has no coefficient: write one (c, or c1, c2, ...) before each term")
+        raise FormulaError(
+            "has no coefficient: write one (c, or c1, c2, ...) before each term"
+        )
     unused = sorted(set(settings) - reader.used)
     if unused:
         raise FormulaError(f"does not use the setting {unused[0]!r}")
@@ -80,18 +95,24 @@ def _tree(text: str, before: int) -> ast.expr:
             raise FormulaError(f"cannot be read: has {sign!a} (column {k})")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Python's advice on text that is refused anyway
+            # Python's advice on text that is refused anyway
+            warnings.simplefilter("ignore")
             return ast.parse(text, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as problem:
         reason = getattr(problem, "msg", None) or str(problem) or "too deep"
-        column = before + (getattr(problem, "offset", 0) or len(text) + 1)  # 0: it ends too early
+        # 0: it ends too early
+        column = before + (getattr(problem, "offset", 0) or len(text) + 1)
         raise FormulaError(f"cannot be read: {reason} (column {column})") from None
 
 
 def symbol_of(name: str) -> Symbol | None:
     """The quantity that a name stands for; None if for none."""
     match = _SYMBOL.fullmatch(name)
-    return None if match is None else Symbol(match[1], int(match[2]) - 1 if match[2] else None)
+    return (
+        None
+        if match is None
+        else Symbol(match[1], int(match[2]) - 1 if match[2] else None)
+    )
 
 
 def is_coefficient(name: str) -> bool:
@@ -114,7 +135,9 @@ class _Reader:
         match node:
             case _ if depth > DEEPEST:
                 raise self._refused(node, f"is nested more than {DEEPEST} deep")
-            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+            case ast.Constant(value=int() | float() as value) if not isinstance(
+                value, bool
+            ):
                 if not abs(value) <= sys.float_info.max:
                     raise self._refused(node, "has a number that is too large")
                 return False
@@ -127,15 +150,22 @@ class _Reader:
                 return self._combined(node, op, *sides)
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 wanted = 2 if name in {"min", "max"} else 1
-                reason = f"has a coefficient inside {name}(): terms must be linear in them"
+                reason = (
+                    f"has a coefficient inside {name}(): terms must be linear in them"
+                )
                 if name not in FUNCTIONS:
                     reason = f"calls {name!r}; it may call {', '.join(FUNCTIONS)}"
                 elif len(arguments) != wanted:
-                    reason = f"calls {name} with {len(arguments)} arguments, it takes {wanted}"
+                    reason = (
+                        f"calls {name} with {len(arguments)} arguments, it takes"
+                        f" {wanted}"
+                    )
                 elif not any(self.linear(argument, deeper) for argument in arguments):
                     return False
                 raise self._refused(node, reason)
-        raise self._refused(node, f"has {ast.unparse(node)!r}, which no formula may have")
+        raise self._refused(
+            node, f"has {ast.unparse(node)!r}, which no formula may have"
+        )
 
     def _refused(self, node: ast.expr, reason: str) -> FormulaError:
         return FormulaError(f"{reason} (column {self.before + node.col_offset + 1})")
@@ -155,11 +185,17 @@ class _Reader:
         else:
             known = [*SYMBOLS, *FUNCTIONS, *self.settings]
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            offer = f"did you mean {near[0]!r}?" if near else f"it may have {', '.join(known)}"
+            offer = (
+                f"did you mean {near[0]!r}?"
+                if near
+                else f"it may have {', '.join(known)}"
+            )
             raise self._refused(node, f"has {name!r}; {offer}")
         return False
 
-    def _combined(self, node: ast.expr, op: ast.operator, left: bool, right: bool) -> bool:
+    def _combined(
+        self, node: ast.expr, op: ast.operator, left: bool, right: bool
+    ) -> bool:
         """Whether two sides together hold coefficients, linearly."""
         match op:
             case ast.Add() | ast.Sub() if left == right:
@@ -170,7 +206,9 @@ class _Reader:
                 return left or right
             case ast.Mult():
                 reason = "multiplies coefficients: terms must be linear in one each"
-            case ast.Div() | ast.Pow() if not right and not (left and isinstance(op, ast.Pow)):
+            case ast.Div() | ast.Pow() if not right and not (
+                left and isinstance(op, ast.Pow)
+            ):
                 return left
             case ast.Div() | ast.Pow():
                 reason = "divides by a coefficient, or has a power of or with one"

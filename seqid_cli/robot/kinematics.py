@@ -1,9 +1,10 @@
 """Kinematics of a serial chain, batched over samples; chains of DH parameters or of a file.
 
-Symbols: R_AB rotates from B to A; `R`, `p`, `z` of `forward` are seen from the base. `w` and `dw`
-are a link's angular velocity and acceleration, `a` the linear acceleration of its frame's origin
-minus gravity, all three in the link's own frame. A link is called by the joint that moves it, from
-0; the base is -1. Inside, samples are the last axis (contiguous); at the boundary the first.
+Symbols: R_AB rotates from B to A; `R`, `p`, `z` of `forward` are seen from the base.
+`w` and `dw` are a link's angular velocity and acceleration, `a` the linear acceleration
+of its frame's origin minus gravity, all three in the link's own frame. A link is called
+by the joint that moves it, from 0; the base is -1. Inside, samples are the last axis
+(contiguous); at the boundary the first.
 """
 
 from collections.abc import Collection, Sequence
@@ -30,8 +31,8 @@ def rotation_about(axis: Array, angle: float) -> Array:
 
 def tidy_rotation(R: Array) -> Array:
     """Make entries of a rotation (3, 3) within `ANGLE_NOISE` of 0 and +-1 exact."""
-    # Rounded quarter turns would otherwise count as geometry: axes parallel but for 4e-6 rad give
-    # base parameters that no experiment can see.
+    # Rounded quarter turns would otherwise count as geometry: axes parallel but for
+    # 4e-6 rad give base parameters that no experiment can see.
     nearest = np.round(R)
     snapped = np.where(np.abs(R - nearest) < ANGLE_NOISE, nearest, R)
     if np.array_equal(snapped, nearest):
@@ -53,11 +54,14 @@ def tidy_axis(axis: Array) -> Array:
     return np.asarray(unit / np.linalg.norm(unit))
 
 
-def chain_from_dh(rows: Sequence[Sequence[float]], sliding: Collection[int] = ()) -> Chain:
+def chain_from_dh(
+    rows: Sequence[Sequence[float]], sliding: Collection[int] = ()
+) -> Chain:
     """Build the chain of a modified DH table; joint axes are z of their frames (Eq. 27).
 
-    `rows`: alpha, a, d and theta0 of each joint, rad and m: RotX(alpha) TransX(a) RotZ(theta0 + q)
-    TransZ(d). Joints in `sliding` (0-based) keep their angle theta0 and move by q along z.
+    `rows`: alpha, a, d and theta0 of each joint, rad and m: RotX(alpha) TransX(a)
+    RotZ(theta0 + q) TransZ(d). Joints in `sliding` (0-based) keep their angle theta0
+    and move by q along z.
     """
     x, z = np.eye(3)[[0, 2]]
     rotations, positions = [], []
@@ -65,7 +69,10 @@ def chain_from_dh(rows: Sequence[Sequence[float]], sliding: Collection[int] = ()
         tilt = rotation_about(x, alpha)
         rotations.append(tidy_rotation(tilt @ rotation_about(z, theta0)))
         positions.append(tidy_position(a * x + d * tidy_rotation(tilt)[:, 2]))
-    axes, prismatic = np.tile(z, (len(rows), 1)), np.isin(np.arange(len(rows)), list(sliding))
+    axes, prismatic = (
+        np.tile(z, (len(rows), 1)),
+        np.isin(np.arange(len(rows)), list(sliding)),
+    )
     return Chain(np.array(rotations), np.array(positions), axes, prismatic)
 
 
@@ -85,7 +92,8 @@ class LinkMotion(NamedTuple):
     w: Array  # (n, 3, N) rad/s, as all that follows in the link's own frame
     dw: Array  # (n, 3, N) rad/s^2
     a: Array  # (n, 3, N) m/s^2, origin minus gravity
-    H: Array  # (n, 3, 3, N) skew(dw) + skew(w) skew(w): a point at r has acceleration a + H r
+    # (n, 3, 3, N) skew(dw) + skew(w) skew(w): a point at r has acceleration a + H r
+    H: Array
 
 
 def cross(u: Array, v: Array) -> Array:
@@ -111,13 +119,16 @@ def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
     return R, chain.position[:, :, None] + slide[:, :, None] * q[:, None, :]
 
 
-def link_motion(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> LinkMotion:
+def link_motion(
+    chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array
+) -> LinkMotion:
     """Propagate motion to all links, base at rest; q, dq, ddq (n, N), `gravity` (3,) [m/s^2]."""
     R, p = joint_transforms(chain, q)
     w, dw, a = (np.empty_like(p) for _ in range(3))
     H = np.empty(R.shape)
     for i in range(chain.n):
-        parent = np.zeros((3, *p[i].shape))  # w, dw, a of the base, then of the link before
+        # w, dw, a of the base, then of the link before
+        parent = np.zeros((3, *p[i].shape))
         if i:
             parent[0], parent[1] = w[i - 1], dw[i - 1]
             np.einsum("abn,bn->an", H[i - 1], p[i], out=parent[2])
@@ -163,8 +174,9 @@ def forward(chain: Chain, q: Array) -> Frames:
 def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
     """Vector a (K, 2) m/s^2 of Eq. 13 at positions q (K,) of one joint, the others locked.
 
-    `configuration` (n,): positions of the joints before it [rad]. (K, 1) for a prismatic joint,
-    whose gravity force is mass times gravity along the axis; (K, 0) where none is across the axis.
+    `configuration` (n,): positions of the joints before it [rad]. (K, 1) for a
+    prismatic joint, whose gravity force is mass times gravity along the axis; (K, 0)
+    where none is across the axis.
     """
     zero = configuration.copy()
     zero[joint] = 0.0
@@ -183,7 +195,9 @@ def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) ->
 
 def plane_across(axis: Array) -> tuple[Array, Array]:
     """Two unit vectors across a joint axis; x and y of the frame where the axis is z."""
-    start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    start = (
+        np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    )
     e_x = start - axis * (axis @ start)
     e_x /= np.linalg.norm(e_x)
     return e_x, np.cross(axis, e_x)

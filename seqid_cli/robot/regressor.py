@@ -1,17 +1,18 @@
 """Joint torques linear in the standard parameters (Eq. 3), batched over samples.
 
-Per link, phi = (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz): mass [kg], first moment [kg m],
-inertia about the link frame's origin [kg m^2]. With w, dw and a of `kinematics` (a: origin minus
-gravity) the force on a link and the moment about its origin are
+Per link, phi = (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz): mass [kg], first moment
+[kg m], inertia about the link frame's origin [kg m^2]. With w, dw and a of `kinematics`
+(a: origin minus gravity) the force on a link and the moment about its origin are
 
     f = m a + H c,             H = skew(dw) + skew(w) skew(w),   c = (mx, my, mz)
     n = c x a + I dw + w x I w = c x a + K (Ixx, Ixy, Iyy, Ixz, Iyz, Izz),
 
-and joint j <= i feels z_j . n + l_j . f, where (z_j, l_j) is its screw carried forward into the
-frame of link i: the angular velocity and the velocity of the link's origin per unit rate. Only
-joint-link pairs with j <= i are formed. Inside, samples are the last axis: of the (N, n, p) results
-each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered). States `q`, `dq`, `ddq`
-(N, n) are in rad, rad/s, rad/s^2 (m where prismatic), `gravity` (3,) in m/s^2 in the base frame.
+and joint j <= i feels z_j . n + l_j . f, where (z_j, l_j) is its screw carried forward
+into the frame of link i: the angular velocity and the velocity of the link's origin per
+unit rate. Only joint-link pairs with j <= i are formed. Inside, samples are the last
+axis: of the (N, n, p) results each column is contiguous in memory (``Y.transpose(1, 2,
+0)`` is C-ordered). States `q`, `dq`, `ddq` (N, n) are in rad, rad/s, rad/s^2 (m where
+prismatic), `gravity` (3,) in m/s^2 in the base frame.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,12 +32,18 @@ _BLOCK = 4096  # samples at a time: numpy call overhead against cache
 
 
 def torque_regressor(
-    chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array, *, columns: Columns = None
+    chain: Chain,
+    gravity: Array,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    *,
+    columns: Columns = None,
 ) -> Array:
     """Compute the regressor Y of the rigid-body joint torque: tau = Y phi (Eq. 3, without rotors).
 
-    `columns`: the ones to compute of the 10 n, ascending. Returns (N, n, 10 n or len(columns)):
-    link-major, in Pinocchio's order, N m (N where prismatic) per unit.
+    `columns`: the ones to compute of the 10 n, ascending. Returns (N, n, 10 n or
+    len(columns)): link-major, in Pinocchio's order, N m (N where prismatic) per unit.
     """
     kept = columns_by_link(chain.n, columns)
     Y = np.empty((chain.n, sum(len(kinds) for kinds in kept), len(q)))
@@ -61,9 +68,10 @@ def link_blocks(
 ) -> Iterator[tuple[int, slice, Array]]:
     """Compute the regressor of `torque_regressor` piece by piece, to be regrouped.
 
-    `kept`: per link the numbers of its columns to compute, ascending (see `columns_by_link`).
-    `out` (n, p, N): where all columns go, link after link; without it each array is filled anew
-    for the next. Yields: link i, the samples, and the torques of joints 0..i.
+    `kept`: per link the numbers of its columns to compute, ascending (see
+    `columns_by_link`). `out` (n, p, N): where all columns go, link after link; without
+    it each array is filled anew for the next. Yields: link i, the samples, and the
+    torques of joints 0..i.
     """
     largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
     room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
@@ -78,7 +86,9 @@ def link_blocks(
                 block = room[: int(np.prod(shape))].reshape(shape)
             else:
                 block = out[: i + 1, starts[i] : starts[i + 1], rows]
-            _fill_link(block, kept[i], link, chain.axis[i], prismatic=chain.prismatic[i])
+            _fill_link(
+                block, kept[i], link, chain.axis[i], prismatic=chain.prismatic[i]
+            )
             yield i, rows, block
 
 
@@ -93,12 +103,13 @@ def rotor_regressor(
 ) -> Array:
     """Compute the joint torque per unit motor-side rotor inertia [kg m^2] of each joint.
 
-    "diagonal": rotor i loads its own joint only, by N_i^2 ddq_i (Eq. 2). "gyroscopic": rotor i
-    rides on link i-1 and turns about axis i at N_i dq_i relative to it, so that link feels the
-    moment N_i (ddq_i z_i + dq_i w x z_i), and joint i also N_i z_i . dw. Its inertia as a dead mass
-    belongs to the link. Rotors of prismatic joints have the diagonal term only. `gear_ratio` (n,):
-    motor turns per joint turn, signed [rad/m where prismatic]. Returns (N, n, n): torque of joint j
-    per rotor inertia i at [:, j, i].
+    "diagonal": rotor i loads its own joint only, by N_i^2 ddq_i (Eq. 2). "gyroscopic":
+    rotor i rides on link i-1 and turns about axis i at N_i dq_i relative to it, so that
+    link feels the moment N_i (ddq_i z_i + dq_i w x z_i), and joint i also N_i z_i . dw.
+    Its inertia as a dead mass belongs to the link. Rotors of prismatic joints have the
+    diagonal term only. `gear_ratio` (n,): motor turns per joint turn, signed [rad/m
+    where prismatic]. Returns (N, n, n): torque of joint j per rotor inertia i at [:, j,
+    i].
     """
     n = chain.n
     Y = np.zeros((n, n, len(q)))
@@ -122,8 +133,9 @@ def inverse_dynamics(
 ) -> Array:
     """Compute the joint torque (N, n) [N m; N where prismatic] by recursive Newton-Euler.
 
-    `q`, `dq`, `ddq` (N, n), `gravity` (3,): as in the module's head. `phi` (n, 10): standard
-    parameters, physical or not (Pinocchio's order, inertia about the link frame's origin).
+    `q`, `dq`, `ddq` (N, n), `gravity` (3,): as in the module's head. `phi` (n, 10):
+    standard parameters, physical or not (Pinocchio's order, inertia about the link
+    frame's origin).
     """
     motion = link_motion(chain, gravity, q.T, dq.T, ddq.T)
     force, moment = np.zeros((2, 3, len(q)))
@@ -137,13 +149,19 @@ def inverse_dynamics(
         moment = moment + (cross(c, a) + inertia @ dw + cross(w, inertia @ w))
         tau[i] = chain.axis[i] @ (force if chain.prismatic[i] else moment)
         force = np.einsum("abn,bn->an", motion.R[i], force)
-        moment = np.einsum("abn,bn->an", motion.R[i], moment) + cross(motion.p[i], force)
+        moment = np.einsum("abn,bn->an", motion.R[i], moment) + cross(
+            motion.p[i], force
+        )
     return np.ascontiguousarray(tau.T)
 
 
 def columns_by_link(n: int, columns: Columns) -> list[Kinds]:
     """Split columns of the regressor, in ascending order, into those of each link."""
-    every = np.arange(PER_LINK * n) if columns is None else np.asarray(columns, dtype=np.intp)
+    every = (
+        np.arange(PER_LINK * n)
+        if columns is None
+        else np.asarray(columns, dtype=np.intp)
+    )
     return [every[every // PER_LINK == i] % PER_LINK for i in range(n)]
 
 
@@ -152,7 +170,8 @@ class _Link(NamedTuple):
 
     w: Array
     dw: Array
-    load: Array  # (2, 3, 4, N): m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c)
+    # (2, 3, 4, N): m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c)
+    load: Array
     screws: Array  # (2, 3, i + 1, N) of joints 0..i: z, then l
 
 
@@ -160,21 +179,26 @@ class _Walk:
     """Walks along a chain, so many samples at a time, in the same arrays every time."""
 
     def __init__(self, chain: Chain, samples: int) -> None:
-        # Matrices (9, 18) that carry (w, dw, a | H), (6, 6) that carry (z, l) to a frame fixed in
-        # the link before, turned by C and placed at p.
+        # Matrices (9, 18) that carry (w, dw, a | H), (6, 6) that carry (z, l) to a
+        # frame fixed in the link before, turned by C and placed at p.
         self.chain, self.carriers = chain, list[tuple[Array, Array]]()
         for C, p in zip(chain.rotation, chain.position, strict=True):
             to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
             to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
-            point = np.hstack([np.ones(1), p])  # a + H p, from the rows (a, H) of `load`
+            # a + H p, from the rows (a, H) of `load`
+            point = np.hstack([np.ones(1), p])
             to_motion[6:, 6:] = C.T @ np.kron(np.eye(3), point)
             to_screws[:3, :3] = to_screws[3:, 3:] = C.T
             to_screws[3:, :3] = -C.T @ skew(p)
             self.carriers.append((to_motion, to_screws))
-        # Of this link and the one before: screws, and for one product with a constant matrix to
-        # carry all to the next link, 12 rows of the load's z, w, dw, 12 of its l, and 6 unused.
-        # Zeros, because mass and own component of the moment in z . (c x a) are never written.
-        self.rows, self.screws = np.zeros((2, 36, samples)), np.empty((2, 6, chain.n * samples))
+        # Of this link and the one before: screws, and for one product with a constant
+        # matrix to carry all to the next link, 12 rows of the load's z, w, dw, 12 of
+        # its l, and 6 unused. Zeros, because mass and own component of the moment in z
+        # . (c x a) are never written.
+        self.rows, self.screws = (
+            np.zeros((2, 36, samples)),
+            np.empty((2, 6, chain.n * samples)),
+        )
 
     def links(self, gravity: Array, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
         """Carry motion and screws from link to link; q, dq, ddq (n, M), M not above N."""
@@ -205,7 +229,9 @@ class _Walk:
             yield _Link(own[12:15], own[15:18], load, every)
 
 
-def _turn(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:
+def _turn(
+    motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array
+) -> None:
     """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along with a joint that turns."""
     cosine, sine = np.cos(q), np.sin(q)
     _turn_back(motion, axis, cosine, sine)
@@ -235,16 +261,25 @@ def _turn_back(vectors: Array, axis: Array, cosine: Array, sine: Array) -> None:
     vectors[:] = cosine * (vectors - along) + along - sine * across
 
 
-def _slide(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:
+def _slide(
+    motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array
+) -> None:
     """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along with a joint that slides."""
     w, dw, a = motion
     from_axis = -skew(axis)  # times x: x cross axis
     faster = from_axis @ w
-    a += (from_axis @ dw) * q + cross(w, faster * q) + axis[:, None] * ddq + 2.0 * faster * dq
+    a += (
+        (from_axis @ dw) * q
+        + cross(w, faster * q)
+        + axis[:, None] * ddq
+        + 2.0 * faster * dq
+    )
     screws[1] += np.einsum("ab,bjn->ajn", from_axis, screws[0]) * q
 
 
-def _fill_link(block: Array, kinds: Kinds, link: _Link, axis: Array, *, prismatic: bool) -> None:
+def _fill_link(
+    block: Array, kinds: Kinds, link: _Link, axis: Array, *, prismatic: bool
+) -> None:
     """Fill the columns `kinds` of a link for its joint and all before: block (j, len(kinds), N)."""
     i = len(block) - 1
     last = int(np.count_nonzero(kinds < 4))

@@ -34,7 +34,8 @@ class RobotTemplate:
     name: str
     joints: tuple[JointTemplate, ...]
     urdf: str | None = None  # the path to write; None for a DH stub
-    effort: str = ""  # of the log: "torque", "current", "effort" where it does not say, or empty
+    # of the log: "torque", "current", "effort" where it does not say, or empty
+    effort: str = ""
     imus: tuple["Imu", ...] = ()
     channels: Mapping[str, Columns] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()  # joints of the URDF that are not in the log
@@ -45,7 +46,9 @@ def robot_toml(template: RobotTemplate) -> str:
     filters = {
         "text": json.dumps,
         "number": _number,
-        "comment": lambda text: "".join(char if char.isprintable() else "?" for char in text),
+        "comment": lambda text: "".join(
+            char if char.isprintable() else "?" for char in text
+        ),
         "pattern": partial(json.dumps, ensure_ascii=False),
     }
     content = {**vars(template), "schema": SCHEMA}

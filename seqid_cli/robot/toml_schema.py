@@ -8,7 +8,8 @@ SCHEMA = "seqid/robot@1"
 SCHEMA_VERSION = 1
 
 Vector = tuple[float, float, float]
-# A pattern with {name}, {index} or {index0}, or the column of each joint: its name or number.
+# A pattern with {name}, {index} or {index0}, or the column of each joint: its name or
+# number.
 Columns = str | tuple[str | int, ...]
 
 
@@ -73,7 +74,8 @@ class Channels(Table, frozen=True):
     voltage: Columns | None = None
     pwm: Columns | None = None
     temperature: Columns | None = None
-    effort: Literal["torque", "current", "gravity_compensated"] | None = None  # what it is
+    # what it is
+    effort: Literal["torque", "current", "gravity_compensated"] | None = None
     unit: Literal["rad", "deg"] = "rad"  # of angles
     length_unit: Literal["m", "mm"] = "m"  # of sliding joints' positions
 

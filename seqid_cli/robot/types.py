@@ -22,14 +22,17 @@ class Joint:
     name: str
     prismatic: bool = False
     torque_constant: float | None = None  # N m/A, motor side
-    torque_constant_error: float = 0.0  # relative standard error of the joint's torque scale
+    # relative standard error of the joint's torque scale
+    torque_constant_error: float = 0.0
     position_zero_error: float = 0.0  # rad (m), standard error of the joint's zero
     gear_ratio: float | None = None
     rotor_inertia: float | None = None  # kg m^2, motor side
-    winding_resistance: float | None = None  # ohm; as the voltage for logs of voltage or duty cycle
+    # ohm; as the voltage for logs of voltage or duty cycle
+    winding_resistance: float | None = None
     supply_voltage: float | None = None  # V
     encoder_resolution: float | None = None
-    encoder_side: Literal["motor", "link"] = "motor"  # of the gear, that the positions are of
+    # of the gear, that the positions are of
+    encoder_side: Literal["motor", "link"] = "motor"
     position_limits: tuple[float, float] | None = None
     velocity_limit: float | None = None
     urdf: UrdfJoint | None = None  # what the URDF says of the joint
@@ -70,7 +73,8 @@ class Imu:
     name: str
     after_joint: int
     positions: Array  # (K, 3) m in the IMU's own frame
-    axes: Array  # (K, 3) unit vectors; an ordinary IMU has three orthogonal ones at its origin
+    # (K, 3) unit vectors; an ordinary IMU has three orthogonal ones at its origin
+    axes: Array
     gyro: bool = False
 
 
@@ -78,7 +82,8 @@ class Imu:
 class Chain:
     """Kinematic constants of a serial chain of n joints."""
 
-    rotation: Array  # (n, 3, 3) joints' frames at q = 0 in that of the joint before or the base
+    # (n, 3, 3) joints' frames at q = 0 in that of the joint before or the base
+    rotation: Array
     position: Array  # (n, 3) m, their origins
     axis: Array  # (n, 3) unit axis in the joint's own frame
     prismatic: Mask  # (n,)
@@ -96,7 +101,8 @@ class OwnEffect:
     name: str
     joint: int | None = None  # where it is looked for; None: everywhere
     formula: Formula | None = None  # None: an installed package offers it
-    settings: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # limits of each
+    # limits of each
+    settings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,12 +117,13 @@ class Robot:
     source: Path
     imus: tuple[Imu, ...] = ()
     channels: Channels = field(default_factory=Channels)
-    # (n, 10) of the URDF, if it has any, in Pinocchio's order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz,
-    # Iyz, Izz), inertia about the joint frame's origin.
+    # (n, 10) of the URDF, if it has any, in Pinocchio's order (m, mx, my, mz, Ixx, Ixy,
+    # Iyy, Ixz, Iyz, Izz), inertia about the joint frame's origin.
     nominal: Array | None = None
     urdf: Path | None = None
     effects: tuple[OwnEffect, ...] = ()
-    # Standard errors of what no log shows: gravity's direction, each joint's frame in the chain.
+    # Standard errors of what no log shows: gravity's direction, each joint's frame in
+    # the chain.
     gravity_error: float = 0.0  # rad, about either axis across it
     geometry_error_m: float = 0.0
     geometry_error_rad: float = 0.0

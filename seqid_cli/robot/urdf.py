@@ -1,6 +1,7 @@
 """A URDF as text, without Pinocchio: its checks, its joints and their chains.
 
-Meshes, visuals and transmissions play no part in the dynamics and are neither read nor required.
+Meshes, visuals and transmissions play no part in the dynamics and are neither read nor
+required.
 """
 
 import math
@@ -17,10 +18,19 @@ from seqid_cli.robot.toml_schema import JointEntry
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
 _ANY, _SIZED = (-math.inf, math.inf), (-LARGEST, LARGEST)
 # How many numbers an attribute of a link or joint has, and between what they are.
-_VECTORS = ("origin/xyz", "origin/rpy", "inertial/origin/xyz", "inertial/origin/rpy", "axis/xyz")
+_VECTORS = (
+    "origin/xyz",
+    "origin/rpy",
+    "inertial/origin/xyz",
+    "inertial/origin/rpy",
+    "axis/xyz",
+)
 _NUMBERS = {
     **dict.fromkeys(_VECTORS, (3, _SIZED)),
-    **{f"inertial/inertia/i{axes}": (1, _SIZED) for axes in ("xx", "xy", "xz", "yy", "yz", "zz")},
+    **{
+        f"inertial/inertia/i{axes}": (1, _SIZED)
+        for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
+    },
     "inertial/mass/value": (1, (0.0, LARGEST)),
     **{f"limit/{key}": (1, _ANY) for key in ("lower", "upper", "velocity", "effort")},
 }
@@ -54,7 +64,9 @@ class UrdfText:
     @property
     def movable(self) -> tuple[str, ...]:
         """Joints that can move, in the order of the file."""
-        return tuple(joint.name for joint in self.joints.values() if joint.kind in MOVABLE)
+        return tuple(
+            joint.name for joint in self.joints.values() if joint.kind in MOVABLE
+        )
 
 
 def read_urdf_text(path: Path) -> UrdfText:
@@ -65,8 +77,9 @@ def read_urdf_text(path: Path) -> UrdfText:
 def parse_urdf(raw: bytes, path: Path) -> UrdfText:
     """Check the bytes of a URDF file.
 
-    Raises ConfigError naming the file, the joint or link: it is a xacro file, no well-formed XML or
-    no URDF, has numbers that are none, names twice, or links that are no tree.
+    Raises ConfigError naming the file, the joint or link: it is a xacro file, no
+    well-formed XML or no URDF, has numbers that are none, names twice, or links that
+    are no tree.
     """
     text = re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
     problem, hint = "", ""
@@ -78,7 +91,10 @@ def parse_urdf(raw: bytes, path: Path) -> UrdfText:
         problem = "this is a xacro file, not a URDF"
         hint = "Run `xacro robot.urdf.xacro > robot.urdf` and name the result."
     elif re.search(rb"<!\s*(DOCTYPE|ENTITY)", raw, re.IGNORECASE):
-        problem, hint = "the URDF declares XML entities", "Remove the DOCTYPE declaration."
+        problem, hint = (
+            "the URDF declares XML entities",
+            "Remove the DOCTYPE declaration.",
+        )
     elif not problem and root.tag != "robot":
         problem = f"not a URDF: its outermost element is <{root.tag}>, not <robot>"
         hint = "SDF and MJCF files have to be converted to URDF."
@@ -106,7 +122,11 @@ def link_of(joint: ElementTree.Element, which: str) -> str:
 
 
 def _joint(element: ElementTree.Element) -> UrdfJoint:
-    kind, mimic, limit = element.get("type", ""), element.find("mimic"), element.find("limit")
+    kind, mimic, limit = (
+        element.get("type", ""),
+        element.find("mimic"),
+        element.find("limit"),
+    )
     along = next(element.iterfind("axis"), element)
     given = {} if limit is None else {key: numbers(text) for key, text in limit.items()}
     known = {key: found[0] for key, found in given.items() if len(found) == 1}
@@ -129,23 +149,40 @@ def _joint(element: ElementTree.Element) -> UrdfJoint:
 def _wrong_numbers(root: ElementTree.Element) -> Iterator[tuple[str, str]]:
     """Numbers that Pinocchio takes as they are, or refuses without naming the place."""
     for owner in root:
-        named, moves = f"{owner.tag} {owner.get('name')!r}", owner.get("type") in MOVABLE
+        named, moves = (
+            f"{owner.tag} {owner.get('name')!r}",
+            owner.get("type") in MOVABLE,
+        )
         for place, (count, (low, high)) in _NUMBERS.items():
             path, _, key = place.rpartition("/")
-            for text in (part.attrib[key] for part in owner.iterfind(path) if key in part.attrib):
+            for text in (
+                part.attrib[key] for part in owner.iterfind(path) if key in part.attrib
+            ):
                 found, attribute = numbers(text), f"<{path} {key}={text!r}>"
                 if len(found) != count or not low <= min(found) <= max(found) <= high:
-                    wanted = f"{count} finite number{'s' * (count > 1)} of {low:g} to {high:g}"
-                    yield f"{named}: {attribute} is not {wanted}", "Correct it in the URDF."
+                    wanted = (
+                        f"{count} finite number{'s' * (count > 1)} of {low:g} to"
+                        f" {high:g}"
+                    )
+                    yield (
+                        f"{named}: {attribute} is not {wanted}",
+                        "Correct it in the URDF.",
+                    )
                 elif path == "axis" and moves and math.hypot(*found) <= LEAST_AXIS:
-                    yield f"{named}: {attribute} has no direction", "Correct it in the URDF."
+                    yield (
+                        f"{named}: {attribute} has no direction",
+                        "Correct it in the URDF.",
+                    )
 
 
 def _faults_of_the_tree(
     root: ElementTree.Element, joints: list[UrdfJoint]
 ) -> Iterator[tuple[str, str]]:
     """What keeps links and joints from being one tree."""
-    links, names = [link.get("name", "") for link in root.findall("link")], [j.name for j in joints]
+    links, names = (
+        [link.get("name", "") for link in root.findall("link")],
+        [j.name for j in joints],
+    )
     for kind, own in (("joint", names), ("link", links)):
         for name in dict.fromkeys(name for name in own if own.count(name) > 1):
             yield f"two {kind}s are named {name!r}", "Rename or remove one of them."
@@ -153,15 +190,30 @@ def _faults_of_the_tree(
     for joint in joints:
         for which, end in (("parent", joint.parent), ("child", joint.child)):
             if end not in links:
-                text = f"joint {joint.name!r}: its {which} link {end!r} is not in the URDF"
+                text = (
+                    f"joint {joint.name!r}: its {which} link {end!r} is not in the URDF"
+                )
                 yield text, "Add the link, or correct its name."
         first = moved.setdefault(joint.child, joint.name)
         if first != joint.name:
-            text = f"link {joint.child!r} is the child of two joints, {first!r} and {joint.name!r}"
-            yield text, "Links must form a tree: cut loops open, and model the closing joint apart."
+            text = (
+                f"link {joint.child!r} is the child of two joints, {first!r} and"
+                f" {joint.name!r}"
+            )
+            yield (
+                text,
+                (
+                    "Links must form a tree: cut loops open, and model the closing"
+                    " joint apart."
+                ),
+            )
     roots = [name for name in links if name not in moved]
     if len(roots) != 1:
-        found = f"{len(roots)} root links ({', '.join(roots[:5])})" if roots else "a loop, no root"
+        found = (
+            f"{len(roots)} root links ({', '.join(roots[:5])})"
+            if roots
+            else "a loop, no root"
+        )
         yield f"it has {found}", "All links must hang in one tree from one root."
 
 
@@ -173,13 +225,21 @@ def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> 
         name, joint = entry.name, urdf.joints.get(entry.name)
         key = f"joint[{k}].name {name!r}"
         if joint is None:
-            fault, hint = f"is no joint of {file}", f"{nearest(name, urdf.movable)}{known}"
+            fault, hint = (
+                f"is no joint of {file}",
+                f"{nearest(name, urdf.movable)}{known}",
+            )
         elif joint.kind not in MOVABLE:
             fault = f"is a {joint.kind or 'typeless'} joint in {file}"
-            hint = f"Only revolute, continuous and prismatic joints can be driven. {known}"
+            hint = (
+                f"Only revolute, continuous and prismatic joints can be driven. {known}"
+            )
         elif joint.follows:
             fault = f"follows joint {joint.follows!r} (mimic) in {file}"
-            hint = "Leave it out, it is then locked at zero; or remove <mimic> from the URDF."
+            hint = (
+                "Leave it out, it is then locked at zero; or remove <mimic> from the"
+                " URDF."
+            )
         elif entry.prismatic and joint.kind != "prismatic":
             key = f"joint[{k}].prismatic (joint {name!r})"
             fault = f"is true, but {file} has a {joint.kind} joint"
@@ -202,7 +262,9 @@ def left_out(urdf: UrdfText, names: Sequence[str]) -> list[tuple[UrdfJoint, str]
             before = joint.name
         elif joint.kind in MOVABLE and not joint.follows:
             after = names[names.index(before) + 1] if before else names[0]
-            place = f"between {before!r} and {after!r}" if before else f"before {after!r}"
+            place = (
+                f"between {before!r} and {after!r}" if before else f"before {after!r}"
+            )
             found.append((joint, f"{place} in {urdf.path.name}"))
     return found
 
@@ -219,6 +281,10 @@ def best_chain(
         while at in by_child:
             chain.append(by_child[at])
             at = by_child[at].parent
-        driven = (each for each in reversed(chain) if each.kind in MOVABLE and not each.follows)
+        driven = (
+            each
+            for each in reversed(chain)
+            if each.kind in MOVABLE and not each.follows
+        )
         chains.append(tuple(driven))
     return max(chains, key=lambda chain: sum(map(worth, chain)), default=())

@@ -1,12 +1,12 @@
 """URDF to chain, nominal inertials and collision shapes. Arms as Pinocchio has them.
 
-Pinocchio refuses revolute and prismatic joints without a complete <limit>, which plays no part in
-the dynamics and which hand-made files lack, and links with the name of a joint, which URDF allows;
-both are repaired before it reads.
+Pinocchio refuses revolute and prismatic joints without a complete <limit>, which plays
+no part in the dynamics and which hand-made files lack, and links with the name of a
+joint, which URDF allows; both are repaired before it reads.
 
-Collisions are those of an arm with itself and with boxes around it, by coal. Meshes count by their
-convex hulls. Neighbouring links are not checked against each other, nor are links that overlap in
-most postures: their hulls touch at the joint between them.
+Collisions are those of an arm with itself and with boxes around it, by coal. Meshes
+count by their convex hulls. Neighbouring links are not checked against each other, nor
+are links that overlap in most postures: their hulls touch at the joint between them.
 """
 
 import contextlib
@@ -40,13 +40,15 @@ def chain_from_urdf(
 ) -> tuple[Chain, Array | None]:
     """Build the chain of the joints `names`, all other joints locked and merged.
 
-    They are locked at zero, or at `positions` [rad, m] by their names. Quarter turns and zeros that
-    it rounds are exact (see `tidy_rotation`). Raises ConfigError: the URDF is inconsistent, or in
-    the robot file `source` `names` is no serial chain in this order.
+    They are locked at zero, or at `positions` [rad, m] by their names. Quarter turns
+    and zeros that it rounds are exact (see `tidy_rotation`). Raises ConfigError: the
+    URDF is inconsistent, or in the robot file `source` `names` is no serial chain in
+    this order.
     """
     whole = whole_model(urdf)
     others = [k for k in range(1, whole.njoints) if whole.names[k] not in names]
-    # A continuous joint is (cos, sin) in the configuration, so its zero is not 0.0: neutral knows.
+    # A continuous joint is (cos, sin) in the configuration, so its zero is not 0.0:
+    # neutral knows.
     posture = pin.neutral(whole)
     for name, position in (positions or {}).items():
         k = whole.getJointId(name)
@@ -55,11 +57,17 @@ def chain_from_urdf(
         posture = pin.integrate(whole, posture, step)
     model = pin.buildReducedModel(whole, others, posture)
     _check_chain(model, names, urdf, source)
-    nominal = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
+    nominal = np.array(
+        [inertia.toDynamicParameters() for inertia in model.inertias[1:]]
+    )
     joints = [urdf.joints[name] for name in names]
     chain = Chain(
-        rotation=np.array([tidy_rotation(M.rotation) for M in model.jointPlacements[1:]]),
-        position=np.array([tidy_position(M.translation) for M in model.jointPlacements[1:]]),
+        rotation=np.array(
+            [tidy_rotation(M.rotation) for M in model.jointPlacements[1:]]
+        ),
+        position=np.array(
+            [tidy_position(M.translation) for M in model.jointPlacements[1:]]
+        ),
         axis=np.array([tidy_axis(np.array(joint.axis)) for joint in joints]),
         prismatic=np.array([joint.kind == "prismatic" for joint in joints]),
     )
@@ -72,7 +80,11 @@ def whole_model(urdf: UrdfText) -> pin.Model:
         with _unheard():
             return pin.buildModelFromXML(readable(urdf))
     except (ValueError, RuntimeError) as problem:
-        reason = str(problem).strip().splitlines()[0] if str(problem).strip() else "no reason given"
+        reason = (
+            str(problem).strip().splitlines()[0]
+            if str(problem).strip()
+            else "no reason given"
+        )
         hint = "Check it with `check_urdf` (liburdfdom-tools)."
         message = f"not a usable URDF: {reason}"
         raise ConfigError(message, where=str(urdf.path), hint=hint) from None
@@ -88,7 +100,11 @@ def readable(urdf: UrdfText) -> str:
                 limit = ElementTree.SubElement(joint, "limit")
                 wide |= {"lower": f"-{WIDE}", "upper": WIDE}
             limit.attrib.update({**wide, **limit.attrib})
-    for tag, key in (("link", "name"), ("joint/parent", "link"), ("joint/child", "link")):
+    for tag, key in (
+        ("link", "name"),
+        ("joint/parent", "link"),
+        ("joint/child", "link"),
+    ):
         for element in root.findall(tag):
             if element.get(key) in urdf.joints:
                 element.set(key, f"{element.get(key)}/link")
@@ -112,16 +128,23 @@ def _unheard() -> Iterator[None]:
         os.close(screen)
 
 
-def _check_chain(model: pin.Model, names: tuple[str, ...], urdf: UrdfText, source: Path) -> None:
+def _check_chain(
+    model: pin.Model, names: tuple[str, ...], urdf: UrdfText, source: Path
+) -> None:
     """Raise unless joint k of `names` is the child of joint k - 1."""
-    parent = {model.names[k]: model.names[model.parents[k]] for k in range(1, model.njoints)}
+    parent = {
+        model.names[k]: model.names[model.parents[k]] for k in range(1, model.njoints)
+    }
     order: list[str] = []
     before = str(model.names[0])
     while children := [name for name, of in parent.items() if of == before]:
         if len(children) > 1:
             apart = " and ".join(map(repr, children))
             message = f"joints {apart} are on different branches of {urdf.path.name}"
-            hint = "Name the joints of one serial chain only; the others are locked at zero."
+            hint = (
+                "Name the joints of one serial chain only; the others are locked at"
+                " zero."
+            )
             raise ConfigError(message, where=str(source), hint=hint)
         before = children[0]
         order.append(before)
@@ -132,7 +155,8 @@ def _check_chain(model: pin.Model, names: tuple[str, ...], urdf: UrdfText, sourc
 
 
 WALL_M = 20.0  # thickness of the walls around the workspace
-Box = Sequence[float]  # x, y, z of one corner, x, y, z of the other, in m in the base frame
+# x, y, z of one corner, x, y, z of the other, in m in the base frame
+Box = Sequence[float]
 
 
 @dataclass(frozen=True)
@@ -146,9 +170,13 @@ class Geometry:
 
     def collides(self, q: Array) -> NDArray[np.bool_]:
         """Return which of the postures q (N, n) let a pair come nearer than the clearance."""
-        places = [pin.integrate(self.model, pin.neutral(self.model), posture) for posture in q]
+        places = [
+            pin.integrate(self.model, pin.neutral(self.model), posture) for posture in q
+        ]
         arm = self.model, self.data, self.shapes, self.found
-        return np.array([pin.computeCollisions(*arm, place, True) for place in places], dtype=bool)
+        return np.array(
+            [pin.computeCollisions(*arm, place, True) for place in places], dtype=bool
+        )
 
 
 def geometry_of(
@@ -157,10 +185,11 @@ def geometry_of(
 ) -> Geometry | None:  # fmt: skip
     """Read the collision geometry of a URDF.
 
-    `postures` (P, n): drawn ones, by which links that always touch are found. `boxes`: where no
-    link may be. `workspace`: out of which no link may reach. `clearance_m`: how near counts as a
-    collision, m. `usual_contact`: share of the postures in which links that touch are not checked
-    against each other. Returns None without a URDF, without shapes, or where a mesh is not found.
+    `postures` (P, n): drawn ones, by which links that always touch are found. `boxes`:
+    where no link may be. `workspace`: out of which no link may reach. `clearance_m`:
+    how near counts as a collision, m. `usual_contact`: share of the postures in which
+    links that touch are not checked against each other. Returns None without a URDF,
+    without shapes, or where a mesh is not found.
     """
     if robot.urdf is None:
         return None
@@ -176,7 +205,9 @@ def geometry_of(
         return None
     if not shapes.ngeoms:
         return None
-    others = [k for k in range(1, whole.njoints) if whole.names[k] not in robot.joint_names]
+    others = [
+        k for k in range(1, whole.njoints) if whole.names[k] not in robot.joint_names
+    ]
     model, shapes = pin.buildReducedModel(whole, shapes, others, pin.neutral(whole))
     for shape in shapes.geometryObjects:
         if isinstance(shape.geometry, coal.BVHModelBase):
@@ -198,7 +229,9 @@ def geometry_of(
         for a in range(count):
             if parents[a] > 0:
                 shapes.addCollisionPair(pin.CollisionPair(a, number))
-    return Geometry(model, model.createData(), shapes, _with_clearance(shapes, clearance_m))
+    return Geometry(
+        model, model.createData(), shapes, _with_clearance(shapes, clearance_m)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +265,9 @@ def shape_points(geometry: Geometry) -> LinkPoints:
         links.append(np.full(len(corners), shape.parentJoint - 1))
         radii.append(np.full(len(corners), radius))
     if not links:
-        return LinkPoints(link=np.zeros(0, np.intp), position=np.zeros((0, 3)), radius=np.zeros(0))
+        return LinkPoints(
+            link=np.zeros(0, np.intp), position=np.zeros((0, 3)), radius=np.zeros(0)
+        )
     return LinkPoints(
         link=np.concatenate(links),
         position=np.concatenate(positions),
@@ -241,16 +276,25 @@ def shape_points(geometry: Geometry) -> LinkPoints:
 
 
 def frame_points(robot: Robot) -> LinkPoints:
-    """Return the origins of all frames behind a joint: links, flange, tool. None without a URDF."""
+    """Return the origins of all frames behind a joint: links, flange, tool.
+
+    None without a URDF.
+    """
     if robot.urdf is None:
-        return LinkPoints(link=np.zeros(0, np.intp), position=np.zeros((0, 3)), radius=np.zeros(0))
+        return LinkPoints(
+            link=np.zeros(0, np.intp), position=np.zeros((0, 3)), radius=np.zeros(0)
+        )
     whole = pin.buildModelFromXML(readable(read_urdf_text(robot.urdf)))
-    others = [k for k in range(1, whole.njoints) if whole.names[k] not in robot.joint_names]
+    others = [
+        k for k in range(1, whole.njoints) if whole.names[k] not in robot.joint_names
+    ]
     model = pin.buildReducedModel(whole, others, pin.neutral(whole))
     frames = [frame for frame in model.frames if frame.parentJoint > 0]
     return LinkPoints(
         link=np.array([frame.parentJoint - 1 for frame in frames], dtype=np.intp),
-        position=np.array([frame.placement.translation for frame in frames]).reshape(-1, 3),
+        position=np.array([frame.placement.translation for frame in frames]).reshape(
+            -1, 3
+        ),
         radius=np.zeros(len(frames)),
     )
 
@@ -260,18 +304,24 @@ def _corners_of(shape: Any, *, sides: int = 16) -> tuple[Array, float]:
     if isinstance(shape, coal.Sphere):
         return np.zeros((1, 3)), float(shape.radius)
     if isinstance(shape, coal.Capsule):
-        return np.array([[0.0, 0.0, z] for z in (-shape.halfLength, shape.halfLength)]), float(
-            shape.radius
-        )
+        return np.array(
+            [[0.0, 0.0, z] for z in (-shape.halfLength, shape.halfLength)]
+        ), float(shape.radius)
     if isinstance(shape, coal.Cylinder):
         # A polygon around the circle, not inside it.
         angle = 2.0 * np.pi * np.arange(sides) / sides
         outer = shape.radius / np.cos(np.pi / sides)
         ring = np.column_stack([outer * np.cos(angle), outer * np.sin(angle)])
         ends = (-shape.halfLength, shape.halfLength)
-        return np.vstack([np.column_stack([ring, np.full(sides, z)]) for z in ends]), 0.0
+        return (
+            np.vstack([np.column_stack([ring, np.full(sides, z)]) for z in ends]),
+            0.0,
+        )
     if isinstance(shape, coal.ConvexBase):
-        return np.array([shape.point(k) for k in range(shape.num_points)]).reshape(-1, 3), 0.0
+        return (
+            np.array([shape.point(k) for k in range(shape.num_points)]).reshape(-1, 3),
+            0.0,
+        )
     shape.computeLocalAABB()
     low, high = np.ravel(shape.aabb_local.min_), np.ravel(shape.aabb_local.max_)
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T

@@ -27,8 +27,8 @@ def trend(
     Parameters
     ----------
     parameters : sequence of path or ParameterFile
-        Results of the same stages at several dates, of one or more robots; the date is the one
-        that the file says it was created at.
+        Results of the same stages at several dates, of one or more robots; the date is
+        the one that the file says it was created at.
     options : TrendOptions
     output : path, optional
         Where the document goes.
@@ -48,7 +48,9 @@ def trend(
             check_output(path, files)
     if target is not None and rows is not None and target.resolve() == rows.resolve():
         hint = "Give them different names."
-        raise UsageError("-o and --table name the same file", where=str(target), hint=hint)
+        raise UsageError(
+            "-o and --table name the same file", where=str(target), hint=hint
+        )
     models = read_models(given)
     from seqid_cli.trend.changes import trend_file, write_table
 

@@ -9,9 +9,10 @@ from seqid_cli.params.files import By
 class TrendOptions:
     """When a quantity has changed.
 
-    `alpha` [1] is the probability that any quantity of healthy robots is said to change, `rtol` [1]
-    the least change as a share of the quantity's size. `by` says how robots are told apart: by the
-    name in their files, or by the folder that the files lie in.
+    `alpha` [1] is the probability that any quantity of healthy robots is said to
+    change, `rtol` [1] the least change as a share of the quantity's size. `by` says how
+    robots are told apart: by the name in their files, or by the folder that the files
+    lie in.
     """
 
     alpha: float = 0.01

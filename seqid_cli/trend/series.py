@@ -18,22 +18,29 @@ from seqid_cli.units import unit_of
 
 Named = tuple[str, ParameterFile]  # with its path
 Quantity = tuple[str, str, str, str]  # stage, joint, name, unit
-Found = tuple[float, float, float]  # value, standard error, temperature [degC] (NaN: none)
+# value, standard error, temperature [degC] (NaN: none)
+Found = tuple[float, float, float]
 
 
 def robots_of(files: Sequence[Named], by: By) -> dict[str, list[ParameterFile]]:
     """Return the files of each robot in the order of their dates; two of one robot at least."""
-    robots = by_robot([(path, file.robot.name, (path, file)) for path, file in files], by)
+    robots = by_robot(
+        [(path, file.robot.name, (path, file)) for path, file in files], by
+    )
     for name, own in robots.items():
         own.sort(key=lambda item: _time(item[1].created, item[0]))
         (first, other), *more = own
         for path, file in more:
             if file.robot.joints != other.robot.joints:
-                message = f"has other joints than {first}, but both are of robot {name!r}"
+                message = (
+                    f"has other joints than {first}, but both are of robot {name!r}"
+                )
                 hint = "Tell the robots apart by --by folder, or give files of one arm."
                 raise UsageError(message, where=path, hint=hint)
     if all(len(own) < 2 for own in robots.values()):
-        hint = "Give results of several dates; --by folder tells robots of one name apart."
+        hint = (
+            "Give results of several dates; --by folder tells robots of one name apart."
+        )
         raise UsageError("no robot has two parameter files", hint=hint)
     return {name: [file for _, file in own] for name, own in robots.items()}
 
@@ -49,7 +56,10 @@ def _time(date: str, path: str = "") -> float:
     try:
         when = datetime.fromisoformat(date)
     except ValueError as error:
-        message, hint = f"$.created: {date!r} is no date", "Write it as 2026-01-31T12:00:00Z."
+        message, hint = (
+            f"$.created: {date!r} is no date",
+            "Write it as 2026-01-31T12:00:00Z.",
+        )
         raise ConfigError(message, where=path, hint=hint) from error
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
 
@@ -74,7 +84,9 @@ def series_of(robot: str, files: Sequence[ParameterFile]) -> Iterator[SeriesEntr
         )
 
 
-def _quantities(stages: Stages, speeds: Mapping[str, Array]) -> Iterator[tuple[Quantity, Found]]:
+def _quantities(
+    stages: Stages, speeds: Mapping[str, Array]
+) -> Iterator[tuple[Quantity, Found]]:
     """Yield what a robot can be compared by."""
     for joint, surface in (stages.friction.joints if stages.friction else {}).items():
         warmth = np.nan if surface.temperature is None else surface.temperature
@@ -87,15 +99,27 @@ def _quantities(stages: Stages, speeds: Mapping[str, Array]) -> Iterator[tuple[Q
             yield (name, p.joint, p.name, p.unit), (p.value, p.std_error, np.nan)
 
 
-def _shared_speeds(files: Sequence[ParameterFile], *, speeds: int = 3) -> dict[str, Array]:
+def _shared_speeds(
+    files: Sequence[ParameterFile], *, speeds: int = 3
+) -> dict[str, Array]:
     """Speeds of each joint that the friction of all files is known at, by joint."""
     found: dict[str, list[tuple[float, float]]] = {}
     for file in files:
-        for joint, surface in (file.stages.friction.joints if file.stages.friction else {}).items():
+        for joint, surface in (
+            file.stages.friction.joints if file.stages.friction else {}
+        ).items():
             low, high = surface.speed_range
-            found.setdefault(joint, []).append((max(low, SLIDES * surface.sign_width), high))
-    ends = {j: (max(r[0] for r in own), min(r[1] for r in own)) for j, own in found.items()}
-    return {j: np.linspace(low, high, speeds) for j, (low, high) in ends.items() if low < high}
+            found.setdefault(joint, []).append(
+                (max(low, SLIDES * surface.sign_width), high)
+            )
+    ends = {
+        j: (max(r[0] for r in own), min(r[1] for r in own)) for j, own in found.items()
+    }
+    return {
+        j: np.linspace(low, high, speeds)
+        for j, (low, high) in ends.items()
+        if low < high
+    }
 
 
 def _mean_friction(
@@ -109,4 +133,6 @@ def _mean_friction(
     mean = float(np.mean(np.sign(v) * surface.torque(q, v)))
     row = np.mean(np.sign(v)[:, None] * surface.columns(q, v), axis=0)
     known = surface.covariance.shape == (len(row), len(row))
-    return mean, float(np.sqrt(max(row @ surface.covariance @ row, 0.0))) if known else 0.0
+    return mean, (
+        float(np.sqrt(max(row @ surface.covariance @ row, 0.0))) if known else 0.0
+    )

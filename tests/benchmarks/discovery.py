@@ -43,7 +43,14 @@ SUBJECTS = (
 
 def study(chosen: Namespace) -> str:
     rows = [_row(subject) for subject in SUBJECTS[: 1 if chosen.quick else None]]
-    head = ["robot", "samples", "found", "diagnose, CPU s", "refine, CPU s", "refine over diagnose"]
+    head = [
+        "robot",
+        "samples",
+        "found",
+        "diagnose, CPU s",
+        "refine, CPU s",
+        "refine over diagnose",
+    ]
     return table(head, rows)
 
 
@@ -74,7 +81,9 @@ def recorded(subject: Subject, folder: Path) -> tuple[list[str], int]:
         make, share = (one, moves, two, zigzags)[number % 4], SPEEDS[number % 4]
         motion = make(plant, rng, share=share, seconds=SECONDS)
         start = PAUSE_S + number * (SECONDS + PAUSE_S)
-        log = simulate(plant, motion, 5000 + number, every=EVERY, imus=True, start=start)
+        log = simulate(
+            plant, motion, 5000 + number, every=EVERY, imus=True, start=start
+        )
         save(folder, recipe, Trial("logs", f"log_{number}", motion, imus=True), log)
         samples += len(log.t) if number < subject.logs else 0
     names = [f"log_{number}.parquet" for number in range(subject.logs + HELD_OUT)]

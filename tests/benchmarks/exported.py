@@ -1,4 +1,6 @@
-"""What a call of exported code costs: an arm of six joints, without and with every effect."""
+"""What a call of exported code costs: an arm of six joints, without and with every
+effect.
+"""
 
 import subprocess
 from argparse import Namespace

@@ -1,4 +1,6 @@
-"""FIGAROH on given arrays, by an interpreter that has it: `python figaroh_case.py URDF ARRAYS`."""
+"""FIGAROH on given arrays, by an interpreter that has it: `python figaroh_case.py URDF
+ARRAYS`.
+"""
 
 import json
 import resource

@@ -1,4 +1,6 @@
-"""What reading a log costs: CPU time against the usual readers, and memory against length."""
+"""What reading a log costs: CPU time against the usual readers, and memory against
+length.
+"""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -6,12 +8,18 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.benchmarks.make_logs import write_cdr, write_columns, write_json, write_protobuf
+from tests.benchmarks.make_logs import (
+    write_cdr,
+    write_columns,
+    write_json,
+    write_protobuf,
+)
 from tests.benchmarks.measure import Told, in_turns, middle, module, told_by
 from tests.studies.tables import table
 
 ROUNDS = 3
-Subject = tuple[str, str, Path, int, int]  # row's name, case, file, count, row to compare with
+# row's name, case, file, count, row to compare with
+Subject = tuple[str, str, Path, int, int]
 
 
 def study(chosen: Namespace) -> str:
@@ -19,7 +27,10 @@ def study(chosen: Namespace) -> str:
     with TemporaryDirectory() as name:
         folder = Path(name)
         few, some, half = size // 10, size // 4, size // 2
-        long, short = write_cdr(folder / "long.mcap", size), write_cdr(folder / "short.mcap", few)
+        long, short = (
+            write_cdr(folder / "long.mcap", size),
+            write_cdr(folder / "short.mcap", few),
+        )
         text = write_json(folder / "json.mcap", some)
         protobuf = write_protobuf(folder / "protobuf.mcap", some)
         columns = write_columns(folder / "table.parquet", half)
@@ -37,7 +48,13 @@ def study(chosen: Namespace) -> str:
             ("JSON: seqid, by blocks", "seqid_blocks", text, some, 0),
             ("JSON: mcap + json.loads", "json_loads", text, some, 0),
             ("protobuf: seqid, by blocks", "seqid_blocks", protobuf, some, 2),
-            ("protobuf: mcap + mcap-protobuf-support", "mcap_protobuf", protobuf, some, 2),
+            (
+                "protobuf: mcap + mcap-protobuf-support",
+                "mcap_protobuf",
+                protobuf,
+                some,
+                2,
+            ),
         ]
         tables: list[Subject] = [
             ("seqid, by blocks", "parquet_blocks", columns, half, 0),
@@ -46,7 +63,9 @@ def study(chosen: Namespace) -> str:
         ]
         parts = {
             "JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB": cdr,
-            "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)": others,
+            "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)": (
+                others
+            ),
             "Parquet, 14 of 29 columns, zstd, row groups of 131,072": tables,
         }
         return "\n\n".join(_compared(*part, rounds) for part in parts.items())

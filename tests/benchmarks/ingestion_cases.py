@@ -1,4 +1,6 @@
-"""What is measured, one case a process: `python -m tests.benchmarks.ingestion_cases CASE FILE`."""
+"""What is measured, one case a process: `python -m tests.benchmarks.ingestion_cases
+CASE FILE`.
+"""
 
 import json
 import struct
@@ -18,7 +20,9 @@ from tests.unit.logs.samples import GYRO, make_robot
 
 Message = tuple[str, int, list[float]]  # topic, time, numbers
 _IMU = "/hand/data"
-TABLE_COLUMNS = tuple(f"{name}.{kind}" for kind in ("position", "current") for name in JOINTS)
+TABLE_COLUMNS = tuple(
+    f"{name}.{kind}" for kind in ("position", "current") for name in JOINTS
+)
 
 
 def decompress(path: Path) -> int:
@@ -40,7 +44,9 @@ def decompress(path: Path) -> int:
 def seqid_blocks(path: Path, **options: Any) -> int:
     reader = import_module("seqid_cli.logs.mcap.reader")
     blocks = reader.read_blocks(path, make_robot(JOINTS, imus=(GYRO,)), **options)
-    return sum(len(raw.joints) + sum(map(len, chain(*raw.imus.values()))) for raw in blocks)
+    return sum(
+        len(raw.joints) + sum(map(len, chain(*raw.imus.values()))) for raw in blocks
+    )
 
 
 def seqid(path: Path) -> int:
@@ -55,7 +61,9 @@ def mcap_ros2(path: Path) -> int:
 def rosbags(path: Path) -> int:
     types = import_module("rosbags.typesys")
     store = types.get_typestore(types.Stores.ROS2_HUMBLE)
-    with import_module("rosbags.highlevel").AnyReader([path], default_typestore=store) as reader:
+    with import_module("rosbags.highlevel").AnyReader(
+        [path], default_typestore=store
+    ) as reader:
         return _gathered(
             _ros(connection.topic, reader.deserialize(data, connection.msgtype))
             for connection, _, data in reader.messages()
@@ -65,7 +73,9 @@ def rosbags(path: Path) -> int:
 def json_loads(path: Path) -> int:
     def messages() -> Iterator[Message]:
         with path.open("rb") as file:
-            for _, _, message in import_module("mcap.reader").make_reader(file).iter_messages():
+            for _, _, message in (
+                import_module("mcap.reader").make_reader(file).iter_messages()
+            ):
                 content = json.loads(message.data)
                 stamp = content["header"]["stamp"]
                 row = [*content["position"], *content["velocity"], *content["effort"]]
@@ -80,7 +90,11 @@ def mcap_protobuf(path: Path) -> int:
             row: list[float] = []
             for joint in message.joints:
                 row += (joint.position, joint.velocity, joint.effort)
-            yield topic, message.timestamp.seconds * 10**9 + message.timestamp.nanos, row
+            yield (
+                topic,
+                message.timestamp.seconds * 10**9 + message.timestamp.nanos,
+                row,
+            )
 
     return _gathered(messages())
 
@@ -91,13 +105,17 @@ def iter_batches(path: Path) -> int:
 
 
 def parquet_blocks(path: Path) -> int:
-    return _columns(import_module("seqid_cli.logs.tables.parquet").read_tables(path, TABLE_COLUMNS))
+    return _columns(
+        import_module("seqid_cli.logs.tables.parquet").read_tables(path, TABLE_COLUMNS)
+    )
 
 
 def _decoded(path: Path, decoder: str) -> Iterator[tuple[str, Any]]:
     factory = import_module(decoder).DecoderFactory()
     with path.open("rb") as file:
-        reader = import_module("mcap.reader").make_reader(file, decoder_factories=[factory])
+        reader = import_module("mcap.reader").make_reader(
+            file, decoder_factories=[factory]
+        )
         for _, channel, _, message in reader.iter_decoded_messages():
             yield channel.topic, message
 
@@ -121,7 +139,9 @@ def _gathered(messages: Iterable[Message]) -> int:
 
 
 def _columns(tables: Iterable[Any]) -> int:
-    return sum(len(np.column_stack([c.to_numpy() for c in table.columns])) for table in tables)
+    return sum(
+        len(np.column_stack([c.to_numpy() for c in table.columns])) for table in tables
+    )
 
 
 CASES: dict[Callable[[Path], int], list[str]] = {  # and what they import

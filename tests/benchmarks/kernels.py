@@ -38,7 +38,9 @@ def _spent(job: Job) -> float:
 
 
 def _cpu(jobs: list[Job], rounds: int) -> list[float]:
-    return [median(own) for own in in_turns([partial(_spent, job) for job in jobs], rounds)]
+    return [
+        median(own) for own in in_turns([partial(_spent, job) for job in jobs], rounds)
+    ]
 
 
 def _regressor(rounds: int) -> list[list[str]]:
@@ -58,13 +60,17 @@ def _regressor(rounds: int) -> list[list[str]]:
     columns = np.flatnonzero(basis.representative.any(axis=1))
     batch = partial(torque_regressor, robot.chain, robot.gravity, q, dq, ddq)
     needed = partial(base_regressor, robot, basis, q, dq, ddq)
-    one, chosen, every, base = _cpu([loop, lambda: loop()[:, :, columns], batch, needed], rounds)
+    one, chosen, every, base = _cpu(
+        [loop, lambda: loop()[:, :, columns], batch, needed], rounds
+    )
     per, unit = 1e6 / len(q), "us/sample"
     error = float(np.abs(loop() - batch()).max() / np.abs(batch()).max())
     return [
         ["regressor: Pinocchio, sample by sample", f"{one * per:.2f}", unit, "1.0", ""],
         _result("regressor: batched", every * per, unit, one / every, error),
-        _result("regressor: batched, base columns", base * per, unit, chosen / base, None),
+        _result(
+            "regressor: batched, base columns", base * per, unit, chosen / base, None
+        ),
     ]
 
 
@@ -98,7 +104,10 @@ def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
         R = _accumulated(dense, dense @ theta).total
         solved = np.linalg.solve(R[:-1, :-1], R[:-1, -1])
         reference = np.linalg.lstsq(dense, dense @ theta, rcond=None)[0]
-        errors = [np.linalg.norm(x - theta) / np.linalg.norm(theta) for x in (solved, reference)]
+        errors = [
+            np.linalg.norm(x - theta) / np.linalg.norm(theta)
+            for x in (solved, reference)
+        ]
         told = "{:.1e} (lstsq {:.1e})".format(*errors)
         found.append([f"{name}, condition 1e{power}", "", "", "", told])
     return found
@@ -111,7 +120,9 @@ def _accumulated(H: Array, y: Array) -> Accumulator:
     return joint
 
 
-def _result(name: str, cpu: float, unit: str, faster: float, error: float | None) -> list[str]:
+def _result(
+    name: str, cpu: float, unit: str, faster: float, error: float | None
+) -> list[str]:
     shown = "" if error is None else f"{error:.1e}"
     return [name, f"{cpu:.2f}", unit, f"{faster:.1f}", shown]
 
@@ -127,6 +138,11 @@ def smoother(chosen: Namespace) -> str:
     for label, rig in rigs.items():
         c = case(rig)
         job = partial(smoothed_motion, c.recording, c.robot, c.stage)
-        cpu, span = min(_spent(job) for _ in range(repeats)), float(np.ptp(c.recording.t))
+        cpu, span = (
+            min(_spent(job) for _ in range(repeats)),
+            float(np.ptp(c.recording.t)),
+        )
         rows.append([label, f"{span:.0f}", f"{cpu:.2f}", f"{span / cpu:.0f}"])
-    return table(["rig, 1 kHz", "log, s", "CPU, s", "times faster than real time"], rows)
+    return table(
+        ["rig, 1 kHz", "log, s", "CPU, s", "times faster than real time"], rows
+    )

@@ -49,7 +49,9 @@ def write_cdr(path: Path, messages: int, compression: str = "zstd") -> Path:
     joint_form, imu_form = template(path, joint), template(path, imu)
     rng = np.random.default_rng(1)
     with path.open("wb") as out:
-        writer = Writer(out, chunk_size=CHUNK, compression=writers.COMPRESSIONS[compression])
+        writer = Writer(
+            out, chunk_size=CHUNK, compression=writers.COMPRESSIONS[compression]
+        )
         writer.start(profile="ros2")
         schemas = [
             writer.register_schema(kind, "ros2msg", writers.DEFINITIONS[kind].encode())
@@ -64,14 +66,20 @@ def write_cdr(path: Path, messages: int, compression: str = "zstd") -> Path:
             size = 8 * N
             for k, part in enumerate(np.split(joint_values(count, rng), 3, axis=1)):
                 # Before each array comes its count, and padding.
-                _put_doubles(rows, len(joint_form) - 3 * size - 16 + k * (size + 8), part)
+                _put_doubles(
+                    rows, len(joint_form) - 3 * size - 16 + k * (size + 8), part
+                )
             turn = rng.normal(size=(count, 6))
             for at, part in zip((24, 12), np.split(turn, 2, axis=1), strict=True):
                 _put_doubles(others, len(imu_form) - 8 * at, part)
             arrival = stamps[:, None] + rng.integers(0, PERIOD_NS // 2, (count, 2))
             for i in range(count):
-                writer.add_message(joints, int(arrival[i, 0]), rows[i].tobytes(), int(stamps[i]))
-                writer.add_message(hand, int(arrival[i, 1]), others[i].tobytes(), int(stamps[i]))
+                writer.add_message(
+                    joints, int(arrival[i, 0]), rows[i].tobytes(), int(stamps[i])
+                )
+                writer.add_message(
+                    hand, int(arrival[i, 1]), others[i].tobytes(), int(stamps[i])
+                )
         writer.finish()  # type: ignore[no-untyped-call]
     return path
 
@@ -101,7 +109,9 @@ def write_protobuf(path: Path, messages: int) -> Path:
 
 def made(messages: int, seed: int) -> Data:
     """Samples of `messages` rows, the torque in place of the current."""
-    q, dq, tau = np.split(joint_values(messages, np.random.default_rng(seed)), 3, axis=1)
+    q, dq, tau = np.split(
+        joint_values(messages, np.random.default_rng(seed)), 3, axis=1
+    )
     return Data(np.arange(messages) * PERIOD_NS * 1e-9, JOINTS, q, dq, tau, tau)
 
 

@@ -15,7 +15,9 @@ T = TypeVar("T")
 Told = dict[str, float]
 
 
-def child_cpu_s(command: Sequence[str], environment: Mapping[str, str] = os.environ) -> float:
+def child_cpu_s(
+    command: Sequence[str], environment: Mapping[str, str] = os.environ
+) -> float:
     """User and system time of a command, s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, capture_output=True, check=True, env=environment)

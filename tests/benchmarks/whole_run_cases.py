@@ -1,4 +1,6 @@
-"""Whole runs, one case per process: `python -m tests.benchmarks.whole_run_cases CASE ROBOT LOG`."""
+"""Whole runs, one case per process: `python -m tests.benchmarks.whole_run_cases CASE
+ROBOT LOG`.
+"""
 
 import json
 import sys
@@ -14,13 +16,19 @@ from tests.benchmarks.measure import tell
 from tests.plants.robots.seven_joint import JOINTS, RATE_HZ, SIGN_WIDTH, known_friction
 
 # Central differences; with those of second order (np.gradient) inertias are 1e-5 off.
-FIRST = RATE_HZ * np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-SECOND = RATE_HZ**2 * np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040
+FIRST = RATE_HZ * np.array(
+    [1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280]
+)
+SECOND = (
+    RATE_HZ**2 * np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040
+)
 ROWS = 2048  # samples of arrays that are worked on at a time
 Found = dict[str, tuple[float, float]]  # value and standard error (0: not told)
 
 
-def seqid(robot_path: Path, log: Path, samples_per_cutoff: float = 10.0) -> Callable[[], Found]:
+def seqid(
+    robot_path: Path, log: Path, samples_per_cutoff: float = 10.0
+) -> Callable[[], Found]:
     """The inertia stage as the command runs it."""
     from seqid_cli.identify.options import InertiaOptions
     from seqid_cli.identify.rigid.inertia import identify_inertia
@@ -36,7 +44,9 @@ def seqid(robot_path: Path, log: Path, samples_per_cutoff: float = 10.0) -> Call
         opened = open_surveyed(log, robot)
         if opened is None:
             raise RuntimeError(f"{log} cannot be passed over")
-        stage = identify_inertia([opened], robot, known_friction(), options=options).inertia
+        stage = identify_inertia(
+            [opened], robot, known_friction(), options=options
+        ).inertia
         settings = {"cutoff_hz": stage.cutoff_hz, "sigma": list(stage.rmse.values())}
         log.with_suffix(".json").write_text(json.dumps(settings), encoding="utf-8")
         return {p.name: (p.value, p.std_error) for p in stage.parameters}
@@ -45,7 +55,9 @@ def seqid(robot_path: Path, log: Path, samples_per_cutoff: float = 10.0) -> Call
 
 
 def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
-    """What one writes in an afternoon: read all, filter, Pinocchio sample by sample, lstsq."""
+    """What one writes in an afternoon: read all, filter, Pinocchio sample by sample,
+    lstsq.
+    """
     import pinocchio as pin
     import pyarrow.parquet as pq
     from scipy.ndimage import binary_dilation, correlate1d
@@ -81,7 +93,9 @@ def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
         data = model.createData()
         W = np.empty((len(q), n, len(kept)))
         for i in range(len(q)):
-            W[i] = pin.computeJointTorqueRegressor(model, data, q[i], dq[i], ddq[i])[:, kept]
+            W[i] = pin.computeJointTorqueRegressor(model, data, q[i], dq[i], ddq[i])[
+                :, kept
+            ]
         for j in range(n):
             W[:, j] = smooth(W[:, j])
         near = int(0.25 * RATE_HZ / settings["cutoff_hz"])
@@ -121,7 +135,11 @@ def arrays(robot_path: Path, path: Path) -> Callable[[], dict[str, float]]:
                 joint.add(H[:, j], tau[part, j])
         solution = solve(joints)
         rms = [joint.residual_rms(solution.theta) for joint in joints]
-        return {"base": base, "size": basis.size, "rms": float(np.sqrt(np.mean(np.square(rms))))}
+        return {
+            "base": base,
+            "size": basis.size,
+            "rms": float(np.sqrt(np.mean(np.square(rms)))),
+        }
 
     return run
 

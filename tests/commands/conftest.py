@@ -1,7 +1,9 @@
-"""A folder to run commands in, what they show to the letter, and what stands in for the work.
+"""A folder to run commands in, what they show to the letter, and what stands in for the
+work.
 
-In `transcripts/` a line `$ compare a.json b.json` is a command line. Below stand its lines on
-stdout, those on stderr behind `! `, and its exit code in brackets; hashes are left out.
+In `transcripts/` a line `$ compare a.json b.json` is a command line. Below stand its
+lines on stdout, those on stderr behind `! `, and its exit code in brackets; hashes are
+left out.
 """
 
 import hashlib
@@ -34,7 +36,8 @@ from tests.unit.params.documents import JOINTS
 ROBOT_TOML = (
     'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n'
     + "".join(
-        f'[[joint]]\nname = "{name}"\ndh = {{ alpha = 0.0, a = 0.3, d = 0.0, theta0 = 0.0 }}\n'
+        f'[[joint]]\nname = "{name}"\ndh = {{ alpha = 0.0, a = 0.3, d = 0.0, theta0 ='
+        " 0.0 }\n"
         for name in JOINTS
     )
     + '[[imu]]\nname = "imu_a"\nafter_joint = "elbow"\ngyro = true\n'
@@ -63,9 +66,13 @@ class Rig:
         return name
 
     def check_transcript(self, name: str, words: Mapping[str, str] = {}) -> None:
-        """Run a transcript again; some `words` in it stand for others that change nothing shown."""
+        """Run a transcript again; some `words` in it stand for others that change
+        nothing shown.
+        """
         path = Path(__file__).parent / "transcripts" / f"{name}.txt"
-        lines = re.findall(r"^\$ (.*)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        lines = re.findall(
+            r"^\$ (.*)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE
+        )
         assert lines
         shown = []
         for line in lines:
@@ -89,7 +96,9 @@ def sha256(data: bytes) -> str:
 
 
 @pytest.fixture
-def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Rig:
+def rig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Rig:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot.toml").write_text(ROBOT_TOML)
     for number, name in enumerate("ab"):
@@ -112,7 +121,9 @@ class Reader:
     time_source: str = ""
     findings: tuple[InspectionFinding, ...] = ()
 
-    def read_screened(self, path: Path, robot: Robot, *, time_source: str, imus: bool) -> Screened:
+    def read_screened(
+        self, path: Path, robot: Robot, *, time_source: str, imus: bool
+    ) -> Screened:
         del imus
         self.time_source = time_source
         recording = made_recording(
@@ -143,8 +154,12 @@ def gathering(monkeypatch: pytest.MonkeyPatch) -> None:
         return Excerpts(tuple(recordings))
 
     monkeypatch.setattr("seqid_cli.discover.excerpts.take_excerpts", take)
-    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.take_excerpts", take)
-    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.likely_rows", lambda *_: 0)
+    monkeypatch.setattr(
+        "seqid_cli.discover.refinement.earlier_logs.take_excerpts", take
+    )
+    monkeypatch.setattr(
+        "seqid_cli.discover.refinement.earlier_logs.likely_rows", lambda *_: 0
+    )
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **functions: object) -> None:
@@ -155,16 +170,22 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **functions: object) ->
 
 
 @pytest.fixture
-def identified(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, object], list[object]]:
-    """Replace one identification function by one that reads all logs and returns a result.
+def identified(
+    monkeypatch: pytest.MonkeyPatch,
+) -> Callable[[str, str, object], list[object]]:
+    """Replace one identification function by one that reads all logs and returns a
+    result.
 
-    An exception as the result is raised. Returns the list that the calls' arguments end up in.
+    An exception as the result is raised. Returns the list that the calls' arguments end
+    up in.
     """
 
     def replaced(module_name: str, function: str, result: object) -> list[object]:
         calls: list[object] = []
 
-        def fake(recordings: Iterable[Recording], *arguments: object, **more: object) -> object:
+        def fake(
+            recordings: Iterable[Recording], *arguments: object, **more: object
+        ) -> object:
             calls.extend([len(list(recordings)), *arguments, *more.values()])
             if isinstance(result, BaseException):
                 raise result

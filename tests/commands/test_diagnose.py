@@ -1,4 +1,6 @@
-"""`seqid diagnose`: what it passes on, writes, prints and returns; and on the sample robots."""
+"""`seqid diagnose`: what it passes on, writes, prints and returns; and on the sample
+robots.
+"""
 
 import json
 from collections.abc import Iterable
@@ -42,13 +44,20 @@ PAYLOAD = FindingEntry(
     separate_by="",
     gain=0.05,
 )
-OTHER = structs.replace(CURVE, depends_on=["position", "other_joint:elbow"], rivals=STRIBECK.rivals)
+OTHER = structs.replace(
+    CURVE, depends_on=["position", "other_joint:elbow"], rivals=STRIBECK.rivals
+)
 FOUND = structs.replace(
     FILE,
     findings=[structs.replace(STRIBECK, name_confidence=0.9), PAYLOAD],
     unexplained=[OTHER],
-    events=[structs.replace(FILE.events[0], start=float(k), end=k + 0.5) for k in range(12)],
-    hidden=[*FILE.hidden, structs.replace(FILE.hidden[0], effect="spring", joint="elbow")],
+    events=[
+        structs.replace(FILE.events[0], start=float(k), end=k + 0.5) for k in range(12)
+    ],
+    hidden=[
+        *FILE.hidden,
+        structs.replace(FILE.hidden[0], effect="spring", joint="elbow"),
+    ],
 )
 REST = structs.replace(FOUND, findings=[], unexplained=[], events=[], hidden=[])
 NOTHING = structs.replace(REST, verdict="nothing_missing")
@@ -64,15 +73,22 @@ CHANGED = structs.replace(
             since="b.parquet",
             causes=[
                 ChangeCause(
-                    effect="friction_change", joint="elbow", probability=0.55, log_gain=461.0
+                    effect="friction_change",
+                    joint="elbow",
+                    probability=0.55,
+                    log_gain=461.0,
                 ),
-                ChangeCause(effect="payload", joint=None, probability=0.45, log_gain=458.0),
+                ChangeCause(
+                    effect="payload", joint=None, probability=0.45, log_gain=458.0
+                ),
             ],
         )
     ],
 )
 SHORT = structs.replace(REST, verdict="too_short")
-UNSEEN = structs.replace(REST, verdict="nothing_seen", joints={"shoulder": FILE.joints["shoulder"]})
+UNSEEN = structs.replace(
+    REST, verdict="nothing_seen", joints={"shoulder": FILE.joints["shoulder"]}
+)
 PART = UnexplainedPart(joint="elbow", depends_on=[], share=0.3)
 OPEN = structs.replace(REST, verdict="unexplained", unexplained=[OTHER, PART])
 
@@ -92,7 +108,9 @@ class Library:
 
 
 @pytest.fixture
-def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
+def library(
+    rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch
+) -> Library:
     fake = Library()
     stand_in(monkeypatch, "discover.diagnosis", diagnose=fake.diagnose)
     rig.params("p.json", inertia_file())
@@ -106,7 +124,9 @@ def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
     assert count == 2
     assert robot.joint_names == ("shoulder", "elbow")
     assert stages.inertia is not None
-    assert given == DiscoverOptions(InertiaOptions(MotionOptions(12.0, origin="as given"), "imu"))
+    assert given == DiscoverOptions(
+        InertiaOptions(MotionOptions(12.0, origin="as given"), "imu")
+    )
     assert reader.time_source == "log"
 
 
@@ -143,7 +163,9 @@ def test_what_the_user_sees(
     assert not (rig.folder / "none.json").exists()
 
 
-def test_errors_of_the_logs_are_in_the_document(rig: Rig, reader: Reader, library: Library) -> None:
+def test_errors_of_the_logs_are_in_the_document(
+    rig: Rig, reader: Reader, library: Library
+) -> None:
     reader.findings = (
         found("position_spikes", "jumps", joint="elbow", channel="position"),
         found("clock_gap", "1 gaps"),
@@ -179,7 +201,9 @@ def test_the_effect_of_a_change_is_found_with_its_size(
     rig_name, more, name, true, error = case
     rig, output = SAMPLE_LOGS / rig_name, tmp_path / "diagnosis.json"
     model = ["-r", str(rig / "robot.toml"), "-p", str(rig / "golden.json"), *more]
-    assert main(["diagnose", str(rig / "changed"), *model, "-o", str(output), "-q"]) == 0
+    assert (
+        main(["diagnose", str(rig / "changed"), *model, "-o", str(output), "-q"]) == 0
+    )
     document = json.loads(output.read_text())
     truth = json.loads((rig / "truth.json").read_text())["changed"]
     assert document["verdict"] == "effect_found"

@@ -1,4 +1,6 @@
-"""From the first line: help, examples and completion; nothing heavy is imported before its time."""
+"""From the first line: help, examples and completion; nothing heavy is imported before
+its time.
+"""
 
 import importlib
 import json
@@ -30,7 +32,9 @@ def test_the_overview_lists_every_command(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_the_common_flags_and_two_examples(rig: Rig, name: str) -> None:
+def test_every_command_has_the_common_flags_and_two_examples(
+    rig: Rig, name: str
+) -> None:
     """They parse, and name sample logs that exist."""
     text = rig.run(name, "--help").out
     for flag in ("-q, --quiet", "-v, --verbose", "--json", "--no-color", "--debug"):
@@ -98,15 +102,21 @@ LIST_MODULES = (
 
 
 def run(folder: Path, *asked: list[str]) -> tuple[list[int], str, set[str]]:
-    """Exit codes of command lines, their output, and what one process imported for all of them."""
+    """Exit codes of command lines, their output, and what one process imported for all
+    of them.
+    """
     command = [sys.executable, "-c", LIST_MODULES, json.dumps(asked)]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, cwd=folder, capture_output=True, text=True, check=True
+    )
     codes, modules = json.loads(done.stderr.splitlines()[-1])
     return codes, done.stdout, {name.split(".")[0] for name in modules}
 
 
 def test_the_first_line_is_light(tmp_path: Path) -> None:
-    """All in one process: what it has imported in the end is all that any of them imports."""
+    """All in one process: what it has imported in the end is all that any of them
+    imports.
+    """
     codes, out, modules = run(tmp_path, ["--version"])
     assert (codes, out) == ([0], f"seqid {__version__}\n")
     assert not modules & (HEAVY | {"typer", "msgspec"})
@@ -128,8 +138,26 @@ MISTAKES = [
     ["gravity", "good.parquet", "-r", "bad.toml", "-p", "bad.json"],
     ["predict", "good.parquet", "-r", "bad.toml", "-p", "bad.json", "--torques", "x/t"],
     ["diagnose", "good.parquet", "-r", "bad.toml", "-p", "bad.json"],
-    ["refine", "good.parquet", "--holdout", "good.parquet", "-r", "bad.toml", "-p", "bad.json"],
-    ["refine", "good.parquet", "--holdout", "other.parquet", "-r", "bad.toml", "-p", "no.json"],
+    [
+        "refine",
+        "good.parquet",
+        "--holdout",
+        "good.parquet",
+        "-r",
+        "bad.toml",
+        "-p",
+        "bad.json",
+    ],
+    [
+        "refine",
+        "good.parquet",
+        "--holdout",
+        "other.parquet",
+        "-r",
+        "bad.toml",
+        "-p",
+        "no.json",
+    ],
     ["inertia"],
     ["frictoin"],
 ]

@@ -21,7 +21,13 @@ from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLE_LOGS, Rig
 from tests.plants.robots.small import joint, link, urdf
 from tests.unit.inspect.faults import SIX, read_columns, write_columns
-from tests.unit.logs.format_writers import Data, Write, rosbag1, rosbag2_mcap, rosbag2_sqlite
+from tests.unit.logs.format_writers import (
+    Data,
+    Write,
+    rosbag1,
+    rosbag2_mcap,
+    rosbag2_sqlite,
+)
 from tests.unit.logs.writers import joint_messages, write_messages
 
 SIX_JOINT = SAMPLE_LOGS / "six_joint"
@@ -93,12 +99,18 @@ def test_the_file_holds_what_log_and_urdf_say(start: Start) -> None:
     assert robot.joint_names == SIX
     assert robot.joints[2].position_limits == (-2.4, 2.4)
     assert robot.joints[0].velocity_limit == 2.2
-    assert robot.joints[1].encoder_resolution == pytest.approx(3.0517578125e-05, rel=1e-5)
+    assert robot.joints[1].encoder_resolution == pytest.approx(
+        3.0517578125e-05, rel=1e-5
+    )
     assert start.document["gravity"] == [0.0, 0.0, -9.81]
 
 
-@pytest.mark.parametrize("form", ["{name}.", "axis{index}_", "axis{index}.", "arm_{name}_link."])
-def test_names_of_any_logger_are_mapped_by_name_or_number(start: Start, form: str) -> None:
+@pytest.mark.parametrize(
+    "form", ["{name}.", "axis{index}_", "axis{index}.", "arm_{name}_link."]
+)
+def test_names_of_any_logger_are_mapped_by_name_or_number(
+    start: Start, form: str
+) -> None:
     own = {name: form.format(name=name, index=k + 1) for k, name in enumerate(SIX)}
     start.log({f"{name}.": text for name, text in own.items()}).init()
     assert [joint["name"] for joint in start.document["joint"]] == list(SIX)
@@ -124,12 +136,13 @@ def test_without_a_urdf_the_geometry_is_left_to_be_filled_in(start: Start) -> No
 def test_mimic_and_fixed_joints_and_other_branches_are_left_out(start: Start) -> None:
     tip = re.findall(r'<child link="([^"]+)"', URDF.read_text())[-1]
     gripper = (
-        '<link name="l"/><link name="r"/><link name="t"/>'
-        f'<joint name="left" type="prismatic"><parent link="{tip}"/><child link="l"/>'
-        '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
-        f'<joint name="right" type="prismatic"><parent link="{tip}"/><child link="r"/>'
-        '<limit lower="0" upper="1" effort="1" velocity="1"/><mimic joint="left"/></joint>'
-        f'<joint name="tool" type="fixed"><parent link="{tip}"/><child link="t"/></joint></robot>'
+        '<link name="l"/><link name="r"/><link name="t"/><joint name="left"'
+        f' type="prismatic"><parent link="{tip}"/><child link="l"/><limit lower="0"'
+        ' upper="1" effort="1" velocity="1"/></joint><joint name="right"'
+        f' type="prismatic"><parent link="{tip}"/><child link="r"/><limit lower="0"'
+        ' upper="1" effort="1" velocity="1"/><mimic joint="left"/></joint><joint'
+        f' name="tool" type="fixed"><parent link="{tip}"/><child'
+        ' link="t"/></joint></robot>'
     )
     start.urdf("</robot>", gripper).init()
     assert start.robot().joint_names == SIX
@@ -153,7 +166,9 @@ def test_mimic_and_fixed_joints_and_other_branches_are_left_out(start: Start) ->
     ids=["no limits", "no effort", "link named as joint", "comment", "mesh", "continuous",
          "no inertials", "floating"],
 )  # fmt: skip
-def test_unusual_urdfs_lead_to_a_file_that_is_accepted(start: Start, old: str, new: str) -> None:
+def test_unusual_urdfs_lead_to_a_file_that_is_accepted(
+    start: Start, old: str, new: str
+) -> None:
     start.urdf(old, new).init()
     assert start.robot().joint_names == SIX
 
@@ -168,11 +183,15 @@ NO_USE = {  # URDFs
 
 @pytest.mark.parametrize("turn", [np.pi / 2, 0.7])
 def test_gravity_is_written_as_the_logs_tell_it(start: Start, turn: float) -> None:
-    """The base frame of the URDF is turned about x: by a quarter, as of a wall, or slanted."""
+    """The base frame of the URDF is turned about x: by a quarter, as of a wall, or
+    slanted.
+    """
     first = r'(?s)(<joint name="shoulder_pan".*?)rpy="[^"]*"'
     constants = [0.122, 0.12, 0.118, 0.104, 0.101, 0.103]
     drives = ("--torque-constant", ",".join(map(str, constants)), "--gear-ratio", "101")
-    said = start.urdf(first, rf'\1rpy="{turn} 0 0"').init("log.parquet", *WORDS, *drives)
+    said = start.urdf(first, rf'\1rpy="{turn} 0 0"').init(
+        "log.parquet", *WORDS, *drives
+    )
     assert "the logs tell the mounting" in said
     robot = load_robot(start.file)
     gravity = 9.81 * np.array([0.0, np.sin(turn), -np.cos(turn)])
@@ -182,7 +201,9 @@ def test_gravity_is_written_as_the_logs_tell_it(start: Start, turn: float) -> No
     assert start.findings() == []
 
 
-def test_what_is_refused_and_an_existing_file_is_kept_unless_forced(start: Start) -> None:
+def test_what_is_refused_and_an_existing_file_is_kept_unless_forced(
+    start: Start,
+) -> None:
     for name, (old, new) in NO_USE.items():
         text = re.sub(old, new, URDF.read_text(), count=1)
         (start.rig.folder / f"{name}.urdf").write_text(text)
@@ -195,7 +216,9 @@ def test_what_is_refused_and_an_existing_file_is_kept_unless_forced(start: Start
 
 
 def test_imus_and_the_meaning_of_effort_are_left_to_be_said(rig: Rig) -> None:
-    shutil.copy(SAMPLE_LOGS / "two_joint" / "imu" / "joint_2.mcap", rig.folder / "log.mcap")
+    shutil.copy(
+        SAMPLE_LOGS / "two_joint" / "imu" / "joint_2.mcap", rig.folder / "log.mcap"
+    )
     document = json.loads(rig.run("init", "log.mcap", "--json").out)
     assert document["joints"] == ["joint_1", "joint_2"]
     text = document["robot_toml"]
@@ -253,23 +276,35 @@ def test_a_bag_needs_no_names_of_columns(start: Start, write: Write) -> None:
         (["time", "elbow/pos [deg]", "wrist/pos [deg]"], {"position": "{name}/pos [deg]"}, 2),
     ],
 )  # fmt: skip
-def test_guessed_channels(columns: list[str], patterns: dict[str, Columns], joints: int) -> None:
+def test_guessed_channels(
+    columns: list[str], patterns: dict[str, Columns], joints: int
+) -> None:
     found, names = guess_channels(columns)
     assert found == patterns
     assert len(names) == joints
 
 
 def test_a_sliding_joint_in_mm_is_told_by_its_unit(start: Start) -> None:
-    """The encoder's step is written in m and rad, also beside a turning joint in degrees."""
+    """The encoder's step is written in m and rad, also beside a turning joint in
+    degrees.
+    """
     t = np.arange(0.0, 8.0, 0.01)
     waves = (0.01 * np.round(4e3 * np.sin(t)), 0.5 * np.round(1e3 * np.sin(0.7 * t)))
-    names = ("Position Achse 1 [°]", "Position Achse 2 [mm]", "Moment Achse 1", "Moment Achse 2")
+    names = (
+        "Position Achse 1 [°]",
+        "Position Achse 2 [mm]",
+        "Moment Achse 1",
+        "Moment Achse 2",
+    )
     lines = [";".join(["Zeit [s]", *names])]
     table = np.column_stack([t, *waves, 1.0 + t, 1.0 + t])
     lines += [";".join(f"{x:.2f}" for x in row).replace(".", ",") for row in table]
     (start.rig.folder / "log.csv").write_text("\n".join([*lines, ""]))
     links = [link(f"l{k}") for k in range(3)]
-    joints = [joint("Achse 1", "l0", "l1"), joint("Achse 2", "l1", "l2", kind="prismatic")]
+    joints = [
+        joint("Achse 1", "l0", "l1"),
+        joint("Achse 2", "l1", "l2", kind="prismatic"),
+    ]
     (start.rig.folder / "arm.urdf").write_text(urdf(*links, *joints))
     assert 'check length_unit = "mm"' in start.init("log.csv", *WORDS)
     robot = load_robot(start.file)
@@ -291,10 +326,15 @@ def test_the_log_that_is_named_first_says_which_imus_there_are(start: Start) -> 
 def test_a_gripper_on_the_same_topic_is_left_out(start: Start) -> None:
     columns = read_columns(LOG)
     t = columns["t"]
-    q, tau = (np.column_stack([columns[f"{j}.{k}"] for j in SIX]) for k in ("position", "current"))
+    q, tau = (
+        np.column_stack([columns[f"{j}.{k}"] for j in SIX])
+        for k in ("position", "current")
+    )
     stamps = 1_700_000_000_000_000_000 + np.rint(t * 1e9).astype(np.int64)
     own = joint_messages(stamps, SIX, q, effort=tau)
-    finger = joint_messages(stamps[::50] + 1_000_000, ["finger"], np.full((len(t), 1), 0.02))
+    finger = joint_messages(
+        stamps[::50] + 1_000_000, ["finger"], np.full((len(t), 1), 0.02)
+    )
     messages = sorted([*own, *finger], key=lambda message: message[1])
     write_messages(start.rig.folder / "log.mcap", messages, encoding="cdr")
     (lacking,) = start.findings("log.mcap")  # nor do the arm's joints lack its samples

@@ -1,4 +1,6 @@
-"""`seqid inspect` as its user meets it, and the stages, which say of a log what it says."""
+"""`seqid inspect` as its user meets it, and the stages, which say of a log what it
+says.
+"""
 
 import json
 import shutil
@@ -39,7 +41,9 @@ def in_degrees(columns: Columns) -> Columns:
 
 
 def test_what_the_user_sees(rig: Rig) -> None:
-    """A good log, one in degrees, one cut short, a copy, one that cannot be read, other names."""
+    """A good log, one in degrees, one cut short, a copy, one that cannot be read, other
+    names.
+    """
     folder = rig.folder
     copy(folder, "imu/joint_2.mcap")
     whole = (TWO / "imu" / "joint_2.mcap").read_bytes()
@@ -72,7 +76,9 @@ def test_a_fault_of_many_logs_is_told_once(rig: Rig) -> None:
     columns = read_columns(TWO / "validation" / "fourier_1.parquet")
     (rig.folder / "logs").mkdir()
     for k in range(16):
-        some = {name: values[10 * k : 1000 + 10 * k] for name, values in columns.items()}
+        some = {
+            name: values[10 * k : 1000 + 10 * k] for name, values in columns.items()
+        }
         for joint in ("joint_1", "joint_2"):
             some[f"{joint}.position"] = 57.29578 * some[f"{joint}.position"]
         write_columns(rig.folder / f"logs/log_{k}.parquet", some)
@@ -96,7 +102,9 @@ def test_without_a_robot_file_the_joints_are_guessed(rig: Rig) -> None:
     log = edited(
         rig.folder,
         "validation/fourier_1.parquet",
-        lambda columns: {names.get(name, name): values for name, values in columns.items()},
+        lambda columns: {
+            names.get(name, name): values for name, values in columns.items()
+        },
     )
     done = rig.run("inspect", log, "--json")
     assert done.code == 0
@@ -123,7 +131,9 @@ def spike(values: np.ndarray) -> None:
     [
         ("joint_1.position", hole, "channel_hole"),
         ("joint_1.current", hole, "channel_hole"),
-        pytest.param("joint_1.position", spike, "position_spikes", marks=pytest.mark.slow),
+        pytest.param(
+            "joint_1.position", spike, "position_spikes", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_stage_says_it_too(

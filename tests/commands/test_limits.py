@@ -1,9 +1,10 @@
-"""Logs that change or vanish, little memory, long logs; commands killed or on a full disk.
+"""Logs that change or vanish, little memory, long logs; commands killed or on a full
+disk.
 
-Whenever a tormented command begins to write a file, it is forked: each fork goes on from there and
-is killed at a random call or return of the writing, or may write so many bytes only. After each the
-old file or the new one must be there, whole. In the end the first process writes, and nothing else
-may lie in the folder.
+Whenever a tormented command begins to write a file, it is forked: each fork goes on
+from there and is killed at a random call or return of the writing, or may write so many
+bytes only. After each the old file or the new one must be there, whole. In the end the
+first process writes, and nothing else may lie in the folder.
 """
 
 import json
@@ -90,7 +91,14 @@ def test_a_gibibyte_and_64_files_are_enough(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
         resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
 
-    command = [sys.executable, "-m", "seqid_cli", "friction", str(ONE_JOINT / "friction"), *ROBOT]
+    command = [
+        sys.executable,
+        "-m",
+        "seqid_cli",
+        "friction",
+        str(ONE_JOINT / "friction"),
+        *ROBOT,
+    ]
     done = subprocess.run(
         [*command, "-o", str(tmp_path / "f.json")],
         preexec_fn=limit,
@@ -104,8 +112,13 @@ def test_a_gibibyte_and_64_files_are_enough(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 @pytest.mark.parametrize("command", ["inspect", "diagnose"])
-def test_memory_of_long_logs(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    parts, taken = pieces.read_parts.__kwdefaults__, excerpts.take_excerpts.__kwdefaults__
+def test_memory_of_long_logs(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts, taken = (
+        pieces.read_parts.__kwdefaults__,
+        excerpts.take_excerpts.__kwdefaults__,
+    )
     assert parts is not None
     assert taken is not None
     monkeypatch.setitem(parts, "most_values", 300_000)
@@ -141,11 +154,14 @@ def flattened(document: Any, prefix: str = "") -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_long_logs_give_the_same_files(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_logs_give_the_same_files(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A log that is passed over part by part, as held; beside a short one."""
     robot = load_robot(write_arm(rig.folder))
     logs = [
-        str(write_log(rig.folder / f"{count}.parquet", robot, count)) for count in (6_000, 1_500)
+        str(write_log(rig.folder / f"{count}.parquet", robot, count))
+        for count in (6_000, 1_500)
     ]
     model = known_model(robot, 1.02)
     own = {"friction": model.friction, "inertia": model.inertia}
@@ -176,10 +192,15 @@ def test_long_logs_give_the_same_files(rig: Rig, monkeypatch: pytest.MonkeyPatch
     assert len(parts) > 1
     for one, other in ((long, held), *zip(long["logs"], held["logs"], strict=True)):
         for joint, errors in other["joints"].items():
-            found_errors, wanted_errors = flattened(one["joints"][joint]), flattened(errors)
+            found_errors, wanted_errors = (
+                flattened(one["joints"][joint]),
+                flattened(errors),
+            )
             assert found_errors.keys() == wanted_errors.keys(), joint
             for key, wanted in wanted_errors.items():
-                expected_error = None if wanted is None else pytest.approx(wanted, rel=1e-6)
+                expected_error = (
+                    None if wanted is None else pytest.approx(wanted, rel=1e-6)
+                )
                 assert found_errors[key] == expected_error, f"{joint}{key}"
     assert (long["stages"], long["inputs"]) == (held["stages"], held["inputs"])
     assert found.schema == expected.schema
@@ -187,19 +208,30 @@ def test_long_logs_give_the_same_files(rig: Rig, monkeypatch: pytest.MonkeyPatch
         values, wanted = (table[name].to_numpy() for table in (found, expected))
         if wanted.dtype == np.float64:
             scale = np.nanmax(np.abs(wanted))
-            np.testing.assert_allclose(values, wanted, rtol=0.0, atol=1e-9 * scale, err_msg=name)
+            np.testing.assert_allclose(
+                values, wanted, rtol=0.0, atol=1e-9 * scale, err_msg=name
+            )
         else:
             np.testing.assert_array_equal(values, wanted, err_msg=name)
 
 
-AFTER = 2  # calls and returns after a file has its name, in which it may be killed as well
+# calls and returns after a file has its name, in which it may be killed as well
+AFTER = 2
 OLD = b"what was there before\n"
 PREDICT = ("predict", str(ONE_JOINT / "validation"), *ROBOT, *MODEL, "-o", "a.json")
 COMMANDS = {
     "friction": ("friction", str(ONE_JOINT / "friction"), *ROBOT, "-o", "a.json"),
     "predict": (*PREDICT, "--torques", "t.parquet"),
     "predict, MCAP": (*PREDICT, "--torques", "t.mcap"),
-    "trend": ("trend", MODEL[1], "../later.json", "-o", "a[1].json", "--table", "t.parquet"),
+    "trend": (
+        "trend",
+        MODEL[1],
+        "../later.json",
+        "-o",
+        "a[1].json",
+        "--table",
+        "t.parquet",
+    ),
     "report": ("report", MODEL[1], "-o", "a.html"),
 }
 
@@ -208,8 +240,8 @@ COMMANDS = {
 class Forks:
     """How many there shall be of each file, and what came of them.
 
-    `inside` were killed when a temporary file was there; `seen` is what stood in a file afterwards
-    other than the old content, and `wrong` what must not be.
+    `inside` were killed when a temporary file was there; `seen` is what stood in a file
+    afterwards other than the old content, and `wrong` what must not be.
     """
 
     kills: int
@@ -240,7 +272,9 @@ class Forks:
             if not child:
                 _die_at(at)
                 return True
-            killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+            killed = (
+                os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+            )
             self.killed += killed
             for rest in target.parent.glob(f".*.{child}.tmp"):
                 self.inside += 1
@@ -255,7 +289,9 @@ class Forks:
                 return True
             code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
             if code != 2 or any(target.parent.glob(f".*.{child}.tmp")):
-                self.wrong.append(f"{target.name}: {code} or litter with room for {room} bytes")
+                self.wrong.append(
+                    f"{target.name}: {code} or litter with room for {room} bytes"
+                )
             self._look(target)
         return False
 
@@ -297,9 +333,14 @@ def _die_at(last: int) -> None:
 
 
 def run_in(
-    folder: Path, line: tuple[str, ...], patch: pytest.MonkeyPatch, before: Callable[[Path], object]
+    folder: Path,
+    line: tuple[str, ...],
+    patch: pytest.MonkeyPatch,
+    before: Callable[[Path], object],
 ) -> None:
-    """Run a command in an empty folder, and something before each file; a fork ends here."""
+    """Run a command in an empty folder, and something before each file; a fork ends
+    here.
+    """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     parent, own = os.getpid(), files._without_leftovers

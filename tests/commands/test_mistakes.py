@@ -76,12 +76,21 @@ MISTAKES: dict[str, Mistake] = {
     "a misspelt key in the robot file": in_robot("gear_ratio", "gear_ration"),
     "a table without a line of names": without_names,
     "a folder of MATLAB files": of_matlab,
-    "current, but no data of the drives": in_robot(r"torque_constant = .*|effort = .*", ""),
+    "current, but no data of the drives": in_robot(
+        r"torque_constant = .*|effort = .*", ""
+    ),
     "joints of other names in the log": in_log(renamed),
     "positions in degrees": in_log(degrees),
-    "an arm on a wall, gravity as on the floor": in_robot("0.0, 0.0, -9.81", "0.0, -9.81, 0.0"),
+    "an arm on a wall, gravity as on the floor": in_robot(
+        "0.0, 0.0, -9.81", "0.0, -9.81, 0.0"
+    ),
     "the torque of one joint reversed": in_log(reversed_torque),
-    "friction from moves of all joints": lambda _: ("friction", *INSPECT[1:], "-o", "f.json"),
+    "friction from moves of all joints": lambda _: (
+        "friction",
+        *INSPECT[1:],
+        "-o",
+        "f.json",
+    ),
 }
 
 
@@ -89,7 +98,9 @@ def table() -> dict[str, tuple[int, str, str]]:
     """Rows of the page: exit code, message and remedy of each mistake."""
     page = ROOT / "docs" / "from_files.md"
     text = page.read_text(encoding="utf-8").split("## Ten mistakes")[1]
-    rows = re.findall(r"^\| ([^|]+) \| (\d) \| `(.+?)` \| (.+) \|$", text, flags=re.MULTILINE)
+    rows = re.findall(
+        r"^\| ([^|]+) \| (\d) \| `(.+?)` \| (.+) \|$", text, flags=re.MULTILINE
+    )
     return {name: (int(code), message, remedy) for name, code, message, remedy in rows}
 
 
@@ -114,7 +125,12 @@ def test_a_mistake_gets_its_message_and_the_way_out(rig: Rig, name: str) -> None
 
 FOUND = sorted((Path(run.__file__).parent / "found").iterdir())
 # Targets whose name is not the first word of the names in the folder.
-TARGETS = {"mcap": "MCAP, CDR", "parquet": "Parquet", "sqlite": "ROS 2 bag: SQLite", "urdf": "URDF"}
+TARGETS = {
+    "mcap": "MCAP, CDR",
+    "parquet": "Parquet",
+    "sqlite": "ROS 2 bag: SQLite",
+    "urdf": "URDF",
+}
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +139,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Target]:
 
 
 @pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
-def test_what_was_found_is_answered(path: Path, made: Mapping[str, Target], tmp_path: Path) -> None:
+def test_what_was_found_is_answered(
+    path: Path, made: Mapping[str, Target], tmp_path: Path
+) -> None:
     word = path.name.partition("_")[0]
     target = made[TARGETS.get(word, word)]
     run.lay_out(target, tmp_path)
@@ -139,5 +157,7 @@ def test_fresh_inputs_are_answered(made: Mapping[str, Target], tmp_path: Path) -
         folder, tally = tmp_path / str(number), run.Tally()
         folder.mkdir()
         run.fuzz(target, folder, 25, 7, tally)
-        assert not tally.finds, f"{target.name}: {tally.finds[0].line}: {tally.finds[0].said}"
+        assert not tally.finds, (
+            f"{target.name}: {tally.finds[0].line}: {tally.finds[0].said}"
+        )
         assert sum(tally.codes.values()) == 25

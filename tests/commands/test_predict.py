@@ -1,4 +1,6 @@
-"""`seqid predict`: files, verdicts, messages; refined files; `--motion`, also of other commands."""
+"""`seqid predict`: files, verdicts, messages; refined files; `--motion`, also of other
+commands.
+"""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -33,7 +35,9 @@ BOTH = [*BASE, "-o", "out.json", "--torques", "t.parquet"]
 
 @dataclass
 class Model:
-    """Predicts torque with errors of `scale` times a standard normal; the seed is fixed."""
+    """Predicts torque with errors of `scale` times a standard normal; the seed is
+    fixed.
+    """
 
     scale: float = 0.1
     fail_after: int = 99
@@ -56,9 +60,19 @@ class Model:
             wide = np.where(sliding, 0.0, 0.5 * self.scale)
             bounds = {"low": predicted - wide, "high": predicted + wide}
             bounds["std"] = np.full(tau.shape, self.scale)
-            more = {"sha256": recording.sha256, "t": recording.t, "notes": ("a remark",)}
+            more = {
+                "sha256": recording.sha256,
+                "t": recording.t,
+                "notes": ("a remark",),
+            }
             log = made_prediction(
-                str(recording.path), tau, predicted, used=used, sliding=sliding, **bounds, **more
+                str(recording.path),
+                tau,
+                predicted,
+                used=used,
+                sliding=sliding,
+                **bounds,
+                **more,
             )
             self.made.append(log)
             yield log
@@ -78,7 +92,9 @@ def root_mean_square(values: np.ndarray) -> float:
 KINDS = ("torque", "predicted", "residual", "sliding", "std", "low", "high")
 
 
-def test_errors_are_those_of_the_torques(rig: Rig, reader: Reader, model: Model) -> None:
+def test_errors_are_those_of_the_torques(
+    rig: Rig, reader: Reader, model: Model
+) -> None:
     rig.params("p.json", full_file())
     assert rig.run(*BOTH).code == 0
     document = json.loads((rig.folder / "out.json").read_text())
@@ -91,13 +107,19 @@ def test_errors_are_those_of_the_torques(rig: Rig, reader: Reader, model: Model)
     used = table["used"].to_numpy()
     for joint, name in enumerate(joints):
         columns = {kind: table[f"{name}.{kind}"].to_numpy() for kind in KINDS}
-        for kind, of in (("torque", "tau"), ("predicted", "predicted"), ("sliding", "sliding")):
+        for kind, of in (
+            ("torque", "tau"),
+            ("predicted", "predicted"),
+            ("sliding", "sliding"),
+        ):
             truth = np.concatenate([getattr(log, of)[:, joint] for log in model.made])
             np.testing.assert_array_equal(columns[kind], truth)
         tau, predicted, residual, slides = (columns[kind] for kind in KINDS[:4])
         np.testing.assert_allclose(residual, tau - predicted)
         for kind, wide in (("low", -0.05), ("high", 0.05)):
-            np.testing.assert_allclose(columns[kind], np.where(slides, np.nan, predicted + wide))
+            np.testing.assert_allclose(
+                columns[kind], np.where(slides, np.nan, predicted + wide)
+            )
         found, error = document["joints"][name], residual[slides]
         assert found["samples"] == 2 * (SAMPLES - 1 - joint)
         assert found["samples_all"] == 2 * (SAMPLES - 1)
@@ -137,7 +159,8 @@ def test_a_failure_leaves_the_old_files(rig: Rig, reader: Reader, model: Model) 
 
 
 @pytest.mark.parametrize(
-    ("name", "scale", "slides"), [("", 0.1, True), ("_poor", 3.0, True), ("_still", 0.1, False)]
+    ("name", "scale", "slides"),
+    [("", 0.1, True), ("_poor", 3.0, True), ("_still", 0.1, False)],
 )
 def test_what_the_user_sees(
     rig: Rig, reader: Reader, model: Model, name: str, scale: float, slides: bool
@@ -153,20 +176,36 @@ def test_what_the_user_sees(
     assert Path("a.parquet").read_bytes() == before
 
 
-def test_joints_that_stand_still_are_not_judged(rig: Rig, reader: Reader, model: Model) -> None:
+def test_joints_that_stand_still_are_not_judged(
+    rig: Rig, reader: Reader, model: Model
+) -> None:
     rig.params("p.json", full_file())
     model.slides = False
     document = json.loads(rig.run(*BASE, "--json").out)
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
     elbow = document["joints"]["elbow"]
     assert elbow.pop("rmse_all") == elbow.pop("rmse_rest") > 0.0
-    parts = ("rmse_inside", "rmse_outside", "share_outside", "std", "parameter_std", "coverage")
+    parts = (
+        "rmse_inside",
+        "rmse_outside",
+        "share_outside",
+        "std",
+        "parameter_std",
+        "coverage",
+    )
     none = dict.fromkeys(("rmse", "relative_rmse", "max_abs", *parts))
-    assert elbow == {**none, "samples": 0, "samples_all": 2 * (SAMPLES - 1), "share_sliding": 0.0}
+    assert elbow == {
+        **none,
+        "samples": 0,
+        "samples_all": 2 * (SAMPLES - 1),
+        "share_sliding": 0.0,
+    }
     assert document["verdicts"] == []
 
 
-def test_a_joint_without_friction_is_poor(rig: Rig, reader: Reader, model: Model) -> None:
+def test_a_joint_without_friction_is_poor(
+    rig: Rig, reader: Reader, model: Model
+) -> None:
     file = full_file()
     del file.stages.friction.joints["elbow"]
     rig.params("p.json", file)
@@ -176,7 +215,9 @@ def test_a_joint_without_friction_is_poor(rig: Rig, reader: Reader, model: Model
         ("elbow", False),
         ("", False),  # as a whole
     ]
-    assert document["verdicts"][1]["reason"] == "the file holds no friction of this joint"
+    assert (
+        document["verdicts"][1]["reason"] == "the file holds no friction of this joint"
+    )
 
 
 ROBOT_TOML = (
@@ -190,11 +231,17 @@ SWING = ("predict", "log.parquet", "-r", "robot.toml", "-o", "out.json", "-p")
 
 @pytest.fixture
 def swinging(rig: Rig) -> Rig:
-    """A robot of one joint that swings, with models without effects, a bias, and a smooth term."""
+    """A robot of one joint that swings, with models without effects, a bias, and a
+    smooth term.
+    """
     (rig.folder / "robot.toml").write_text(ROBOT_TOML)
     t = np.arange(2000) / 200.0
     q, dq = np.sin(2 * t), 2 * np.cos(2 * t)
-    columns = {"t": t, "hip.position": q, "hip.torque": 0.4 + 2.0 * np.tanh(dq / 0.01) + dq}
+    columns = {
+        "t": t,
+        "hip.position": q,
+        "hip.torque": 0.4 + 2.0 * np.tanh(dq / 0.01) + dq,
+    }
     pq.write_table(pa.table(columns), rig.folder / "log.parquet")
     robot = load_robot(rig.folder / "robot.toml")
     joint = friction_joint([[4.0, 2.0]], speed_range=[0.0, 4.0], sign_width=0.01)
@@ -209,7 +256,10 @@ def swinging(rig: Rig) -> Rig:
 def test_the_prediction_changes_by_the_effects_torque(swinging: Rig) -> None:
     torques = []
     for name in ("plain", "bias"):
-        assert swinging.run(*SWING, f"{name}.json", "--torques", "torques.parquet").code == 0
+        assert (
+            swinging.run(*SWING, f"{name}.json", "--torques", "torques.parquet").code
+            == 0
+        )
         torques.append(pq.read_table("torques.parquet")["hip.predicted"].to_numpy())
     assert np.median(torques[1] - torques[0]) == pytest.approx(0.4, abs=1e-9)
     document = json.loads(Path("out.json").read_text())
@@ -230,19 +280,30 @@ def test_smooth_terms_are_left_out_unless_asked_for(swinging: Rig) -> None:
 
 @pytest.fixture
 def recordings(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
-    """Two simulated logs of the planar rig, which may be changed; its calibrations lie beside."""
+    """Two simulated logs of the planar rig, which may be changed; its calibrations lie
+    beside.
+    """
     s = scene("two")
     (rig.folder / "robot.toml").write_text(robot_toml("two", s.plant), encoding="ascii")
     robot = load_robot(rig.folder / "robot.toml")
-    write_json_atomic(rig.folder / "p.json", with_stage(None, robot_id(robot), [], imu=s.stage))
-    logs = [replace(s.recording, path=Path(f"{name}.parquet"), sha256=name * 64) for name in "ab"]
+    write_json_atomic(
+        rig.folder / "p.json", with_stage(None, robot_id(robot), [], imu=s.stage)
+    )
+    logs = [
+        replace(s.recording, path=Path(f"{name}.parquet"), sha256=name * 64)
+        for name in "ab"
+    ]
 
     def read(path: Path, robot: Robot, **options: object) -> Screened:
-        return Screened(next(log for log in logs if log.path.name == Path(path).name), ())
+        return Screened(
+            next(log for log in logs if log.path.name == Path(path).name), ()
+        )
 
     monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", read)
     # No log is long.
-    monkeypatch.setattr("seqid_cli.identify.prediction.predict.open_if_long", lambda *_, **__: None)
+    monkeypatch.setattr(
+        "seqid_cli.identify.prediction.predict.open_if_long", lambda *_, **__: None
+    )
     return logs
 
 
@@ -251,7 +312,9 @@ def without(recording: Recording, *names: str) -> Recording:
     return replace(recording, accelerometers=kept)
 
 
-def test_a_prediction_says_what_motion_it_rests_on(rig: Rig, recordings: list[Recording]) -> None:
+def test_a_prediction_says_what_motion_it_rests_on(
+    rig: Rig, recordings: list[Recording]
+) -> None:
     done = rig.run(*BASE, "--json")
     assert done.code == 0
     file = json.loads(done.out)
@@ -261,34 +324,50 @@ def test_a_prediction_says_what_motion_it_rests_on(rig: Rig, recordings: list[Re
         assert (used["source"], used["imus"]) == ("fused", ["imu_a", "imu_b"])
         assert used["cutoff_hz"] == log["cutoff_hz"]
         for joint in ("joint_1", "joint_2"):
-            assert used["acceleration_error"][joint] < 0.2 * used["encoder_error"][joint]
-    assert "motion: fused (imu_a, imu_b) in 2 of 2 logs; acceleration known to 0.0" in done.err
+            assert (
+                used["acceleration_error"][joint] < 0.2 * used["encoder_error"][joint]
+            )
+    assert (
+        "motion: fused (imu_a, imu_b) in 2 of 2 logs; acceleration known to 0.0"
+        in done.err
+    )
 
 
-def test_a_log_without_imus_falls_back_unless_told(rig: Rig, recordings: list[Recording]) -> None:
+def test_a_log_without_imus_falls_back_unless_told(
+    rig: Rig, recordings: list[Recording]
+) -> None:
     recordings[1] = without(recordings[1], "imu_a", "imu_b")
     done = rig.run(*BASE, "--json")
     assert done.code == 0
-    assert [log["motion"]["source"] for log in json.loads(done.out)["logs"]] == ["fused", "encoder"]
+    assert [log["motion"]["source"] for log in json.loads(done.out)["logs"]] == [
+        "fused",
+        "encoder",
+    ]
     for imu in ("imu_a", "imu_b"):
         assert f"warning: b.parquet: {imu} is not recorded" in done.err
     assert "fused (imu_a, imu_b) in 1 of 2 logs, encoder in 1 of 2 logs" in done.err
     for source in ("imu", "fused"):
         done = rig.run(*BASE, "--motion", source)
         assert done.code == 2
-        assert f"b.parquet: no calibrated, healthy IMU for --motion {source}" in done.err
+        assert (
+            f"b.parquet: no calibrated, healthy IMU for --motion {source}" in done.err
+        )
         assert "imu_a is not recorded" in done.err
         assert "use --motion encoder" in done.err
 
 
-def test_the_same_warning_of_many_logs_is_one_line(rig: Rig, recordings: list[Recording]) -> None:
+def test_the_same_warning_of_many_logs_is_one_line(
+    rig: Rig, recordings: list[Recording]
+) -> None:
     recordings[:] = [without(log, "imu_b") for log in recordings]
     done = rig.run(*BASE)
     assert done.err.count("imu_b is not recorded") == 1
     assert "imu_b is not recorded (2 of 2 logs)" in done.err
 
 
-def test_a_simultaneous_fit_says_its_motion(rig: Rig, recordings: list[Recording]) -> None:
+def test_a_simultaneous_fit_says_its_motion(
+    rig: Rig, recordings: list[Recording]
+) -> None:
     done = rig.run("simultaneous", *BASE[1:], "--json", "-o", "out.json")
     assert done.code == 0
     file = json.loads(done.out)
@@ -303,11 +382,24 @@ def test_a_simultaneous_fit_says_its_motion(rig: Rig, recordings: list[Recording
 
 
 @pytest.mark.parametrize(("cutoff", "noisy"), [([], True), (["--cutoff", "6"], False)])
-def test_encoder_noise_in_the_error_is_told(rig: Rig, cutoff: list[str], *, noisy: bool) -> None:
+def test_encoder_noise_in_the_error_is_told(
+    rig: Rig, cutoff: list[str], *, noisy: bool
+) -> None:
     two = SAMPLE_LOGS / "two_joint"
-    model = ("-r", str(two / "robot.toml"), "-p", str(two / "golden.json"), "--motion", "encoder")
-    done = rig.run("predict", str(two / "changed" / "held_out.parquet"), *model, *cutoff, "--json")
+    model = (
+        "-r",
+        str(two / "robot.toml"),
+        "-p",
+        str(two / "golden.json"),
+        "--motion",
+        "encoder",
+    )
+    done = rig.run(
+        "predict", str(two / "changed" / "held_out.parquet"), *model, *cutoff, "--json"
+    )
     document = json.loads(done.out)
-    told = [note for note in document["logs"][0]["notes"] if "noise of the encoders" in note]
+    told = [
+        note for note in document["logs"][0]["notes"] if "noise of the encoders" in note
+    ]
     assert bool(told) == noisy
     assert (document["joints"]["joint_1"]["relative_rmse"] > 0.3) == noisy

@@ -33,14 +33,30 @@ from seqid_cli.params.schema import (
 from seqid_cli.robot.types import Robot
 from tests import ROOT
 from tests.commands.conftest import ONE_JOINT, Reader, Rig, content, sha256, stand_in
-from tests.unit.params.documents import closed_loop, friction_file, full_file, inertia_file
+from tests.unit.params.documents import (
+    closed_loop,
+    friction_file,
+    full_file,
+    inertia_file,
+)
 from tests.unit.params.generate import json_schema
 
-BASE = ["refine", "a.parquet", "--holdout", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
+BASE = [
+    "refine",
+    "a.parquet",
+    "--holdout",
+    "b.parquet",
+    "-r",
+    "robot.toml",
+    "-p",
+    "p.json",
+]
 LOOP = structs.replace(closed_loop(), evaluated_on=["b.parquet"], held_out=[])
 EFFECT = structs.replace(
     full_file().stages.effects[0],
-    parameters=[Parameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")],
+    parameters=[
+        Parameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")
+    ],
 )
 
 
@@ -52,14 +68,24 @@ class Library:
         self.effects: list[EffectOfJoint] | None = [EFFECT]
 
     def refine(
-        self, training: Sequence[Recording], robot: Robot, file: ParameterFile, **more: Any
+        self,
+        training: Sequence[Recording],
+        robot: Robot,
+        file: ParameterFile,
+        **more: Any,
     ) -> SimpleNamespace:
         self.options: DiscoverOptions = more["options"]
         self.training = [str(log.path) for log in training]
         logs = more["earlier"]
-        self.earlier = {stage: [str(log.path) for log in own] for stage, own in logs.items()}
-        self.shared = sum(log is own for x in logs.values() for log in x for own in training)
-        return SimpleNamespace(stages=structs.replace(file.stages, effects=self.effects))
+        self.earlier = {
+            stage: [str(log.path) for log in own] for stage, own in logs.items()
+        }
+        self.shared = sum(
+            log is own for x in logs.values() for log in x for own in training
+        )
+        return SimpleNamespace(
+            stages=structs.replace(file.stages, effects=self.effects)
+        )
 
     def confirm(
         self,
@@ -76,7 +102,9 @@ class Library:
 
 
 @pytest.fixture
-def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
+def library(
+    rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch
+) -> Library:
     fake = Library()
     stand_in(monkeypatch, "discover.refinement.rounds", refine=fake.refine)
     stand_in(monkeypatch, "discover.refinement.confirm", confirm=fake.confirm)
@@ -87,7 +115,15 @@ def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.Monke
 
 
 def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
-    options = ["--rounds", "2", "--with-unexplained", "--motion", "encoder", "--cutoff", "9"]
+    options = [
+        "--rounds",
+        "2",
+        "--with-unexplained",
+        "--motion",
+        "encoder",
+        "--cutoff",
+        "9",
+    ]
     holdout = ["--holdout", "c.*", "--time", "log"]
     assert rig.run(*BASE, "d.parquet", *holdout, *options).code == 0
     assert library.training == ["a.parquet", "d.parquet"]
@@ -122,7 +158,9 @@ def test_the_document(rig: Rig, library: Library) -> None:
     assert loop == LOOP
     assert file.closed_loop.settings is not None
     assert file.stages.effects == [EFFECT]
-    stages = zip(("a", "b", "c", "d"), ("friction", "gravity", "imu", "inertia"), strict=True)
+    stages = zip(
+        ("a", "b", "c", "d"), ("friction", "gravity", "imu", "inertia"), strict=True
+    )
     inputs = [(log.path, log.stage) for log in file.inputs]
     assert inputs == [*stages, ("a.parquet", "effects")]
 
@@ -147,11 +185,15 @@ SCREENS = {  # what a refinement found
     "refine": LOOP,
     "refine_refused": structs.replace(LOOP, rounds=[], after=LOOP.before),
     "refine_nothing": structs.replace(LOOP, rounds=[], refused=[], after=LOOP.before),
-    "refine_not_kept": structs.replace(LOOP, unconfirmed=[NOT_KEPT], stopped_at=STOPPED),
+    "refine_not_kept": structs.replace(
+        LOOP, unconfirmed=[NOT_KEPT], stopped_at=STOPPED
+    ),
     "refine_nothing_kept": structs.replace(
         LOOP, rounds=[], unconfirmed=[NOT_KEPT], refused=[], after=LOOP.before
     ),
-    "refine_unconfirmed": structs.replace(LOOP, verdict="poor", rounds=[DOUBTFUL], refused=[]),
+    "refine_unconfirmed": structs.replace(
+        LOOP, verdict="poor", rounds=[DOUBTFUL], refused=[]
+    ),
 }
 
 
@@ -169,7 +211,10 @@ def test_what_the_user_sees(rig: Rig, library: Library, name: str) -> None:
     assert file.stages.effects == (library.effects or [])
     assert not (rig.folder / "no.json").exists()
     loop = library.loop
-    assert (file.closed_loop.verdict, file.closed_loop.rounds) == (loop.verdict, loop.rounds)
+    assert (file.closed_loop.verdict, file.closed_loop.rounds) == (
+        loop.verdict,
+        loop.rounds,
+    )
 
 
 def test_a_partly_read_log(rig: Rig, reader: Reader, library: Library) -> None:
@@ -201,13 +246,21 @@ def test_logs_of_earlier_stages_are_read_again(rig: Rig, library: Library) -> No
     (rig.folder / "p.json").rename(rig.folder / "moved" / "p.json")
     done = rig.run(*BASE[:-1], "moved/p.json", "-o", "out.json")
     assert done.code == 0
-    assert library.earlier == {"friction": ["moved/f.parquet"], "gravity": ["c.parquet"]}
+    assert library.earlier == {
+        "friction": ["moved/f.parquet"],
+        "gravity": ["c.parquet"],
+    }
     note, _ = read_parameters(rig.folder / "out.json").closed_loop.notes
-    assert "no longer there or have changed: gone.parquet, d.parquet; the model is fitted" in note
+    assert (
+        "no longer there or have changed: gone.parquet, d.parquet; the model is fitted"
+        in note
+    )
     assert f"note: {note}" in done.err
 
 
-def test_a_log_fitted_again_is_read_once_and_a_held_out_one_not(rig: Rig, library: Library) -> None:
+def test_a_log_fitted_again_is_read_once_and_a_held_out_one_not(
+    rig: Rig, library: Library
+) -> None:
     earlier_file(
         rig,
         inertia=("elsewhere/a.parquet", content(0)),
@@ -224,15 +277,21 @@ def test_a_log_fitted_again_is_read_once_and_a_held_out_one_not(rig: Rig, librar
 def test_earlier_trials_that_are_too_long_are_left_aside(
     rig: Rig, library: Library, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    earlier_file(rig, friction=("c.parquet", content(2)), inertia=("d.parquet", content(3)))
-    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.likely_rows", lambda *_: 10**9)
+    earlier_file(
+        rig, friction=("c.parquet", content(2)), inertia=("d.parquet", content(3))
+    )
+    monkeypatch.setattr(
+        "seqid_cli.discover.refinement.earlier_logs.likely_rows", lambda *_: 10**9
+    )
     done = rig.run(*BASE)
     assert done.code == 0
     assert library.earlier == {"friction": [], "inertia": ["d.parquet"]}
     assert "the 1 logs of earlier stages are too long" in done.err
 
 
-@pytest.mark.parametrize("path", ["", ".", "/dev/zero", "robot.toml", "a\0b", "x" * 5000, ".."])
+@pytest.mark.parametrize(
+    "path", ["", ".", "/dev/zero", "robot.toml", "a\0b", "x" * 5000, ".."]
+)
 def test_paths_of_a_parameter_file_are_not_trusted(tmp_path: Path, path: str) -> None:
     log = InputLog(path=path, sha256="0" * 64, samples=1, stage="friction")
     found = find_earlier([log], [tmp_path], at_hand={}, held_out=[])
@@ -241,12 +300,22 @@ def test_paths_of_a_parameter_file_are_not_trusted(tmp_path: Path, path: str) ->
 
 
 HELD_OUT = "held_out.parquet"
-LINE = ("refine", "fourier.parquet", "trapezoids.parquet", "--holdout", HELD_OUT, "-p", "p.json")
+LINE = (
+    "refine",
+    "fourier.parquet",
+    "trapezoids.parquet",
+    "--holdout",
+    HELD_OUT,
+    "-p",
+    "p.json",
+)
 
 
 @pytest.fixture
 def real(rig: Rig) -> Rig:
-    """Logs to fit, a held-out one that is not there yet, and a model that names it as its own."""
+    """Logs to fit, a held-out one that is not there yet, and a model that names it as
+    its own.
+    """
     for name in ("robot.toml", "changed/fourier.parquet", "changed/trapezoids.parquet"):
         shutil.copy(ONE_JOINT / name, rig.folder)
     file = read_parameters(ONE_JOINT / "golden.json")
@@ -262,7 +331,9 @@ def real(rig: Rig) -> Rig:
 def test_held_out_logs_are_read_after_the_last_decision(
     real: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One that cannot be read is only found out then, and one that is recorded then is judged."""
+    """One that cannot be read is only found out then, and one that is recorded then is
+    judged.
+    """
     log, decide = ONE_JOINT / "changed" / HELD_OUT, deciding.refine
     decided: list[object] = []
 
@@ -288,6 +359,8 @@ def test_held_out_logs_are_read_after_the_last_decision(
     assert [own.sha256 for own in loop.held_out] == [sha256(log.read_bytes())]
     assert any("held out, although" in note for note in loop.notes)
     assert loop.after["joint_1"].rmse < 0.6 * loop.before["joint_1"].rmse
-    assert [(tried.effect, tried.joint) for tried in loop.rounds[:1]] == [("spring", "joint_1")]
+    assert [(tried.effect, tried.joint) for tried in loop.rounds[:1]] == [
+        ("spring", "joint_1")
+    ]
     assert len(file.stages.effects or []) == len(loop.rounds)
     assert real.run("predict", HELD_OUT, "-r", "robot.toml", "-p", "out.json").code == 0

@@ -37,7 +37,12 @@ def test_compare(rig: Rig) -> None:
     moved, other = inertia_file(), inertia_file()
     moved.stages.gravity.parameters[0].value = 1.5
     other.robot.name = "another"
-    files = {"a": inertia_file(), "same": inertia_file(), "moved": moved, "other": other}
+    files = {
+        "a": inertia_file(),
+        "same": inertia_file(),
+        "moved": moved,
+        "other": other,
+    }
     for name, file in files.items():
         rig.params(f"{name}.json", file)
     rig.check_transcript("compare")
@@ -65,7 +70,9 @@ def test_trend(rig: Rig) -> None:
 
 
 def test_report(rig: Rig) -> None:
-    """Of one model, of all documents, of a fleet; what is refused leaves all files as they are."""
+    """Of one model, of all documents, of a fleet; what is refused leaves all files as
+    they are.
+    """
     names = write_documents(rig.folder, all_documents())
     (rig.folder / "cell").mkdir()
     good = write_documents(rig.folder / "cell", good_documents())
@@ -81,7 +88,15 @@ def test_report(rig: Rig) -> None:
     rig.check_transcript("report")
     assert [(rig.folder / name).read_bytes() for name in names] == before
     assert not list(rig.folder.glob(".*.tmp"))
-    fleet = [*good, *(f"cell/{name}" for name in good), "--by", "folder", "-o", "f.html", "--json"]
+    fleet = [
+        *good,
+        *(f"cell/{name}" for name in good),
+        "--by",
+        "folder",
+        "-o",
+        "f.html",
+        "--json",
+    ]
     told = json.loads(rig.run("report", *fleet).out)
     assert (told["robot"], told["verdict"]) == ("., cell", "good")
 
@@ -89,7 +104,10 @@ def test_report(rig: Rig) -> None:
 def test_the_json_of_a_report_sums_it_up(rig: Rig) -> None:
     """Its torques are named or found."""
     good = write_documents(rig.folder, good_documents())
-    for name, more in (("torques.parquet", ()), ("t.parquet", ("t.parquet", "--title", "An arm"))):
+    for name, more in (
+        ("torques.parquet", ()),
+        ("t.parquet", ("t.parquet", "--title", "An arm")),
+    ):
         write_torques(rig.folder / name)
         done = rig.run("report", *good, *more, "-o", "report.html", "--json")
         document = json.loads(done.out)
@@ -111,9 +129,13 @@ def model_of(folder: Path, *, shift: float = 0.0) -> ParameterFile:
     bodies = random_bodies(np.random.default_rng(0), robot.n)
     stages = stages_of(robot, bodies)
     if shift:
-        by = np.array([shift * (p.name == f"Izz_{robot.n}") for p in stages.inertia.parameters])
+        by = np.array(
+            [shift * (p.name == f"Izz_{robot.n}") for p in stages.inertia.parameters]
+        )
         stages = stages_of(robot, bodies, shift=by)
-    return with_stage(None, robot_id(robot), [], friction=stages.friction, inertia=stages.inertia)
+    return with_stage(
+        None, robot_id(robot), [], friction=stages.friction, inertia=stages.inertia
+    )
 
 
 @pytest.fixture
@@ -129,17 +151,33 @@ def test_export(two: Rig) -> None:
     two.params("odd.json", model_of(two.folder, shift=-5000.0))
     shutil.copy(SAMPLE_LOGS / "one_joint" / "robot.toml", two.folder / "one.toml")
     two.check_transcript("export")
-    for name in ("a.urdf", "a.xml", "a.mjcf", "a.yaml", "a.yml", "a.h", "a.py", "A.URDF"):
+    for name in (
+        "a.urdf",
+        "a.xml",
+        "a.mjcf",
+        "a.yaml",
+        "a.yml",
+        "a.h",
+        "a.py",
+        "A.URDF",
+    ):
         assert (two.folder / name).stat().st_size > 500
     assert not (two.folder / "no.urdf").exists()
-    done = two.run("export", "inertia.json", "-r", "robot.toml", "-o", "a.urdf", "--json")
+    done = two.run(
+        "export", "inertia.json", "-r", "robot.toml", "-o", "a.urdf", "--json"
+    )
     found = json.loads(done.out)
     told = {"schema": "seqid/export@1", "exact": True, "format": "URDF"}
     assert found.items() >= told.items()
     assert set(found["joints"]) == {"joint_1", "joint_2"}
     assert found["joints"]["joint_1"]["prior"] == "guessed"
     assert found["joints"]["joint_1"]["friction"]["coulomb"] > 0.0
-    assert {d["name"] for d in found["base_parameters"]} >= {"Izz_1", "mx_2", "my_2", "Izz_2"}
+    assert {d["name"] for d in found["base_parameters"]} >= {
+        "Izz_1",
+        "mx_2",
+        "my_2",
+        "Izz_2",
+    }
 
 
 def test_a_robot_name_with_marks_makes_files_that_parse(rig: Rig) -> None:
@@ -148,7 +186,9 @@ def test_a_robot_name_with_marks_makes_files_that_parse(rig: Rig) -> None:
     (rig.folder / "robot.toml").write_text(text)
     rig.params("inertia.json", model_of(rig.folder))
     for name in ("a.urdf", "a.xml", "a.h", "a.py"):
-        assert rig.run("export", "inertia.json", "-r", "robot.toml", "-o", name).code == 0
+        assert (
+            rig.run("export", "inertia.json", "-r", "robot.toml", "-o", name).code == 0
+        )
     for name in ("a.urdf", "a.xml"):
         ElementTree.parse(rig.folder / name)
     assert (rig.folder / "a.h").read_text().split("*/")[0].count("two standard") == 0
@@ -191,7 +231,11 @@ def test_a_plan_is_written_with_its_trajectories(rig: Rig) -> None:
     for move in plan["moves"]:
         path = rig.folder / "moves" / move["file"]
         rows = np.loadtxt(path, delimiter=",", skiprows=1)
-        assert path.read_text().split(",")[:3] == ["time", "position_joint_1", "position_joint_2"]
+        assert path.read_text().split(",")[:3] == [
+            "time",
+            "position_joint_1",
+            "position_joint_2",
+        ]
         assert rows[-1, 0] == pytest.approx(4.0)
         assert rows[0, 1:3] == pytest.approx(list(move["start"].values()), abs=5e-7)
         speed = np.gradient(rows[:, 1], rows[:, 0])

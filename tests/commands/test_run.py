@@ -1,4 +1,5 @@
-"""The whole way: `seqid run`, resumed where it stopped; results that repeat to the last bit.
+"""The whole way: `seqid run`, resumed where it stopped; results that repeat to the last
+bit.
 
 It opens no connection and starts no other program.
 """
@@ -55,7 +56,12 @@ def watched(code: str, *words: str, folder: Path = ROOT) -> str:
     command = [sys.executable, "-W", "error", "-c", WATCH + code + MAIN, *words]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=600
+        command,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     return done.stderr
@@ -69,7 +75,9 @@ def run(folder: Path, *more: str, robot: str = "logs/robot.toml") -> int:
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Logs of a sample robot, old ones, what `seqid run` makes of them there and what it said."""
+    """Logs of a sample robot, old ones, what `seqid run` makes of them there and what
+    it said.
+    """
     folder = tmp_path_factory.mktemp("lab")
     shutil.copytree(ONE_JOINT, folder / "logs")
     for path in (folder / "logs").rglob("*"):
@@ -90,12 +98,24 @@ def written(folder: Path) -> dict[str, int]:
 
 def test_the_files_are_those_of_the_single_commands(lab: Path) -> None:
     out = lab / "out"
-    files = {*(f"{name}.json" for name in NAMES), "torques.parquet", "report.html", ".run.json"}
+    files = {
+        *(f"{name}.json" for name in NAMES),
+        "torques.parquet",
+        "report.html",
+        ".run.json",
+    }
     assert {path.name for path in out.iterdir()} == files
     alone = out.parent / "alone.json"
-    command = ["friction", str(lab / "logs" / "friction"), "-r", str(lab / "logs" / "robot.toml")]
+    command = [
+        "friction",
+        str(lab / "logs" / "friction"),
+        "-r",
+        str(lab / "logs" / "robot.toml"),
+    ]
     assert main([*command, "-o", str(alone)]) == 0
-    one, other = (json.loads(p.read_text())["stages"] for p in (alone, out / "friction.json"))
+    one, other = (
+        json.loads(p.read_text())["stages"] for p in (alone, out / "friction.json")
+    )
     assert one == other
 
 
@@ -124,7 +144,9 @@ def copied(lab: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return folder
 
 
-def kept_steps(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[list[str], list[str]]:
+def kept_steps(
+    capsys: pytest.CaptureFixture[str], *words: str
+) -> tuple[list[str], list[str]]:
     """Run a command with --json; return the commands whose results were kept, and made."""
     capsys.readouterr()
     assert main([*words, "--json", "-q"]) == 0
@@ -150,7 +172,8 @@ def test_a_result_is_kept_while_content_options_and_version_are_the_same(
     assert kept_steps(capsys, *words, "--jobs", "1") == (ALL_STEPS, [])
     assert written(copied) == before
 
-    # A log of the same size and time with another byte counts; so does one more, or one less.
+    # A log of the same size and time with another byte counts; so does one more, or one
+    # less.
     log = next((copied / "logs" / "validation").iterdir())
     times = log.stat().st_atime_ns, log.stat().st_mtime_ns
     content = log.read_bytes()
@@ -163,8 +186,8 @@ def test_a_result_is_kept_while_content_options_and_version_are_the_same(
     log.unlink()
     assert kept_steps(capsys, *words) == (ALL_STEPS[:4], ON_VALIDATION)
 
-    # A result that somebody edited is none of the run's. Made again it has the same bytes, so that
-    # the report stays.
+    # A result that somebody edited is none of the run's. Made again it has the same
+    # bytes, so that the report stays.
     diagnosis = copied / "out" / "diagnosis.json"
     diagnosis.write_text(diagnosis.read_text() + "\n")
     assert kept_steps(capsys, *words)[1] == ["diagnose"]
@@ -174,7 +197,9 @@ def test_a_result_is_kept_while_content_options_and_version_are_the_same(
 
     # What another version has made is made anew.
     record = Record(Path("out"))
-    step = json.loads((copied / "out" / ".run.json").read_text())["steps"]["friction.json"]
+    step = json.loads((copied / "out" / ".run.json").read_text())["steps"][
+        "friction.json"
+    ]
     made = step["command_line"], [Path("logs/friction"), Path("logs/robot.toml")]
     assert record.kept(*made, [Path("out/friction.json")]) is not None
     monkeypatch.setattr("seqid_cli.commands.run_record.__version__", "0.0.0")
@@ -182,7 +207,9 @@ def test_a_result_is_kept_while_content_options_and_version_are_the_same(
 
 
 def rewrite_verdicts(out: Path, level: str) -> None:
-    """Give all verdicts of a run's results one level, as if the run had found and kept them."""
+    """Give all verdicts of a run's results one level, as if the run had found and kept
+    them.
+    """
     record = json.loads((out / ".run.json").read_text())
     for name in ("friction", "gravity", "imu", "inertia", "prediction", "refined"):
         path = out / f"{name}.json"
@@ -192,7 +219,11 @@ def rewrite_verdicts(out: Path, level: str) -> None:
         parts += stages.values() if isinstance(stages, dict) else []
         for part in parts:
             for verdict in part.get("verdicts", []) if isinstance(part, dict) else []:
-                verdict |= {"good": level == "good", "level": level, "reason": "leaves 4 %"}
+                verdict |= {
+                    "good": level == "good",
+                    "level": level,
+                    "reason": "leaves 4 %",
+                }
         path.write_text(json.dumps(document))
     for step in record["steps"].values():
         for content in [*step["inputs"], *step["outputs"]]:
@@ -202,7 +233,9 @@ def rewrite_verdicts(out: Path, level: str) -> None:
     (out / ".run.json").write_text(json.dumps(record))
 
 
-def test_it_ends_with_the_worst_verdict(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_ends_with_the_worst_verdict(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The last line on the screen; --strict counts what is only usable."""
     command = ["run", "logs", "-o", "out"]
     assert main(command) == 0
@@ -215,11 +248,15 @@ def test_it_ends_with_the_worst_verdict(copied: Path, capsys: pytest.CaptureFixt
         ("poor", False, 1),
     ):
         rewrite_verdicts(copied / "out", level)
-        assert main([*command, "--keep-going", *(["--strict"] if strict else [])]) == code
+        assert (
+            main([*command, "--keep-going", *(["--strict"] if strict else [])]) == code
+        )
         shown = capsys.readouterr()
         assert "--- " not in shown.err  # all is kept
         last = shown.out.splitlines()[-1]
-        assert last.startswith("run: good" if level == "good" else f"run: {level}: {everywhere}")
+        assert last.startswith(
+            "run: good" if level == "good" else f"run: {level}: {everywhere}"
+        )
         assert level == "good" or f"predict: {level}: joint_1: leaves 4 %" in shown.err
 
 
@@ -235,7 +272,9 @@ def test_an_unsorted_folder_is_sorted_and_some_logs_are_held_out(
     words = ["run", str(folder), "-o", str(folder / "results"), "--keep-going"]
     main(words)
     shown = capsys.readouterr()
-    lines = dict(line.split(": ", 1) for line in shown.err.splitlines() if line.count(": ") == 1)
+    lines = dict(
+        line.split(": ", 1) for line in shown.err.splitlines() if line.count(": ") == 1
+    )
     assert "friction_joint_1.parquet" in lines["friction"]
     assert "validation" not in lines["friction"]
     held_out = lines["held out, for predict, diagnose and refine"].split(", ")
@@ -288,11 +327,14 @@ def test_a_robot_file_is_made_of_a_urdf_and_then_kept(
     assert "either -r or --urdf" in capsys.readouterr().err
 
 
-OF_THE_RUN = ("created", "parameters")  # when a file and the models that it used were made
+# when a file and the models that it used were made
+OF_THE_RUN = ("created", "parameters")
 
 
 def lines(lab: Path, out: Path) -> Iterator[list[str]]:
-    """The command lines of a run one by one, logs the other way round, work in two processes."""
+    """The command lines of a run one by one, logs the other way round, work in two
+    processes.
+    """
     robot, before = ["-r", "logs/robot.toml"], list[str]()
     for command, result, *stages in (
         ("friction", "friction", "friction"),
@@ -315,19 +357,26 @@ def lines(lab: Path, out: Path) -> Iterator[list[str]]:
 
 def told(path: Path) -> str:
     document = json.loads(path.read_text("utf-8").replace(str(path.parent), ""))
-    return json.dumps({key: own for key, own in document.items() if key not in OF_THE_RUN})
+    return json.dumps(
+        {key: own for key, own in document.items() if key not in OF_THE_RUN}
+    )
 
 
 @pytest.mark.slow
-def test_threads_processes_and_the_order_of_logs_change_no_bit(lab: Path, tmp_path: Path) -> None:
-    commands = "import json, sys; from seqid_cli.__main__ import main\n" + (
-        "for line in json.loads(sys.argv[1]): assert main(line) == 0"
+def test_threads_processes_and_the_order_of_logs_change_no_bit(
+    lab: Path, tmp_path: Path
+) -> None:
+    commands = (
+        "import json, sys; from seqid_cli.__main__ import main\n"
+        + "for line in json.loads(sys.argv[1]): assert main(line) == 0"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "2"}
     command = [sys.executable, "-c", commands, json.dumps(list(lines(lab, tmp_path)))]
     subprocess.run(command, cwd=lab, env=environment, check=True, capture_output=True)
     for name in NAMES[:-1]:
-        assert told(tmp_path / f"{name}.json") == told(lab / "out" / f"{name}.json"), name
+        assert told(tmp_path / f"{name}.json") == told(lab / "out" / f"{name}.json"), (
+            name
+        )
 
 
 def test_blas_has_one_thread(

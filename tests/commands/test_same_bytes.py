@@ -113,6 +113,6 @@ def test_stamps_that_are_dates_date_a_result(lab: Rig) -> None:
     )
     file = json.loads(done.out)
     assert file["created"] == "2026-01-01T00:01:47Z"
-    (first, last) = file["inputs"][0]["recorded"]
+    first, last = file["inputs"][0]["recorded"]
     assert first.startswith("2026-01-01T00:00:00.000")
     assert last.startswith("2026-01-01T00:01:47.245")

@@ -1,4 +1,6 @@
-"""The stage commands: what they pass on, write, print and return; errors; several processes."""
+"""The stage commands: what they pass on, write, print and return; errors; several
+processes.
+"""
 
 import importlib.util
 import json
@@ -36,13 +38,25 @@ COMMON = ["a.parquet", "b.parquet", "-r", "robot.toml", "-o", "out.json"]
 
 def test_friction(rig: Rig, reader: Reader, identified: Replace) -> None:
     calls = identified("friction_surface.stage", "identify_friction", friction_stage())
-    options = ["--position-order", "4", "--velocity-order", "5", "--beta", "0.1", "--cutoff", "20"]
+    options = [
+        "--position-order",
+        "4",
+        "--velocity-order",
+        "5",
+        "--beta",
+        "0.1",
+        "--cutoff",
+        "20",
+    ]
     done = rig.run("friction", *COMMON, *options, "--time", "log")
     assert done.code == 0
     count, robot, given, settings = calls
     assert settings == FrictionSettings()
     own = {"position_order": 4, "velocity_order": 5, "beta": 0.1}
-    assert (count, given) == (2, FrictionOptions(cutoff_hz=20.0, time_source="log", **own))
+    assert (count, given) == (
+        2,
+        FrictionOptions(cutoff_hz=20.0, time_source="log", **own),
+    )
     assert reader.time_source == "log"
     file = read_parameters(rig.folder / "out.json")
     assert [(log.path, log.samples, log.stage) for log in file.inputs] == [
@@ -52,7 +66,9 @@ def test_friction(rig: Rig, reader: Reader, identified: Replace) -> None:
     assert file.robot.sha256 == robot.sha256
 
 
-def test_stages_build_on_what_was_there(rig: Rig, reader: Reader, identified: Replace) -> None:
+def test_stages_build_on_what_was_there(
+    rig: Rig, reader: Reader, identified: Replace
+) -> None:
     before = rig.params("p.json", gravity_file())
     identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
     assert rig.run("imu-calib", *COMMON, "-p", before).code == 0
@@ -66,25 +82,41 @@ def test_stages_build_on_what_was_there(rig: Rig, reader: Reader, identified: Re
     file = read_parameters(rig.folder / "final.json")
     stages = file.stages
     assert None not in (stages.friction, stages.gravity, stages.imu, stages.inertia)
-    assert [log.stage for log in file.inputs] == ["friction", "gravity", "imu", "imu", "inertia"]
+    assert [log.stage for log in file.inputs] == [
+        "friction",
+        "gravity",
+        "imu",
+        "imu",
+        "inertia",
+    ]
 
 
 @pytest.mark.parametrize("offset", [False, True])
-def test_simultaneous(rig: Rig, reader: Reader, identified: Replace, offset: bool) -> None:
+def test_simultaneous(
+    rig: Rig, reader: Reader, identified: Replace, offset: bool
+) -> None:
     found = (friction_stage(), rigid_stage())
     calls = identified("rigid.simultaneous", "identify_simultaneous", found)
-    assert rig.run("simultaneous", *COMMON, *([] if offset else ["--no-offset"])).code == 0
+    assert (
+        rig.run("simultaneous", *COMMON, *([] if offset else ["--no-offset"])).code == 0
+    )
     assert calls[-2] is offset
     stages = read_parameters(rig.folder / "out.json").stages
     assert None not in (stages.friction, stages.inertia)
     assert stages.gravity is None
 
 
-def test_what_the_other_stages_show(rig: Rig, reader: Reader, identified: Replace) -> None:
-    """Nothing to identify, IMUs, inertia, stages that are stale, and everything at once."""
+def test_what_the_other_stages_show(
+    rig: Rig, reader: Reader, identified: Replace
+) -> None:
+    """Nothing to identify, IMUs, inertia, stages that are stale, and everything at
+    once.
+    """
     rig.params("f.json", friction_file())
     rig.params("full.json", full_file())
-    empty = RigidStage(parameters=[], condition=0.0, rank=0, notes=["the arm is planar"])
+    empty = RigidStage(
+        parameters=[], condition=0.0, rank=0, notes=["the arm is planar"]
+    )
     friction = read_parameters(rig.folder / "f.json").stages.friction
     identified("rigid.gravity", "identify_gravity", GravityResult(empty, friction))
     identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
@@ -114,7 +146,9 @@ def test_what_friction_shows(rig: Rig, reader: Reader, identified: Replace) -> N
 
 @pytest.mark.parametrize("name", ["poor", "faulty", "partial"])
 def test_what_is_poor(rig: Rig, reader: Reader, identified: Replace, name: str) -> None:
-    """A verdict of the stage itself, errors in its logs, and logs that are read in part."""
+    """A verdict of the stage itself, errors in its logs, and logs that are read in
+    part.
+    """
     stage = friction_stage(good=name != "poor")
     identified("friction_surface.stage", "identify_friction", stage)
     if name == "faulty":
@@ -136,7 +170,9 @@ FRICTION = ["friction", "a.parquet", "-r", "robot.toml", "-o", "out.json"]
 
 
 def test_what_cannot_run(rig: Rig) -> None:
-    """Every line has an error, a hint and the exit code 2; with --json a document says the same."""
+    """Every line has an error, a hint and the exit code 2; with --json a document says
+    the same.
+    """
     rig.params("f.json", friction_file())
     rig.params("g.json", gravity_file())
     other, swapped = friction_file(), friction_file()
@@ -147,7 +183,10 @@ def test_what_cannot_run(rig: Rig) -> None:
     (rig.folder / "logs").mkdir()
     rig.check_transcript("errors")
     assert not (rig.folder / "out").exists()
-    assert "No such option: --cutof" in rig.run("friction", "a", "-r", "r", "--cutof", "3").err
+    assert (
+        "No such option: --cutof"
+        in rig.run("friction", "a", "-r", "r", "--cutof", "3").err
+    )
     assert not (rig.folder / "out.json").exists()
     done = rig.run("friction", "no", "-r", "robot.toml", "--json")
     told = {"code": 2, "message": "does not exist", "where": "no"}
@@ -166,13 +205,20 @@ def test_a_stage_that_gives_up_writes_nothing(
     done = rig.run(*FRICTION, "--json")
     assert done.code == code
     assert json.loads(done.out) == {
-        "error": {"code": code, "message": error.message, "hint": error.hint, "where": ""}
+        "error": {
+            "code": code,
+            "message": error.message,
+            "hint": error.hint,
+            "where": "",
+        }
     }
     assert done.err == f"seqid friction: error: {error}\n  hint: {error.hint}\n"
     assert (rig.folder / "out.json").read_text() == "old"
 
 
-def test_a_bug_hides_its_traceback(rig: Rig, reader: Reader, identified: Replace) -> None:
+def test_a_bug_hides_its_traceback(
+    rig: Rig, reader: Reader, identified: Replace
+) -> None:
     identified("friction_surface.stage", "identify_friction", ZeroDivisionError("ouch"))
     done = rig.run(*FRICTION)
     assert done.code == 70
@@ -182,7 +228,9 @@ def test_a_bug_hides_its_traceback(rig: Rig, reader: Reader, identified: Replace
     assert json.loads(rig.run(*FRICTION, "--json").out)["error"]["code"] == 70
 
 
-def test_no_infinite_number_is_a_result(rig: Rig, reader: Reader, identified: Replace) -> None:
+def test_no_infinite_number_is_a_result(
+    rig: Rig, reader: Reader, identified: Replace
+) -> None:
     stage = friction_stage()
     stage.joints["elbow"].rmse = float("inf")
     identified("friction_surface.stage", "identify_friction", stage)
@@ -194,14 +242,20 @@ def test_no_infinite_number_is_a_result(rig: Rig, reader: Reader, identified: Re
 
 def test_processes_change_no_bit(rig: Rig) -> None:
     """Of a prediction with its torques; the other stages: see `test_run`."""
-    logs, robot, golden = (str(ONE_JOINT / x) for x in ("validation", "robot.toml", "golden.json"))
+    logs, robot, golden = (
+        str(ONE_JOINT / x) for x in ("validation", "robot.toml", "golden.json")
+    )
     found = []
     for jobs in ("1", "2"):
         files = ("-o", "out.json", "--torques", "t.parquet", "--jobs", jobs)
-        done = rig.run("predict", logs, "-r", robot, "-p", golden, *files, "--motion", "encoder")
+        done = rig.run(
+            "predict", logs, "-r", robot, "-p", golden, *files, "--motion", "encoder"
+        )
         assert done.code == 0, done.err
         document = (rig.folder / "out.json").read_bytes()
-        found.append((document, (rig.folder / "t.parquet").read_bytes(), done.out, done.err))
+        found.append(
+            (document, (rig.folder / "t.parquet").read_bytes(), done.out, done.err)
+        )
     assert found[0] == found[1]
 
 
@@ -213,18 +267,26 @@ def test_logs_that_fail_stop_a_command_or_are_left_out(jobs: str, rig: Rig) -> N
     for name in ("a.parquet", "copy.parquet"):
         shutil.copy(good, rig.folder / name)
     table = pq.read_table(good)
-    kept = [name for name in table.column_names if not name.endswith((".current", ".torque"))]
+    kept = [
+        name
+        for name in table.column_names
+        if not name.endswith((".current", ".torque"))
+    ]
     pq.write_table(table.select(kept), rig.folder / "b.parquet")
     (rig.folder / "c.parquet").write_bytes(b"PAR1 and no more")
     rig.check_transcript("jobs", {"JOBS": jobs})
     assert not (rig.folder / "failed.json").exists()
     alone, copied, skipped = (
-        read_parameters(rig.folder / f"{name}.json") for name in ("alone", "copied", "skipped")
+        read_parameters(rig.folder / f"{name}.json")
+        for name in ("alone", "copied", "skipped")
     )
     assert alone.stages.friction.joints == copied.stages.friction.joints
     assert [log.path for log in skipped.inputs] == ["a.parquet"]
     notes = "\n".join(skipped.stages.friction.notes)
-    assert all(f"left out: {path}" in notes for path in ("b.parquet", "c.parquet", "none.parquet"))
+    assert all(
+        f"left out: {path}" in notes
+        for path in ("b.parquet", "c.parquet", "none.parquet")
+    )
 
 
 def test_dask_that_is_not_installed(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:

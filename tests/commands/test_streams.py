@@ -1,4 +1,6 @@
-"""A program among others: streams, names of any bytes, signals; no way out in the source."""
+"""A program among others: streams, names of any bytes, signals; no way out in the
+source.
+"""
 
 import os
 import re
@@ -25,7 +27,11 @@ pytestmark = pytest.mark.skipif(not FULL.exists(), reason="no /dev/full on this 
 
 def started(*arguments: str | bytes, **more: object) -> subprocess.Popen[bytes]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **dict(more.pop("env", {}))}  # type: ignore[call-overload]
-    given: dict[str, object] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **more}
+    given: dict[str, object] = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        **more,
+    }
     return subprocess.Popen([*SEQID, *arguments], env=environment, **given)  # type: ignore[call-overload]
 
 
@@ -36,7 +42,8 @@ def ran(*arguments: str | bytes, **more: object) -> tuple[int, str, str]:
 
 
 @pytest.mark.parametrize(
-    "arguments", [("inspect", str(GRAVITY)), ("completion", "bash"), ("--help",), ("--version",)]
+    "arguments",
+    [("inspect", str(GRAVITY)), ("completion", "bash"), ("--help",), ("--version",)],
 )
 def test_a_full_output_is_said_in_one_line(arguments: tuple[str, ...]) -> None:
     with FULL.open("wb") as full:
@@ -48,12 +55,18 @@ def test_a_full_output_is_said_in_one_line(arguments: tuple[str, ...]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("where", ["1>&-", "2>&-", "1>&- 2>&-", "2>/dev/full", "2> >(exec true)"])
-def test_streams_that_nobody_can_read_cost_no_result(where: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "where", ["1>&-", "2>&-", "1>&- 2>&-", "2>/dev/full", "2> >(exec true)"]
+)
+def test_streams_that_nobody_can_read_cost_no_result(
+    where: str, tmp_path: Path
+) -> None:
     made = tmp_path / "f.json"
     line = " ".join([*SEQID, "inspect", str(GRAVITY), *ROBOT, "-o", str(made), where])
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(["bash", "-c", line], env=environment, capture_output=True, timeout=60)
+    done = subprocess.run(
+        ["bash", "-c", line], env=environment, capture_output=True, timeout=60
+    )
     assert done.returncode == 0
     assert (b"joint_1" in done.stdout) == ("1>&-" not in where)
     assert made.stat().st_size > 1000
@@ -92,18 +105,26 @@ def test_a_pipe_is_refused_at_once(place: str, tmp_path: Path) -> None:
 
 
 def wait_for_work(process: subprocess.Popen[bytes], seconds: float) -> None:
-    """Wait until a process has used so much CPU time: how busy others are does not matter."""
+    """Wait until a process has used so much CPU time: how busy others are does not
+    matter.
+    """
     ticks = os.sysconf("SC_CLK_TCK")
     while process.poll() is None:
-        fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+        fields = (
+            Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+        )
         if sum(map(int, fields[11:13])) >= seconds * ticks:
             return
         time.sleep(0.02)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc on this system")
-@pytest.mark.parametrize(("name", "after"), [("SIGTERM", 1.5), ("SIGHUP", 0.5), ("SIGINT", 0.2)])
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="no /proc on this system"
+)
+@pytest.mark.parametrize(
+    ("name", "after"), [("SIGTERM", 1.5), ("SIGHUP", 0.5), ("SIGINT", 0.2)]
+)
 def test_a_signal_at_work_interrupts(name: str, after: float, tmp_path: Path) -> None:
     number = getattr(signal, name)
     made, changed = tmp_path / "r.json", SAMPLE_LOGS / "two_joint" / "changed"
@@ -111,7 +132,8 @@ def test_a_signal_at_work_interrupts(name: str, after: float, tmp_path: Path) ->
     process = started(
         *("refine", str(changed / "fourier.parquet"), "--holdout", str(held_out)),
         *("-r", str(changed.parent / "robot.toml"), "-p", str(model), "-o", str(made)),
-        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # not so in the background
+        # not so in the background
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     )
     wait_for_work(process, after)
     process.send_signal(number)
@@ -123,8 +145,8 @@ def test_a_signal_at_work_interrupts(name: str, after: float, tmp_path: Path) ->
 
 IN_IMPORT = 'exec("import signal; signal.raise_signal(signal.{})")'
 IN_FINALIZER = (
-    "import time, weakref;"
-    "weakref.finalize(completion, signal.raise_signal, signal.SIGTERM)(); time.sleep(20)"
+    "import time, weakref;weakref.finalize(completion, signal.raise_signal,"
+    " signal.SIGTERM)(); time.sleep(20)"
 )
 
 
@@ -155,7 +177,8 @@ sys.argv = ["seqid", "completion", "bash"]
 from seqid_cli.__main__ import main
 sys.exit(main())
 """)
-    command = [sys.executable, "-m", "program"]  # run as a script, Python forgets the interrupt
+    # run as a script, Python forgets the interrupt
+    command = [sys.executable, "-m", "program"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
     assert done.returncode == code
     assert done.stderr == (b"seqid completion: interrupted\n" if code else b"")
@@ -168,7 +191,9 @@ def test_a_reader_that_leaves_early_is_no_error() -> None:
         assert ran("completion", "bash", stdout=closed) == (0, "", "")
 
 
-MODULES = "socket|subprocess|pickle|shelve|marshal|ctypes|runpy|http|webbrowser|urllib|ftplib"
+MODULES = (
+    "socket|subprocess|pickle|shelve|marshal|ctypes|runpy|http|webbrowser|urllib|ftplib"
+)
 FORBIDDEN = re.compile(
     rf"^ *(?:import|from) (?:{MODULES}|smtplib|asyncio)\b"
     r"|(?<![\w.])(?:eval|exec|compile)\(|\bos\.(?:system|popen|exec)",
@@ -179,8 +204,8 @@ FORBIDDEN = re.compile(
 def test_the_source_has_no_way_out() -> None:
     """Nothing that starts programs, opens connections or runs what it reads.
 
-    But for the replay of an export: it compiles, loads and imports the file that the same command
-    has just written, and nothing else.
+    But for the replay of an export: it compiles, loads and imports the file that the
+    same command has just written, and nothing else.
     """
     replay = ROOT / "seqid_cli" / "export" / "written.py"
     files = set((ROOT / "seqid_cli").rglob("*.py")) - {replay}
@@ -195,14 +220,20 @@ def test_the_source_has_no_way_out() -> None:
 
 
 @pytest.mark.slow
-def test_a_plug_in_loads_only_when_it_is_named(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plug_in_loads_only_when_it_is_named(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
     about = rig.folder / "stranger-1.0.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Name: stranger\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[seqid.effects]\nstrange_drag = stranger:effect\n")
+    (about / "entry_points.txt").write_text(
+        "[seqid.effects]\nstrange_drag = stranger:effect\n"
+    )
     (rig.folder / "stranger.py").write_text("raise RuntimeError('was loaded')\n")
     monkeypatch.syspath_prepend(str(rig.folder))
-    log, model = (str(ONE_JOINT / x) for x in ("changed/held_out.parquet", "golden.json"))
+    log, model = (
+        str(ONE_JOINT / x) for x in ("changed/held_out.parquet", "golden.json")
+    )
     given = (ONE_JOINT / "robot.toml").read_text()
     for more, loaded in (("", False), ('\n[[effect]]\nname = "strange_drag"\n', True)):
         (rig.folder / "robot.toml").write_text(given + more)

@@ -34,7 +34,9 @@ def test_nothing_that_steers_is_left(text: str) -> None:
 
 
 @pytest.mark.parametrize("color", [False, True])
-def test_every_way_to_the_screen(color: bool, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_way_to_the_screen(
+    color: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
     screen = Screen("inspect", verbose=True, color=color)
     screen.table(("log", "x"), [(EVIL, "1")])
     for say in (screen.result, screen.warn, screen.remark, screen.detail):
@@ -67,7 +69,9 @@ def test_names_of_files_and_topics_do_not_reach_the_terminal(rig: Rig) -> None:
     assert len(done.err) < 10_000
 
 
-def test_joints_that_slide_have_units_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+def test_joints_that_slide_have_units_of_their_own(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """Every row says its unit where joints of both kinds mix; else the heads say it."""
     screen, stages, arm = Screen("inertia"), inertia_file().stages, robot()
     arm.prismatic = ["elbow"]
@@ -85,7 +89,9 @@ def test_joints_that_slide_have_units_of_their_own(capsys: pytest.CaptureFixture
 
 def test_a_verdict_names_every_reason() -> None:
     poor = [Verdict(joint="b", good=False, reason=reason) for reason in "xy"]
-    texts = [verdict_text([Verdict(joint="a", good=True), *poor], name) for name in "abc"]
+    texts = [
+        verdict_text([Verdict(joint="a", good=True), *poor], name) for name in "abc"
+    ]
     assert texts == ["good", "poor: x; y", "-"]
 
 
@@ -116,7 +122,8 @@ def test_progress_shows_after_a_while_and_vanishes() -> None:
     shown = stream.getvalue()
     assert "3/4 a\\u001..." in shown  # a name is written out before it is shortened
     assert "0:00:03 0:00:03 left" in shown
-    assert not re.search("\x1b\\]|[\x00\x07\x9b\u202e]|\x1b\\[[0-9;]*m", shown)  # no colour
+    # no colour
+    assert not re.search("\x1b\\]|[\x00\x07\x9b\u202e]|\x1b\\[[0-9;]*m", shown)
     assert shown.endswith(ERASED)
     line.show(4, 4, "c.mcap")
     assert stream.getvalue() == shown
@@ -162,9 +169,13 @@ PATH = "recordings/monday/joint_1_forward_and_backward.parquet"
 
 
 def test_a_table_takes_names_as_they_are_and_breaks_no_path() -> None:
-    """Brackets are no markup; without a terminal every word can be searched for and copied."""
+    """Brackets are no markup; without a terminal every word can be searched for and
+    copied.
+    """
     heads = ("log", "verdict", "RMS error N m", "reason")
-    reason = "the [bold]torque[/bold] of joint [1] does not depend on its speed :warning:"
+    reason = (
+        "the [bold]torque[/bold] of joint [1] does not depend on its speed :warning:"
+    )
     rows = [(PATH, "good", "0.25", "-"), ("[red]b[/red]", "poor", "12.5", reason)]
     assert table_text(heads, rows).splitlines() == [
         f"{'log':54}  verdict  RMS error N m  reason",
@@ -175,7 +186,9 @@ def test_a_table_takes_names_as_they_are_and_breaks_no_path() -> None:
         text = table_text(heads, rows, width=width)
         words = {word for row in rows for cell in row for word in cell.split()}
         assert words <= set(text.split())
-        assert max(map(len, text.splitlines())) <= max(width, len(f"{PATH}  [bold]torque[/bold]"))
+        assert max(map(len, text.splitlines())) <= max(
+            width, len(f"{PATH}  [bold]torque[/bold]")
+        )
         narrow = table_text(heads, rows, width=width, whole_words=False)
         assert max(map(len, narrow.splitlines())) <= width
 
@@ -203,18 +216,31 @@ def test_a_coloured_table_is_the_plain_one_but_for_its_colours() -> None:
         "inspect six_joint/validation -r six_joint/robot.toml",
         "compare two_joint/golden.json two_joint/golden.json",
         "export two_joint/golden.json -r two_joint/robot.toml -o arm.yaml",
-        "predict one_joint/validation -r one_joint/robot.toml -p one_joint/golden.json -o p.json",
+        (
+            "predict one_joint/validation -r one_joint/robot.toml -p"
+            " one_joint/golden.json -o p.json"
+        ),
     ],
 )
-def test_80_columns_hold_every_number(line: str, rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    words = [str(SAMPLE_LOGS / word) if "_joint/" in word else word for word in line.split()]
+def test_80_columns_hold_every_number(
+    line: str, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = [
+        str(SAMPLE_LOGS / word) if "_joint/" in word else word for word in line.split()
+    ]
     wide = rig.run(*words)
     for name, value in (("COLUMNS", "80"), ("NO_COLOR", "1")):
         monkeypatch.setenv(name, value)
     narrow = rig.run(*words)
     assert (wide.code, narrow.code) == (0, 0)
-    assert max(len(line) for line in narrow.out.splitlines() if " " in line.strip()) <= 80
-    numbers = {word for word in wide.out.split() if re.fullmatch(r"-?\d[\d.]*(e[-+]\d+)?", word)}
+    assert (
+        max(len(line) for line in narrow.out.splitlines() if " " in line.strip()) <= 80
+    )
+    numbers = {
+        word
+        for word in wide.out.split()
+        if re.fullmatch(r"-?\d[\d.]*(e[-+]\d+)?", word)
+    }
     assert len(numbers) > 3
     assert numbers <= set(narrow.out.split())
 
@@ -228,7 +254,9 @@ def test_parameters_are_shown_by_what_tells_a_person_something() -> None:
     settings = {"depends_on": "load direction", "knot_0": 2.0}
     own = {"parameters": coefficients, "settings": settings}
     text = parameters_text(EffectOfJoint(effect="unexplained", joint="elbow", **own))
-    assert text == "a smooth function of load, direction, 12 coefficients without errors"
+    assert (
+        text == "a smooth function of load, direction, 12 coefficients without errors"
+    )
     parameters = [
         Parameter(name=name, value=0.5, std_error=error, unit="kg", joint="")
         for name, error in (("payload_m", 1e150), ("payload_mx", 0.1))

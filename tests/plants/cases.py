@@ -16,11 +16,14 @@ RIGS: Mapping[str, Callable[..., Plant]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """Everything that decides a run's logs; the seed decides motions, noise and contacts."""
+    """Everything that decides a run's logs; the seed decides motions, noise and
+    contacts.
+    """
 
     rig: str
     seed: int
-    effects: tuple[tuple[str, int, float], ...] = ()  # name, joint, size; put in one by one
+    # name, joint, size; put in one by one
+    effects: tuple[tuple[str, int, float], ...] = ()
     simple_friction: bool = True
     seconds: float = 20.0
 

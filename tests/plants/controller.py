@@ -1,4 +1,6 @@
-"""The robot's own position controller: an observer on the encoder, PD, a nominal feedforward."""
+"""The robot's own position controller: an observer on the encoder, PD, a nominal
+feedforward.
+"""
 
 from dataclasses import dataclass
 
@@ -42,6 +44,8 @@ class Controller:
         """Command from encoder and reference, rad, and feedforward, N m."""
         gains = self._gains
         surprise = encoder - wanted - self._error
-        self._error = self._error + self._dt * (self._rate + 2.0 * gains.observer * surprise)
+        self._error = self._error + self._dt * (
+            self._rate + 2.0 * gains.observer * surprise
+        )
         self._rate = self._rate + self._dt * gains.observer**2 * surprise
         return ahead - gains.stiffness * self._error - gains.damping * self._rate

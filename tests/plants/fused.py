@@ -1,4 +1,6 @@
-"""Rigs, encoders and faulty IMUs for motion from all sensors, read off a simulated truth."""
+"""Rigs, encoders and faulty IMUs for motion from all sensors, read off a simulated
+truth.
+"""
 
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -22,7 +24,9 @@ GYRO_NOISE, GYRO_BIAS = 0.005, 0.02  # rad/s
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with the IMUs beyond noise; the first of each channel, standard deviations."""
+    """What is wrong with the IMUs beyond noise; the first of each channel, standard
+    deviations.
+    """
 
     bias: float = 0.02  # m/s^2
     drift: float = 0.0  # m/s^2, of the bias over the log
@@ -75,7 +79,9 @@ def built(rig: Rig) -> Plant:
 
 @cache
 def simulated(rig: Rig) -> Log:
-    """Inertia trials of one or two joints, a validation run of six; faults do not change it."""
+    """Inertia trials of one or two joints, a validation run of six; faults do not
+    change it.
+    """
     rng, plant = np.random.default_rng(0), built(rig)
     if rig.joints == 6:
         trials = validation_trials(plant, rng, seconds=rig.seconds)
@@ -88,30 +94,49 @@ def simulated(rig: Rig) -> Log:
 def _late(log: Log, delay: float, plant: Plant, link: int) -> LinkMotion:
     """A link's true motion when readings were taken that are stamped t."""
     parts = (log.truth.q, log.truth.dq, log.truth.ddq)
-    late = (np.transpose([np.interp(log.t - delay, log.t, x) for x in own.T]) for own in parts)
+    late = (
+        np.transpose([np.interp(log.t - delay, log.t, x) for x in own.T])
+        for own in parts
+    )
     return link_motion(plant.arm, link, *late)
 
 
 def readings(
-    array: AccelerometerArray, motion: LinkMotion, fault: Fault, rng: np.random.Generator
+    array: AccelerometerArray,
+    motion: LinkMotion,
+    fault: Fault,
+    rng: np.random.Generator,
 ) -> Array:
-    tilts = Rotation.from_rotvec(np.radians(fault.tilt_deg) * rng.standard_normal(array.axes.shape))
+    tilts = Rotation.from_rotvec(
+        np.radians(fault.tilt_deg) * rng.standard_normal(array.axes.shape)
+    )
     true = replace(array, axes=tilts.apply(array.axes), bias=0.0)
     count = len(array.axes)
     ideal = true.ideal(motion) * (1.0 + fault.gain * rng.standard_normal(count))
     ideal += fault.bias * rng.standard_normal(count)
-    ideal += fault.drift * rng.standard_normal(count) * np.linspace(0, 1, len(ideal))[:, None]
+    ideal += (
+        fault.drift
+        * rng.standard_normal(count)
+        * np.linspace(0, 1, len(ideal))[:, None]
+    )
     noisy = ideal + array.noise * rng.standard_normal(ideal.shape)
     return np.clip(quantise(noisy, array.resolution), -fault.limit, fault.limit)
 
 
 def case(rig: Rig) -> Case:
     plant, rng = built(rig), np.random.default_rng(1000)
-    log, robot = simulated(replace(rig, gyro=False, fault=Fault())), robot_of("rig", plant)
+    log, robot = (
+        simulated(replace(rig, gyro=False, fault=Fault())),
+        robot_of("rig", plant),
+    )
     accelerometers, gyros, imus = {}, {}, []
     for imu, array in zip(robot.imus, plant.imus, strict=True):
         motion = _late(log, rig.fault.delay_s, plant, array.after)
-        kept = replace(array, positions=np.zeros((3, 3)), axes=np.eye(3)) if rig.gyro else array
+        kept = (
+            replace(array, positions=np.zeros((3, 3)), axes=np.eye(3))
+            if rig.gyro
+            else array
+        )
         accelerometers[imu.name] = readings(kept, motion, rig.fault, rng)
         if rig.gyro:
             rates = motion.omega @ array.rotation + GYRO_BIAS * rng.standard_normal(3)
@@ -122,7 +147,9 @@ def case(rig: Rig) -> Case:
         last, half = imus[-1].name, len(log.t) // 2
         for values in (each[last] for each in (accelerometers, gyros) if last in each):
             values[half:] = values[half]
-    recording = replace(recording_of(plant, "rig", log), accelerometers=accelerometers, gyros=gyros)
+    recording = replace(
+        recording_of(plant, "rig", log), accelerometers=accelerometers, gyros=gyros
+    )
     robot = replace(robot, imus=tuple(imus))
     return Case(plant, robot, recording, stage_of(plant, rng), log.truth.ddq, log)
 
@@ -131,7 +158,11 @@ def stage_of(plant: Plant, rng: np.random.Generator, off_deg: float = 0.1) -> Im
     """Calibration of the mounting alone, a tenth of a degree off."""
     found = {}
     for imu in plant.imus:
-        off = Rotation.from_rotvec(np.radians(off_deg) * rng.standard_normal(3)).as_matrix()
+        off = Rotation.from_rotvec(
+            np.radians(off_deg) * rng.standard_normal(3)
+        ).as_matrix()
         rotation = (imu.rotation @ off).tolist()
-        found[imu.name] = ImuCalibration(rotation=rotation, std_error_deg=0.1, noise_density=0.05)
+        found[imu.name] = ImuCalibration(
+            rotation=rotation, std_error_deg=0.1, noise_density=0.05
+        )
     return ImuStage(imus=found)

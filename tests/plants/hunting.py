@@ -1,4 +1,6 @@
-"""One joint that hunts: a PID controller on a coarse encoder, dry friction that sticks exactly."""
+"""One joint that hunts: a PID controller on a coarse encoder, dry friction that sticks
+exactly.
+"""
 
 from dataclasses import dataclass
 
@@ -43,7 +45,9 @@ class HuntingLog:
     velocity: Array
 
 
-def back_and_forth(speeds: Array, *, way: float, rest_s: float, rate_hz: float) -> Array:
+def back_and_forth(
+    speeds: Array, *, way: float, rest_s: float, rate_hz: float
+) -> Array:
     """Angles (N,) rad of moves over `way` rad, there and back at each speed."""
     parts = [np.full(round(rest_s * rate_hz), -way / 2.0)]
     for speed in speeds:
@@ -61,7 +65,10 @@ def run(
     dt = 1.0 / joint.rate_hz
     wanted = back_and_forth(speeds, way=way, rest_s=0.5, rate_hz=joint.rate_hz)
     rates = np.gradient(wanted, dt)
-    stiffness, damping = joint.inertia * joint.bandwidth**2, 2.0 * joint.inertia * joint.bandwidth
+    stiffness, damping = (
+        joint.inertia * joint.bandwidth**2,
+        2.0 * joint.inertia * joint.bandwidth,
+    )
     share = joint.smoothing * dt / (1.0 + joint.smoothing * dt)
 
     angle, velocity, felt = float(wanted[0]), 0.0, 0.0

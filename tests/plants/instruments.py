@@ -1,4 +1,6 @@
-"""IMUs whose sensors have faults, on arms that swing, and what a calibration finds of them."""
+"""IMUs whose sensors have faults, on arms that swing, and what a calibration finds of
+them.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,8 +27,12 @@ EVERY = 4  # control periods of 1 ms per row
 SPAN = 0.4  # share of the joints' ranges that a swing takes
 ROBOTS = {"one": one_joint, "two": two_joint, "six": six_joint}
 TURNS: Mapping[str, int] = {"one": 4, "two": 3, "six": 1}
-FAULTS = Faults(bias=0.15, drift=0.002, turn_on=0.01, scale=0.01, tilt=np.deg2rad(0.5), spikes=2e-4)
-GYRO_FAULTS = Faults(0, 0.01, 1e-4, 1e-3, scale=0.005, tilt=np.deg2rad(0.3), spikes=2e-4)
+FAULTS = Faults(
+    bias=0.15, drift=0.002, turn_on=0.01, scale=0.01, tilt=np.deg2rad(0.5), spikes=2e-4
+)
+GYRO_FAULTS = Faults(
+    0, 0.01, 1e-4, 1e-3, scale=0.005, tilt=np.deg2rad(0.3), spikes=2e-4
+)
 POSTURES: Mapping[str, Sequence[Sequence[float]]] = {
     "one": [[0.0], [0.0], [0.0]],
     "two": [[0.0, angle] for angle in (-1.6, -0.8, 0.0, 0.8, 1.6)],
@@ -70,7 +76,9 @@ class Scene:
 
 @dataclass(frozen=True)
 class Score:
-    """One calibration of one IMU: errors over standard errors, and the errors themselves."""
+    """One calibration of one IMU: errors over standard errors, and the errors
+    themselves.
+    """
 
     turn_deg: float
     z_turn: tuple[float, ...]
@@ -93,8 +101,12 @@ def scene_of(case: Case) -> Scene:
     moves += [(postures[0], joint) for joint in range(1, plant.arm.n)]
     turns = case.turns or TURNS[case.robot]
     swings = [swing(plant, *move, turns, share=SPAN, rate_hz=1000.0) for move in moves]
-    logs = [simulate(plant, x, k, every=EVERY, imus=False) for k, x in enumerate(swings)]
-    robot = robot_of(case.robot, replace(plant, encoder_step=np.full(plant.arm.n, case.step)))
+    logs = [
+        simulate(plant, x, k, every=EVERY, imus=False) for k, x in enumerate(swings)
+    ]
+    robot = robot_of(
+        case.robot, replace(plant, encoder_step=np.full(plant.arm.n, case.step))
+    )
     return Scene(case, plant, robot, logs)
 
 
@@ -103,14 +115,18 @@ def _instrument(imu: AccelerometerArray, case: Case) -> AccelerometerArray:
     if not case.gyro:
         return replace(imu, faults=faults)
     own = {"gyro_noise": 0.003, "gyro_faults": replace(GYRO_FAULTS, delay=case.delay)}
-    return replace(imu, positions=np.zeros((3, 3)), axes=np.eye(3), faults=faults, **own)
+    return replace(
+        imu, positions=np.zeros((3, 3)), axes=np.eye(3), faults=faults, **own
+    )
 
 
 def instruments(scene: Scene, seed: int) -> list[AccelerometerArray]:
     found = []
     for number, imu in enumerate(scene.plant.imus, start=1000 * seed):
         gyro = replace(imu.gyro_faults, seed=500 + number)
-        found.append(replace(imu, faults=replace(imu.faults, seed=number), gyro_faults=gyro))
+        found.append(
+            replace(imu, faults=replace(imu.faults, seed=number), gyro_faults=gyro)
+        )
     return found
 
 
@@ -123,13 +139,17 @@ def recordings(scene: Scene, seed: int) -> list[Recording]:
         rate = 1.0 / float(log.t[1] - log.t[0])
         accelerometers, gyros = dict[str, Array](), dict[str, Array]()
         for imu in instruments(scene, seed):
-            motion = link_motion(scene.plant.arm, imu.after, truth.q, truth.dq, truth.ddq)
+            motion = link_motion(
+                scene.plant.arm, imu.after, truth.q, truth.dq, truth.ddq
+            )
             accelerometers[imu.name] = imu.read(motion, rng, rate)
             gyro = imu.read_gyro(motion, rng, rate)
             gyros |= {} if gyro is None else {imu.name: gyro}
         q = quantise(truth.angle + phase, scene.case.step) - phase
         seen = replace(log, q=q, accelerometers=accelerometers)
-        found.append(replace(recording_of(scene.plant, f"imu/{number}", seen), gyros=gyros))
+        found.append(
+            replace(recording_of(scene.plant, f"imu/{number}", seen), gyros=gyros)
+        )
     return found
 
 
@@ -139,14 +159,24 @@ def calibrated(scene: Scene, seed: int) -> ImuStage:
 
 def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:
     turn = np.array(found.rotation) @ true_mounting(imu).T
-    off, sigma = np.degrees(Rotation.from_matrix(turn).as_rotvec()), np.array(found.std_errors_deg)
+    off, sigma = (
+        np.degrees(Rotation.from_matrix(turn).as_rotvec()),
+        np.array(found.std_errors_deg),
+    )
     known, k = sigma < 5.0, len(imu.axes)
-    scales, biases = found.accelerometer_scale_std_errors, found.accelerometer_bias_std_errors
+    scales, biases = (
+        found.accelerometer_scale_std_errors,
+        found.accelerometer_bias_std_errors,
+    )
     late = found.time_offset_s - imu.faults.delay
     return Score(
         turn_deg=float(np.linalg.norm(off[known])),
         z_turn=tuple((off[known] / sigma[known]).tolist()),
-        z_delay=(late / found.time_offset_std_error_s,) if found.time_offset_std_error_s else (),
+        z_delay=(
+            (late / found.time_offset_std_error_s,)
+            if found.time_offset_std_error_s
+            else ()
+        ),
         z_gain=_z(found.accelerometer_scale, scales, imu.faults.gains(k)),
         z_bias=_z(found.accelerometer_bias, biases, imu.faults.biases(k)),
         delay_error=abs(late),
@@ -163,9 +193,13 @@ def true_mounting(imu: AccelerometerArray) -> Array:
     return np.asarray(imu.rotation @ Rotation.from_rotvec(turn).as_matrix())
 
 
-def _z(found: list[float | None], errors: list[float | None], truth: Array) -> tuple[float, ...]:
+def _z(
+    found: list[float | None], errors: list[float | None], truth: Array
+) -> tuple[float, ...]:
     own = zip(found, errors, truth, strict=True)
-    return tuple(float((x - true) / e) for x, e, true in own if x is not None and e is not None)
+    return tuple(
+        float((x - true) / e) for x, e, true in own if x is not None and e is not None
+    )
 
 
 def scores(of: tuple[Case, int]) -> list[Score]:

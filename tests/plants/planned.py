@@ -1,4 +1,6 @@
-"""Planned moves on a plant: as references, and recorded as a robot's controller would run them."""
+"""Planned moves on a plant: as references, and recorded as a robot's controller would
+run them.
+"""
 
 import sys
 from collections.abc import Sequence
@@ -24,7 +26,9 @@ PAUSE_S = 10.0  # between moves
 
 
 def limits_used(belief: Belief, move: PlannedMove, rate_hz: float = 500.0) -> Array:
-    """Largest share of the limits of position (about the middle), speed, acceleration, torque."""
+    """Largest share of the limits of position (about the middle), speed, acceleration,
+    torque.
+    """
     limits = belief.limits
     t, q, dq, ddq = sampled(move, belief.robot.joint_names, rate_hz)
     middle, half = (limits.lower + limits.upper) / 2, limits.range / 2
@@ -32,7 +36,8 @@ def limits_used(belief: Belief, move: PlannedMove, rate_hz: float = 500.0) -> Ar
     states = zip((np.abs(q - middle), np.abs(dq), np.abs(ddq)), most, strict=True)
     shares = [np.max((used / limit)[:, limits.moves]) for used, limit in states]
     loads = []
-    for part in (slice(start, start + 2000) for start in range(0, len(t), 2000)):  # little memory
+    # little memory
+    for part in (slice(start, start + 2000) for start in range(0, len(t), 2000)):
         moves = Moves(t[part], *(x[None, part] for x in (q, dq, ddq)))
         loads.append(belief.overload(moves, belief.regressor(moves))[0])
     return np.array([*shares, max(loads)])
@@ -45,7 +50,12 @@ def reference_of(move: PlannedMove, plant: Plant) -> Reference:
 
 
 def recorded(
-    plant: Plant, moves: Sequence[PlannedMove], seed: int, *, every: int = 2, start: float = 0.0
+    plant: Plant,
+    moves: Sequence[PlannedMove],
+    seed: int,
+    *,
+    every: int = 2,
+    start: float = 0.0,
 ) -> list[Recording]:
     logs = []
     for number, move in enumerate(moves):
@@ -61,7 +71,10 @@ def record(plan: PlanFile, folder: Path) -> None:
     """Write the logs of a plan for a sample robot as `STAGE/MOVE.parquet`."""
     plant, start = getattr(rigs, plan.robot.name)(), 0.0
     for seed, move in enumerate(plan.moves):
-        motion, imus = reference_of(move, plant), move.stage not in ("friction", "gravity")
+        motion, imus = (
+            reference_of(move, plant),
+            move.stage not in ("friction", "gravity"),
+        )
         log = simulate(plant, motion, seed, every=4, imus=imus, start=start)
         start += motion.duration + PAUSE_S
         part = move.stage.removesuffix("-calib")  # of the IMUs
@@ -69,4 +82,7 @@ def record(plan: PlanFile, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    record(msgspec.json.decode(Path(sys.argv[1]).read_bytes(), type=PlanFile), Path(sys.argv[2]))
+    record(
+        msgspec.json.decode(Path(sys.argv[1]).read_bytes(), type=PlanFile),
+        Path(sys.argv[2]),
+    )

@@ -25,19 +25,32 @@ def robot_toml(name: str, plant: Plant, *, urdf: str | None = None) -> str:
         lines += ["", "[[joint]]", f'name = "{label}"']
         if urdf is None:
             pairs = zip(("alpha", "a", "d", "theta0"), row, strict=True)
-            lines.append(f"dh = {{ {', '.join(f'{key} = {value!r}' for key, value in pairs)} }}")
-        lines += [f"{key} = {values[joint].tolist()!r}" for key, values in numbers.items()]
+            lines.append(
+                f"dh = {{ {', '.join(f'{key} = {value!r}' for key, value in pairs)} }}"
+            )
+        lines += [
+            f"{key} = {values[joint].tolist()!r}" for key, values in numbers.items()
+        ]
     for imu in plant.imus:
         sensors = zip(imu.positions.tolist(), imu.axes.tolist(), strict=True)
-        lines += ["", "[[imu]]", f'name = "{imu.name}"', f'after_joint = "{arm.names[imu.after]}"']
+        lines += [
+            "",
+            "[[imu]]",
+            f'name = "{imu.name}"',
+            f'after_joint = "{arm.names[imu.after]}"',
+        ]
         lines += ["accelerometers = ["]
-        lines += [f"  {{ position = {place}, axis = {axis} }}," for place, axis in sensors]
+        lines += [
+            f"  {{ position = {place}, axis = {axis} }}," for place, axis in sensors
+        ]
         lines += ["]", f"gyro = {str(imu.gyro_noise is not None).lower()}"]
     return "\n".join([*lines, "", "[channels]", 'effort = "current"', ""])
 
 
 def urdf_text(name: str, plant: Plant) -> str:
-    """URDF of the arm with the inertials that its maker would publish (`plant.nominal`)."""
+    """URDF of the arm with the inertials that its maker would publish
+    (`plant.nominal`).
+    """
     parent, parts = "base_link", '  <link name="base_link"/>\n'
     for i, joint in enumerate(plant.arm.names):
         phi = plant.nominal.phi[i]

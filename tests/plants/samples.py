@@ -1,4 +1,6 @@
-"""Make the sample logs: `python -m tests.plants.samples OUTDIR [one_joint two_joint six_joint]`."""
+"""Make the sample logs: `python -m tests.plants.samples OUTDIR [one_joint two_joint
+six_joint]`.
+"""
 
 import json
 import sys
@@ -39,7 +41,9 @@ class Recipe:
     base: Mapping[str, float] = field(default_factory=dict)
 
 
-def changed_trials(plant: Plant, seed: int, *, seconds: float, imus: bool) -> list[Trial]:
+def changed_trials(
+    plant: Plant, seed: int, *, seconds: float, imus: bool
+) -> list[Trial]:
     """All joints at 80 % of their speeds: two logs to learn from and one to hold out."""
     rng = np.random.default_rng([seed, 1])
     made = {
@@ -65,7 +69,11 @@ def one_joint_recipe() -> Recipe:
     """Sec. 4.1 at 1 kHz, all Parquet; then a hose pulls at the link."""
     plant = one_joint()
     trials = one_joint_trials(plant, np.random.default_rng(SEED))
-    base = {"mx_1": float(plant.arm.phi[0, 1]), "my_1": 0.0, "Izz_1": float(plant.arm.phi[0, 9])}
+    base = {
+        "mx_1": float(plant.arm.phi[0, 1]),
+        "my_1": 0.0,
+        "Izz_1": float(plant.arm.phi[0, 9]),
+    }
     later = changed_trials(plant, SEED, seconds=35.0, imus=True)
     return Recipe(plant, trials, inject("spring", plant, 0), later, 4, 1, {}, base=base)
 
@@ -76,13 +84,17 @@ def two_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
     return [
         *experiments.friction_trials(plant, postures[0]),
         *experiments.imu_trials(plant, postures, turns=1),
-        *experiments.inertia_trials(plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=8.0),
+        *experiments.inertia_trials(
+            plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=8.0
+        ),
         *experiments.validation_trials(plant, rng, seconds=12.0, points=6),
     ]
 
 
 def two_joint_recipe() -> Recipe:
-    """Sec. 4.2 at 250 Hz, the IMU rotations as JSON MCAP; then the elbow's gear has worn."""
+    """Sec. 4.2 at 250 Hz, the IMU rotations as JSON MCAP; then the elbow's gear has
+    worn.
+    """
     plant = two_joint()
     trials = two_joint_trials(plant, np.random.default_rng(SEED + 1))
     phi, length = plant.arm.phi, float(plant.arm.dh[1, 1])
@@ -121,7 +133,9 @@ def six_joint_recipe() -> Recipe:
     """Build the UR5e-sized arm's logs at 250 Hz; some two-joint moves as CDR MCAP."""
     plant = six_joint()
     trials = six_joint_trials(plant, np.random.default_rng(SEED + 2))
-    shoulder = [f"inertia/{trial.name}" for trial in trials if trial.stage == "inertia"][:3]
+    shoulder = [
+        f"inertia/{trial.name}" for trial in trials if trial.stage == "inertia"
+    ][:3]
     later = changed_trials(plant, SEED + 2, seconds=27.0, imus=False)
     change = inject("spring", plant, 2)
     formats: dict[str, Encoding] = dict.fromkeys(shoulder, "cdr")
@@ -141,17 +155,23 @@ def truth_document(name: str, recipe: Recipe) -> dict[str, object]:
     law = vars(extra.curve if isinstance(extra, Extra) else hidden[-1])
     joint = None if change.joint is None else arm.names[change.joint]
     rotors = {f"Ia_{i + 1}": float(arm.rotor_inertia[i]) for i in range(arm.n)}
-    amperes = np.sqrt(plant.current_noise**2 + np.asarray(plant.current_step) ** 2 / 12.0)
+    amperes = np.sqrt(
+        plant.current_noise**2 + np.asarray(plant.current_step) ** 2 / 12.0
+    )
     torque_noise = (amperes * plant.torque_per_ampere).tolist()
     return {
         "robot": name,
         "joints": list(arm.names),
-        "parameters": {k: x for k, x in true_standard(plant).items() if k not in rotors},
+        "parameters": {
+            k: x for k, x in true_standard(plant).items() if k not in rotors
+        },
         "rotor_inertia": rotors,
         "base_parameters": dict(recipe.base),
         "rotor_coupling": "full" if arm.rotor_coupling else "diagonal",
         "torque_noise_std": dict(zip(arm.names, torque_noise, strict=True)),
-        "friction": {joint: friction_table(plant, i) for i, joint in enumerate(arm.names)},
+        "friction": {
+            joint: friction_table(plant, i) for i, joint in enumerate(arm.names)
+        },
         "imus": {
             imu.name: {
                 "after_joint": arm.names[imu.after],
@@ -167,7 +187,9 @@ def truth_document(name: str, recipe: Recipe) -> dict[str, object]:
 
 
 def friction_table(plant: Plant, joint: int) -> dict[str, object]:
-    """Friction torque of one joint on a grid: rows are positions, columns velocities, N m."""
+    """Friction torque of one joint on a grid: rows are positions, columns velocities, N
+    m.
+    """
     (low, high), top = plant.position_limits[joint], float(plant.velocity_limits[joint])
     positions, speeds = np.linspace(low, high, 25), np.geomspace(0.02 * top, top, 12)
     velocities = np.concatenate([-speeds[::-1], speeds])
@@ -179,22 +201,31 @@ def friction_table(plant: Plant, joint: int) -> dict[str, object]:
 
 def save(folder: Path, recipe: Recipe, trial: Trial, log: Log) -> None:
     plant, path = recipe.plant, folder / trial.stage / f"{trial.name}.parquet"
-    encoding = recipe.formats.get(f"{trial.stage}/{trial.name}", recipe.formats.get(trial.stage))
+    encoding = recipe.formats.get(
+        f"{trial.stage}/{trial.name}", recipe.formats.get(trial.stage)
+    )
     if encoding is None:
         write_log(path, plant, log)
         return pack(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     own = (path.with_suffix(".mcap"), log.t, plant.arm.names, log.q)
     arrays = log.accelerometers or None
-    write_mcap(*own, encoding=encoding, effort=log.current, accelerometers=arrays, t0_ns=T0_NS)
+    write_mcap(
+        *own, encoding=encoding, effort=log.current, accelerometers=arrays, t0_ns=T0_NS
+    )
 
 
 def pack(path: Path) -> None:
-    """Write a Parquet file again, smaller: many values as byte streams, few in a dictionary."""
+    """Write a Parquet file again, smaller: many values as byte streams, few in a
+    dictionary.
+    """
     table = pq.read_table(path)
     many = [x for x in table.column_names if len(table[x].unique()) > len(table) / 8]
     few = [x for x in table.column_names if x not in many]
-    how = {"use_dictionary": few, "column_encoding": dict.fromkeys(many, "BYTE_STREAM_SPLIT")}
+    how = {
+        "use_dictionary": few,
+        "column_encoding": dict.fromkeys(many, "BYTE_STREAM_SPLIT"),
+    }
     pq.write_table(table, path, compression="zstd", compression_level=9, **how)
 
 
@@ -204,7 +235,9 @@ def make(outdir: Path, name: str) -> None:
     text = robot_toml(name, recipe.plant, urdf=recipe.urdf)
     (folder / "robot.toml").write_text(text, encoding="ascii")
     if recipe.urdf is not None:
-        (folder / recipe.urdf).write_text(urdf_text(name, recipe.plant), encoding="ascii")
+        (folder / recipe.urdf).write_text(
+            urdf_text(name, recipe.plant), encoding="ascii"
+        )
     document = json.dumps(truth_document(name, recipe)) + "\n"
     (folder / "truth.json").write_text(document, encoding="ascii")
     parts = (

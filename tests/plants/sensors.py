@@ -1,4 +1,6 @@
-"""What the instruments make of the true motion: counts, noisy amperes, accelerometer arrays."""
+"""What the instruments make of the true motion: counts, noisy amperes, accelerometer
+arrays.
+"""
 
 from dataclasses import dataclass, field
 
@@ -12,9 +14,12 @@ from tests.plants.mechanics.rigid import LinkMotion
 
 @dataclass(frozen=True)
 class Faults:
-    """What a real sensor adds to noise and a constant bias; standard deviations unless said."""
+    """What a real sensor adds to noise and a constant bias; standard deviations unless
+    said.
+    """
 
-    seed: int = 0  # of what belongs to the instrument; the rest is drawn anew in each log
+    # of what belongs to the instrument; the rest is drawn anew in each log
+    seed: int = 0
     bias: float = 0.0
     drift: float = 0.0  # of the bias in a second: m/s^2/sqrt(s) or rad/s/sqrt(s)
     turn_on: float = 0.0  # of the bias from log to log
@@ -41,21 +46,30 @@ class Faults:
         return np.random.default_rng([self.seed, purpose])
 
     def read(
-        self, ideal: Array, white: float, step: float, rate_hz: float, rng: np.random.Generator
+        self,
+        ideal: Array,
+        white: float,
+        step: float,
+        rate_hz: float,
+        rng: np.random.Generator,
     ) -> Array:
         """Readings (N, K) of channels that feel `ideal`, already along their own axes."""
         n, count = ideal.shape
         steps = self.drift / np.sqrt(rate_hz) * rng.standard_normal((n, count))
         offset = self.biases(count) + self.turn_on * rng.standard_normal(count)
         values = self.gains(count) * delayed(ideal, self.delay, rate_hz) + offset
-        values = values + np.cumsum(steps, axis=0) + white * rng.standard_normal((n, count))
+        values = (
+            values + np.cumsum(steps, axis=0) + white * rng.standard_normal((n, count))
+        )
         wild = rng.random((n, count)) < self.spikes
         size = 50.0 * max(white, 0.02) * rng.standard_normal((n, count))
         return quantise(np.clip(values + wild * size, -self.limit, self.limit), step)
 
 
 def delayed(values: Array, delay: float, rate_hz: float) -> Array:
-    """Values (N, K) as they were `delay` s before each row; the first row lasts before it."""
+    """Values (N, K) as they were `delay` s before each row; the first row lasts before
+    it.
+    """
     if delay == 0.0:
         return values
     t = np.arange(len(values)) / rate_hz
@@ -83,13 +97,18 @@ class AccelerometerArray:
     def ideal(self, motion: LinkMotion) -> Array:
         """Specific force along each axis, (N, K) m/s^2."""
         own = self.axes if self.faults is None else self.faults.axes(self.axes)
-        points, axes = self.lever + self.positions @ self.rotation.T, own @ self.rotation.T
+        points, axes = (
+            self.lever + self.positions @ self.rotation.T,
+            own @ self.rotation.T,
+        )
         omega, alpha = motion.omega[:, None, :], motion.alpha[:, None, :]
         force = motion.force[:, None, :] + np.cross(alpha, points)
         force = force + np.cross(omega, np.cross(omega, points))
         return np.asarray(np.einsum("nkj,kj->nk", force, axes))
 
-    def read(self, motion: LinkMotion, rng: np.random.Generator, rate_hz: float = 1000.0) -> Array:
+    def read(
+        self, motion: LinkMotion, rng: np.random.Generator, rate_hz: float = 1000.0
+    ) -> Array:
         ideal = self.ideal(motion)
         if self.faults is not None:
             return self.faults.read(ideal, self.noise, self.resolution, rate_hz, rng)
@@ -104,11 +123,15 @@ class AccelerometerArray:
         if self.gyro_noise is None:
             return None
         ideal = motion.omega @ (self.gyro_faults.axes(np.eye(3)) @ self.rotation.T).T
-        return self.gyro_faults.read(ideal, self.gyro_noise, self.gyro_resolution, rate_hz, rng)
+        return self.gyro_faults.read(
+            ideal, self.gyro_noise, self.gyro_resolution, rate_hz, rng
+        )
 
 
 def tetrahedral_array(size: float) -> tuple[Array, Array]:
-    """Positions and axes (12, 3) of four triads: at the origin and `size` m along each axis."""
+    """Positions and axes (12, 3) of four triads: at the origin and `size` m along each
+    axis.
+    """
     corners = size * np.vstack([np.zeros(3), np.eye(3)])
     return np.repeat(corners, 3, axis=0), np.tile(np.eye(3), (4, 1))
 
@@ -123,7 +146,12 @@ def quantise(values: Array, step: Array | float) -> Array:
 
 
 def noise(
-    rng: np.random.Generator, samples: int, std: Array, *, coloured: float, rate_hz: float
+    rng: np.random.Generator,
+    samples: int,
+    std: Array,
+    *,
+    coloured: float,
+    rate_hz: float,
 ) -> Array:
     """White noise, a share `coloured` of whose variance is spread as 1/f, (samples, n)."""
     white = np.sqrt(1.0 - coloured) * rng.standard_normal((samples, len(std)))

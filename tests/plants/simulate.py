@@ -1,4 +1,6 @@
-"""Closed-loop forward dynamics: controller, actuator, arm and instruments, one step per period."""
+"""Closed-loop forward dynamics: controller, actuator, arm and instruments, one step per
+period.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,9 @@ class Plant:
 
     def hiding(self, **parts: Any) -> Plant:
         """The same with one part more of each kind of `Hidden`."""
-        more = {kind: (*getattr(self.hidden, kind), part) for kind, part in parts.items()}
+        more = {
+            kind: (*getattr(self.hidden, kind), part) for kind, part in parts.items()
+        }
         return replace(self, hidden=replace(self.hidden, **more))
 
 
@@ -64,7 +68,9 @@ class Truth(NamedTuple):
 
 @dataclass(frozen=True)
 class Log:
-    """What the robot records: t (N,) s from 0, q (N, n) rad, current (N, n) A, arrays m/s^2."""
+    """What the robot records: t (N,) s from 0, q (N, n) rad, current (N, n) A, arrays
+    m/s^2.
+    """
 
     t: Array
     q: Array
@@ -89,10 +95,14 @@ def simulate(
     rate, samples = reference.rate_hz, len(reference.q)
     run = Run(start, reference.duration, 1.0 / rate, seed)
     truth = _run(plant, reference, run)
-    hiss = noise(rng, samples, plant.current_noise, coloured=plant.coloured, rate_hz=rate)
+    hiss = noise(
+        rng, samples, plant.current_noise, coloured=plant.coloured, rate_hz=rate
+    )
     kept = Truth(*(x[::every] for x in truth))
     readings = {
-        imu.name: imu.read(link_motion(plant.arm, imu.after, kept.q, kept.dq, kept.ddq), rng)
+        imu.name: imu.read(
+            link_motion(plant.arm, imu.after, kept.q, kept.dq, kept.ddq), rng
+        )
         for imu in (plant.imus if imus else ())
     }
     current = _current(plant, truth, run)[::every]
@@ -135,9 +145,10 @@ def _temperature(plant: Plant, truth: Truth, run: Run, every: int) -> Array | No
 def _run(plant: Plant, reference: Reference, run: Run) -> Truth:
     """Integrate the motion; rows at every control instant.
 
-    Positions live at the control instants t_k and velocities half a period later (leapfrog, second
-    order, no energy drift). The torque commanded at t_k acts from half a period before to half a
-    period after, so position, current and acceleration of one row belong to the same instant.
+    Positions live at the control instants t_k and velocities half a period later
+    (leapfrog, second order, no energy drift). The torque commanded at t_k acts from
+    half a period before to half a period after, so position, current and acceleration
+    of one row belong to the same instant.
     """
     dt, hidden = run.dt, plant.hidden
     controller, wanted = Controller(plant.gains, dt), reference.q
@@ -145,7 +156,9 @@ def _run(plant: Plant, reference: Reference, run: Run) -> Truth:
     stages = [begin(run) for begin in hidden.drives]
     sources = tuple(begin(run) for begin in hidden.torques)
     kind = ElasticJoints if hidden.springs else RigidJoints
-    body = kind(Rigid(plant.arm), plant.friction.begin(), sources, hidden, wanted[0], dt)
+    body = kind(
+        Rigid(plant.arm), plant.friction.begin(), sources, hidden, wanted[0], dt
+    )
     out = Truth(*(np.empty(wanted.shape) for _ in Truth._fields))
     for k in range(len(wanted)):
         t = run.start + k * dt
@@ -154,6 +167,8 @@ def _run(plant: Plant, reference: Reference, run: Run) -> Truth:
         out.commanded[k] = tau = controller.torque(seen, wanted[k], ahead[k])
         for stage in stages:
             tau = stage(t, tau, angle)
-        out.q[k], out.dq[k], out.ddq[k], out.friction[k], out.angle[k] = body.step(t, tau)
+        out.q[k], out.dq[k], out.ddq[k], out.friction[k], out.angle[k] = body.step(
+            t, tau
+        )
         out.tau[k] = tau
     return out

@@ -1,8 +1,8 @@
 """Logs as strangers have them: `python -m tests.plants.strangers OUTDIR`.
 
-The sample logs of the six-joint arm, written as other loggers would: `ur/` (RTDE, CSV), `ros/`
-(ROS 2 bags, MCAP), `lerobot/` (a data set in degrees at 50 Hz), `german/` (CSV of a spreadsheet,
-degrees). Each has `train` and `test`.
+The sample logs of the six-joint arm, written as other loggers would: `ur/` (RTDE, CSV),
+`ros/` (ROS 2 bags, MCAP), `lerobot/` (a data set in degrees at 50 Hz), `german/` (CSV
+of a spreadsheet, degrees). Each has `train` and `test`.
 """
 
 import json
@@ -40,19 +40,30 @@ def german(path: Path, data: Data) -> None:
     names = ["Zeit [s]", *(f"Position Achse {k + 1} [\u00b0]" for k in range(count))]
     names += [f"Strom Achse {k + 1} [A]" for k in range(count)]
     table = np.column_stack([data.t, np.rad2deg(data.q), data.current])
-    lines = [";".join(f"{value:.9g}" for value in row).replace(".", ",") for row in table]
+    lines = [
+        ";".join(f"{value:.9g}" for value in row).replace(".", ",") for row in table
+    ]
     text = "\n".join([";".join(names), *lines, ""])
     path.with_suffix(".csv").write_text(text, encoding="latin-1")
 
 
 def lerobot(folder: Path, episodes: Sequence[Data]) -> None:
-    """A data set: one episode for each log, degrees, names of the motors in meta/info.json."""
-    turned = [Data(d.t, d.joints, np.rad2deg(d.q), d.dq, d.torque, d.torque) for d in episodes]
+    """A data set: one episode for each log, degrees, names of the motors in
+    meta/info.json.
+    """
+    turned = [
+        Data(d.t, d.joints, np.rad2deg(d.q), d.dq, d.torque, d.torque) for d in episodes
+    ]
     (folder / "data" / "chunk-000").mkdir(parents=True)
-    pq.write_table(lerobot_table(turned), folder / "data" / "chunk-000" / "file-000.parquet")
+    pq.write_table(
+        lerobot_table(turned), folder / "data" / "chunk-000" / "file-000.parquet"
+    )
     (folder / "meta").mkdir()
     names = [f"{joint}.pos" for joint in episodes[0].joints]
-    info = {"fps": 50, "features": {"observation.state": {"dtype": "float32", "names": names}}}
+    info = {
+        "fps": 50,
+        "features": {"observation.state": {"dtype": "float32", "names": names}},
+    }
     (folder / "meta" / "info.json").write_text(json.dumps(info))
 
 

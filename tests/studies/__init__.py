@@ -1,1 +1,3 @@
-"""Reproducible measurements on simulated and recorded robots, printed as Markdown tables."""
+"""Reproducible measurements on simulated and recorded robots, printed as Markdown
+tables.
+"""

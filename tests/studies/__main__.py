@@ -16,7 +16,8 @@ from tests.studies.undeclared import study as undeclared
 
 USUAL = "measured.md"  # its studies run where none is named
 COSTS = "benchmarks.md"
-STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # page of docs/, study
+# page of docs/, study
+STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "one_joint": (USUAL, one_joint.study),
     "two_joint": (USUAL, two_joint.study),
     "six_joint": (USUAL, six_joint.study),
@@ -43,8 +44,12 @@ SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig
 def main() -> None:
     """Print the tables; a full run also puts them into their document."""
     usual = [name for name, (page, _) in STUDIES.items() if page == USUAL]
-    parser = argparse.ArgumentParser(prog="python -m tests.studies", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="one rig each; documents stay")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.studies", description=__doc__
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="one rig each; documents stay"
+    )
     parser.add_argument("--only", nargs="+", choices=list(STUDIES), default=usual)
     undeclared.add_arguments(parser)
     table_two.add_arguments(parser)
@@ -56,7 +61,9 @@ def main() -> None:
     for name in chosen.only:
         page_name, study = STUDIES[name]
         start = time.monotonic()
-        content = "left out by --quick" if chosen.quick and name in SLOW else study(chosen)
+        content = (
+            "left out by --quick" if chosen.quick and name in SLOW else study(chosen)
+        )
         sys.stdout.write(f"## {name}\n\n")
         tables.show(page_name, name, content + "\n", kept=written(name, chosen))
         sys.stdout.flush()

@@ -1,4 +1,7 @@
-"""Do bands of predicted torques hold on logs that were not fitted? Drawn arms, recorded robots."""
+"""Do bands of predicted torques hold on logs that were not fitted?
+
+Drawn arms, recorded robots.
+"""
 
 import warnings
 from argparse import Namespace
@@ -32,7 +35,9 @@ UR10E = "ur10e_innopolis/identification__ur-20_02_"
 
 @dataclass(frozen=True)
 class Recorded:
-    """A recorded robot: its file, the logs that are fitted and those that are predicted."""
+    """A recorded robot: its file, the logs that are fitted and those that are
+    predicted.
+    """
 
     name: str
     robot: str
@@ -42,7 +47,11 @@ class Recorded:
     def paths(self, names: Sequence[str]) -> list[str]:
         """Return the logs of some names, which may be folders; none if any is missing."""
         paths = [DATA / name for name in names]
-        return [str(path) for path in paths] if all(path.exists() for path in paths) else []
+        return (
+            [str(path) for path in paths]
+            if all(path.exists() for path in paths)
+            else []
+        )
 
 
 def _ur10e(*names: str) -> tuple[str, ...]:
@@ -83,15 +92,31 @@ RECORDED = (
         ("ur5e_joints/joint_5_train.parquet",),
         ("ur5e_joints/joint_5_holdout.parquet",),
     ),
-    Recorded("SO-101", "so101_sage/robot.toml", ("so101_sage/train",), ("so101_sage/held",)),
-    Recorded("UR5 (CB2)", "ur5_xsens/robot.toml", ("ur5_xsens/train",), ("ur5_xsens/held",)),
+    Recorded(
+        "SO-101", "so101_sage/robot.toml", ("so101_sage/train",), ("so101_sage/held",)
+    ),
+    Recorded(
+        "UR5 (CB2)", "ur5_xsens/robot.toml", ("ur5_xsens/train",), ("ur5_xsens/held",)
+    ),
 )
-HEADER = ("", "joints", "blocks", "in 90 %", "slow", "fast", "low load", "high load", "in 95 %")
+HEADER = (
+    "",
+    "joints",
+    "blocks",
+    "in 90 %",
+    "slow",
+    "fast",
+    "low load",
+    "high load",
+    "in 95 %",
+)
 GROUPS = ("slow", "fast", "low_load", "high_load")
 
 
 def study(chosen: Namespace) -> str:
-    """Return a table of drawn arms, and one of recorded robots with a row of shares per joint."""
+    """Return a table of drawn arms, and one of recorded robots with a row of shares per
+    joint.
+    """
     rows = []
     for rig in ("one",) if chosen.quick else NAMES:
         seeds = seeds_of(chosen.seeds or (QUICK if chosen.quick else SEEDS[rig]))
@@ -128,16 +153,28 @@ def _drawn(rig: str, seed: int) -> PredictionFile:
 
         rng = np.random.default_rng([STREAM[rig], seed, VALIDATION_STREAM])
         rate_hz = 500.0 if rig == "six" else 1000.0
-        for number, trial in enumerate(validation_trials(drawn.plant, rng, rate_hz=rate_hz)):
+        for number, trial in enumerate(
+            validation_trials(drawn.plant, rng, rate_hz=rate_hz)
+        ):
             noise = int(rng.integers(2**31)) + number
-            log = simulate(drawn.plant, trial.reference, noise, every=drawn.every, imus=trial.imus)
+            log = simulate(
+                drawn.plant, trial.reference, noise, every=drawn.every, imus=trial.imus
+            )
             write_log(folder / "validation" / f"{trial.name}.parquet", drawn.plant, log)
-        logs, robot, model = folder / "validation", folder / "robot.toml", folder / "inertia.json"
-        found: PredictionFile = _quietly(lambda: identify.predict(str(logs), robot, model))
+        logs, robot, model = (
+            folder / "validation",
+            folder / "robot.toml",
+            folder / "inertia.json",
+        )
+        found: PredictionFile = _quietly(
+            lambda: identify.predict(str(logs), robot, model)
+        )
         return found
 
 
-def _recorded(robot: str, train: Sequence[str], held_out: Sequence[str]) -> PredictionFile:
+def _recorded(
+    robot: str, train: Sequence[str], held_out: Sequence[str]
+) -> PredictionFile:
     """Fit the training logs in one step, predict those that are held out."""
     model = _quietly(lambda: identify.simultaneous(train, robot))
     found: PredictionFile = _quietly(lambda: identify.predict(held_out, robot, model))
@@ -151,7 +188,12 @@ def _quietly(work: Callable[[], Any]) -> Any:
 
 def _row(name: str, found: Sequence[PredictionFile]) -> list[str]:
     """Shares of samples in the bands, each the mean over joints."""
-    joints = [x.coverage for file in found for x in file.joints.values() if x.coverage is not None]
+    joints = [
+        x.coverage
+        for file in found
+        for x in file.joints.values()
+        if x.coverage is not None
+    ]
     overall = [x.overall for x in joints]
     blocks = int(np.median([x.blocks for x in overall]))
     sides = [_mean([getattr(x, side) for x in joints], "band_90") for side in GROUPS]

@@ -1,4 +1,6 @@
-"""Results of cases, kept line by line: a study that was cut short goes on where it stopped."""
+"""Results of cases, kept line by line: a study that was cut short goes on where it
+stopped.
+"""
 
 import hashlib
 import sys
@@ -31,10 +33,12 @@ def results(
     told: Callable[[R], object] = lambda _: "",
     failed: Callable[[R], bool] = lambda _: False,
 ) -> dict[str, R]:
-    """Run the cases that the file does not hold, shuffled: tables of a part of them are fair.
+    """Run the cases that the file does not hold, shuffled: tables of a part of them are
+    fair.
 
-    Results, of `kind` to msgspec, are JSON lines of the file; those of other `sources` do not
-    count. `told` is what the screen says of a result, `failed` whether its case is to be run again.
+    Results, of `kind` to msgspec, are JSON lines of the file; those of other `sources`
+    do not count. `told` is what the screen says of a result, `failed` whether its case
+    is to be run again.
     """
     kept = {key: r for key, made_by, r in _lines(path, kind) if made_by == sources}
     left = [key for key in cases if key not in kept or failed(kept[key])] if run else []
@@ -43,9 +47,12 @@ def results(
     for count, (key, result) in enumerate(made, start=1):
         kept[key] = result
         path.parent.mkdir(parents=True, exist_ok=True)
-        cut = path.is_file() and not path.read_bytes().endswith(b"\n")  # by an interruption
+        # by an interruption
+        cut = path.is_file() and not path.read_bytes().endswith(b"\n")
         with path.open("ab") as stream:
-            stream.write((b"\n" if cut else b"") + encoded((key, sources, result)) + b"\n")
+            stream.write(
+                (b"\n" if cut else b"") + encoded((key, sources, result)) + b"\n"
+            )
         sys.stderr.write(f"{count}/{len(left)} {key}: {told(result)}\n")
     return {key: kept[key] for key in cases if key in kept}
 
@@ -69,7 +76,9 @@ def mapped(
 
 
 def _lines(path: Path, kind: type[R]) -> Iterator[tuple[str, str, R]]:
-    """Key, sources and result of every line; one that an interruption cut off is left out."""
+    """Key, sources and result of every line; one that an interruption cut off is left
+    out.
+    """
     for line in path.read_bytes().splitlines() if path.is_file() else ():
         try:
             yield msgspec.json.decode(line, type=tuple[str, str, kind])  # type: ignore[valid-type]
@@ -85,10 +94,17 @@ def encoded(value: object) -> bytes:
 @cache
 def sources_of(*folders: Path, but: tuple[str, ...] = ()) -> str:
     """Hash of all Python files in folders, without those whose names begin with `but`."""
-    files = [p for f in folders for p in sorted(f.rglob("*.py")) if not p.name.startswith(but)]
+    files = [
+        p
+        for f in folders
+        for p in sorted(f.rglob("*.py"))
+        if not p.name.startswith(but)
+    ]
     return hashlib.sha256(b"".join(p.read_bytes() for p in files)).hexdigest()[:16]
 
 
 def package_sources(*rooms: str) -> str:
     """Hash of the package, or of some of its rooms."""
-    return sources_of(*(Path(seqid_cli.__file__).parent / room for room in rooms or ("",)))
+    return sources_of(
+        *(Path(seqid_cli.__file__).parent / room for room in rooms or ("",))
+    )

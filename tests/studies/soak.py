@@ -1,4 +1,6 @@
-"""Two hours of log in one go, with little memory and few files: `python -m tests.studies.soak`."""
+"""Two hours of log in one go, with little memory and few files: `python -m
+tests.studies.soak`.
+"""
 
 import argparse
 import os
@@ -30,8 +32,12 @@ def write_log(path: Path, hours: float) -> int:
     with pq.ParquetWriter(path, trial.schema) as writer:
         while begun < hours * 3600.0:
             noise, block = NOISE * current.std() * rng.standard_normal(len(t)), trial
-            for name, values in zip(names, (t - t[0] + begun, current + noise), strict=True):
-                block = block.set_column(block.schema.names.index(name), name, pa.array(values))
+            for name, values in zip(
+                names, (t - t[0] + begun, current + noise), strict=True
+            ):
+                block = block.set_column(
+                    block.schema.names.index(name), name, pa.array(values)
+                )
             writer.write_table(block)
             begun, rows = begun + float(t[-1] - t[0]) + PAUSE_S, rows + len(t)
     return rows
@@ -43,7 +49,14 @@ def lines(log: Path) -> Iterator[tuple[str, ...]]:
     encoder = (*model, "--motion", "encoder")
     yield "inspect", *given
     yield "inertia", *encoder, "-o", str(out / "inertia.json")
-    yield "predict", *encoder, "-o", str(out / "p.json"), "--torques", str(out / "t.parquet")
+    yield (
+        "predict",
+        *encoder,
+        "-o",
+        str(out / "p.json"),
+        "--torques",
+        str(out / "t.parquet"),
+    )
     yield "diagnose", *model, "-o", str(out / "d.json")
 
 
@@ -61,7 +74,9 @@ def _limit() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
 
 
-def _run(line: Sequence[str], limit: Callable[[], None] | None) -> tuple[int, str, int, float]:
+def _run(
+    line: Sequence[str], limit: Callable[[], None] | None
+) -> tuple[int, str, int, float]:
     """Exit code, messages, peak memory [MiB] and CPU time [s] of a command."""
     with tempfile.TemporaryFile() as messages:
         process = subprocess.Popen(
@@ -79,13 +94,19 @@ def _run(line: Sequence[str], limit: Callable[[], None] | None) -> tuple[int, st
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.soak", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.studies.soak", description=__doc__
+    )
     parser.add_argument("--hours", type=float, default=2.0)
-    parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")
+    parser.add_argument(
+        "--write", action="store_true", help="put the table into docs/trust.md"
+    )
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as work:
         log = Path(work) / "long.parquet"
-        sys.stderr.write(f"{write_log(log, chosen.hours)} rows, {log.stat().st_size >> 20} MiB\n")
+        sys.stderr.write(
+            f"{write_log(log, chosen.hours)} rows, {log.stat().st_size >> 20} MiB\n"
+        )
         cells = [measured(line) for line in lines(log)]
     show("trust.md", "soak", table(HEADER, cells), kept=chosen.write)
     return 1 if {code for _, _, code, *_ in cells} - {"0", "1"} else 0

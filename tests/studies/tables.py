@@ -22,7 +22,9 @@ def share_within(z: ArrayLike, limit: float) -> float:
 
 
 def number(value: float, digits: int = 2) -> str:
-    """A number with `digits` significant digits, without an exponent where that stays short."""
+    """A number with `digits` significant digits, without an exponent where that stays
+    short.
+    """
     if not np.isfinite(value):
         return "-"
     if value == 0.0:
@@ -35,7 +37,9 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table; first column to the left, others to the right."""
     for row in rows:
         if len(row) != len(header):
-            raise ValueError(f"row {row[0]!r} has {len(row)} cells, the header {len(header)}")
+            raise ValueError(
+                f"row {row[0]!r} has {len(row)} cells, the header {len(header)}"
+            )
     rule = ["---", *["---:"] * (len(header) - 1)]
     return "\n".join("| " + " | ".join(row) + " |" for row in [header, rule, *rows])
 
@@ -45,7 +49,9 @@ def grouped(
     groups: Mapping[str, Sequence[T]],
     columns: Mapping[str, Callable[[Sequence[T]], str]],
 ) -> str:
-    """A table with a row per group that is not empty, a cell per column; "" without any row."""
+    """A table with a row per group that is not empty, a cell per column; "" without any
+    row.
+    """
     rows = [
         [name, *(cell(group) for cell in columns.values())]
         for name, group in groups.items()
@@ -59,17 +65,25 @@ def counted(cases: Sequence[T]) -> str:
 
 
 def show(page: str, name: str, content: str, *, kept: bool) -> None:
-    """Print the content of study `name`; where it is `kept`, put it into a page of docs/."""
+    """Print the content of study `name`; where it is `kept`, put it into a page of
+    docs/.
+    """
     sys.stdout.write(content + "\n")
     if kept:
         path = ROOT / "docs" / page
-        path.write_text(placed(path.read_text(encoding="utf-8"), name, content), encoding="utf-8")
+        path.write_text(
+            placed(path.read_text(encoding="utf-8"), name, content), encoding="utf-8"
+        )
 
 
 def placed(document: str, name: str, content: str) -> str:
     """The document with `content` between the markers of study `name`."""
     start, end = f"<!-- study:{name} -->", "<!-- /study -->"
-    pattern = re.compile(re.escape(start) + r"(?:(?!<!-- study:).)*?" + re.escape(end), re.DOTALL)
+    pattern = re.compile(
+        re.escape(start) + r"(?:(?!<!-- study:).)*?" + re.escape(end), re.DOTALL
+    )
     if document.count(start) != 1 or not pattern.search(document):
-        raise ValueError(f"the document needs {start} and {end}, once, around the tables")
+        raise ValueError(
+            f"the document needs {start} and {end}, once, around the tables"
+        )
     return pattern.sub(lambda _: f"{start}\n{content.strip()}\n{end}", document)

@@ -1,8 +1,10 @@
-"""What no stage can see: how wrong a robot file may be before anything says so, with sizes.
+"""What no stage can see: how wrong a robot file may be before anything says so, with
+sizes.
 
-One arm of two joints in the vertical plane is recorded once per seed. Its logs are identified with
-the right robot file, and with files (or stamps) that are wrong in one thing of a known size. Then
-with the same file once more that states the size as a tolerance, where there is a key for it.
+One arm of two joints in the vertical plane is recorded once per seed. Its logs are
+identified with the right robot file, and with files (or stamps) that are wrong in one
+thing of a known size. Then with the same file once more that states the size as a
+tolerance, where there is a key for it.
 """
 
 import argparse
@@ -40,9 +42,10 @@ POSTURES = [np.array([0.3, angle]) for angle in (-1.2, 0.2, 1.4)]
 class Mistake:
     """A robot file, or stamps, that are wrong in one thing.
 
-    `believed` is the arm that the robot file describes. `tolerance` are keys of the robot file that
-    state the size: those of all joints, then those of the arm. `rate` and `late_s` are of the
-    stamps: a clock that is fast, and what all channels are late by.
+    `believed` is the arm that the robot file describes. `tolerance` are keys of the
+    robot file that state the size: those of all joints, then those of the arm. `rate`
+    and `late_s` are of the stamps: a clock that is fast, and what all channels are late
+    by.
     """
 
     name: str
@@ -191,7 +194,9 @@ def stages_of(stages: Stages) -> list[list[Verdict]]:
 
 
 def parameter_errors(name: str, plant: Plant, stages: Stages) -> dict[str, float]:
-    """Return the worst error of a stage, over its stated error and over the largest of its unit."""
+    """Return the worst error of a stage, over its stated error and over the largest of
+    its unit.
+    """
     standard = true_standard(plant)
     parameters = getattr(stages, name).parameters
     truths = np.array([true_value(p.terms, standard) for p in parameters])
@@ -207,7 +212,8 @@ def parameter_errors(name: str, plant: Plant, stages: Stages) -> dict[str, float
             for p in parameters
         ]
     )
-    # A wrong twist frees parameters that the right arm has not: nothing is known of them.
+    # A wrong twist frees parameters that the right arm has not: nothing is known of
+    # them.
     known = stated < largest
     return {
         f"{name}_z": float(np.abs(errors / stated).max()),

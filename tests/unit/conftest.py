@@ -1,4 +1,6 @@
-"""Simulated robots and studies do not change with the package: `make test` leaves them out."""
+"""Simulated robots and studies do not change with the package: `make test` leaves them
+out.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""Every command as a function: same results, nothing printed; tables and recordings as logs."""
+"""Every command as a function: same results, nothing printed; tables and recordings as
+logs.
+"""
 
 import importlib
 import inspect as signatures
@@ -32,7 +34,8 @@ ON_SCREEN_ONLY = {"context", "strict", "form", "explain"}
 ON_SCREEN_ONLY |= {"quiet", "verbose", "json", "no_color", "debug"}
 OTHERWISE = {"jobs", "engine", "scheduler"}  # an executor
 OTHERWISE |= {"set_values", "show_settings"}  # settings
-WITHOUT = {"completion", "init", "run"}  # a shell's script, a template, and the others in a row
+# a shell's script, a template, and the others in a row
+WITHOUT = {"completion", "init", "run"}
 
 
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - WITHOUT))
@@ -53,10 +56,16 @@ def test_functions_take_what_commands_take(name: str) -> None:
 
 def _result(function: Callable[..., object]) -> type:
     found = signatures.signature(function).return_annotation
-    return getattr(sys.modules[function.__module__], found) if isinstance(found, str) else found
+    return (
+        getattr(sys.modules[function.__module__], found)
+        if isinstance(found, str)
+        else found
+    )
 
 
-def test_the_result_is_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_result_is_the_commands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     by_hand, by_function = tmp_path / "command.json", tmp_path / "function.json"
     logs = SAMPLES / "friction"
     assert run(["friction", str(logs), "-r", str(ROBOT), "-o", str(by_hand)]) == 0
@@ -75,11 +84,15 @@ def friction() -> ParameterFile:
 def test_results_pass_from_one_function_to_the_next(tmp_path: Path) -> None:
     """As files and as documents."""
     path, gravity = tmp_path / "friction.json", tmp_path / "gravity.json"
-    friction = identify.friction(str(SAMPLES / "friction"), str(ROBOT), ORDERS, output=path)
+    friction = identify.friction(
+        str(SAMPLES / "friction"), str(ROBOT), ORDERS, output=path
+    )
     by_file = identify.gravity([SAMPLES / "gravity"], ROBOT, path, output=gravity)
     by_document = identify.gravity([SAMPLES / "gravity"], load_robot(ROBOT), friction)
     first, second = (f.stages.gravity.parameters for f in (by_file, by_document))
-    assert [p.value for p in first] == pytest.approx([p.value for p in second], rel=1e-9)
+    assert [p.value for p in first] == pytest.approx(
+        [p.value for p in second], rel=1e-9
+    )
     assert compare.compare(gravity, gravity).changed == 0
 
 
@@ -106,12 +119,14 @@ def test_a_table_is_a_log(friction: ParameterFile) -> None:
 
 
 def test_tables_are_inspected_predicted_and_diagnosed() -> None:
-    (path, *_) = sorted((SAMPLES / "validation").glob("*.parquet"))
+    path, *_ = sorted((SAMPLES / "validation").glob("*.parquet"))
     table = pq.read_table(path)
     seen = inspect.inspect([table], ROBOT)
     assert [log.path for log in seen.logs] == ["table_1"]
     assert seen.verdict == inspect.inspect(path, ROBOT).verdict
-    by_path, by_table = (identify.predict(log, ROBOT, GOLDEN, ENCODER) for log in (path, table))
+    by_path, by_table = (
+        identify.predict(log, ROBOT, GOLDEN, ENCODER) for log in (path, table)
+    )
     assert by_table.joints == by_path.joints
     with pytest.raises(UsageError, match="given both to fit and to hold out"):
         discover.refine(table, table, ROBOT, GOLDEN)
@@ -156,11 +171,14 @@ def test_problems_are_exceptions_and_warnings_pythons(
 
 def test_the_package_is_light_until_it_is_used() -> None:
     text = (
-        "import sys, seqid_cli as s; s.identify.friction; s.discover.refine; s.inspect.inspect;"
-        " s.plan.plan; s.report.report; s.export.export; s.compare.compare;"
-        "print(sorted({'numpy', 'scipy', 'pyarrow', 'pinocchio', 'jinja2'} & set(sys.modules)))"
+        "import sys, seqid_cli as s; s.identify.friction; s.discover.refine;"
+        " s.inspect.inspect; s.plan.plan; s.report.report; s.export.export;"
+        " s.compare.compare;print(sorted({'numpy', 'scipy', 'pyarrow', 'pinocchio',"
+        " 'jinja2'} & set(sys.modules)))"
     )
-    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", text], capture_output=True, text=True, check=True
+    )
     assert done.stdout == "[]\n"
 
 
@@ -173,9 +191,12 @@ def test_documents_show_themselves_and_plots_are_the_reports_drawings() -> None:
     assert len(drawn.svg) == 3
     assert all(svg.startswith("<svg") for svg in drawn.svg)
     assert "srcdoc=" in drawn._repr_html_()
-    assert "<svg" not in drawn._repr_html_()  # escaped: the report's style stays in its frame
+    # escaped: the report's style stays in its frame
+    assert "<svg" not in drawn._repr_html_()
     with pytest.raises(UsageError, match="no friction of 'elbow'"):
         report.plot_friction(file, "elbow")
     found = diagnosis_file()
     parts = [*found.findings, *found.unexplained]
-    assert len(report.plot_evidence(found).svg) == sum(part.evidence is not None for part in parts)
+    assert len(report.plot_evidence(found).svg) == sum(
+        part.evidence is not None for part in parts
+    )

@@ -122,7 +122,9 @@ def scaled(stage: RigidStage, factor: float) -> RigidStage:
 
 
 def nominal(robot: Robot, stages: Stages, factor: float, turn: float = 0.0) -> Robot:
-    """Return the robot with inertials of a gravity that is `factor` times, and turned [rad]."""
+    """Return the robot with inertials of a gravity that is `factor` times, and turned
+    [rad].
+    """
     links = factor * standard_parameters(stages.gravity, robot.n)[0]
     c, s = np.cos(turn), np.sin(turn)
     links[:, 1:3] = links[:, 1:3] @ np.array([[c, s], [-s, c]])

@@ -20,7 +20,9 @@ def test_noise_is_told_from_motion_and_jolts_in_known_stretches() -> None:
     np.testing.assert_allclose(white_noise(values), SIZE, rtol=0.1)
     known = np.ones(len(values), dtype=bool)
     known[5000:] = False
-    values[5000:] += 100.0 * np.random.default_rng(1).normal(size=(len(values) - 5000, 2))
+    values[5000:] += 100.0 * np.random.default_rng(1).normal(
+        size=(len(values) - 5000, 2)
+    )
     np.testing.assert_allclose(white_noise(values, known), SIZE, rtol=0.1)
     assert white_noise(values)[0] > 10.0 * SIZE[0]
 
@@ -54,7 +56,19 @@ PAIRS = {
     "1/rad": "1/m",
 }
 PAIRS |= {"N m/rad": "N/m", "N m s/(rad K)": "N s/(m K)", "N m/A": "N/A"}
-UNTOUCHED = ("1", "s", "Hz", "kg m^2", "kg m", "degC", "m/s^2", "A", "N mm", "N m^2", "mrad")
+UNTOUCHED = (
+    "1",
+    "s",
+    "Hz",
+    "kg m^2",
+    "kg m",
+    "degC",
+    "m/s^2",
+    "A",
+    "N mm",
+    "N m^2",
+    "mrad",
+)
 
 
 @pytest.mark.parametrize("unit", [*PAIRS, *UNTOUCHED])

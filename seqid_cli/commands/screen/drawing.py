@@ -1,10 +1,12 @@
 """Tables and coloured labels, drawn by rich into text.
 
-Import this module where something is drawn, not before: rich takes a twentieth of a second.
+Import this module where something is drawn, not before: rich takes a twentieth of a
+second.
 
-rich writes into a text and never to a stream. Its console ends the process where a reader
-has left, and the commands answer that themselves. Names from logs and files are given as
-`rich.text.Text`, in which brackets are brackets: rich reads markup in plain strings alone.
+rich writes into a text and never to a stream. Its console ends the process where a
+reader has left, and the commands answer that themselves. Names from logs and files are
+given as `rich.text.Text`, in which brackets are brackets: rich reads markup in plain
+strings alone.
 """
 
 import io
@@ -18,8 +20,8 @@ from rich.text import Text
 from seqid_cli.commands.screen.messages import Label
 
 GAP = 2  # characters between two columns
-# A name from a file that is longer than this is broken on a narrow terminal, so that the
-# numbers beside it have room.
+# A name from a file that is longer than this is broken on a narrow terminal, so that
+# the numbers beside it have room.
 UNBROKEN = 16
 
 HEAD_STYLE = "bold"
@@ -36,9 +38,9 @@ def table_text(
 ) -> str:
     """Return aligned columns: text to the left, numbers to the right.
 
-    The widest texts give way and are broken at their words; no number is broken. Columns
-    that still have no room come in a further table, behind the first columns, which tell
-    the rows apart.
+    The widest texts give way and are broken at their words; no number is broken.
+    Columns that still have no room come in a further table, behind the first columns,
+    which tell the rows apart.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """Text that suits a stream: lines of its width, names that do not steer its terminal.
 
-Nothing here draws: `drawing` does, with rich, which is imported when something is drawn.
+Nothing here draws: `drawing` does, with rich, which is imported when something is
+drawn.
 """
 
 import os
@@ -22,7 +23,8 @@ _STEERING = re.compile(
 def width_of(stream: TextIO) -> int | None:
     """Return the characters in a line, by COLUMNS or the terminal.
 
-    None where nothing limits a line: no terminal shows it and COLUMNS does not ask for it.
+    None where nothing limits a line: no terminal shows it and COLUMNS does not ask for
+    it.
     """
     asked = os.environ.get("COLUMNS", "")
     if asked.isdigit():

@@ -17,9 +17,9 @@ from seqid_cli.params.results.tables import Values
 class Screen:
     """How one command talks to its user.
 
-    With `json`, stdout carries one JSON document and nothing else. `color` is of stdout,
-    `color_messages` of stderr. `said` are the warnings and remarks, each of which is said
-    once.
+    With `json`, stdout carries one JSON document and nothing else. `color` is of
+    stdout, `color_messages` of stderr. `said` are the warnings and remarks, each of
+    which is said once.
     """
 
     command: str

@@ -47,8 +47,8 @@ def show_verdicts(
 ) -> None:
     """Print the verdicts and the notes.
 
-    `whole` names what a verdict without a joint is on; joints in `shown` are left out, as
-    a table has their verdicts.
+    `whole` names what a verdict without a joint is on; joints in `shown` are left out,
+    as a table has their verdicts.
     """
     for name in dict.fromkeys(verdict.joint for verdict in verdicts):
         if name not in shown:
@@ -162,7 +162,8 @@ def show_motion(
         for joint, error in use.acceleration_error.items()
         if use.imus
     ]
-    # Both errors below the encoders' own cut-off, where the IMUs would have made it worse.
+    # Both errors below the encoders' own cut-off, where the IMUs would have made it
+    # worse.
     by_encoders = [
         _AccelerationErrors(joint=joint, chosen=use.encoder_error[joint], other=error)
         for use in uses

@@ -21,10 +21,14 @@ _EVENTS_SHOWN = 10
 _COLUMNS, _ROWS = 56, 7  # of a chart
 
 
-def show_diagnosis(screen: Screen, file: diagnosis.DiagnosisFile, joint: str | None = None) -> None:
+def show_diagnosis(
+    screen: Screen, file: diagnosis.DiagnosisFile, joint: str | None = None
+) -> None:
     """Print a diagnosis, or what it says of one joint, with the evidence and all that was tried."""
     why = joint is not None
-    findings = [item for item in file.findings if not joint or joint in _places(item, file)]
+    findings = [
+        item for item in file.findings if not joint or joint in _places(item, file)
+    ]
     parts = [part for part in file.unexplained if part.joint == (joint or part.joint)]
     joints = {joint: file.joints[joint]} if joint else file.joints
     if joint is None:
@@ -52,13 +56,18 @@ def show_diagnosis(screen: Screen, file: diagnosis.DiagnosisFile, joint: str | N
     screen.remark(*file.notes)
 
 
-def _places(item: diagnosis.FindingEntry, file: diagnosis.DiagnosisFile) -> Collection[str]:
+def _places(
+    item: diagnosis.FindingEntry, file: diagnosis.DiagnosisFile
+) -> Collection[str]:
     """Joints that a finding is of: there, or shown there; all of one of the whole arm."""
     if item.effect == "external_contact":
         return {name for event in file.events for name in event.joints}
     if item.joint is None:
         return list(file.joints)
-    return {item.joint, *((item.evidence.joint, item.evidence.of) if item.evidence else ())}
+    return {
+        item.joint,
+        *((item.evidence.joint, item.evidence.of) if item.evidence else ()),
+    }
 
 
 def verdict_sentence(file: diagnosis.DiagnosisFile) -> str:
@@ -67,7 +76,9 @@ def verdict_sentence(file: diagnosis.DiagnosisFile) -> str:
         return diagnosis.nothing_found(file)
     if file.verdict == "values_changed":
         return diagnosis.values_sentence(file)
-    rest = "; ".join(f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained)
+    rest = "; ".join(
+        f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained
+    )
     if file.verdict == "unexplained":
         where = f" ({rest})" if rest else ""
         return f"Something is missing that no known effect explains{where}."
@@ -94,7 +105,11 @@ def effect_at(effect: str, joint: str | None) -> str:
 
 
 def _findings(
-    screen: Screen, findings: Sequence[diagnosis.FindingEntry], robot: RobotId, *, why: bool
+    screen: Screen,
+    findings: Sequence[diagnosis.FindingEntry],
+    robot: RobotId,
+    *,
+    why: bool,
 ) -> None:
     rows = [
         (x.effect, x.joint or "whole arm", x.confidence, x.explains, parameters_text(x))
@@ -123,14 +138,20 @@ def _findings(
 
 def parameters_text(item: diagnosis.FindingEntry | EffectOfJoint) -> str:
     """Return the parameters of an effect with their errors, and its settings."""
-    from seqid_cli.model.effects.registry import setting_units  # help of commands needs none
+    # help of commands needs none
+    from seqid_cli.model.effects.registry import setting_units
 
     if not item.parameters:
         return "not determined by these logs"
     if item.effect == UNEXPLAINED:
         return smooth_in_words(item.parameters, item.settings)
-    told = [x for x in item.parameters if x.std_error is not None and x.std_error < UNTOLD]
-    texts = [f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}" for x in told]
+    told = [
+        x for x in item.parameters if x.std_error is not None and x.std_error < UNTOLD
+    ]
+    texts = [
+        f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}"
+        for x in told
+    ]
     named, units = {x.name for x in item.parameters}, setting_units(item.effect)
     for name, value in item.settings.items():
         if name not in named:
@@ -146,14 +167,20 @@ def _unit(unit: str) -> str:
 
 
 def _unexplained(
-    screen: Screen, parts: Sequence[diagnosis.UnexplainedPart], robot: RobotId, *, why: bool
+    screen: Screen,
+    parts: Sequence[diagnosis.UnexplainedPart],
+    robot: RobotId,
+    *,
+    why: bool,
 ) -> None:
     rows = []
     for part in parts:
         near = part.closest
         closest = f"{near.effect}, {percent(near.share)}" if near else "none"
         rows.append((part.joint, _quantities(part.depends_on), part.share, closest))
-    titles = "joint | unexplained, depends on | share | closest effect, share of its gain"
+    titles = (
+        "joint | unexplained, depends on | share | closest effect, share of its gain"
+    )
     screen.values(values(titles, "text text share text", rows))
     for part in parts:
         _shown(screen, part.evidence, robot)
@@ -168,7 +195,10 @@ def _shown(screen: Screen, shown: EvidenceEntry | None, robot: RobotId) -> None:
     sided = " times direction" if shown.sided else ""
     marks = ": * before, o after" if shown.after else ""
     force = robot.unit("N m", shown.joint)
-    label, over = f"residual of {shown.joint}{sided} {force}{marks}", diagnosis.over_words(shown)
+    label, over = (
+        f"residual of {shown.joint}{sided} {force}{marks}",
+        diagnosis.over_words(shown),
+    )
     over += _unit(shown.unit)
     for line in text_chart(shown.x, shown.before, shown.after, over=over, label=label):
         screen.result(line)
@@ -180,17 +210,23 @@ def _quantities(names: Sequence[str]) -> str:
 
 def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> None:
     """Print the rounds, the errors before and after, and the effects of the refined model."""
-    added = f"Added: {_named(loop.rounds)}" if loop.rounds else diagnosis.nothing_added(loop)
+    added = (
+        f"Added: {_named(loop.rounds)}"
+        if loop.rounds
+        else diagnosis.nothing_added(loop)
+    )
     screen.result(f"{added}.")
     if loop.unconfirmed:
         screen.result(
-            f"Not kept, as the held-out logs do not confirm it: {_named(loop.unconfirmed)}"
-            " (--keep-unconfirmed keeps it)."
+            "Not kept, as the held-out logs do not confirm it:"
+            f" {_named(loop.unconfirmed)} (--keep-unconfirmed keeps it)."
         )
     if loop.stopped_at is not None:
         screen.warn(stopped_sentence(loop.stopped_at))
     if loop.doubtful:
-        screen.warn(f"verdict poor: the held-out logs do not confirm {_named(loop.doubtful)}")
+        screen.warn(
+            f"verdict poor: the held-out logs do not confirm {_named(loop.doubtful)}"
+        )
     elif loop.rounds and not loop.verdicts:
         screen.result("Verdict good: the held-out logs confirm what was added.")
     show_poor(screen, loop.verdicts, "refinement")
@@ -198,11 +234,15 @@ def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> No
     screen.values(tables.loop_errors(loop, file.robot))
     if loop.evaluated_on:
         screen.note(
-            "errors are on held-out logs where joints slide; outside: beyond the positions and"
-            f" speeds at which friction was identified: {', '.join(loop.evaluated_on)}"
+            "errors are on held-out logs where joints slide; outside: beyond the"
+            " positions and speeds at which friction was identified:"
+            f" {', '.join(loop.evaluated_on)}"
         )
     effects = file.stages.effects or []
-    rows = [(item.effect, item.joint or "whole arm", parameters_text(item)) for item in effects]
+    rows = [
+        (item.effect, item.joint or "whole arm", parameters_text(item))
+        for item in effects
+    ]
     screen.values(values("effect | joint | parameters", "text text text", rows))
     screen.remark(*loop.notes)
 
@@ -220,16 +260,24 @@ def _named(rounds: Sequence[RefinementRound | EffectOfPlace]) -> str:
         of_effect = joints.setdefault((item.effect, item.joint is None), [])
         if item.joint is not None:
             of_effect.append(item.joint)
-    named = (effect_at(effect, ", ".join(places)) for (effect, _), places in joints.items())
+    named = (
+        effect_at(effect, ", ".join(places)) for (effect, _), places in joints.items()
+    )
     return "; ".join(named) if max(map(len, joints.values())) > 1 else ", ".join(named)
 
 
 def text_chart(
-    x: Sequence[float], y: Sequence[float], after: Sequence[float] = (), *, over: str, label: str
+    x: Sequence[float],
+    y: Sequence[float],
+    after: Sequence[float] = (),
+    *,
+    over: str,
+    label: str,
 ) -> list[str]:
     """Draw y (`*`) and what it is `after` something (`o`) over x, with the ranges at the axes.
 
-    Nothing below two points. Those in one column are averaged; x need not be even or sorted.
+    Nothing below two points. Those in one column are averaged; x need not be even or
+    sorted.
     """
     if len(x) < 2 or min(x) == max(x):
         return []
@@ -244,7 +292,9 @@ def text_chart(
             rows[_ROWS - 1 - round(share * (_ROWS - 1))][column] = mark
     labels = [number(high), *[""] * (_ROWS - 2), number(low)]
     width = max(map(len, labels))
-    drawn = (f"{y.rjust(width)} |{''.join(row)}" for y, row in zip(labels, rows, strict=True))
+    drawn = (
+        f"{y.rjust(width)} |{''.join(row)}" for y, row in zip(labels, rows, strict=True)
+    )
     left, right = number(min(x)), number(max(x))
     margin = " " * (width + 2)
     return [

@@ -11,7 +11,10 @@ FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBAD
 
 
 class Messages(io.TextIOWrapper):
-    """Standard error. No result goes there: once it cannot be written, it swallows all."""
+    """Standard error.
+
+    No result goes there: once it cannot be written, it swallows all.
+    """
 
     def write(self, text: str, /) -> int:
         """Write a text, or lose it."""
@@ -32,8 +35,8 @@ class Messages(io.TextIOWrapper):
 def prepare_streams() -> None:
     """Make the streams of a program of its own safe to write to.
 
-    Characters that a stream cannot spell are written as escapes; a closed stream swallows all, and
-    so does standard error where it is full or nobody reads it.
+    Characters that a stream cannot spell are written as escapes; a closed stream
+    swallows all, and so does standard error where it is full or nobody reads it.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -48,7 +51,9 @@ def prepare_streams() -> None:
 
 def cannot_be_written(error: OSError) -> bool:
     """Whether it is a stream that failed, of which no file is told, or whose reader has left."""
-    return isinstance(error, BrokenPipeError) or (error.filename is None and error.errno in FULL)
+    return isinstance(error, BrokenPipeError) or (
+        error.filename is None and error.errno in FULL
+    )
 
 
 def to_nowhere(stream: TextIO) -> None:

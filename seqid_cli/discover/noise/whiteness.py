@@ -1,11 +1,12 @@
 """Whether a residual is no more than low-passed white noise.
 
-Low-passing makes any noise coloured, so the residual is thinned to two samples per period of the
-cut-off and freed of the correlation that the low-pass gives to white noise, by the Cholesky factor
-of its covariance; gaps are no trouble for that. What is left is uncorrelated under the hypothesis,
-and is tested by the squares of its correlations at the first lags (Box and Pierce, Ljung and Box,
-"On a measure of lack of fit in time series models", Biometrika 65(2), 1978), each from those pairs
-that are there.
+Low-passing makes any noise coloured, so the residual is thinned to two samples per
+period of the cut-off and freed of the correlation that the low-pass gives to white
+noise, by the Cholesky factor of its covariance; gaps are no trouble for that. What is
+left is uncorrelated under the hypothesis, and is tested by the squares of its
+correlations at the first lags (Box and Pierce, Ljung and Box, "On a measure of lack of
+fit in time series models", Biometrika 65(2), 1978), each from those pairs that are
+there.
 """
 
 from collections.abc import Sequence
@@ -30,8 +31,9 @@ NUGGET = 1e-6
 def white(rows: Rows, residual: Sequence[Array]) -> Mask:
     """Test every joint's residual for being low-passed white noise.
 
-    `residual` (N, n) N m per data set, low-passed twice; only samples that count are looked at.
-    Returns (n,): False where the hypothesis is rejected, True where there are too few samples to.
+    `residual` (N, n) N m per data set, low-passed twice; only samples that count are
+    looked at. Returns (n,): False where the hypothesis is rejected, True where there
+    are too few samples to.
     """
     return np.array([_p_value(rows, residual, j) for j in range(rows.n)]) >= FALSE_ALARM
 
@@ -39,7 +41,9 @@ def white(rows: Rows, residual: Sequence[Array]) -> Mask:
 def _p_value(rows: Rows, residual: Sequence[Array], joint: int) -> float:
     """Probability of correlations as large as these in a white residual."""
     product, pairs = np.zeros(LAGS), np.zeros(LAGS)
-    for scene, at, used, values in zip(rows.scenes, rows.picked, rows.used, residual, strict=True):
+    for scene, at, used, values in zip(
+        rows.scenes, rows.picked, rows.used, residual, strict=True
+    ):
         time, z = _whitened(scene.motion, at, used[:, joint], values[:, joint])
         if len(z) > LAGS:
             more, count = _lagged(time, z / np.sqrt(max(float(np.mean(z**2)), 1e-300)))
@@ -51,7 +55,9 @@ def _p_value(rows: Rows, residual: Sequence[Array], joint: int) -> float:
     return float(chi2.sf(float(np.sum(product**2 / pairs)), lags))
 
 
-def _whitened(motion: Motion, at: Index, used: Mask, values: Array) -> tuple[Index, Array]:
+def _whitened(
+    motion: Motion, at: Index, used: Mask, values: Array
+) -> tuple[Index, Array]:
     """Steps in time (K,) of the thinned rows, and their values (K,) without the low-pass."""
     apart = int(np.min(np.diff(at), initial=motion.samples))
     wanted = motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)

@@ -1,11 +1,11 @@
 """What held-out logs say of a refinement: opened after the last decision on the logs to fit.
 
-They choose no effect, no setting and no value. By a rule that is fixed beforehand they take out
-what they do not confirm: the effect of the smallest gain among those whose gain is not certainly
-more than nothing, as long as there is one. The rest of its round and what was added after it are
-then fitted again to the logs to fit, on top of a model that never had the effect, and measured
-again. So every effect that stays is confirmed beside those that stay, and the error after is that
-of the model that is written.
+They choose no effect, no setting and no value. By a rule that is fixed beforehand they
+take out what they do not confirm: the effect of the smallest gain among those whose
+gain is not certainly more than nothing, as long as there is one. The rest of its round
+and what was added after it are then fitted again to the logs to fit, on top of a model
+that never had the effect, and measured again. So every effect that stays is confirmed
+beside those that stay, and the error after is that of the model that is written.
 """
 
 from collections.abc import Mapping, Sequence
@@ -58,7 +58,8 @@ def confirm(
     refinement : Refinement
         What was decided on the logs to fit.
     held_out : sequence of Recording
-        With torque or current; before and after are measured on the same samples of them.
+        With torque or current; before and after are measured on the same samples of
+        them.
     whole : WholeLogs, optional
         The held-out logs as they are, where `held_out` are pieces of them.
     keep_unconfirmed : bool
@@ -67,8 +68,8 @@ def confirm(
     Returns
     -------
     Confirmed
-        Each effect's gain is beside the model before its round, with the round's other effects; it
-        is confirmed where that is certainly more than nothing.
+        Each effect's gain is beside the model before its round, with the round's other
+        effects; it is confirmed where that is certainly more than nothing.
 
     Raises
     ------
@@ -128,7 +129,9 @@ class _Errors:
     options: InertiaOptions
     whole: WholeLogs | None
     _pieces: bool = False
-    _measured_models: dict[int, tuple[object, HeldOutError]] = field(default_factory=dict)
+    _measured_models: dict[int, tuple[object, HeldOutError]] = field(
+        default_factory=dict
+    )
 
     def of_model(self, model: Refitted) -> HeldOutError:
         """Squared errors of a model, block by block."""
@@ -141,7 +144,8 @@ class _Errors:
     def measure(self, came: Stages, models: Sequence[Refitted]) -> None:
         """Measure models beforehand, so that all are measured on the same samples."""
         pieces = None
-        while pieces != self._pieces:  # the first that needs pieces has the others measured again
+        # the first that needs pieces has the others measured again
+        while pieces != self._pieces:
             pieces = self._pieces
             self.of(came)
             for model in models:
@@ -166,7 +170,8 @@ class _Errors:
         if self.whole is not None and not self._pieces:
             if errors := self.whole.errors([stages], self.options):
                 return errors[0]
-            # A model that cannot be predicted part by part: all are measured on the pieces.
+            # A model that cannot be predicted part by part: all are measured on the
+            # pieces.
             self._pieces = True
             self._measured_models.clear()
         return held_out_error(self.logs, self.robot, stages, self.options)
@@ -203,16 +208,22 @@ def _why(entry: RefinementRound) -> str:
     return "its gain on the held-out logs is not certainly more than nothing"
 
 
-def _measured(refinement: Refinement, steps: Sequence[Step], errors: _Errors) -> list[Step]:
+def _measured(
+    refinement: Refinement, steps: Sequence[Step], errors: _Errors
+) -> list[Step]:
     """Return the rounds, each effect with what it gains on the held-out logs."""
     if not steps:
         return []
 
     robot = refinement.material.robot
     start = refinement.without(steps)
-    errors.measure(refinement.came, [start, *(model for step in steps for model in step.models)])
+    errors.measure(
+        refinement.came, [start, *(model for step in steps for model in step.models)]
+    )
     measured = []
-    for step, last in zip(steps, [start, *(step.model for step in steps)], strict=False):
+    for step, last in zip(
+        steps, [start, *(step.model for step in steps)], strict=False
+    ):
         rounds = []
         earlier = step.beside or (last,) * len(step.rounds)
         for entry, before in zip(step.rounds, earlier, strict=True):
@@ -237,8 +248,13 @@ def _stopped_at(refinement: Refinement) -> StoppedAt | None:
     limit, robot = refinement.material.options.max_effects, refinement.material.robot
     if limit is None or not refinement.untried:
         return None
-    places = [(effect.effect.name, robot.name_of(effect.joint)) for effect in refinement.untried]
-    untried = [EffectOfPlace(effect=name, joint=joint) for name, joint in dict.fromkeys(places)]
+    places = [
+        (effect.effect.name, robot.name_of(effect.joint))
+        for effect in refinement.untried
+    ]
+    untried = [
+        EffectOfPlace(effect=name, joint=joint) for name, joint in dict.fromkeys(places)
+    ]
     return StoppedAt(rounds=limit, untried=untried)
 
 
@@ -248,17 +264,23 @@ def _taken_out_note(
     """Say how the model came about where something was taken out of it."""
     if not taken_out:
         return ()
-    places = (f"{entry.effect} at {entry.joint or 'the whole arm'}" for entry in taken_out)
+    places = (
+        f"{entry.effect} at {entry.joint or 'the whole arm'}" for entry in taken_out
+    )
     names = ", ".join(places)
     note = f"taken out, as the held-out logs do not confirm it: {names}"
     if rounds:
-        note += "; what was added after it is fitted again without it, and measured again"
+        note += (
+            "; what was added after it is fitted again without it, and measured again"
+        )
     return (note,)
 
 
 def _loss_note(changes: Mapping[str, Gain]) -> tuple[str, ...]:
     """Say which joints are certainly predicted worse, by more than is small."""
-    lost = {n: -g.value for n, g in changes.items() if g.loses and -g.value > Options.small}
+    lost = {
+        n: -g.value for n, g in changes.items() if g.loses and -g.value > Options.small
+    }
     worse = ", ".join(f"{name} ({percent(share)})" for name, share in lost.items())
     said = f"predicted worse than before, in squared error where they slide: {worse}"
     return (said,) if lost else ()
@@ -266,7 +288,9 @@ def _loss_note(changes: Mapping[str, Gain]) -> tuple[str, ...]:
 
 def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
     """Say which joints have so many `times` the noise floor left, and what to do."""
-    said = ", ".join(f"{name} ({x:.1f} times)" for name, x in times.items() if x > MORE_THAN_NOISE)
+    said = ", ".join(
+        f"{name} ({x:.1f} times)" for name, x in times.items() if x > MORE_THAN_NOISE
+    )
     ask = "diagnose says on what it depends"
     ask += "" if smooth else ", refine --with-unexplained adds a smooth term for it"
     note = f"more is left than torque noise and encoder account for: {said}; {ask}"
@@ -274,7 +298,10 @@ def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
 
 
 def _floor(
-    refinement: Refinement, model: Refitted, held_out: Sequence[Recording], options: InertiaOptions
+    refinement: Refinement,
+    model: Refitted,
+    held_out: Sequence[Recording],
+    options: InertiaOptions,
 ) -> NoiseFloor:
     """Noise floor of the held-out logs; the training logs help to find it."""
     material = refinement.material
@@ -282,5 +309,8 @@ def _floor(
     logs = (*held_out, *material.training)
     freed = [material.without(log, model.stages, model.effects) for log in logs]
     scenes = scenes_of(freed, material.robot, model.stages, options=options)
-    left, echo = [residual_of(scene) for scene in scenes], encoder_residuals(freed, scenes)
+    left, echo = (
+        [residual_of(scene) for scene in scenes],
+        encoder_residuals(freed, scenes),
+    )
     return noise_floor(freed, scenes, left, echo, judged=len(held_out))

@@ -1,13 +1,15 @@
 """Errors on samples that were not fitted, block by block of time, and how sure a gain is.
 
-A model is judged where joints slide: on the logs that it was fitted to, where its stages are to be
-identified anew, and on the held-out logs, where the result is told. With squared errors o_b before
-and n_b after in block b (Cochran, "Sampling Techniques", 1977, section 6),
+A model is judged where joints slide: on the logs that it was fitted to, where its
+stages are to be identified anew, and on the held-out logs, where the result is told.
+With squared errors o_b before and n_b after in block b (Cochran, "Sampling Techniques",
+1977, section 6),
 
     gain = 1 - r,   r = sum n / sum o,   se^2 = B / (B - 1) sum (n_b - r o_b)^2 / (sum o)^2.
 
-Neighbouring blocks may share their error: they are joined two by two, as long as enough are left,
-and the largest interval counts (Flyvbjerg and Petersen, J. Chem. Phys. 91, 1989).
+Neighbouring blocks may share their error: they are joined two by two, as long as enough
+are left, and the largest interval counts (Flyvbjerg and Petersen, J. Chem. Phys. 91,
+1989).
 """
 
 from __future__ import annotations
@@ -45,7 +47,8 @@ MOST_BLOCKS = 1000  # of a log that comes in parts
 class HeldOutError(NamedTuple):
     """Squared error (N m)^2 and samples (B, n) of every block, where a joint certainly slides.
 
-    At rest the model says an interval: a wider one always fits better, and nothing is gained by it.
+    At rest the model says an interval: a wider one always fits better, and nothing is
+    gained by it.
     """
 
     squares: Array
@@ -61,7 +64,9 @@ class HeldOutError(NamedTuple):
         """Errors of the joints that slide, also apart within and beyond the identified friction."""
         inside = _rms(self.squares - self.outside, self.samples - self.outside_samples)
         outside = _rms(self.outside, self.outside_samples)
-        share = self.outside_samples.sum(axis=0) / np.maximum(self.samples.sum(axis=0), 1.0)
+        share = self.outside_samples.sum(axis=0) / np.maximum(
+            self.samples.sum(axis=0), 1.0
+        )
         every = np.stack([self.rmse(), inside, outside, share], axis=1).tolist()
         return {
             name: JointRmse(
@@ -106,23 +111,35 @@ class Gain:
 
 
 def held_out_error(
-    logs: Iterable[Recording | SurveyedLog], robot: Robot, stages: Stages, options: InertiaOptions
+    logs: Iterable[Recording | SurveyedLog],
+    robot: Robot,
+    stages: Stages,
+    options: InertiaOptions,
 ) -> HeldOutError:
     """Predict logs, smooth terms included, and add up the squared errors, block by block."""
     found, samples, seen = list[HeldOutError](), 0, 0
-    given = cast("Iterable[Recording]", logs), robot, stages  # passed over: predicted alike
+    # passed over: predicted alike
+    given = cast("Iterable[Recording]", logs), robot, stages
     for log in predict(*given, options=options, unexplained=True, sliding_only=True):
-        if log.part == 0:  # blocks of a short log are shorter, of one that is not held longer
+        # blocks of a short log are shorter, of one that is not held longer
+        if log.part == 0:
             length = float(log.t[-1] - log.t[0])
             length *= 1.0 if log.last else log.samples / len(log.t)
             blocks = int(np.clip(round(length / BLOCK_S), FEWEST_BLOCKS, MOST_BLOCKS))
             found.append(HeldOutError(*np.zeros((4, blocks, robot.n))))
             samples, seen = log.samples, 0
         blocks = len(found[-1].squares)
-        block = np.minimum(np.arange(seen, seen + len(log.t)) * blocks // samples, blocks - 1)
+        block = np.minimum(
+            np.arange(seen, seen + len(log.t)) * blocks // samples, blocks - 1
+        )
         seen += len(log.t)
         square, counts, beyond = log.residual**2, log.sliding, log.sliding & log.outside
-        values = np.where(counts, square, 0.0), counts, np.where(beyond, square, 0.0), beyond
+        values = (
+            np.where(counts, square, 0.0),
+            counts,
+            np.where(beyond, square, 0.0),
+            beyond,
+        )
         for total, of_joints in zip(found[-1], values, strict=True):
             for own, value in zip(total.T, of_joints.T, strict=True):
                 own += np.bincount(block, weights=value, minlength=blocks)
@@ -142,7 +159,9 @@ class WholeLogs:
     robot: Robot
     time_source: TimeSource = "header"
 
-    def errors(self, models: Sequence[Stages], options: InertiaOptions) -> list[HeldOutError]:
+    def errors(
+        self, models: Sequence[Stages], options: InertiaOptions
+    ) -> list[HeldOutError]:
         """Errors of models on all samples; none where one cannot be predicted part by part."""
         found = [self._error(stages, options) for stages in models]
         known = [error for error in found if error is not None]
@@ -156,11 +175,16 @@ class WholeLogs:
         found: list[HeldOutError] = []
         for path in self.paths:
             with local_copy(path) as local:
-                log: Recording | SurveyedLog | None = None  # where a long one must be held
+                # where a long one must be held
+                log: Recording | SurveyedLog | None = None
                 file, clock = Path(local), self.time_source
                 if likely_rows(file) >= LONG:
                     opened = open_if_long(file, self.robot, time_source=clock, least=1)
-                    log = screened_long(opened, self.robot)[0] if opened is not None else None
+                    log = (
+                        screened_long(opened, self.robot)[0]
+                        if opened is not None
+                        else None
+                    )
                 elif likely_rows(file):
                     log = read_screened(file, self.robot, time_source=clock).recording
                 if log is None:
@@ -172,8 +196,9 @@ class WholeLogs:
 def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> Gain:
     """Compare two models on the same samples at some joints.
 
-    The samples of a joint within and those beyond the identified friction are each weighed by their
-    mean squared error before: what extrapolation misses does not hide what an effect gains.
+    The samples of a joint within and those beyond the identified friction are each
+    weighed by their mean squared error before: what extrapolation misses does not hide
+    what an effect gains.
     """
     old, new = _weighed(before, after, joints)
     return gain_of(old, new) if old.any() else Gain(0.0, 0.0, 0.0)
@@ -182,9 +207,12 @@ def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> 
 def likelier(one: HeldOutError, other: HeldOutError) -> bool:
     """Whether one model explains the same samples better than another, all joints together.
 
-    By the likelihood of normal errors of each joint's and model's own size: joints count alike.
+    By the likelihood of normal errors of each joint's and model's own size: joints
+    count alike.
     """
-    first, second = (np.log(np.maximum(x.squares.sum(axis=0), 1e-300)) for x in (one, other))
+    first, second = (
+        np.log(np.maximum(x.squares.sum(axis=0), 1e-300)) for x in (one, other)
+    )
     return bool(one.samples.sum(axis=0) @ (first - second) < 0.0)
 
 
@@ -199,8 +227,12 @@ def _weighed(
 ) -> tuple[Array, Array]:
     """Squared errors (B,) of two models, those within and beyond in units of the mean before."""
     chosen = sorted(joints)
-    old, new = (_within_and_beyond(x.squares, x.outside, chosen) for x in (before, after))
-    counts = _within_and_beyond(before.samples, before.outside_samples, chosen).sum(axis=0)
+    old, new = (
+        _within_and_beyond(x.squares, x.outside, chosen) for x in (before, after)
+    )
+    counts = _within_and_beyond(before.samples, before.outside_samples, chosen).sum(
+        axis=0
+    )
     total = old.sum(axis=0)
     weight = np.where(total > 0.0, counts / np.maximum(total, 1e-300), 0.0)
     return old @ weight, new @ weight

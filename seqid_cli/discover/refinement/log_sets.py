@@ -44,15 +44,22 @@ def _place(log: Path | Recording) -> object:
 
 
 def check_unseen(
-    held_out: Iterable[tuple[object, Path | Recording]], fitted: Mapping[Any, Path | Recording]
+    held_out: Iterable[tuple[object, Path | Recording]],
+    fitted: Mapping[Any, Path | Recording],
 ) -> None:
     """Raise UsageError if a held-out log was fitted; both by their places, or by SHA-256."""
     for own, file in held_out:
         if own in fitted:
-            both = [str(x if isinstance(x, Path) else x.path) for x in (file, fitted[own])]
+            both = [
+                str(x if isinstance(x, Path) else x.path) for x in (file, fitted[own])
+            ]
             where = both[0] if both[0] == both[1] else f"{both[0]} ({both[1]})"
-            hint = "A held-out log must never be fitted: leave it out of one of the lists."
-            raise UsageError("is given both to fit and to hold out", where=where, hint=hint)
+            hint = (
+                "A held-out log must never be fitted: leave it out of one of the lists."
+            )
+            raise UsageError(
+                "is given both to fit and to hold out", where=where, hint=hint
+            )
 
 
 @dataclass(frozen=True)
@@ -73,12 +80,15 @@ def find_earlier(
 ) -> EarlierLogs:
     """Look for the logs of earlier stages, unchanged, where the parameter file says they are.
 
-    A relative path of `inputs` is tried from the working directory and then from each of `folders`,
-    those of the parameter files. `at_hand` are logs that were given to be fitted, wherever earlier
-    stages had them from; `held_out` those that are never to be fitted, and are not opened.
+    A relative path of `inputs` is tried from the working directory and then from each
+    of `folders`, those of the parameter files. `at_hand` are logs that were given to be
+    fitted, wherever earlier stages had them from; `held_out` those that are never to be
+    fitted, and are not opened.
     """
     unseen = {path.resolve() for path in held_out}
-    known = [log for log in inputs if unseen & {p.resolve() for p in _places(log, folders)}]
+    known = [
+        log for log in inputs if unseen & {p.resolve() for p in _places(log, folders)}
+    ]
     paths, by_stage, lost = dict[str, Path](), dict[str, list[str]](), list[str]()
     for log in (x for x in inputs if x.stage in FITTED_STAGES and x not in known):
         path = paths.get(log.sha256) or at_hand.get(log.sha256) or _find(log, folders)
@@ -101,7 +111,8 @@ def _places(log: InputLog, folders: Sequence[Path]) -> list[Path]:
 
 
 def _find(log: InputLog, folders: Sequence[Path]) -> Path | None:
-    for path in _places(log, folders):  # the name comes from a file: nothing else is opened
+    # the name comes from a file: nothing else is opened
+    for path in _places(log, folders):
         with contextlib.suppress(SeqidError, OSError):
             check_log(path)
             with path.open("rb") as file:

@@ -39,9 +39,10 @@ LATE = "came after the file was identified"
 class Step:
     """What one round has added, and the model with it.
 
-    A round adds one effect, at one joint or at several; or a smooth term. `rounds` tells of each
-    effect in the order of `effects`. `kept`: the stages stayed as they were in the fit. Of several
-    effects `beside` has, in the same order, the model with the others of the round alone.
+    A round adds one effect, at one joint or at several; or a smooth term. `rounds`
+    tells of each effect in the order of `effects`. `kept`: the stages stayed as they
+    were in the fit. Of several effects `beside` has, in the same order, the model with
+    the others of the round alone.
     """
 
     rounds: tuple[RefinementRound, ...]
@@ -90,16 +91,21 @@ class Step:
 
         others: list[tuple[Candidate, ...]] = []
         if len(self.effects) > 1:
-            others = [tuple(x for x in self.effects if x is not one) for one in self.effects]
-        return replace(self, model=fitted(self.effects), beside=tuple(map(fitted, others)))
+            others = [
+                tuple(x for x in self.effects if x is not one) for one in self.effects
+            ]
+        return replace(
+            self, model=fitted(self.effects), beside=tuple(map(fitted, others))
+        )
 
 
 @dataclass
 class Refinement:
     """What is decided before any held-out log is opened.
 
-    The first effect had to be better than the model as it came in, or the same identified anew.
-    `untried` are effects that were found when the limit of rounds had been reached.
+    The first effect had to be better than the model as it came in, or the same
+    identified anew. `untried` are effects that were found when the limit of rounds had
+    been reached.
     """
 
     material: Material  # what models are fitted to
@@ -137,7 +143,9 @@ class Refinement:
     def anew(self) -> Refitted:
         """The file identified anew with the training logs: what that gains is no effect's."""
         start = self.start
-        return refitted(self.material, start, start.candidates, late=start.late, kept=False)
+        return refitted(
+            self.material, start, start.candidates, late=start.late, kept=False
+        )
 
     def without(self, steps: Sequence[Step]) -> Refitted:
         """Return what the first of some steps has to be better than."""
@@ -162,7 +170,9 @@ class Refinement:
         lasting = tuple(model.lasting)
         key: Refitted | int = model if lasting else id(model.stages)
         if key not in self._before:
-            self._before[key] = self._error(self.logs_before, replace(model, effects=lasting))
+            self._before[key] = self._error(
+                self.logs_before, replace(model, effects=lasting)
+            )
         return held_out.joined([self.error_of(model), self._before[key]])
 
     @cached_property
@@ -174,27 +184,32 @@ class Refinement:
 
     def _error(self, logs: Sequence[Recording], model: Refitted) -> HeldOutError:
         robot, options = self.material.robot, self.material.options.motion
-        return held_out.held_out_error(logs, robot, with_effects(model, robot), options=options)
+        return held_out.held_out_error(
+            logs, robot, with_effects(model, robot), options=options
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
     """What the training logs say of one effect of a round, beside all others of the model.
 
-    `change` is its gain at its joints on the logs that are fitted, `by_chance` the probability that
-    nothing is gained there.
+    `change` is its gain at its joints on the logs that are fitted, `by_chance` the
+    probability that nothing is gained there.
     """
 
     change: Gain
     by_chance: float
     likely: bool  # whether it is likelier there than not, by what is gained
     shown: bool  # whether its coefficients are larger than their errors
-    unjudged: bool  # whether it may be there, but above the low-pass, where no model is judged
+    # whether it may be there, but above the low-pass, where no model is judged
+    unjudged: bool
 
     @property
     def gains(self) -> bool:
         """Whether it gains as much as a finding does, and not by chance."""
-        return self.change.value >= Options.improvement and self.by_chance <= Options.doubt
+        return (
+            self.change.value >= Options.improvement and self.by_chance <= Options.doubt
+        )
 
     @property
     def fault(self) -> str:
@@ -214,9 +229,10 @@ class Judgement:
 class Account:
     """A model with the effects of one round more, and when these came.
 
-    The effects of a round are one hypothesis, an effect at one joint or at several. `taken` is what
-    was selected, `added` the effects as they are to be fitted. `kept`: the stages are right as they
-    are, and the effects came after the file was identified.
+    The effects of a round are one hypothesis, an effect at one joint or at several.
+    `taken` is what was selected, `added` the effects as they are to be fitted. `kept`:
+    the stages are right as they are, and the effects came after the file was
+    identified.
     """
 
     loop: Refinement
@@ -277,7 +293,9 @@ class Account:
     def _judged(self, number: int) -> Judgement:
         """Compare the model with one that is fitted without the effect."""
         several = len(self.added) > 1
-        before = self.loop.error_of(self.others[number].model if several else self.without)
+        before = self.loop.error_of(
+            self.others[number].model if several else self.without
+        )
         after = self.loop.error_of(self.model)
         taken = self.taken[number]
         joints = joints_below(taken.term.channels, self.loop.material.robot.n)
@@ -295,14 +313,18 @@ class Account:
         """Return an effect's coefficients over their errors, root mean square."""
         key = self.added[number].key
         fitted = [x for x in self.model.effects if isinstance(x, FittedEffect)]
-        effect = next((x for x in reversed(fitted) if (x.effect.name, x.joint) == key), None)
+        effect = next(
+            (x for x in reversed(fitted) if (x.effect.name, x.joint) == key), None
+        )
         if effect is None:  # no row shows it
             return 0.0
         variance = np.diag(effect.covariance)
         known = variance > 0.0
         if not known.any():
             return np.inf
-        return float(np.sqrt(np.mean(effect.coefficients[known] ** 2 / variance[known])))
+        return float(
+            np.sqrt(np.mean(effect.coefficients[known] ** 2 / variance[known]))
+        )
 
     @cached_property
     def losing(self) -> list[int]:
@@ -339,8 +361,8 @@ class Account:
 class Decision:
     """What is added in a round, and what of it is refused.
 
-    `account` has the effects that are worth it, maybe none; `refused` are the others, with how each
-    was judged and why.
+    `account` has the effects that are worth it, maybe none; `refused` are the others,
+    with how each was judged and why.
     """
 
     account: Account
@@ -350,7 +372,8 @@ class Decision:
     def of(cls, account: Account) -> Decision:
         """Leave out, the weakest first, what is not worth it beside the rest of the round.
 
-        An effect whose coefficients are smaller than their errors is first tried in simpler forms.
+        An effect whose coefficients are smaller than their errors is first tried in
+        simpler forms.
         """
         refused = []
         while account.added and not account.accepted:

@@ -1,13 +1,14 @@
 """The whole model anew, with effects in it, under either of two accounts of an effect.
 
-*All along*: it was there when the earlier stages were identified, and has biased them. Effects and
-base are fitted together on the training logs. The base is free where those stages have taken in
-what looked like friction in their trials. Then the effects' torque is taken out of all recordings,
-friction trials as well, and every stage runs again on them by its own recipe. Where the logs of the
-earlier stages are not at hand, the base moves as the joint fit on the training logs says.
+*All along*: it was there when the earlier stages were identified, and has biased them.
+Effects and base are fitted together on the training logs. The base is free where those
+stages have taken in what looked like friction in their trials. Then the effects' torque
+is taken out of all recordings, friction trials as well, and every stage runs again on
+them by its own recipe. Where the logs of the earlier stages are not at hand, the base
+moves as the joint fit on the training logs says.
 
-*Late*: it came with the training logs. The stages stay as they are, and only the effects are
-fitted, beside a base that may move within the errors that the file gives.
+*Late*: it came with the training logs. The stages stay as they are, and only the
+effects are fitted, beside a base that may move within the errors that the file gives.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +32,11 @@ from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.rigid.parameters import representative_of
-from seqid_cli.identify.rigid.simultaneous import TERMS, identify_simultaneous, surface_entries
+from seqid_cli.identify.rigid.simultaneous import (
+    TERMS,
+    identify_simultaneous,
+    surface_entries,
+)
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import session_of, without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
@@ -41,15 +46,16 @@ from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
-LOOSE = 3.0  # variance of a direction over that of its parameters, from which it may be held
+# variance of a direction over that of its parameters, from which it may be held
+LOOSE = 3.0
 CLEAR = 2.0  # standard errors, that such a direction must move by to leave the file
 
 
 def held(new: Stages, old: Stages, fit: Model) -> Stages:
     """Simultaneous stages without what moved by less than its error, where logs hardly tell it.
 
-    Directions that these logs leave loose would wander with every effect that is added. `fit` is of
-    the same logs, and `old` are the stages before.
+    Directions that these logs leave loose would wander with every effect that is added.
+    `fit` is of the same logs, and `old` are the stages before.
     """
     (before, known), (after, error) = (_values(stages, fit) for stages in (old, new))
     at = np.flatnonzero((error > 0.0) & (known > 0.0))
@@ -60,7 +66,9 @@ def held(new: Stages, old: Stages, fit: Model) -> Stages:
     scale = np.sqrt(np.diag(white))
     variance, direction = np.linalg.eigh(white / np.outer(scale, scale))
     change = direction.T @ ((after - before)[at] / scale)
-    undone = np.where((change**2 < CLEAR**2 * variance) & (variance > LOOSE), change, 0.0)
+    undone = np.where(
+        (change**2 < CLEAR**2 * variance) & (variance > LOOSE), change, 0.0
+    )
     theta = np.zeros(fit.linear.size)
     theta[at] = -scale * (direction @ undone)
     return moved(new, fit, theta)
@@ -85,7 +93,11 @@ def _values(stages: Stages, fit: Model) -> tuple[Array, Array]:
 def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
     """The stages with deviations of the base, ordered as `fit` has them, added to what they say."""
     robot, where = fit.ground.stage.scenes[0].robot, fit.linear.where
-    result, basis, change = Stages(imu=stages.imu), fit.ground.base.basis, theta[where[0]]
+    result, basis, change = (
+        Stages(imu=stages.imu),
+        fit.ground.base.basis,
+        theta[where[0]],
+    )
     if stages.friction is not None:
         joints = dict(stages.friction.joints)
         for name, own in zip(robot.joint_names, where[1:], strict=False):
@@ -101,13 +113,23 @@ def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
             structs.replace(p, value=float(p.value + more.get(p.name, 0.0)))
             for p in stage.parameters
         ]
-        return structs.replace(stage, parameters=own, representative=dict(stage.representative))
+        return structs.replace(
+            stage, parameters=own, representative=dict(stage.representative)
+        )
 
-    result.gravity, result.inertia = moved_rigid(stages.gravity), moved_rigid(stages.inertia)
+    result.gravity, result.inertia = (
+        moved_rigid(stages.gravity),
+        moved_rigid(stages.inertia),
+    )
     last = result.inertia or result.gravity
     if last is not None:
-        now, added = last.representative, representative_of(basis, change, np.zeros(robot.n))
-        total = {x: now.get(x, 0.0) + added.get(x, 0.0) for x in standard_names(robot.n)}
+        now, added = (
+            last.representative,
+            representative_of(basis, change, np.zeros(robot.n)),
+        )
+        total = {
+            x: now.get(x, 0.0) + added.get(x, 0.0) for x in standard_names(robot.n)
+        }
         last.representative = {x: float(v) for x, v in total.items() if v != 0.0}
     return result
 
@@ -117,11 +139,16 @@ def _moved_friction(joint: FrictionJoint, change: Array) -> FrictionJoint:
     positive, negative = np.array(joint.positive), np.array(joint.negative)
     size, parameters = positive.size, joint.parameters
     if parameters:
-        ahead, back = (own @ change for own in surface_entries(joint.speed_range[1], len(change)))
+        ahead, back = (
+            own @ change for own in surface_entries(joint.speed_range[1], len(change))
+        )
         pairs = zip(parameters, change, strict=True)
         parameters = [structs.replace(p, value=float(p.value + c)) for p, c in pairs]
     else:
-        ahead, back = change[:size], change[size : 2 * size] if joint.directional else change[:size]
+        ahead, back = (
+            change[:size],
+            change[size : 2 * size] if joint.directional else change[:size],
+        )
     return structs.replace(
         joint,
         positive=(positive + ahead.reshape(positive.shape)).tolist(),
@@ -150,12 +177,17 @@ class Refitted:
     def candidates(self) -> list[Candidate]:
         """Its effects as candidates, to be fitted again."""
         known = (f for f in self.effects if isinstance(f, FittedEffect))
-        return [Candidate(f.effect, f.joint, dict(f.settings), apart=f.effect.wide) for f in known]
+        return [
+            Candidate(f.effect, f.joint, dict(f.settings), apart=f.effect.wide)
+            for f in known
+        ]
 
 
 def key_of(fitted: Fitted) -> Key | None:
     """What tells a fitted effect from the others; None for a smooth term."""
-    return (fitted.effect.name, fitted.joint) if isinstance(fitted, FittedEffect) else None
+    return (
+        (fitted.effect.name, fitted.joint) if isinstance(fitted, FittedEffect) else None
+    )
 
 
 @dataclass(frozen=True)
@@ -176,12 +208,16 @@ class Material:
         others = [pair for pair in self._grounds if pair is not known]
         if known is None:
             options = self.options.motion
-            rows = rows_of(scenes_of(self.training, self.robot, stages, options=options))
+            rows = rows_of(
+                scenes_of(self.training, self.robot, stages, options=options)
+            )
             known = stages, Ground.of(rows, stages)
         self._grounds[:] = [known, *others[:1]]
         return known[1]
 
-    def without(self, log: Recording, stages: Stages, effects: Sequence[Fitted]) -> Recording:
+    def without(
+        self, log: Recording, stages: Stages, effects: Sequence[Fitted]
+    ) -> Recording:
         """A log without the torque of some effects."""
         options, given = self.options.motion, (log, self.robot, stages, effects)
         return without_effects(*given, motion=options.motion, source=options.source)
@@ -189,7 +225,9 @@ class Material:
     def freed(self, log: Recording, model: Refitted) -> Recording:
         """A log without effects: any, if it is fitted, else those that were there all along."""
         fitted = identity(log) in map(identity, self.training)
-        return self.without(log, model.stages, model.effects if fitted else model.lasting)
+        return self.without(
+            log, model.stages, model.effects if fitted else model.lasting
+        )
 
     def now(self, model: Refitted) -> list[Recording]:
         """The training logs without any effect."""
@@ -198,7 +236,9 @@ class Material:
     def logs_of(self, stage: str) -> list[Recording]:
         """The logs of an earlier stage, each once; those that are fitted last."""
         fitted = {identity(log) for log in self.training}
-        return sorted(unique(self.earlier.get(stage, ())), key=lambda log: identity(log) in fitted)
+        return sorted(
+            unique(self.earlier.get(stage, ())), key=lambda log: identity(log) in fitted
+        )
 
     @property
     def known(self) -> bool:
@@ -234,9 +274,9 @@ def refitted(
 ) -> Refitted:
     """Fit effects and model together.
 
-    `candidates` are all effects that the model is to have; none is a model identified anew. `late`
-    are those of them that the logs of the earlier stages do not have. `kept`: the stages are right
-    as they are, and only the effects are fitted.
+    `candidates` are all effects that the model is to have; none is a model identified
+    anew. `late` are those of them that the logs of the earlier stages do not have.
+    `kept`: the stages are right as they are, and only the effects are fitted.
     """
     stages = model.stages
     if not candidates:
@@ -248,22 +288,30 @@ def refitted(
         stages = _stages(material, freed, fit)
         plain = [replace(x, absorbed="") for x in fit.candidates]
         fit = Model(material.ground(stages), FREE, plain)
-    # Effects as they are beside exactly these stages; their errors are beside a base that may move.
+    # Effects as they are beside exactly these stages; their errors are beside a base
+    # that may move.
     firm = copy(fit)
     firm.hold = FIRM
     firm.settle()
-    pairs = zip(_effects_of(material, fit), map(firm.coefficients, firm.terms), strict=True)
+    pairs = zip(
+        _effects_of(material, fit), map(firm.coefficients, firm.terms), strict=True
+    )
     return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
 
 
-def fitted_smooth(material: Material, model: Refitted, what: SmoothFunction) -> SmoothTerm:
+def fitted_smooth(
+    material: Material, model: Refitted, what: SmoothFunction
+) -> SmoothTerm:
     """Fit a smooth term to what a model with its effects leaves of the training logs.
 
-    It is fitted beside exactly these stages, which stay as they are: beside a base that moves it
-    would count on what the base has moved by.
+    It is fitted beside exactly these stages, which stay as they are: beside a base that
+    moves it would count on what the base has moved by.
     """
     scenes = scenes_of(
-        material.now(model), material.robot, model.stages, options=material.options.motion
+        material.now(model),
+        material.robot,
+        model.stages,
+        options=material.options.motion,
     )
     fit = Model(Ground.of(rows_of(scenes), model.stages), FIRM)
     term = smooth_term(fit.ground.stage, what, fit.ground.size)
@@ -274,7 +322,10 @@ def fitted_smooth(material: Material, model: Refitted, what: SmoothFunction) -> 
 
 def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
     """The effects with their coefficients, and errors no narrower than the scatter over blocks."""
-    session, found = session_of(material.training, *shared_starts(material.training)), []
+    session, found = (
+        session_of(material.training, *shared_starts(material.training)),
+        [],
+    )
     for term, x in zip(fit.terms, fit.candidates, strict=True):
         values = fit.coefficients(term), fit.covariance(term)
         found.append(FittedEffect(x.effect, x.joint, x.settings, *values, session))
@@ -289,12 +340,16 @@ def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
         freed = [material.freed(log, model) for log in logs]
         offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
         motion = material.options.motion.motion
-        new, inertia = identify_simultaneous(freed, robot, options=motion, offset=offset)
+        new, inertia = identify_simultaneous(
+            freed, robot, options=motion, offset=offset
+        )
         found = Stages(friction=new, imu=stages.imu, inertia=inertia)
         if not material.known:
             return found
         return held(found, stages, fit or Model(material.ground(stages), FREE))
-    needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
+    needed = [
+        s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None
+    ]
     if all(material.earlier.get(stage) for stage in needed):
         return _sequential(material, model)
     joint = fit or Model(material.ground(stages), FREE)
@@ -322,7 +377,9 @@ def _sequential(material: Material, model: Refitted) -> Stages:
         result = identify_gravity([own for _, own in gravity], robot, new)
         new.gravity, new.friction = result.gravity, result.friction
     if stages.inertia is not None:
-        every = [own for _, own in inertia] + [freed(identity(log)) for log in material.training]
+        every = [own for _, own in inertia] + [
+            freed(identity(log)) for log in material.training
+        ]
         found = identify_inertia(unique(every), robot, new, options=motion)
         new.inertia, new.friction = found.inertia, found.friction
     return new
@@ -335,10 +392,14 @@ def _friction(
     changed = np.any([changed_joints(*both) for both in logs], axis=0)
     travel = np.array([np.ptp(own.q, axis=0) for _, own in logs])
     moves = travel > MOVES * travel.max(axis=0)
-    moved = [own for (_, own), at in zip(logs, moves, strict=True) if np.any(at & changed)]
+    moved = [
+        own for (_, own), at in zip(logs, moves, strict=True) if np.any(at & changed)
+    ]
     if not moved:
         return old
-    names = {name for name, anew in zip(robot.joint_names, changed, strict=True) if anew}
+    names = {
+        name for name, anew in zip(robot.joint_names, changed, strict=True) if anew
+    }
     new = identify_friction(moved, robot, options=FrictionOptions())
     kept = [v for v in old.verdicts if v.joint not in names]
     return structs.replace(

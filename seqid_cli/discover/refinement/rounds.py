@@ -1,9 +1,10 @@
 """Refinement: add what a model lacks, as long as left-out blocks of time are predicted better.
 
-The effects that an investigation names are tried one after the other, each at all joints at which
-it is found, and fitted anew together with the model (see `reidentify`). One that does not help the
-model fitted anew, or by which other joints lose more than its own gain, is refused, with that
-reason. Held-out logs play no part in this: what they say of the result is in `confirm`.
+The effects that an investigation names are tried one after the other, each at all
+joints at which it is found, and fitted anew together with the model (see `reidentify`).
+One that does not help the model fitted anew, or by which other joints lose more than
+its own gain, is refused, with that reason. Held-out logs play no part in this: what
+they say of the result is in `confirm`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,11 @@ import msgspec
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of, rivals_of
-from seqid_cli.discover.investigate import Investigation, investigate, investigate_beside
+from seqid_cli.discover.investigate import (
+    Investigation,
+    investigate,
+    investigate_beside,
+)
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.held_out import Gain, likelier
 from seqid_cli.discover.refinement.loop import (
@@ -52,8 +57,9 @@ def refine(
 ) -> Refinement:
     """Add effects to a model, each decided on left-out blocks of the logs.
 
-    `file`: the model as it comes in. `earlier`: logs that its stages were identified from, by
-    stage, where they are at hand. Raises InputError: a log carries neither torque nor current.
+    `file`: the model as it comes in. `earlier`: logs that its stages were identified
+    from, by stage, where they are at hand. Raises InputError: a log carries neither
+    torque nor current.
     """
     training, notes = usable_logs(training, robot)
     options = on_the_same_samples(options, file.stages, robot)
@@ -76,16 +82,24 @@ def refine(
 def _heard(material: Material, found: Investigation) -> Material:
     """What the model is fitted to: without events, and by encoders alone if no log needs more."""
     options, scenes = material.options, found.ground.stage.scenes
-    if options.motion.source == "needed" and all(s.motion.source == "encoder" for s in scenes):
+    if options.motion.source == "needed" and all(
+        s.motion.source == "encoder" for s in scenes
+    ):
         options = replace(options, motion=replace(options.motion, source="encoder"))
-    training = quiet(material.training, found.events) if found.events else material.training
+    training = (
+        quiet(material.training, found.events) if found.events else material.training
+    )
     return replace(material, training=training, options=options)
 
 
-def on_the_same_samples(options: DiscoverOptions, stages: Stages, robot: Robot) -> DiscoverOptions:
+def on_the_same_samples(
+    options: DiscoverOptions, stages: Stages, robot: Robot
+) -> DiscoverOptions:
     """Options by which all models are judged where joints slide by the friction of these stages."""
     slowest = slides_from(TorqueModel.from_stages(stages, robot), options.motion)
-    return replace(options, motion=replace(options.motion, slides_from=tuple(slowest.tolist())))
+    return replace(
+        options, motion=replace(options.motion, slides_from=tuple(slowest.tolist()))
+    )
 
 
 def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozenset[Key]:
@@ -99,11 +113,11 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
     """Try the effects that are found, the largest evidence first; return what is found at last.
 
-    The same effect at several joints is one hypothesis and one round. What the stages had taken in
-    of one that is added looks like a second effect, until they are identified without it: then the
-    rest are judged anew. Before what is small, more is looked for, and so it is where a search
-    ended because it may take no more terms. What lies above the low-pass at one setting is not
-    tried at another.
+    The same effect at several joints is one hypothesis and one round. What the stages
+    had taken in of one that is added looks like a second effect, until they are
+    identified without it: then the rest are judged anew. Before what is small, more is
+    looked for, and so it is where a search ended because it may take no more terms.
+    What lies above the low-pass at one setting is not tried at another.
     """
     tried, above = list[Candidate](), set[Key]()
     rest, looked = [*map(effect_of, found.found.effects)], True
@@ -171,7 +185,8 @@ def _write(loop: Refinement, found: Investigation, decision: Decision) -> None:
         reason = LATE if account.kept else ALL_ALONG
         number = loop.added + 1
         entries = [
-            _round(loop, found, taken, number=number, reason=reason) for taken in account.taken
+            _round(loop, found, taken, number=number, reason=reason)
+            for taken in account.taken
         ]
         several = len(account.added) > 1
         loop.steps.append(
@@ -180,14 +195,18 @@ def _write(loop: Refinement, found: Investigation, decision: Decision) -> None:
                 effects=account.added,
                 kept=account.kept,
                 model=account.model,
-                beside=tuple(other.model for other in account.others) if several else (),
+                beside=(
+                    tuple(other.model for other in account.others) if several else ()
+                ),
             )
         )
     for taken, _, reason in decision.refused:
         loop.refused.append(_round(loop, found, taken, reason=reason))
 
 
-def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Recording, ...]:
+def quiet(
+    logs: Sequence[Recording], events: Sequence[Interval]
+) -> tuple[Recording, ...]:
     """The logs with the events that were found in them marked as not to be used."""
     valid = [log.valid.copy() for log in logs]
     for event in events:
@@ -201,9 +220,9 @@ def _decided(
 ) -> Decision:
     """Decide whether effects were there all along, or came late, and which of them are added.
 
-    What is in the file's own logs was there all along. Else the account holds that explains the
-    logs of all stages better; without these the one that the base speaks for. Every stage again
-    is costly, and not asked for where nothing speaks for it.
+    What is in the file's own logs was there all along. Else the account holds that
+    explains the logs of all stages better; without these the one that the base speaks
+    for. Every stage again is costly, and not asked for where nothing speaks for it.
     """
     candidates = tuple(map(effect_of, hypothesis))
     # Beside a file that has absorbed nothing of them.
@@ -222,13 +241,16 @@ def _decided(
     had = [*loop.model.candidates, *candidates]
     # What the model has not may have made up for the file there.
     near = [x for x in found.found.taken if x.term.channels & channels]
-    made_up = any(x.term.smooth or not any(map(effect_of(x).is_same_as, had)) for x in near)
+    made_up = any(
+        x.term.smooth or not any(map(effect_of(x).is_same_as, had)) for x in near
+    )
     late = Decision.of(after)
     if not (loop.logs_before and (late.account.added or freed or made_up)):
         return late
     along = Decision.of(early)
     if not late.account.added or not along.account.added:
-        # Nothing to compare: the errors of both with all effects of the hypothesis decide.
+        # Nothing to compare: the errors of both with all effects of the hypothesis
+        # decide.
         models = after.model, early.model
     else:
         models = late.account.model, along.account.model

@@ -1,14 +1,16 @@
 """Terms that say that the file's values do not hold, judged beside a base that holds to the file.
 
-A change of friction, a torque constant or an offset has the form of the base itself. A base that
-may leave the file by thirty of its errors takes it up, and so do waves over a turn on a joint that
-travels less than one. Judged beside what contains it, such a term is worth nothing, so is each of
-several that contain one another, and the size of one that is told is anything. Therefore one that
-may stand for all that was selected at a joint is tried in place of all of it, beside a base that
-leaves the file by its errors only. What it is worth there, and how large it is, is told.
+A change of friction, a torque constant or an offset has the form of the base itself. A
+base that may leave the file by thirty of its errors takes it up, and so do waves over a
+turn on a joint that travels less than one. Judged beside what contains it, such a term
+is worth nothing, so is each of several that contain one another, and the size of one
+that is told is anything. Therefore one that may stand for all that was selected at a
+joint is tried in place of all of it, beside a base that leaves the file by its errors
+only. What it is worth there, and how large it is, is told.
 
-Three times its standard errors a file may be off for want of statistics. What asks for more says
-itself that the values do not hold, so that it is no rival of a term that says which.
+Three times its standard errors a file may be off for want of statistics. What asks for
+more says itself that the values do not hold, so that it is no rival of a term that says
+which.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ if TYPE_CHECKING:
     from seqid_cli.discover.select.selection import Selection
 
 MOST_ERRORS = 3.0  # of the file, by which its values may be off for want of statistics
-OF_A_SET = 0.5  # of the best one's gain, from which a change of values stands for a set of terms
+# of the best one's gain, from which a change of values stands for a set of terms
+OF_A_SET = 0.5
 
 
 class WeighedAgainstFile(Weighed):
@@ -59,7 +62,9 @@ def held_to_file(model: Model, terms: Sequence[Term]) -> Model:
     return held
 
 
-def value_changes(selection: Selection, told: Sequence[Taken], least: float) -> list[ValueChange]:
+def value_changes(
+    selection: Selection, told: Sequence[Taken], least: float
+) -> list[ValueChange]:
     """Find the changes of values that are hidden by other terms, or by a base that left the file.
 
     Parameters
@@ -147,10 +152,13 @@ def _at_place(
     if scale <= MOST_ERRORS and not unsure and not beside_others:
         return None
 
-    # What there is at the place by itself: in place of all, beside a base that holds to the file.
+    # What there is at the place by itself: in place of all, beside a base that holds to
+    # the file.
     others = [term for term in model.terms if term not in group]
     bare = held_to_file(model, others)
-    alone = [one for one in selection.alone_at(joint, bare) if one.gained.evidence > 0.0]
+    alone = [
+        one for one in selection.alone_at(joint, bare) if one.gained.evidence > 0.0
+    ]
     changes = [one for one in alone if one.term.change and one.term.joint == joint]
     if not changes:
         return None

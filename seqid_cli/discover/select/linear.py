@@ -4,17 +4,18 @@ Rows y of a channel (a joint's torque below the cut-off, or above it) are
 
     y = B theta + e,   theta ~ N(0, P^-1),   e ~ N(0, 1 / w),
 
-with the precision w of each row. A term with columns X and coefficients a ~ N(0, Q^-1) raises the
-log evidence by
+with the precision w of each row. A term with columns X and coefficients a ~ N(0, Q^-1)
+raises the log evidence by
 
     E = d' (Q + D)^-1 d / 2 - log det(I + Q^-1 D) / 2,
     D = X'wX - X'wB M^-1 B'wX,   d = X'w (y - B M^-1 B'wy),   M = P + B'wB,
 
-and the log density that all other blocks predict for block b by E - E without b. All of it follows
-from products block by block: no fit is repeated. What a parameter file says of the base is a block
-as well: a base that is free enough takes up a constant effect at the price of leaving the file, and
-E - E without the file is what the term saves of it. Of an effect that was there when the file was
-identified the file has R a in its base: theta + R a ~ N(0, P^-1) then, which couples the two.
+and the log density that all other blocks predict for block b by E - E without b. All of
+it follows from products block by block: no fit is repeated. What a parameter file says
+of the base is a block as well: a base that is free enough takes up a constant effect at
+the price of leaving the file, and E - E without the file is what the term saves of it.
+Of an effect that was there when the file was identified the file has R a in its base:
+theta + R a ~ N(0, P^-1) then, which couples the two.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ Solved = tuple[algebra.Factor, Array]  # factor and parameters (p,)
 class Linear:
     """Parts of a model, fitted to rows of precision `weight` (M_c,) [1 / (N m)^2] by channel."""
 
-    def __init__(self, rows: Rows, parts: Sequence[Part], weight: Sequence[Array]) -> None:
+    def __init__(
+        self, rows: Rows, parts: Sequence[Part], weight: Sequence[Array]
+    ) -> None:
         self.rows, self.parts, self.weight = rows, tuple(parts), tuple(weight)
         self.where = _slices(part.size for part in self.parts)
         self.size = sum(part.size for part in self.parts)
@@ -56,7 +59,11 @@ class Linear:
 
     def without(self, *gone: Part) -> Linear:
         """The model without some of its parts; the products of all rows are taken on."""
-        kept = [k for k, part in enumerate(self.parts) if not any(part is one for one in gone)]
+        kept = [
+            k
+            for k, part in enumerate(self.parts)
+            if not any(part is one for one in gone)
+        ]
         index = np.concatenate([np.arange(self.size)[self.where[k]] for k in kept])
         A, b = self.sums
         fewer = Linear(self.rows, [self.parts[k] for k in kept], self.weight)
@@ -66,7 +73,10 @@ class Linear:
     def _of_channel(self, channel: int) -> tuple[Index, list[Array]]:
         """Parameters (p_c,) that a channel knows, and its columns (M_c, .), part by part."""
         here = [
-            (np.arange(where.start, where.stop)[part.at(channel)], part.columns[channel])
+            (
+                np.arange(where.start, where.stop)[part.at(channel)],
+                part.columns[channel],
+            )
             for part, where in zip(self.parts, self.where, strict=True)
             if channel in part.columns
         ]
@@ -77,7 +87,9 @@ class Linear:
         """Precision (p, p) beforehand of what is `held`, with or without what the file says."""
         P = np.zeros((self.size, self.size))
         for part, where in zip(self.parts, self.where, strict=True):
-            P[where, where] = part.precision if file or part.apart is None else part.apart
+            P[where, where] = (
+                part.precision if file or part.apart is None else part.apart
+            )
         return P
 
     def in_file(self, part: Part) -> Array:
@@ -115,7 +127,9 @@ class Linear:
     def _sums_of(self, rows: Sequence[slice]) -> tuple[Array, Array]:
         """B'wB (p, p) and B'wy (p,) of some rows of every channel."""
         A, b = np.zeros((self.size, self.size)), np.zeros(self.size)
-        for (index, columns), root, y, at in zip(self._own, self._root, self._y, rows, strict=True):
+        for (index, columns), root, y, at in zip(
+            self._own, self._root, self._y, rows, strict=True
+        ):
             B = _times(root[at], [own[at] for own in columns])
             A[np.ix_(index, index)] += B.T @ B
             b[index] += B.T @ y[at]
@@ -142,7 +156,9 @@ class Linear:
     def _halved(self, factor: algebra.Factor, right: Array) -> Array:
         """R^-T right (p, k) of a factor R: the square of it is right' M^-1 right."""
         scaled = right * self._scale[:, None]
-        return np.asarray(solve_triangular(factor[0], scaled, trans="T", check_finite=False))
+        return np.asarray(
+            solve_triangular(factor[0], scaled, trans="T", check_finite=False)
+        )
 
     @cached_property
     def _whole(self) -> Solved:
@@ -183,8 +199,9 @@ class Linear:
     def again(self, part: Part) -> tuple[Gained, Predicted]:
         """What a part of the model does beside all others, as it was tried before it was taken.
 
-        The log Bayes factor is the density of its coefficients at zero, beforehand over given the
-        rows (Savage's ratio: J. M. Dickey, Annals of Mathematical Statistics 42, 1971).
+        The log Bayes factor is the density of its coefficients at zero, beforehand over
+        given the rows (Savage's ratio: J. M. Dickey, Annals of Mathematical Statistics
+        42, 1971).
         """
         if id(part) not in self._known:
             at = self._at(part)
@@ -192,8 +209,13 @@ class Linear:
                 (theta[at], self._solved(factor, np.eye(self.size)[:, at])[at])
                 for factor, theta in (self._whole, self._without_file, *self._without)
             ]
-            value, alone, *others = (algebra.taken_back(a, S, part.precision) for a, S in solved)
-            rows, (a, S) = self.rows.independent[sorted(part.columns)].sum(axis=0), solved[0]
+            value, alone, *others = (
+                algebra.taken_back(a, S, part.precision) for a, S in solved
+            )
+            rows, (a, S) = (
+                self.rows.independent[sorted(part.columns)].sum(axis=0),
+                solved[0],
+            )
             seen = np.trace(np.linalg.inv(S) - part.precision)
             visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
             told = Predicted(value - np.array(others), rows, value - alone)
@@ -206,22 +228,35 @@ class Linear:
         C, D, d = np.zeros((self.size, blocks)), np.zeros(blocks), np.zeros(blocks)
         for c in part.columns:
             (index, known), torque = self._own[c], part.torque(c, self.theta[at])
-            weighted, left = torque * self.weight[c], self._left(c, slice(None), self.theta)
+            weighted, left = (
+                torque * self.weight[c],
+                self._left(c, slice(None), self.theta),
+            )
             for k, rows in enumerate(self.rows.at[c]):
-                C[index, k] += np.concatenate([own[rows].T @ weighted[rows] for own in known])
+                C[index, k] += np.concatenate(
+                    [own[rows].T @ weighted[rows] for own in known]
+                )
                 D[k] += torque[rows] @ weighted[rows]
                 d[k] += left[rows] @ weighted[rows]
         Z = self._halved(self._whole[0], C)
-        return float(algebra.bayes_factor(np.diag(D) - Z.T @ Z, d, np.eye(blocks) / spread**2)[0])
+        return float(
+            algebra.bayes_factor(np.diag(D) - Z.T @ Z, d, np.eye(blocks) / spread**2)[0]
+        )
 
     @cached_property
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""
         factor, theta = self._whole
         scaled = self._blocks() * np.outer(self._scale, self._scale)
-        before = sum(algebra.half_log_det(algebra.factored(scaled[at, at])) for at in self.where)
+        before = sum(
+            algebra.half_log_det(algebra.factored(scaled[at, at])) for at in self.where
+        )
         square = sum(float(y @ y) for y in self._y)
-        return 0.5 * (float(self.sums[1] @ theta) - square) - algebra.half_log_det(factor) + before
+        return (
+            0.5 * (float(self.sums[1] @ theta) - square)
+            - algebra.half_log_det(factor)
+            + before
+        )
 
     def residual(self) -> list[Array]:
         """What is left (M_c,) N m of every channel."""
@@ -231,7 +266,9 @@ class Linear:
     def left_out(self) -> list[Array]:
         """The same of every block where the model is fitted to all others."""
         fits, every = [theta for _, theta in self._without], enumerate(self.rows.at)
-        return [np.concatenate([*map(self._left, repeat(c), at, fits)]) for c, at in every]
+        return [
+            np.concatenate([*map(self._left, repeat(c), at, fits)]) for c, at in every
+        ]
 
     def torque_beside_file(self, part: Part, channel: int) -> Array:
         """Torque (M_c,) N m of a part at a channel less what the file has absorbed of it."""
@@ -266,7 +303,8 @@ class Linear:
         every = self._given(self._whole, crossed, told)
         alone = self._given(self._without_file, crossed, apart)
         (C, whole), (_, d, _) = told, crossed.whole
-        seen = [np.empty_like(D) for D in crossed.D]  # of the columns, by the base without a block
+        # of the columns, by the base without a block
+        seen = [np.empty_like(D) for D in crossed.D]
         left = np.empty_like(crossed.d)
         for k, (factor, theta) in enumerate(self._without):
             rest = C - crossed.C[k]
@@ -274,20 +312,34 @@ class Linear:
             for S, at in zip(seen, crossed.where, strict=True):
                 S[k] = Z[:, at].T @ Z[:, at]
         rows, found = self.rows.independent, list[Predicted]()
-        for i, (term, at, own) in enumerate(zip(terms, crossed.where, crossed.D, strict=True)):
-            others = algebra.bayes_factor(whole[i] - own - seen[i], left[:, at], term.precision)[0]
-            density, here = every[i].evidence - others, rows[sorted(term.columns)].sum(axis=0)
-            found.append(Predicted(density, here, every[i].evidence - alone[i].evidence))
+        for i, (term, at, own) in enumerate(
+            zip(terms, crossed.where, crossed.D, strict=True)
+        ):
+            others = algebra.bayes_factor(
+                whole[i] - own - seen[i], left[:, at], term.precision
+            )[0]
+            density, here = (
+                every[i].evidence - others,
+                rows[sorted(term.columns)].sum(axis=0),
+            )
+            found.append(
+                Predicted(density, here, every[i].evidence - alone[i].evidence)
+            )
         return found
 
-    def _with_file(self, crossed: _Crossed, *, file: bool = True) -> tuple[Array, list[Array]]:
+    def _with_file(
+        self, crossed: _Crossed, *, file: bool = True
+    ) -> tuple[Array, list[Array]]:
         """C (p, m) and D (k, k) of all blocks and of what is held, with or without the file."""
         C, _, whole = crossed.whole
         if not any(term.in_file for term in crossed.terms):
             return C, whole
         R = np.hstack([self.in_file(term) for term in crossed.terms])
         PR = self._blocks(file=file) @ R
-        own = [D + R[:, at].T @ PR[:, at] for D, at in zip(whole, crossed.where, strict=True)]
+        own = [
+            D + R[:, at].T @ PR[:, at]
+            for D, at in zip(whole, crossed.where, strict=True)
+        ]
         return C + self.lift.T @ PR, own
 
     def _given(
@@ -297,14 +349,18 @@ class Linear:
         (factor, theta), (C, coupled), (_, d, whole) = solved, told, crossed.whole
         Z, left = self._halved(factor, C), d - C.T @ theta
         found = []
-        for term, at, D, own in zip(crossed.terms, crossed.where, coupled, whole, strict=True):
+        for term, at, D, own in zip(
+            crossed.terms, crossed.where, coupled, whole, strict=True
+        ):
             S = D - Z[:, at].T @ Z[:, at]
             value, a, covariance = algebra.bayes_factor(S, left[at], term.precision)
             visible = float(np.trace(S) / max(float(np.trace(own)), 1e-300))
             found.append(Gained(float(value), a, covariance, max(visible, 0.0)))
         return found
 
-    def _crossed(self, terms: Sequence[Part], at: Sequence[Sequence[slice]]) -> _Crossed:
+    def _crossed(
+        self, terms: Sequence[Part], at: Sequence[Sequence[slice]]
+    ) -> _Crossed:
         """Products of terms with all else, over some slices of each channel's rows."""
         where = _slices(term.size for term in terms)
         count, wide = len(at[0]), where[-1].stop
@@ -317,8 +373,13 @@ class Linear:
             here = [i for i in first.values() if c in terms[i].columns]
             if not here:
                 continue
-            places = [np.arange(where[i].start, where[i].stop)[terms[i].at(c)] for i in here]
-            columns, edge = np.concatenate(places), np.cumsum([len(own) for own in places])[:-1]
+            places = [
+                np.arange(where[i].start, where[i].stop)[terms[i].at(c)] for i in here
+            ]
+            columns, edge = (
+                np.concatenate(places),
+                np.cumsum([len(own) for own in places])[:-1],
+            )
             square = np.ix_(index, columns)
             for k, rows in enumerate(at[c]):
                 for part in tiles(rows.stop, rows.start):
@@ -327,11 +388,16 @@ class Linear:
                     if known:  # none above a cut-off
                         C[k][square] += np.vstack([B[part].T @ wX for B in known])
                     d[k, columns] += self.rows.y[c][part] @ wX
-                    for i, X, own in zip(here, every, np.split(wX, edge, axis=1), strict=True):
+                    for i, X, own in zip(
+                        here, every, np.split(wX, edge, axis=1), strict=True
+                    ):
                         at_c = terms[i].at(c)
                         D[i][k, at_c, at_c] += X.T @ own
         for i, other in ((i, other) for i, other in enumerate(same) if other != i):
-            C[:, :, where[i]], d[:, where[i]] = C[:, :, where[other]], d[:, where[other]]
+            C[:, :, where[i]], d[:, where[i]] = (
+                C[:, :, where[other]],
+                d[:, where[other]],
+            )
             D[i] = D[other]
         return _Crossed(terms, where, C, d, D)
 
@@ -349,7 +415,11 @@ class _Crossed:
     @cached_property
     def whole(self) -> tuple[Array, Array, list[Array]]:
         """C (p, m), d (m,) and D (k, k) of all blocks."""
-        return self.C.sum(axis=0), self.d.sum(axis=0), [own.sum(axis=0) for own in self.D]
+        return (
+            self.C.sum(axis=0),
+            self.d.sum(axis=0),
+            [own.sum(axis=0) for own in self.D],
+        )
 
 
 def _slices(sizes: Iterable[int]) -> list[slice]:

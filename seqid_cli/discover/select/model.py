@@ -39,7 +39,9 @@ class Hold:
         """By how much friction of a joint may move."""
         return self.own[joint] if self.own else self.rigid
 
-    def others(self, number: int, joints: int, loosest: float = SCALES[-1]) -> Iterator[Hold]:
+    def others(
+        self, number: int, joints: int, loosest: float = SCALES[-1]
+    ) -> Iterator[Hold]:
         """The same with the rigid body (0), or friction of a joint (from 1), held otherwise.
 
         None by more than `loosest` of the file's errors.
@@ -48,7 +50,9 @@ class Hold:
         for scale in (scale for scale in SCALES if scale <= loosest):
             if scale != [self.rigid, *own][number]:
                 each = [*own[: number - 1], scale, *own[number:]] if number else own
-                yield replace(self, rigid=self.rigid if number else scale, own=tuple(each))
+                yield replace(
+                    self, rigid=self.rigid if number else scale, own=tuple(each)
+                )
 
     def capped(self, most: float) -> Hold:
         """The same where nothing may move by more than so many of the file's errors."""
@@ -58,10 +62,13 @@ class Hold:
     def doubt(self, joints: int, *, spread: float = 0.8) -> float:
         """Log odds against standard errors that are so many times too small, part by part.
 
-        ln s of a scale s is normal, with `spread`. Zero where all is held as the file says.
+        ln s of a scale s is normal, with `spread`. Zero where all is held as the file
+        says.
         """
         scales = (self.rigid, *map(self.of, range(joints)))
-        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / (2.0 * spread**2)
+        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / (
+            2.0 * spread**2
+        )
 
 
 HELD = Hold()
@@ -85,10 +92,15 @@ class Ground:
         base = base_of(own, stages)
         stage = Stage(own, FileTrials(own.scenes[0], base, stages))
         high, drive = stage.high, stage.drive
-        below, y = [own.blocks_of(j) for j in range(own.n)], (*base.y, *high.y, *drive.y)
+        below, y = (
+            [own.blocks_of(j) for j in range(own.n)],
+            (*base.y, *high.y, *drive.y),
+        )
         seen = [b[: len(v)] for b, v in zip(below, drive.y, strict=False)]
         size = np.array([np.sqrt(np.mean(v**2)) if len(v) else 1.0 for v in y])
-        views = tuple(1 + (c // own.n != 1 and drive.of(c % own.n)) for c in range(len(y)))
+        views = tuple(
+            1 + (c // own.n != 1 and drive.of(c % own.n)) for c in range(len(y))
+        )
         rows = Rows(y, (*below, *high.block, *seen), len(own.fold), views)
         return cls(stage, base, rows, np.maximum(size, 1e-12))
 
@@ -102,20 +114,26 @@ class Ground:
         """Torque (M_j,) N m of the file's model at each joint's rows."""
         rows = self.stage.rows
         every = [scene.modelled_filtered for scene in rows.scenes]
-        return tuple(rows.torque(j, [tau[:, j] for tau in every]) for j in range(rows.n))
+        return tuple(
+            rows.torque(j, [tau[:, j] for tau in every]) for j in range(rows.n)
+        )
 
     def smooth_terms(self, joint: int, *, products: bool = False) -> list[Term]:
         """Smooth functions of everything measured, or of two quantities, for one joint."""
         key, make = (joint, products), smooth_products if products else smooth_functions
         if key not in self._smooth:
             made = make(self.stage.rows, joint) if self.stage.rows.count(joint) else []
-            self._smooth[key] = [smooth_term(self.stage, one, self.size) for one in made]
+            self._smooth[key] = [
+                smooth_term(self.stage, one, self.size) for one in made
+            ]
         return self._smooth[key]
 
     def precision(self, hold: Hold, number: int) -> Array:
         """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""
         scale = hold.of(number - 1) if number else hold.rigid
-        rows = np.vstack([self.base.prior[number] / scale, np.diag(self.base.bounds[number])])
+        rows = np.vstack(
+            [self.base.prior[number] / scale, np.diag(self.base.bounds[number])]
+        )
         return rows.T @ rows
 
     def parts(self, hold: Hold, free: Sequence[bool]) -> list[Part]:
@@ -130,7 +148,10 @@ class Ground:
         ]
         return [
             Part(dict(enumerate(base.rigid)), rigid, bare),
-            *(Part(stage.with_drive({j: base.friction[j]}), friction[j], own[j]) for j in joints),
+            *(
+                Part(stage.with_drive({j: base.friction[j]}), friction[j], own[j])
+                for j in joints
+            ),
             *nuisances,
             *(stage.drive.part(j, 2 * n + j, self.size[2 * n + j]) for j in drives),
         ]
@@ -139,7 +160,9 @@ class Ground:
 class Model:
     """Base and terms, fitted together with the noise that they leave."""
 
-    def __init__(self, ground: Ground, hold: Hold, candidates: Sequence[Candidate] = ()) -> None:
+    def __init__(
+        self, ground: Ground, hold: Hold, candidates: Sequence[Candidate] = ()
+    ) -> None:
         self.ground, self.hold = ground, hold
         self.terms: list[Term] = []
         self.free = (True,) * len(ground.base.nuisances)
@@ -180,7 +203,9 @@ class Model:
         own = self.linear.evidence - self.hold.doubt(self.ground.n)
         return own - self._best_hold(without, loosest)[1]
 
-    def _best_hold(self, linear: Linear, loosest: float = SCALES[-1]) -> tuple[Hold, float]:
+    def _best_hold(
+        self, linear: Linear, loosest: float = SCALES[-1]
+    ) -> tuple[Hold, float]:
         """The hold that the evidence prefers, part by part, and its evidence less its doubt."""
         n = self.ground.n
         best, most = self.hold, linear.evidence - self.hold.doubt(n)
@@ -189,7 +214,9 @@ class Model:
             first = best
             held, gains = self.ground.precision(first, number), {first: 0.0}
             for hold in first.others(number, n, loosest):
-                gains[hold] = model.gained(at, held, self.ground.precision(hold, number))
+                gains[hold] = model.gained(
+                    at, held, self.ground.precision(hold, number)
+                )
                 if known + gains[hold] - hold.doubt(n) > most:
                     best, most = hold, known + gains[hold] - hold.doubt(n)
             if best is not first:
@@ -231,7 +258,9 @@ class Model:
         rest = [one for one in self.terms if one not in terms]
         if not set(rest) <= set(self._fitted):
             return self.under(self.noise, rest)
-        return self.linear.without(*(one.part for one in self._fitted if one not in rest))
+        return self.linear.without(
+            *(one.part for one in self._fitted if one not in rest)
+        )
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Take in effects, and search their settings once more."""
@@ -243,10 +272,18 @@ class Model:
         """Search the settings of all effects again, with all others in place."""
         for number, term in enumerate(self.terms):
             if isinstance(what := term.what, Candidate):
-                tuner, some = Tuner(self.ground.stage, self.beside(term), self.ground.size), [what]
-                if what.effect.wide:  # a line in time, a ripple: where what is left without it says
+                tuner, some = (
+                    Tuner(self.ground.stage, self.beside(term), self.ground.size),
+                    [what],
+                )
+                # a line in time, a ripple: where what is left without it says
+                if what.effect.wide:
                     given = tuner.stage.scenes, [what.effect], self.left(without=term)
-                    near = (x for x in candidates_of(*given, {what.joint}) if x.is_same_as(what))
+                    near = (
+                        x
+                        for x in candidates_of(*given, {what.joint})
+                        if x.is_same_as(what)
+                    )
                     some += [one for one in near if one.apart == what.apart]
                 if every := tuner.tried(some):
                     best = max(every, key=lambda one: one.evidence)
@@ -262,11 +299,13 @@ class Model:
     def beyond(self, before: Sequence[Array], channels: frozenset[int]) -> float:
         """Share of the squared error that goes where it was not fitted, of `before`, (M_c,) N m.
 
-        Of what the file leaves: a model of a log that is too short takes off what its own freedom
-        has added.
+        Of what the file leaves: a model of a log that is too short takes off what its
+        own freedom has added.
         """
         scale, parts = self.noise.sigma, (self.linear.left_out, before)
-        left, first = (sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in channels) for r in parts)
+        left, first = (
+            sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in channels) for r in parts
+        )
         return float(1.0 - left / max(first, 1e-300))
 
     def is_detail(self, term: Term) -> bool:
@@ -286,7 +325,9 @@ class Model:
         rigid, *friction = [theta[at] for at in self.linear.where[: 1 + self.ground.n]]
         first = 1 + self.ground.n
         where = self.linear.where[first : first + len(self.free)]
-        return self.ground.base.deviation(rigid, friction, [float(theta[at][0]) for at in where])
+        return self.ground.base.deviation(
+            rigid, friction, [float(theta[at][0]) for at in where]
+        )
 
     @property
     def candidates(self) -> list[Candidate]:
@@ -296,7 +337,10 @@ class Model:
     def shown(self, without: Term | None = None) -> list[Array]:
         """Torque (N, n) N m of all terms but one beside the file, at all samples of every scene."""
         scenes, linear = self.ground.stage.scenes, self.linear
-        total, absorbed = [np.zeros_like(x.motion.q) for x in scenes], np.zeros(linear.size)
+        total, absorbed = (
+            [np.zeros_like(x.motion.q) for x in scenes],
+            np.zeros(linear.size),
+        )
         for term in (one for one in self.terms if one is not without):
             for torque, scene in zip(total, scenes, strict=True):
                 for j, own in term.what.torques(scene, self.coefficients(term)).items():
@@ -309,8 +353,12 @@ class Model:
 
     def left(self, without: Term | None = None) -> list[Array]:
         """What is left (N, n) N m without a term, by scene; zero where a joint may stick."""
-        parts = zip(self.ground.base.whole, self.deviation, self.shown(without), strict=True)
-        return [np.where(own.scene.slides, own.residual - b - t, 0.0) for own, b, t in parts]
+        parts = zip(
+            self.ground.base.whole, self.deviation, self.shown(without), strict=True
+        )
+        return [
+            np.where(own.scene.slides, own.residual - b - t, 0.0) for own, b, t in parts
+        ]
 
     def rms(self) -> Array:
         """RMS (n,) N m of each joint's residual where it was not fitted."""
@@ -323,13 +371,18 @@ class Model:
     def variances(self, term: Term) -> Array:
         """Variance (k,) of these coefficients given all rows, by the noise alone."""
         first = self.where(term).start
-        return np.asarray(np.diag(self.linear.covariance)[first : first + term.what.size])
+        return np.asarray(
+            np.diag(self.linear.covariance)[first : first + term.what.size]
+        )
 
     def covariance(self, term: Term) -> Array:
         """Covariance (k, k) of these coefficients, no narrower than they scatter over blocks."""
         first = self.where(term).start
         at = slice(first, first + term.what.size)
-        white, scattered = self.linear.covariance[at, at], np.diag(self.linear.jackknife(at))
+        white, scattered = (
+            self.linear.covariance[at, at],
+            np.diag(self.linear.jackknife(at)),
+        )
         wider = np.sqrt(np.maximum(scattered / np.maximum(np.diag(white), 1e-300), 1.0))
         return np.asarray(white * np.outer(wider, wider))
 
@@ -337,9 +390,9 @@ class Model:
 class Loosened:
     """A solved model while parts of what is held get other precisions, one after the other.
 
-    With C the covariance of some of it, t their values and D what their precision grows by, all by
-    those of before, the log evidence grows by (log det(P + D) - log det P - log det(1 + D C) - t'
-    (1 + D C)^-1 D t) / 2.
+    With C the covariance of some of it, t their values and D what their precision grows
+    by, all by those of before, the log evidence grows by (log det(P + D) - log det P -
+    log det(1 + D C) - t' (1 + D C)^-1 D t) / 2.
     """
 
     def __init__(self, linear: Linear) -> None:

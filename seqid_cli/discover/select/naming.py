@@ -1,15 +1,16 @@
 """How sure a term is, and its name.
 
-That a term is more than the errors of a model which lacks nothing goes with the share of the
-squared error that it takes away where it was not fitted, and with its gain in log predictive
-density: a logistic regression on cases of which the truth is known (docs/discovery.md).
-How sure its name is follows from the gains of all effects that touch the same channels, over drawn
-weights of the blocks (D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9, 1981). The
-gains are tempered: no law is exactly the effect's, and of a large effect the rows tell laws apart
-that differ by less than the effect's own does from its law. Smooth functions have no part in it:
-where one is clearly better than all effects, it is what the selection takes. An effect that looks
-alike and that these logs lack the channels for cannot be ruled out: it is as likely as the name.
-Effects of `Taken.instead` count by their evidence.
+That a term is more than the errors of a model which lacks nothing goes with the share
+of the squared error that it takes away where it was not fitted, and with its gain in
+log predictive density: a logistic regression on cases of which the truth is known
+(docs/discovery.md). How sure its name is follows from the gains of all effects that
+touch the same channels, over drawn weights of the blocks (D. B. Rubin, "The Bayesian
+bootstrap", Annals of Statistics 9, 1981). The gains are tempered: no law is exactly the
+effect's, and of a large effect the rows tell laws apart that differ by less than the
+effect's own does from its law. Smooth functions have no part in it: where one is
+clearly better than all effects, it is what the selection takes. An effect that looks
+alike and that these logs lack the channels for cannot be ruled out: it is as likely as
+the name. Effects of `Taken.instead` count by their evidence.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ def tempered(gain: Array | float) -> Array:
 def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
     """Probability that a term is more than the errors of a model that lacks nothing.
 
-    `share` is what it takes away of the squared error, `gain` the log evidence for it. The log odds
-    are `of_share` of its logit and the gain's logarithm to base 10.
+    `share` is what it takes away of the squared error, `gain` the log evidence for it.
+    The log odds are `of_share` of its logit and the gain's logarithm to base 10.
     """
     odds = of_share * logit(float(np.clip(share, 1e-3, 1.0 - 1e-3)))
     return float(expit(odds + np.log10(max(gain, 1.0))))
@@ -55,9 +56,10 @@ def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
 def steadiness(varied: float, share: float, left: float) -> float:
     """Probability that a term is no error of another law: an effect always has the same size.
 
-    `varied` is the log evidence that its size is another one in every block, `share` what it takes
-    away of the squared error, `left` what the model leaves in noise floors. Odds are even where its
-    size varies, and as much as there was without it is left above the floor.
+    `varied` is the log evidence that its size is another one in every block, `share`
+    what it takes away of the squared error, `left` what the model leaves in noise
+    floors. Odds are even where its size varies, and as much as there was without it is
+    left above the floor.
     """
     above = np.sqrt(1.0 - np.clip(share, 0.0, 1.0)) * (1.0 - 1.0 / max(left, 1.0))
     return float(1.0 - 0.5 * expit(varied) * above)
@@ -68,7 +70,9 @@ def named(taken: Taken, left: float = 1.0) -> Named:
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
     others = {name: share for name, share in shares.items() if share > Options.doubt}
-    there = reality(taken.share, taken.evidence) * steadiness(taken.varied, taken.share, left)
+    there = reality(taken.share, taken.evidence) * steadiness(
+        taken.varied, taken.share, left
+    )
     every = (*others, *(name for name in taken.untried if name not in others))
     by_itself = there * own / (1.0 + len(taken.untried))
     return Named(there * (own + sum(others.values())), by_itself, every)
@@ -77,8 +81,9 @@ def named(taken: Taken, left: float = 1.0) -> Named:
 def probable_names(taken: Taken, *, of_most: float = 0.5) -> set[str]:
     """Names that may head a finding; all of them, unless the most probable one is a change.
 
-    A change of the file's values adds no law: its parameters are the model's own. So a law with
-    fewer parameters is no simpler, and heads the finding only if it is `of_most` as probable.
+    A change of the file's values adds no law: its parameters are the model's own. So a
+    law with fewer parameters is no simpler, and heads the finding only if it is
+    `of_most` as probable.
     """
     names = {rival.term.name for rival in taken.rivals}
     if taken.term.smooth:

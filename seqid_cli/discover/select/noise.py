@@ -1,10 +1,11 @@
 """How precise rows are: each joint's noise, and where residuals are larger than noise makes them.
 
-Residuals have long tails, near reversals above all, and a Gaussian likelihood takes those for
-evidence. Over a fraction of a second rows share a weight as under Student's distribution (K. L.
-Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t distribution",
-JASA 84, 1989): (nu + 1) / (nu + m), m their mean square in units of the noise. Rows of low-passed
-signals tell partly the same: `ALIKE` of them count as one.
+Residuals have long tails, near reversals above all, and a Gaussian likelihood takes
+those for evidence. Over a fraction of a second rows share a weight as under Student's
+distribution (K. L. Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical
+modeling using the t distribution", JASA 84, 1989): (nu + 1) / (nu + m), m their mean
+square in units of the noise. Rows of low-passed signals tell partly the same: `ALIKE`
+of them count as one.
 """
 
 from collections.abc import Sequence
@@ -32,24 +33,34 @@ class Noise:
     def slow(self, stage: Stage) -> list[Part]:
         """What of it is slower than a block of time, by joint."""
         n = stage.rows.n
-        below = [c for c in range(len(self.sigma)) if c // n != 1 and stage.rows.count(c % n)]
+        below = [
+            c for c in range(len(self.sigma)) if c // n != 1 and stage.rows.count(c % n)
+        ]
         seen = [c for c in below if c < n or stage.drive.of(c % n)]
         return [slow_noise(stage, c, self.sigma[c]) for c in seen]
 
 
-def settled(stage: Stage, rows: Rows, size: Array, parts: Sequence[Part]) -> tuple[Linear, Noise]:
+def settled(
+    stage: Stage, rows: Rows, size: Array, parts: Sequence[Part]
+) -> tuple[Linear, Noise]:
     """Fit a model and its noise in turn."""
     windows, every = _windows(stage), zip(rows.y, size, strict=True)
     noise = Noise(size, tuple(np.full(len(y), 1.0 / s**2) for y, s in every))
     linear = Linear(rows, parts, noise.weight)
     for _ in range(ROUNDS):
-        noise = _of_residual(linear.residual(), noise.sigma, windows, stage, rows.shared)
+        noise = _of_residual(
+            linear.residual(), noise.sigma, windows, stage, rows.shared
+        )
         linear = Linear(rows, [*parts, *noise.slow(stage)], noise.weight)
     return linear, noise
 
 
 def _of_residual(
-    left: Sequence[Array], sigma: Array, windows: Sequence[Index], stage: Stage, views: Array
+    left: Sequence[Array],
+    sigma: Array,
+    windows: Sequence[Index],
+    stage: Stage,
+    views: Array,
 ) -> Noise:
     """Noise of every channel; what two channels show counts half in each."""
     n, found, weight = len(windows), sigma.copy(), []
@@ -66,7 +77,9 @@ def _of_residual(
     return Noise(found, tuple(weight))
 
 
-def _student(r: Array, sigma: float, window: Index, *, nu: float = 4.0) -> tuple[float, Array]:
+def _student(
+    r: Array, sigma: float, window: Index, *, nu: float = 4.0
+) -> tuple[float, Array]:
     """Scale of Student's distribution with `nu` degrees of freedom, and the weights (M,)."""
     count = np.maximum(np.bincount(window), 1)
     square = np.bincount(window, weights=r**2) / count
@@ -82,13 +95,15 @@ def slow_noise(
 ) -> Part:
     """Torque noise that is slower than a block of time: an offset and cosines, of 1/f power.
 
-    Each log has its own `waves` functions, whose torque is `slow` times `size`, the standard
-    deviation [N m] of the channel's noise. Blocks that are left out tell nothing of it, and a
-    function of time would pass for an effect.
+    Each log has its own `waves` functions, whose torque is `slow` times `size`, the
+    standard deviation [N m] of the channel's noise. Blocks that are left out tell
+    nothing of it, and a function of time would pass for an effect.
     """
     rows, order, own = stage.rows, np.arange(waves), []
     for scene, picked, used in zip(rows.scenes, rows.picked, rows.used, strict=True):
-        t = scene.motion.t[picked[used[:, channel % rows.n]]] / float(scene.motion.t[-1])
+        t = scene.motion.t[picked[used[:, channel % rows.n]]] / float(
+            scene.motion.t[-1]
+        )
         own.append(np.cos(np.pi * np.outer(t, order)))
     wide = np.asarray(block_diag(*own))
     power = 1.0 / np.maximum(order, 0.5)
@@ -102,5 +117,8 @@ def _windows(stage: Stage, *, window_s: float = 0.3) -> list[Index]:
     for scene, picked in zip(rows.scenes, rows.picked, strict=True):
         every.append((scene.motion.t[picked] / window_s).astype(np.intp) + first)
         first += int(scene.motion.t[-1] / window_s) + 1
-    own = [[x[u[:, j]] for x, u in zip(every, rows.used, strict=True)] for j in range(rows.n)]
+    own = [
+        [x[u[:, j]] for x, u in zip(every, rows.used, strict=True)]
+        for j in range(rows.n)
+    ]
     return [np.concatenate(parts) for parts in own]

@@ -52,11 +52,14 @@ class Weighed:
     def share(self) -> float:
         """Share of the squared error that it takes away.
 
-        Of a smooth function by the squares of blocks that were left out as well: it follows large
-        errors of a few blocks which an effect's law does not.
+        Of a smooth function by the squares of blocks that were left out as well: it
+        follows large errors of a few blocks which an effect's law does not.
         """
         model = self.model
-        first = [model.ground.rows.y, *([self.linear.left_out] if self.term.smooth else [])]
+        first = [
+            model.ground.rows.y,
+            *([self.linear.left_out] if self.term.smooth else []),
+        ]
         beyond = [model.beyond(left, self.term.channels) for left in first]
         return min(self.one.predicted.share, *beyond)
 
@@ -65,19 +68,23 @@ class Weighed:
 class Taken:
     """A term of the finished model.
 
-    `evidence` (log) and `share` of the squared error are no more than beside a base that may leave
-    the file, and beyond the file as it is.
+    `evidence` (log) and `share` of the squared error are no more than beside a base
+    that may leave the file, and beyond the file as it is.
     """
 
     one: Ranked
-    rivals: tuple[Ranked, ...]  # all that touches its channels, itself included, in its place
-    left: Sequence[Array]  # (M_c,) N m by channel: left-out blocks by the model without it
+    # all that touches its channels, itself included, in its place
+    rivals: tuple[Ranked, ...]
+    # (M_c,) N m by channel: left-out blocks by the model without it
+    left: Sequence[Array]
     evidence: float
     share: float
     model: Model  # that it is judged in
-    instead: Mapping[str, float]  # effects that may stand in its place, log evidence they lack
+    # effects that may stand in its place, log evidence they lack
+    instead: Mapping[str, float]
     varied: float  # log evidence that its size is another one in every block
-    untried: tuple[str, ...] = ()  # look alike, but these logs lack the channels to look for them
+    # look alike, but these logs lack the channels to look for them
+    untried: tuple[str, ...] = ()
 
     @property
     def term(self) -> Term:
@@ -91,8 +98,10 @@ class Selected:
 
     model: Model
     taken: tuple[Taken, ...]
-    visible: Mapping[Key, float]  # share of each other effect's torque that it does not absorb
-    tried: tuple[Ranked, ...] = ()  # last, beside all that was taken, the largest gain first
+    # share of each other effect's torque that it does not absorb
+    visible: Mapping[Key, float]
+    # last, beside all that was taken, the largest gain first
+    tried: tuple[Ranked, ...] = ()
 
     @property
     def effects(self) -> list[Taken]:

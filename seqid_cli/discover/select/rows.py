@@ -1,8 +1,8 @@
 """Rows that are to be explained, columns that may explain them, and what they gain.
 
-How sure a gain is over blocks that differ is told by drawn weights of the blocks (D. B. Rubin, "The
-Bayesian bootstrap", Annals of Statistics 9, 1981): what shows in a few blocks alone may still be
-sure, if nothing speaks against it elsewhere.
+How sure a gain is over blocks that differ is told by drawn weights of the blocks (D. B.
+Rubin, "The Bayesian bootstrap", Annals of Statistics 9, 1981): what shows in a few
+blocks alone may still be sure, if nothing speaks against it elsewhere.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,14 +27,18 @@ class Rows:
     """What is to be explained."""
 
     y: tuple[Array, ...]  # (M_c,) by channel, torque [N m; N where prismatic]
-    block: tuple[Index, ...]  # (M_c,) by channel, the block of time of each row, ascending
+    # (M_c,) by channel, the block of time of each row, ascending
+    block: tuple[Index, ...]
     blocks: int
-    views: tuple[int, ...] = ()  # how many channels show the same as each does; empty: one
+    # how many channels show the same as each does; empty: one
+    views: tuple[int, ...] = ()
 
     @cached_property
     def independent(self) -> Array:
         """Number (channels, blocks) of independent rows."""
-        counts = np.stack([np.bincount(block, minlength=self.blocks) for block in self.block])
+        counts = np.stack(
+            [np.bincount(block, minlength=self.blocks) for block in self.block]
+        )
         return counts / (ALIKE * self.shared[:, None])
 
     @property
@@ -47,21 +51,26 @@ class Rows:
         """The rows of every block, channel by channel."""
         every = np.arange(self.blocks + 1)
         edges = [np.searchsorted(block, every) for block in self.block]
-        return tuple(tuple(slice(int(a), int(b)) for a, b in pairwise(edge)) for edge in edges)
+        return tuple(
+            tuple(slice(int(a), int(b)) for a, b in pairwise(edge)) for edge in edges
+        )
 
 
 @dataclass(frozen=True)
 class Part:
     """Columns that are fitted together, and the precision (k, k) that their coefficients had.
 
-    `in_file` are coefficients (., k) of other parts of the model, by their number, that stand for
-    the part in a parameter file: held to the file is what they are more than that.
+    `in_file` are coefficients (., k) of other parts of the model, by their number, that
+    stand for the part in a parameter file: held to the file is what they are more than
+    that.
     """
 
     columns: Channels
     precision: Array
-    apart: Array | None = None  # of the precision what is no parameter file's; None: all
-    first: Mapping[int, int] = field(default_factory=dict)  # channel -> its first column, if not 0
+    # of the precision what is no parameter file's; None: all
+    apart: Array | None = None
+    # channel -> its first column, if not 0
+    first: Mapping[int, int] = field(default_factory=dict)
     in_file: Mapping[int, Array] = field(default_factory=dict)
 
     @property
@@ -116,14 +125,17 @@ class Predicted:
     def share(self) -> float:
         """Share of the squared error that goes, where noise of unit variance remains.
 
-        By the density: it knows what other blocks do not tell of one, squared errors do not.
+        By the density: it knows what other blocks do not tell of one, squared errors do
+        not.
         """
         return float(self._share_of(self.total))
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of that share, over drawn weights of the blocks."""
-        low, high = np.quantile(self._share_of(self.drawn), (0.5 - LEVEL / 2, 0.5 + LEVEL / 2))
+        low, high = np.quantile(
+            self._share_of(self.drawn), (0.5 - LEVEL / 2, 0.5 + LEVEL / 2)
+        )
         return float(low), float(high)
 
     def _share_of(self, gain: float | Array) -> Array:
@@ -134,7 +146,8 @@ class Predicted:
 def joints_below(channels: Iterable[int], n: int) -> list[int]:
     """Joints of n whose torque below the cut-off some channels show.
 
-    Channel j is that of joint j, n + j what lies above its cut-off, 2 n + j its drive alone.
+    Channel j is that of joint j, n + j what lies above its cut-off, 2 n + j its drive
+    alone.
     """
     return sorted({c % n for c in channels if c // n != 1})
 

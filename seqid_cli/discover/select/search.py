@@ -1,7 +1,7 @@
 """What a model may lack next: effects at their best settings and smooth functions, joint by joint.
 
-Where a term was taken or taken back all is searched anew. Elsewhere what came first stays, and only
-what it gains is another now.
+Where a term was taken or taken back all is searched anew. Elsewhere what came first
+stays, and only what it gains is another now.
 """
 
 from collections.abc import Collection, Iterable, Sequence
@@ -56,7 +56,10 @@ class Search:
     def near(self, term: Term, linear: Linear) -> list[Tried]:
         """What may be at the place of a term, beside a model without it."""
         candidates = self._candidates(self._joints_of(term), but=term)
-        return [*self._best_of(candidates, linear), *self._first_functions(linear, term.channels)]
+        return [
+            *self._best_of(candidates, linear),
+            *self._first_functions(linear, term.channels),
+        ]
 
     def at(self, joint: int | None, bare: Model) -> list[Tried]:
         """What may be at a joint (None: of the whole arm) beside a model that has nothing there."""
@@ -87,7 +90,9 @@ class Search:
             tried = tuner.tried(self._candidates(joints))
             visible = dict[Key, float]()
             for one in (one for one in tried if not one.candidate.absorbed):
-                visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
+                visible[one.term.key] = max(
+                    visible.get(one.term.key, 0.0), one.gained.visible
+                )
             self.visible |= visible
             self._shapes |= {joint: [] for joint in joints}
             for one in best_of(tried, shape_of):
@@ -117,8 +122,9 @@ class Search:
     ) -> list[Tried]:
         """The smooth functions of the largest evidence at some joints.
 
-        Functions of two quantities are asked for where one of a single quantity explains anything
-        (marginality: J. A. Nelder, Journal of the Royal Statistical Society A 140, 1977).
+        Functions of two quantities are asked for where one of a single quantity
+        explains anything (marginality: J. A. Nelder, Journal of the Royal Statistical
+        Society A 140, 1977).
         """
         ground, found = self.model.ground, list[Tried]()
         for j in joints_below(channels, ground.n):
@@ -126,7 +132,9 @@ class Search:
             for products in (False, True):
                 if not products or any(one.evidence > 0.0 for one in own):
                     terms = ground.smooth_terms(j, products=products)
-                    own += _tried(linear, [term for term in terms if term.key not in had])
+                    own += _tried(
+                        linear, [term for term in terms if term.key not in had]
+                    )
             found += sorted(own, key=lambda one: -one.evidence)[:SMOOTH_SHORTLIST]
         return found
 
@@ -148,7 +156,9 @@ def _best_settings(tried: Sequence[Tried]) -> list[Tried]:
     return best_of(tried, lambda t: (*t.term.key, t.candidate.apart))
 
 
-def _shortlist(tried: Iterable[Tried], *, close: float = 0.5) -> tuple[list[Tried], float]:
+def _shortlist(
+    tried: Iterable[Tried], *, close: float = 0.5
+) -> tuple[list[Tried], float]:
     """Those of the largest evidence that are seen, and the evidence from which one is `close`."""
     seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE]
     first = sorted(seen, key=lambda t: -t.evidence)[:SHORTLIST]

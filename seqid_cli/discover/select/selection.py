@@ -1,10 +1,11 @@
 """Forward and backward selection of what a model lacks.
 
-docs/discovery.md says which conditions admit a term, and how the base is held to the file.
+docs/discovery.md says which conditions admit a term, and how the base is held to the
+file.
 
-References: J. Piironen, A. Vehtari, "Comparison of Bayesian predictive methods for model
-selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes factors", JASA 90,
-1995.
+References: J. Piironen, A. Vehtari, "Comparison of Bayesian predictive methods for
+model selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
+factors", JASA 90, 1995.
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
 from seqid_cli.discover.select.naming import TOLD, probable_names, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Key, Ranked, Selected, Taken, Weighed, again
+from seqid_cli.discover.select.results import (
+    Key,
+    Ranked,
+    Selected,
+    Taken,
+    Weighed,
+    again,
+)
 from seqid_cli.discover.select.rows import Part, scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
@@ -35,13 +43,16 @@ from seqid_cli.typing import Array
 
 
 def select(
-    ground: Ground, options: Options | None = None, catalogue: Sequence[Effect] | None = None
+    ground: Ground,
+    options: Options | None = None,
+    catalogue: Sequence[Effect] | None = None,
 ) -> Selection:
     """Select what the model lacks.
 
-    Friction trials tell what a file has taken up of an effect. Without them the base is held in
-    both ways at first, and the evidence chooses. A loose base takes up friction that has
-    changed: terms of such a model are tried with the base held as the file says, too.
+    Friction trials tell what a file has taken up of an effect. Without them the base is
+    held in both ways at first, and the evidence chooses. A loose base takes up friction
+    that has changed: terms of such a model are tried with the base held as the file
+    says, too.
     """
     catalogue = _known(ground) if catalogue is None else catalogue
     options = options or Options()
@@ -76,11 +87,15 @@ def _best_of_all(every: Sequence[Selection]) -> Selection:
     worth = [one.worth(least) for one in every]
     number = int(np.argmax(worth))
     best, behind = every[number], (worth[number] - value for value in worth)
-    best.others = [(max(b, 0.0), tuple(x.model.terms)) for b, x in zip(behind, every, strict=True)]
+    best.others = [
+        (max(b, 0.0), tuple(x.model.terms)) for b, x in zip(behind, every, strict=True)
+    ]
     return best
 
 
-def select_among(ground: Ground, hold: Hold, candidates: Sequence[Candidate]) -> Selection:
+def select_among(
+    ground: Ground, hold: Hold, candidates: Sequence[Candidate]
+) -> Selection:
     """Begin with effects, and take back those that the model does not need."""
     among = Selection(Model(ground, hold, candidates), Options(), _known(ground))
     among.eliminate()
@@ -94,26 +109,35 @@ def _known(ground: Ground) -> tuple[Effect, ...]:
 class Selection:
     """Terms are taken and taken back, one by one; the model may have some to begin with."""
 
-    def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
+    def __init__(
+        self, model: Model, options: Options, catalogue: Sequence[Effect]
+    ) -> None:
         self.model, self.options, self.catalogue = model, options, catalogue
         self._search = Search(model, catalogue)
         self._tried: list[Tried] = []
         self._tied: dict[Key, list[Term]] = {}
-        # Terms of other finished models, and the log evidence by which these are behind.
+        # Terms of other finished models, and the log evidence by which these are
+        # behind.
         self.others: list[tuple[float, tuple[Term, ...]]] = []
-        self._value_changes: dict[Term, Taken] = {}  # terms that are told whatever stands beside
+        # terms that are told whatever stands beside
+        self._value_changes: dict[Term, Taken] = {}
         self._stood_for: set[Key] = set()  # what they are told in place of
 
     def worth(self, noise: Noise) -> float:
         """Evidence under a noise, less what simpler models are granted.
 
-        Every term must be better than chance, a smooth function better than effects by what is a
-        tie, and standard errors of the file are not likely to be far too small.
+        Every term must be better than chance, a smooth function better than effects by
+        what is a tie, and standard errors of the file are not likely to be far too
+        small.
         """
         model, options = self.model, self.options
-        gained = [again(term, model).predicted.total for term in model.terms if term.smooth]
+        gained = [
+            again(term, model).predicted.total for term in model.terms if term.smooth
+        ]
         granted = options.small * sum(gained) + options.chance * len(model.terms)
-        return model.under(noise).evidence - (granted + model.hold.doubt(model.ground.n))
+        return model.under(noise).evidence - (
+            granted + model.hold.doubt(model.ground.n)
+        )
 
     @property
     def keys(self) -> set[Key]:
@@ -143,7 +167,12 @@ class Selection:
 
     def _instead(self, a: Term, b: Term) -> Term | None:
         """What was as good as one of two terms, and explains as much as both."""
-        tied = [c for one in (a, b) for c in self._tied.get(one.key, ()) if c.key not in self.keys]
+        tied = [
+            c
+            for one in (a, b)
+            for c in self._tied.get(one.key, ())
+            if c.key not in self.keys
+        ]
         linear = self.model.beside(a, b)
         least = self.model.linear.evidence - linear.evidence - self.options.chance
         gained = linear.gained([c.part for c in tied])
@@ -179,7 +208,9 @@ class Selection:
     def _simplest(self, ranked: Sequence[Ranked]) -> Ranked | None:
         """Of the best and those that are as good the one with the fewest parameters."""
         near = [one for one in ranked if self.as_good(one, ranked[0])]
-        return min(near, key=lambda one: (one.term.freedom, -one.gained.evidence), default=None)
+        return min(
+            near, key=lambda one: (one.term.freedom, -one.gained.evidence), default=None
+        )
 
     def _passes(self, one: Ranked) -> bool:
         """Whether a term is worth it."""
@@ -190,7 +221,8 @@ class Selection:
     def as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
         options, first, own = self.options, best.predicted, one.predicted
-        errors = -float(ndtri(options.doubt))  # standard ones, by which doubt is no more than that
+        # standard ones, by which doubt is no more than that
+        errors = -float(ndtri(options.doubt))
         chance = errors * scatter(first.density - own.density)
         near = first.total - own.total <= max(chance, options.small * first.total, 1.0)
         return near and bool(one.term.channels & best.term.channels)
@@ -213,17 +245,22 @@ class Selection:
     def told(self, least: float = TOLD) -> Selected:
         """What was taken, each term with its rivals.
 
-        Without what is less likely than `least` to be there. What may be the error of another
-        term's law stays in the model, for that term's sake, and is not told. A simpler rival that
-        does as well takes a term's place. A change of the file's values stands for what hides it.
+        Without what is less likely than `least` to be there. What may be the error of
+        another term's law stays in the model, for that term's sake, and is not told. A
+        simpler rival that does as well takes a term's place. A change of the file's
+        values stands for what hides it.
         """
         tried = _ranked(self.model.linear, self._tried)
         told = self._with_value_changes(self._all_taken(least), least)
-        hidden = {k: share for k, share in self._search.visible.items() if k not in self.keys}
+        hidden = {
+            k: share for k, share in self._search.visible.items() if k not in self.keys
+        }
         left = tuple(one for one in tried if one.term.key not in self.keys)
         return Selected(self.model, told, hidden, left)
 
-    def _with_value_changes(self, told: tuple[Taken, ...], least: float) -> tuple[Taken, ...]:
+    def _with_value_changes(
+        self, told: tuple[Taken, ...], least: float
+    ) -> tuple[Taken, ...]:
         """Tell changes of the file's values in place of the terms that hide them.
 
         These stay in the model, for the sake of the other terms.
@@ -242,7 +279,8 @@ class Selection:
             self._value_changes[term] = change.taken
             self._stood_for |= {one.key for one in change.instead_of}
             self._search.changed(term)
-        model.hold = model.hold.capped(MOST_ERRORS)  # what made it leave the file is a term now
+        # what made it leave the file is a term now
+        model.hold = model.hold.capped(MOST_ERRORS)
         model.settle()
         model.rescale()
         return tuple(self._told_now(least).values())
@@ -253,7 +291,9 @@ class Selection:
 
     def largest(self) -> Selected:
         """Return the effect of the largest gain, with its rivals, and the same at other joints."""
-        weighed = [Weighed(term, self.model) for term in self.model.terms if not term.smooth]
+        weighed = [
+            Weighed(term, self.model) for term in self.model.terms if not term.smooth
+        ]
         told = [own for own in weighed if self.is_told(own, 0.0)]
         told.sort(key=lambda own: _by_gain(own.one))
         alike = [own for own in told if own.term.name == told[0].term.name]
@@ -274,7 +314,9 @@ class Selection:
         model, told, better = self.model, self._told_now(least), dict[Term, Term]()
         for term, one in told.items():
             law = self._law_of(term, told) if term.smooth else None
-            better[term] = law or self._better(one, {other.key for other in better.values()})
+            better[term] = law or self._better(
+                one, {other.key for other in better.values()}
+            )
         if all(best is term for term, best in better.items()):
             return tuple(told.values())
         anew = {best.key for term, best in better.items() if best is not term}
@@ -301,7 +343,9 @@ class Selection:
             what, beside = term.what, term.channels & smooth.channels
             if isinstance(what, Candidate) and beside and term not in told:
                 neither = model.beside(smooth, term)
-                least = (1.0 - self.options.small) * (model.linear.evidence - neither.evidence)
+                least = (1.0 - self.options.small) * (
+                    model.linear.evidence - neither.evidence
+                )
                 tuner = Tuner(model.ground.stage, neither, model.ground.size)
                 alone = [tuner.tuned(one) for one in tuner.tried([what])]
                 found += [one for one in alone if one.evidence >= least]
@@ -310,7 +354,9 @@ class Selection:
     def _better(self, taken: Taken, gone: set[Key]) -> Term:
         """The simplest of a term and of its rivals that do as well."""
         terms = self.model.terms
-        keys = gone | {one.key for one in terms if one is not taken.term and not is_wide(one)}
+        keys = gone | {
+            one.key for one in terms if one is not taken.term and not is_wide(one)
+        }
         probable = probable_names(taken)
         free = [
             rival
@@ -324,7 +370,11 @@ class Selection:
     def taken_of(self, own: Weighed) -> Taken:
         """A term and its rivals."""
         term, linear, one = own.term, own.linear, own.one
-        near = [x for x in self._search.near(term, linear) if x.term.channels & term.channels]
+        near = [
+            x
+            for x in self._search.near(term, linear)
+            if x.term.channels & term.channels
+        ]
         rivals = [x for x in near if x.evidence > 0.0 and x.term.key != term.key]
         ranked = tuple(sorted([one, *_ranked(linear, rivals)], key=_by_gain))
         instead = self._instead_of(term) | self._as_share(own)
@@ -345,7 +395,9 @@ class Selection:
         found = dict[str, float]()
         for behind, terms in self.others:
             other = term.key not in {one.key for one in terms}
-            for one in (x for x in terms if other and not x.smooth and x.key not in self.keys):
+            for one in (
+                x for x in terms if other and not x.smooth and x.key not in self.keys
+            ):
                 if one.channels & term.channels:
                     found[one.name] = min(behind, found.get(one.name, np.inf))
         return found
@@ -353,14 +405,16 @@ class Selection:
     def _as_share(self, own: Weighed) -> dict[str, float]:
         """Effects that may be a share of another term of the joint; how far these are behind.
 
-        In log evidence, by name. What differs between the directions goes with friction over the
-        position, which a file without friction trials does not have.
+        In log evidence, by name. What differs between the directions goes with friction
+        over the position, which a file without friction trials does not have.
         """
         model, j, found = own.model, own.term.joint, dict[str, float]()
         for effect in (one for one in self.catalogue if own.term.name in one.alike):
             whole = [one for one in model.terms if one.key == (effect.share_of, j)]
             if whole and j is not None:
-                share = own.linear.predicted([self._share_of(whole[0], effect, j, model)])[0]
+                share = own.linear.predicted(
+                    [self._share_of(whole[0], effect, j, model)]
+                )[0]
                 found[effect.name] = own.one.predicted.total - share.total
         return found
 
@@ -370,9 +424,14 @@ class Selection:
         assert isinstance(what, Candidate)
 
         def columns(scene: Scene) -> dict[int, Array]:
-            own, friction = what.columns(scene)[j] @ model.coefficients(whole), scene.friction[:, j]
+            own, friction = (
+                what.columns(scene)[j] @ model.coefficients(whole),
+                scene.friction[:, j],
+            )
             speed = scene.motion.dq[:, j]
-            speed = speed * np.linalg.norm(friction) / max(np.linalg.norm(speed), 1e-300)
+            speed = (
+                speed * np.linalg.norm(friction) / max(np.linalg.norm(speed), 1e-300)
+            )
             return {j: scene.sign[:, [j]] * np.stack([own, friction, speed], axis=1)}
 
         rows = model.ground.stage.rows
@@ -384,8 +443,12 @@ class Selection:
         alike = term.what.effect.alike if isinstance(term.what, Candidate) else ()
         likely = (one for one in self.catalogue if one.name in alike)
         names = [one.name for one in likely if one.possible(scenes, term.joint)]
-        beside = [one for one in model.terms if one.name in alike and one.joint == term.joint]
-        names += [one.name for one in beside if self._hides(term, again(one, model), model)]
+        beside = [
+            one for one in model.terms if one.name in alike and one.joint == term.joint
+        ]
+        names += [
+            one.name for one in beside if self._hides(term, again(one, model), model)
+        ]
         return tuple(dict.fromkeys(names))
 
     def _hides(self, term: Term, one: Ranked, model: Model) -> bool:
@@ -405,7 +468,9 @@ class Selection:
             elsewhere = term.name == beside.name and term.joint != beside.joint
             alike = beside.name in what.effect.alike or term.name in other.effect.alike
             if elsewhere or alike:
-                return self.options.apart if what.effect.apart else float(np.sqrt(small))
+                return (
+                    self.options.apart if what.effect.apart else float(np.sqrt(small))
+                )
         return 0.0 if what.effect.exact else small
 
 

@@ -1,8 +1,8 @@
 """Smooth functions of one or two quantities: rivals of the catalogue's effects.
 
-Splines are held beyond what more than one fold of the rows has seen, and combined so that each
-bends more than the one before (eigenvectors of the second differences, Demmler and Reinsch 1975),
-the constant first: not every base has an offset.
+Splines are held beyond what more than one fold of the rows has seen, and combined so
+that each bends more than the one before (eigenvectors of the second differences,
+Demmler and Reinsch 1975), the constant first: not every base has an offset.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,8 @@ from seqid_cli.model.effects.smooth import (
 from seqid_cli.model.friction_basis import tensor
 from seqid_cli.typing import Array, Index
 
-EDGE = 0.01  # share of the rows beyond the first knot (and the last), whatever fold is left out
+# share of the rows beyond the first knot (and the last), whatever fold is left out
+EDGE = 0.01
 STILL = 1e-9  # range of a quantity, relative to its size, below which it has not moved
 RIDGE = 1e-6  # of the splines' mean square: for pieces that hold no rows
 SLOW = {"position", "velocity", "temperature", "time", "session_time"}
@@ -38,9 +39,11 @@ class SmoothFunction:
     """A smooth function that might be what the residual of a joint is."""
 
     joint: int
-    quantities: tuple[str, ...]  # as the contract spells them, the strongest meaning first
+    # as the contract spells them, the strongest meaning first
+    quantities: tuple[str, ...]
     label: str  # the same in words
-    axes: tuple[Axis, ...]  # functions of these and `factor` (see `model.effects.smooth.shape`)
+    # functions of these and `factor` (see `model.effects.smooth.shape`)
+    axes: tuple[Axis, ...]
     factor: Factor
     mixing: Array  # (K, k) combinations of them
 
@@ -52,16 +55,21 @@ class SmoothFunction:
     def columns(self, rows: Rows) -> Array:
         """Compute the columns (M, k) on the joint's rows.
 
-        Functions of what is slow beside the low-pass pass it as they are: only the direction has
-        steps. Low-passed one by one, they cost as much as all effects.
+        Functions of what is slow beside the low-pass pass it as they are: only the
+        direction has steps. Low-passed one by one, they cost as much as all effects.
         """
         j, scenes = self.joint, rows.scenes
         if not {axis.measure for axis in self.axes} <= SLOW:
             whole = ({j: shape(scene, j, self.axes, self.factor)} for scene in scenes)
             return rows.columns(whole, passes=2)[j] @ self.mixing
-        values = [[v for x in scenes if (v := axis.values(x)) is not None] for axis in self.axes]
+        values = [
+            [v for x in scenes if (v := axis.values(x)) is not None]
+            for axis in self.axes
+        ]
         every = zip(values, self.axes, strict=True)
-        basis = reduce(tensor, [splines(rows.of(j, v), axis.knots) for v, axis in every])
+        basis = reduce(
+            tensor, [splines(rows.of(j, v), axis.knots) for v, axis in every]
+        )
         if self.factor == "direction":
             sign = [s.motion.filtered(s.sign[:, [j]], times=2) for s in scenes]
             basis = basis * rows.of(j, sign)
@@ -74,12 +82,20 @@ class SmoothFunction:
 
     def fitted(self, c: Array) -> SmoothTerm:
         """Return the term of coefficients c (k,)."""
-        return SmoothTerm(self.joint, self.quantities, self.axes, self.factor, self.mixing @ c)
+        return SmoothTerm(
+            self.joint, self.quantities, self.axes, self.factor, self.mixing @ c
+        )
 
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
     """Return functions of everything measured, of one quantity each, for a joint's torque."""
-    own: tuple[Measure, ...] = ("position", "velocity", "acceleration", "load", "temperature")
+    own: tuple[Measure, ...] = (
+        "position",
+        "velocity",
+        "acceleration",
+        "load",
+        "temperature",
+    )
     every: list[tuple[Measure, int, tuple[str, ...], str]]
     every = [(measure, joint, (measure,), measure) for measure in own]
     sided: tuple[Measure, ...] = ("position", "load_size", "speed", "temperature")
@@ -102,7 +118,12 @@ def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
 
 
 def _smooth(
-    rows: Rows, joint: int, measure: Measure, owner: int, quantities: tuple[str, ...], label: str
+    rows: Rows,
+    joint: int,
+    measure: Measure,
+    owner: int,
+    quantities: tuple[str, ...],
+    label: str,
 ) -> SmoothFunction | None:
     """A function of one quantity; none where that is not known or constant."""
     axis, x = _axis(rows, joint, measure, owner, SIZE - 1)
@@ -138,7 +159,10 @@ def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
                 continue
             U = smoothest(splines(x, own.knots), greville(own.knots))
             V = smoothest(splines(z, other.knots), greville(other.knots))
-            told = (measure, f"other_joint:{names[k]}"), f"{measure} and that of {names[k]}"
+            told = (
+                (measure, f"other_joint:{names[k]}"),
+                f"{measure} and that of {names[k]}",
+            )
             mixing = np.asarray(np.kron(U[:, :TENSOR_SIZE], V[:, :TENSOR_SIZE]))
             found.append(SmoothFunction(j, *told, (own, other), "one", mixing))
     return found
@@ -147,14 +171,16 @@ def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
 def knots_of(x: Array, fold: Index, count: int) -> tuple[float, ...] | None:
     """Knots half way between equal steps and equal shares of x (M,); None if x hardly varies.
 
-    Equal shares alone would crowd at rest and turning points, equal steps leave pieces empty. The
-    outer knots are such that without any one `fold` (M,) some rows still lie beyond them: what one
-    fold alone has seen cannot be judged by leaving it out.
+    Equal shares alone would crowd at rest and turning points, equal steps leave pieces
+    empty. The outer knots are such that without any one `fold` (M,) some rows still lie
+    beyond them: what one fold alone has seen cannot be judged by leaving it out.
     """
     if len(x) < 10 * count:
         return None
     left = [x[fold != f] for f in np.unique(fold)]
-    edges = np.array([np.quantile(rest, (EDGE, 1.0 - EDGE)) for rest in left if len(rest)])
+    edges = np.array(
+        [np.quantile(rest, (EDGE, 1.0 - EDGE)) for rest in left if len(rest)]
+    )
     if not len(edges):
         return None
     low, high = float(edges[:, 0].max()), float(edges[:, 1].min())
@@ -167,8 +193,8 @@ def knots_of(x: Array, fold: Index, count: int) -> tuple[float, ...] | None:
 def smoothest(basis: Array, abscissae: Array) -> Array:
     """Combinations (K, K) of splines at rows (M, K), orthonormal over these, smoothest first.
 
-    The splines sum to one; `abscissae` (K,) are Greville's. One combination per column: the
-    constant, nearly the straight line, and so on.
+    The splines sum to one; `abscissae` (K,) are Greville's. One combination per column:
+    the constant, nearly the straight line, and so on.
     """
     K = basis.shape[1]
     G = basis.T @ basis / len(basis)

@@ -12,7 +12,8 @@ from seqid_cli.discover.select.rows import Channels, Part
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.typing import Array
 
-UNSHOWN = 1e-6  # of a term's largest column, in its own unit: no row shows a smaller one
+# of a term's largest column, in its own unit: no row shows a smaller one
+UNSHOWN = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +40,19 @@ class Term:
     @cached_property
     def name(self) -> str:
         """Effect, or what the function depends on."""
-        return self.what.label if isinstance(self.what, SmoothFunction) else self.what.effect.name
+        return (
+            self.what.label
+            if isinstance(self.what, SmoothFunction)
+            else self.what.effect.name
+        )
 
     @property
     def freedom(self) -> int:
         """Number of parameters: coefficients and settings that are searched.
 
-        When an effect came is one as well: no channel tells it. Else a law of friction that came
-        since would go before a change of friction, which counts when it happened.
+        When an effect came is one as well: no channel tells it. Else a law of friction
+        that came since would go before a change of friction, which counts when it
+        happened.
         """
         if isinstance(self.what, SmoothFunction):
             return self.part.size
@@ -73,11 +79,20 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
     """Make terms of candidates; none is likely to be much more than `size` (channels,) N m."""
     known, found, n = stage.known, list[Term](), stage.rows.n
     for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
-        if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values())):
-            first = {c: candidate.size for c in columns if candidate.apart and c // n == 1}
+        if (
+            columns
+            and next(iter(columns.values())).shape[1]
+            and any(map(len, columns.values()))
+        ):
+            first = {
+                c: candidate.size for c in columns if candidate.apart and c // n == 1
+            }
             if candidate.address not in known:
                 in_file, beside = stage.in_file(candidate, columns)
-                known[candidate.address] = np.diag(_precision(beside, size, first)), in_file
+                known[candidate.address] = (
+                    np.diag(_precision(beside, size, first)),
+                    in_file,
+                )
             precision, in_file = known[candidate.address]
             part = Part(columns, precision, first=first, in_file=in_file)
             found.append(Term(candidate, part, came_since=stage.came_since(candidate)))
@@ -87,14 +102,16 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
 def smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
     """Make a term of a function; of a drive it is another one, with coefficients of its own.
 
-    A measured load holds all that acts on the link: of that it explains the drive alone.
+    A measured load holds all that acts on the link: of that it explains the drive
+    alone.
     """
     j = one.joint
     columns = stage.with_drive({j: one.columns(stage.rows)})
     if len(columns) > 1 and "load" in one.quantities:
         del columns[j]
     first = {c: one.size for c in columns if c != j and j in columns}
-    place = np.arange(1.0, one.size + 1.0)  # among the smoothest: how much each column bends
+    # among the smoothest: how much each column bends
+    place = np.arange(1.0, one.size + 1.0)
     bending = np.tile(np.sqrt(place) if len(one.axes) > 1 else place, len(columns))
     precision = _precision(columns, size, first) * bending**2
     return Term(one, Part(columns, np.diag(precision), first=first))
@@ -102,7 +119,9 @@ def smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
 
 def _precision(columns: Channels, size: Array, first: Mapping[int, int] = {}) -> Array:
     """Inverse variance (k,) of coefficients whose torque is about `LIKELY` times `size`."""
-    result = np.full(max(first.get(c, 0) + X.shape[1] for c, X in columns.items()), 1e-300)
+    result = np.full(
+        max(first.get(c, 0) + X.shape[1] for c, X in columns.items()), 1e-300
+    )
     for c, X in columns.items():
         if len(X):
             own = result[first.get(c, 0) :][: X.shape[1]]

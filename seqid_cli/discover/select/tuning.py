@@ -69,7 +69,11 @@ class Tuner:
     def _opened(self, tried: Tried) -> Tried:
         """The same with a setting that it lacks, at the best of its first values."""
         c = tried.candidate
-        more = [s for s in c.effect.beyond(self.stage.scenes, c.joint) if not s.keys() & c.settings]
+        more = [
+            s
+            for s in c.effect.beyond(self.stage.scenes, c.joint)
+            if not s.keys() & c.settings
+        ]
         lacking = [replace(c, settings={**c.settings, **s}) for s in more]
         return max([tried, *self.tried(lacking)], key=lambda one: one.evidence)
 
@@ -133,13 +137,15 @@ class Tuner:
     def _sharpened(self, tried: Tried) -> Tried:
         """Move settings to where the coefficients say.
 
-        Of effects that are looked for to first order the first step stands though it gains less: a
-        lag would pass for a delay.
+        Of effects that are looked for to first order the first step stands though it
+        gains less: a lag would pass for a delay.
         """
         best = tried
         for number in range(SHARPENED):
             c = best.candidate
-            settings = c.effect.sharpened(c.settings, best.gained.coefficients[: c.size])
+            settings = c.effect.sharpened(
+                c.settings, best.gained.coefficients[: c.size]
+            )
             found = None if settings is None else self._moved(best, **settings)
             stands = number == 0 and c.effect.first_order
             if found is None or (found.evidence <= best.evidence and not stands):

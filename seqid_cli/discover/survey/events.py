@@ -1,16 +1,17 @@
 """Events: short stretches of a log in which something from outside pushed the arm.
 
-The residual's mean over a short window is compared with what such windows show elsewhere: with
-windows of like speed, with all those in which a joint reverses, and with the nearest ones in state
-(same place, same motion or same load of this joint, same state of all joints). What the model does
-not know of friction, gears or load recurs there and so is no event; a push does not. A state
-that is seen once tells nothing. A push on link k moves the joints up to k, so their evidence is
-taken together.
+The residual's mean over a short window is compared with what such windows show
+elsewhere: with windows of like speed, with all those in which a joint reverses, and
+with the nearest ones in state (same place, same motion or same load of this joint, same
+state of all joints). What the model does not know of friction, gears or load recurs
+there and so is no event; a push does not. A state that is seen once tells nothing. A
+push on link k moves the joints up to k, so their evidence is taken together.
 
     z_w = min_c |m_w - med_c| / max_c s_c
 
-m_w is the mean of the residual over the window, med_c and s_c median and robust size of such means
-over the comparison c; s is of unit size for Gaussian noise, so z counts robust sigmas.
+m_w is the mean of the residual over the window, med_c and s_c median and robust size of
+such means over the comparison c; s is of unit size for Gaussian noise, so z counts
+robust sigmas.
 """
 
 from collections.abc import Sequence
@@ -41,7 +42,8 @@ class Windows:
     mean: Array  # (W, n) of the scaled residual, NaN where too few samples count
     state: Array  # (W, 4n) position, speed, acceleration and load of each joint, scaled
     speed: Array  # (W, n)
-    reverses: Mask  # (W, 2n), whether each joint's velocity and each joint's load change sign
+    # (W, 2n), whether each joint's velocity and each joint's load change sign
+    reverses: Mask
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,8 @@ class Track:
     """Samples of one log, and what each joint does there."""
 
     t: Array  # (M,) s
-    values: Array  # (5, M, n): position, velocity, acceleration, load, residual (NaN: no count)
+    # (5, M, n): position, velocity, acceleration, load, residual (NaN: no count)
+    values: Array
     cutoff_hz: float
 
     def __getitem__(self, some: slice) -> "Track":
@@ -60,7 +63,9 @@ class Track:
 def joined(tracks: Sequence[Track]) -> Track:
     """Tracks of one log, one after the other."""
     values = np.concatenate([track.values for track in tracks], axis=1)
-    return Track(np.concatenate([track.t for track in tracks]), values, tracks[0].cutoff_hz)
+    return Track(
+        np.concatenate([track.t for track in tracks]), values, tracks[0].cutoff_hz
+    )
 
 
 def tracks_of(rows: Rows, left_out: Sequence[Array]) -> list[Track]:
@@ -81,7 +86,9 @@ def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
     """Cut logs into overlapping windows of one length."""
     top = np.max([np.max(np.abs(track.values[1]), axis=0) for track in tracks], axis=0)
     top = np.maximum(top, 1e-12)
-    parts = [_windows_of_track(number, x, top, length_s) for number, x in enumerate(tracks)]
+    parts = [
+        _windows_of_track(number, x, top, length_s) for number, x in enumerate(tracks)
+    ]
     every = [np.concatenate(part) for part in zip(*parts, strict=True)]
     known = np.isfinite(every[2]).any(axis=1)
     scene, centre, mean, state, speed, reverses = (part[known] for part in every)
@@ -90,14 +97,19 @@ def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
     return Windows(length_s, scene, centre, mean, state, speed, reverses)
 
 
-def _windows_of_track(number: int, track: Track, top: Array, length_s: float) -> tuple[Any, ...]:
+def _windows_of_track(
+    number: int, track: Track, top: Array, length_s: float
+) -> tuple[Any, ...]:
     """Data set, centre, mean, state, speed and reversals of one log's windows."""
     t, (q, v, a, load, residual) = track.t, track.values
     step = float(np.min(np.diff(t), initial=np.inf))
     begin = np.arange(t[0], t[-1] - length_s + 1e-9, length_s / OVERLAP)
     low, high = np.searchsorted(t, begin), np.searchsorted(t, begin + length_s)
     reach = 0.5 / track.cutoff_hz
-    wide = np.searchsorted(t, begin - reach), np.searchsorted(t, begin + length_s + reach)
+    wide = (
+        np.searchsorted(t, begin - reach),
+        np.searchsorted(t, begin + length_s + reach),
+    )
     own = [q, np.arcsinh(v / (STEEP * top)), a, load]
     turns = np.hstack([_changes(v), _changes(load)])
     return (
@@ -127,10 +139,12 @@ def _means(values: Array, low: Index, high: Index, fewest: float) -> Array:
 
 LENGTHS_S = (0.15, 0.3, 0.6)
 GATE = 5.2  # robust sigmas that an event must reach
-LOOKED_AT = 3.0  # robust sigmas within its class from which a window is compared with like ones
+# robust sigmas within its class from which a window is compared with like ones
+LOOKED_AT = 3.0
 MOST_REFERENCES = 3000
 EDGE_SHARE = 0.4  # of an event's peak, down to which it reaches
-MOST_TIME = 0.05  # share of a log (or LONGEST_S, whichever is more) that events may fill
+# share of a log (or LONGEST_S, whichever is more) that events may fill
+MOST_TIME = 0.05
 LONGEST_S = 2.0  # of one event
 NEIGHBOURS = 24
 SPEEDS = 4  # classes of speed
@@ -179,7 +193,9 @@ def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
     scored = [(windows, scores(windows)) for windows in every]
     for number in range(len(rows.scenes)):
         events = places(number, scored)
-        length = max(w.length_s * np.count_nonzero(w.scene == number) / OVERLAP for w in every)
+        length = max(
+            w.length_s * np.count_nonzero(w.scene == number) / OVERLAP for w in every
+        )
         taken = sum(end - start for start, end in _occasions(events))
         found += events if taken <= max(MOST_TIME * length, LONGEST_S) else []
     return found
@@ -209,7 +225,9 @@ def scores(windows: Windows) -> Array:
         motion, farther = _neighbours(windows, looked, [n + j, 2 * n + j])
         load, farthest = _neighbours(windows, looked, [3 * n + j])
         size = sizes[looked, j] * np.max([far, farther, farthest], axis=0)
-        z[looked, j] = _compared(windows.mean[:, j], size, looked, [whole, place, motion, load])
+        z[looked, j] = _compared(
+            windows.mean[:, j], size, looked, [whole, place, motion, load]
+        )
     return z
 
 
@@ -230,21 +248,29 @@ def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> A
 def combined(z: Array) -> Array:
     """Score (W,) of windows from z (W, n): the largest of one joint or of the first k together."""
     k = np.arange(2, z.shape[1] + 1)
-    # Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931).
+    # Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty
+    # 1931).
     spread = 2.0 / (9.0 * k)
-    deviate = (np.cbrt(np.cumsum(z**2, axis=1)[:, 1:] / k) - 1.0 + spread) / np.sqrt(spread)
+    deviate = (np.cbrt(np.cumsum(z**2, axis=1)[:, 1:] / k) - 1.0 + spread) / np.sqrt(
+        spread
+    )
     return np.asarray(np.max(np.hstack([np.abs(z), deviate]), axis=1))
 
 
-def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[Index, Array]:
+def _neighbours(
+    windows: Windows, looked: Index, columns: list[int]
+) -> tuple[Index, Array]:
     """Windows (L, NEIGHBOURS) nearest to some in columns of the state, -1 where too near in time.
 
-    And how remote each of those looked at is (L,): 1 where its neighbours are as near as usual,
-    more beyond what other windows have seen. Only every few windows serve as references: they
-    overlap, and logs may be long.
+    And how remote each of those looked at is (L,): 1 where its neighbours are as near
+    as usual, more beyond what other windows have seen. Only every few windows serve as
+    references: they overlap, and logs may be long.
     """
     stride = max(OVERLAP, len(windows.centre) // MOST_REFERENCES)
-    reference, state = np.arange(0, len(windows.centre), stride), windows.state[:, columns]
+    reference, state = (
+        np.arange(0, len(windows.centre), stride),
+        windows.state[:, columns],
+    )
     overlapping = 2 * int(np.ceil(BLOCK_S * OVERLAP / windows.length_s / stride))
     asked = [*range(1, min(NEIGHBOURS + overlapping, len(reference)) + 1)]
     tree = cKDTree(state[reference])
@@ -255,14 +281,19 @@ def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[In
     order = np.argsort(close, axis=1, kind="stable")[:, :NEIGHBOURS]
     picked: Index = np.take_along_axis(np.where(close, -1, index), order, axis=1)
     reached = np.median(np.take_along_axis(np.asarray(distance), order, axis=1), axis=1)
-    usual = np.quantile(np.median(tree.query(state[reference], k=asked)[0], axis=1), USUAL)
+    usual = np.quantile(
+        np.median(tree.query(state[reference], k=asked)[0], axis=1), USUAL
+    )
     return picked, np.maximum(1.0, reached / max(float(usual), 1e-300))
 
 
 def _medians(values: Array, count: Index) -> Array:
     """Medians (L,) of the `count` numbers of each row; NaN come last in order."""
     ordered = np.sort(values, axis=1)
-    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
+    low, high = (
+        np.maximum(count - 1, 0) // 2,
+        np.minimum(count // 2, values.shape[1] - 1),
+    )
     row = np.arange(len(values))
     return np.asarray(0.5 * (ordered[row, low] + ordered[row, high]))
 
@@ -303,7 +334,10 @@ def _joined(number: int, length_s: float, z: Array, centre: Array) -> list[Inter
         first, stop = next((a, b) for a, b in runs(along, len(along)) if a <= peak < b)
         weight = np.abs(z[first:stop]).max(axis=0)
         joints = np.flatnonzero(weight > 0.5 * max(GATE, weight.max())).tolist()
-        start, end = max(float(centre[first]) - margin, 0.0), float(centre[stop - 1]) + margin
+        start, end = (
+            max(float(centre[first]) - margin, 0.0),
+            float(centre[stop - 1]) + margin,
+        )
         if end - start <= LONGEST_S:
             joints = joints or [int(np.argmax(weight))]
             found.append(Interval(number, start, end, tuple(joints), top))

@@ -1,10 +1,11 @@
 """What lies above the cut-off: rows for ripples and lines in time.
 
-There the rigid body and friction have next to nothing to say but for the steps at reversals, which
-the model as it stands takes away; what is left, less its low-passed part, is what a ripple or a
-line has to explain. A burst, as a stop from full speed leaves it, is left out. These rows are
-further channels of the normal equations, one per joint, that no base column touches; together they
-count as much as the joint's rows below the cut-off.
+There the rigid body and friction have next to nothing to say but for the steps at
+reversals, which the model as it stands takes away; what is left, less its low-passed
+part, is what a ripple or a line has to explain. A burst, as a stop from full speed
+leaves it, is left out. These rows are further channels of the normal equations, one per
+joint, that no base column touches; together they count as much as the joint's rows
+below the cut-off.
 """
 
 from collections import defaultdict
@@ -19,8 +20,10 @@ from seqid_cli.discover.survey.rows import Rows, stride_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.typing import Array, Index, Mask
 
-PASSING = 0.05  # share of the power above the cut-off, under which that below says nothing
-MOST_SAMPLES = 80_000  # of all logs; of longer ones every second block counts, or every third, ...
+# share of the power above the cut-off, under which that below says nothing
+PASSING = 0.05
+# of all logs; of longer ones every second block counts, or every third, ...
+MOST_SAMPLES = 80_000
 BURST = 4.0  # times the usual RMS, over a period of the cut-off
 
 
@@ -35,13 +38,18 @@ class HighBand:
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of values (N, ...), one array per data set at its own rate."""
-        return np.concatenate([v[u[:, joint]] for v, u in zip(values, self.used, strict=True)])
+        return np.concatenate(
+            [v[u[:, joint]] for v, u in zip(values, self.used, strict=True)]
+        )
 
 
 def high_band(rows: Rows) -> HighBand:
     """Take the rows above the cut-off where joints slide, in blocks of `rows`."""
     used, blocks, high = [], [], []
-    thin = max(1, -(-sum((scene.full or scene).samples for scene in rows.scenes) // MOST_SAMPLES))
+    thin = max(
+        1,
+        -(-sum((scene.full or scene).samples for scene in rows.scenes) // MOST_SAMPLES),
+    )
     parts = zip(rows.scenes, rows.picked, rows.used, rows.block, strict=True)
     for scene, picked, counts, block in parts:
         full = scene.full or scene
@@ -56,9 +64,15 @@ def high_band(rows: Rows) -> HighBand:
         blocks.append(block[nearest])
     of, y = list[Index](), list[Array]()
     for j in range(rows.n):
-        of.append(np.concatenate([b[u[:, j]] for b, u in zip(blocks, used, strict=True)]))
-        y.append(np.concatenate([h[u[:, j], j] for h, u in zip(high, used, strict=True)]))
-    weight = [np.sqrt(max(len(own), 1) / max(rows.count(j), 1)) for j, own in enumerate(y)]
+        of.append(
+            np.concatenate([b[u[:, j]] for b, u in zip(blocks, used, strict=True)])
+        )
+        y.append(
+            np.concatenate([h[u[:, j], j] for h, u in zip(high, used, strict=True)])
+        )
+    weight = [
+        np.sqrt(max(len(own), 1) / max(rows.count(j), 1)) for j, own in enumerate(y)
+    ]
     return HighBand(tuple(used), tuple(of), tuple(y), np.array(weight))
 
 
@@ -67,11 +81,14 @@ def both_bands(
 ) -> dict[int, Array]:
     """Split columns at the logs' own rates into rows below and above the cut-off.
 
-    Rows above it belong to channel n + joint, in single precision. Of a log in which nearly all of
-    a column lies above, what is left below comes from where the joint reverses, and there its law
-    is known least: then that log's rows above alone count.
+    Rows above it belong to channel n + joint, in single precision. Of a log in which
+    nearly all of a column lies above, what is left below comes from where the joint
+    reverses, and there its law is known least: then that log's rows above alone count.
     """
-    below, above = defaultdict[int, list[Array]](list), defaultdict[int, list[Array]](list)
+    below, above = (
+        defaultdict[int, list[Array]](list),
+        defaultdict[int, list[Array]](list),
+    )
     for scene, columns in zip(rows.scenes, per_scene, strict=True):
         full = scene.full or scene
         every = round(full.motion.rate_hz / scene.motion.rate_hz)
@@ -84,7 +101,9 @@ def both_bands(
     for joint, slow in below.items():
         result[joint] = rows.torque(joint, slow)
         # There are many rows above, and hundreds of candidates that keep theirs.
-        result[rows.n + joint] = cast(Array, high.of(joint, above[joint]).astype(np.float32))
+        result[rows.n + joint] = cast(
+            Array, high.of(joint, above[joint]).astype(np.float32)
+        )
     return result
 
 
@@ -107,7 +126,10 @@ def _bursts(above: Array, counting: Mask, full: Scene) -> Mask:
 def full_residual(scene: Scene, left: Array) -> Array:
     """Residual (N, n) at the log's own rate: `left` (N', n), above the cut-off the measured."""
     full = scene.full or scene
-    slow = [np.interp(full.motion.t, scene.motion.t, left[:, j]) for j in range(left.shape[1])]
+    slow = [
+        np.interp(full.motion.t, scene.motion.t, left[:, j])
+        for j in range(left.shape[1])
+    ]
     total = _above(full) + np.stack(slow, axis=1)
     total[~full.motion.usable] = 0.0
     return total

@@ -1,17 +1,18 @@
 """Reversal uncertainty: what is not known of friction where a joint turns back or rests.
 
-A joint that turns back sticks until its drive has overcome friction twice. When it stopped and when
-it broke loose is known to a share of the time for which it does not certainly slide, and friction
-may take any part of that time to change. Its step passes the low-pass and reaches samples that
-count:
+A joint that turns back sticks until its drive has overcome friction twice. When it
+stopped and when it broke loose is known to a share of the time for which it does not
+certainly slide, and friction may take any part of that time to change. Its step passes
+the low-pass and reaches samples that count:
 
     row = ... + D h(t - t_r) dt + D h'(t - t_r) T^2 / 24,
 
-D being the step, h the low-pass's response to a pulse, dt how far off the step is and T how long it
-takes, other ones at every reversal. Near the ends of a longer rest friction may be anything up to
-its size. Rows are whitened for both: what such errors look like counts for less, the more so the
-larger friction is over torque noise, and all else for as much as it did (generalised least squares,
-one reversal after the other; Aitken, Proceedings of the Royal Society of Edinburgh 55, 1935).
+D being the step, h the low-pass's response to a pulse, dt how far off the step is and T
+how long it takes, other ones at every reversal. Near the ends of a longer rest friction
+may be anything up to its size. Rows are whitened for both: what such errors look like
+counts for less, the more so the larger friction is over torque noise, and all else for
+as much as it did (generalised least squares, one reversal after the other; Aitken,
+Proceedings of the Royal Society of Edinburgh 55, 1935).
 """
 
 from __future__ import annotations
@@ -28,13 +29,16 @@ from seqid_cli.motion.torque_noise import DETAIL, power_gain
 from seqid_cli.robust import gaussian_spread
 from seqid_cli.typing import Array, Index, Mask
 
-OFF = 0.03  # of the time for which a joint does not certainly slide: standard error of its middle
+# of the time for which a joint does not certainly slide: standard error of its middle
+OFF = 0.03
 SPACING = 0.15  # periods of the cut-off between times at which friction may be anything
 EDGE = 3  # such times that are felt from either end of a rest
 SEEN = 1e-3  # of the largest, below which a row does not feel a reversal
 GRID = 400
-ANYTHING = 1.0 / np.sqrt(3.0)  # standard deviation of what may be all from minus one to one
-THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise of unit size
+# standard deviation of what may be all from minus one to one
+ANYTHING = 1.0 / np.sqrt(3.0)
+# standard deviation of third differences of white noise of unit size
+THIRD = np.sqrt(20.0)
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,8 @@ class Reversal:
 
     first: int
     directions: Array  # (m, k)
-    taken: Array  # (k,) of each: 1 - 1 / sqrt(1 + s^2), its uncertainty s times torque noise
+    # (k,) of each: 1 - 1 / sqrt(1 + s^2), its uncertainty s times torque noise
+    taken: Array
 
     @classmethod
     def of(cls, first: int, uncertain: Array) -> Reversal:
@@ -65,8 +70,11 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
     for row, every in low_passed(scene.motion, picked, uncertain):
         counts = np.flatnonzero(used[row : row + len(every)])
         size = np.abs(seen := every[counts])
-        felt = np.flatnonzero(size.max(axis=1, initial=0.0) > SEEN * size.max(initial=0.0))
-        if len(felt):  # not where friction is small beside torque noise, or either is unknown
+        felt = np.flatnonzero(
+            size.max(axis=1, initial=0.0) > SEEN * size.max(initial=0.0)
+        )
+        # not where friction is small beside torque noise, or either is unknown
+        if len(felt):
             first = int(number[row + counts[felt[0]]])
             found.append(Reversal.of(first, seen[felt[0] : felt[-1] + 1]))
     return sorted(found, key=lambda one: one.first)
@@ -90,11 +98,15 @@ def low_passed(
         valid = motion.valid[low:high]
         yield _at_rows(picked, low, lowpass(lowpass(values, valid), valid))
     for own in alike.values():  # of one length, with nothing missing: at once
-        values = np.pad(np.hstack([pulses for _, pulses in own]), ((reach, reach), (0, 0)))
+        values = np.pad(
+            np.hstack([pulses for _, pulses in own]), ((reach, reach), (0, 0))
+        )
         valid = np.ones(len(values), dtype=bool)
         values = lowpass(lowpass(values, valid), valid)
         ends = np.cumsum([pulses.shape[1] for _, pulses in own])
-        for (low, _), part in zip(own, np.split(values, ends[:-1], axis=1), strict=True):
+        for (low, _), part in zip(
+            own, np.split(values, ends[:-1], axis=1), strict=True
+        ):
             yield _at_rows(picked, low, part)
 
 
@@ -139,13 +151,17 @@ def _displaced(at: float, step: float, length: float, rate: float) -> tuple[int,
     return low - 1, step * np.stack([off * pulse[1:-1], long * slope], axis=1)
 
 
-def _free(start: int, stop: int, size: float, every: int) -> Iterator[tuple[int, Array]]:
+def _free(
+    start: int, stop: int, size: float, every: int
+) -> Iterator[tuple[int, Array]]:
     """Pulses (m, k) of friction that may be anything, from both ends of a rest inwards."""
     width = min(every, max(1, (stop - start) // 2))
     count = min(EDGE, max(1, (stop - start) // (2 * width)))
     reach = min(width * count, stop - start)
     pulses = np.zeros((reach, count))
-    pulses[np.minimum(width * np.arange(count) + width // 2, reach - 1), np.arange(count)] = width
+    pulses[
+        np.minimum(width * np.arange(count) + width // 2, reach - 1), np.arange(count)
+    ] = width
     yield start, size * pulses
     yield stop - reach, size * pulses[::-1]
 

@@ -1,11 +1,13 @@
 """The samples that count, as rows: per joint, low-passed, thinned to what the band holds.
 
-Twice low-passed signals hold nothing above about twice the cut-off, so four samples per period of
-it lose nothing. Samples at which a joint does not certainly slide are left out: whether and how
-long it sticks at a reversal is its controller's doing as much as the friction's.
+Twice low-passed signals hold nothing above about twice the cut-off, so four samples per
+period of it lose nothing. Samples at which a joint does not certainly slide are left
+out: whether and how long it sticks at a reversal is its controller's doing as much as
+the friction's.
 
-Rows belong to blocks of about two seconds, longer than the memory of the residual, and blocks to
-folds, which are left out in turn: whatever is said to help must help where it was not fitted.
+Rows belong to blocks of about two seconds, longer than the memory of the residual, and
+blocks to folds, which are left out in turn: whatever is said to help must help where it
+was not fitted.
 """
 
 from __future__ import annotations
@@ -30,12 +32,15 @@ FOLDS = 10
 MOST_ROWS = 40_000
 TOGETHER = 64  # columns that are worked out together
 FEWEST_ROWS = 40  # of a joint, all logs together, that are worth looking at
-SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and only shaken
+# of a joint's travel in other logs, below which it is held and only shaken
+SHAKEN = 0.002
 FEWEST_FOLDS = 3  # in which a joint must have rows
 LEAST_OF_FOLD = 0.02  # of a joint's rows, that a fold must have to count
-SELDOM = 0.15  # of the share of time that it moves in another log: it only goes to its place
+# of the share of time that it moves in another log: it only goes to its place
+SELDOM = 0.15
 SIMPLE = 2  # coefficients: Coulomb and viscous
-MOST_OUTSIDE = 0.6  # share of the logs outside the identified friction, from which it counts all
+# share of the logs outside the identified friction, from which it counts all
+MOST_OUTSIDE = 0.6
 
 
 @dataclass(frozen=True)
@@ -59,11 +64,16 @@ class Rows:
 
     def blocks_of(self, joint: int) -> Index:
         """Block of every row of a joint."""
-        return np.concatenate([b[u[:, joint]] for b, u in zip(self.block, self.used, strict=True)])
+        return np.concatenate(
+            [b[u[:, joint]] for b, u in zip(self.block, self.used, strict=True)]
+        )
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of filtered values (N, ...), one array per data set."""
-        parts = [v[p][u[:, joint]] for v, p, u in zip(values, self.picked, self.used, strict=True)]
+        parts = [
+            v[p][u[:, joint]]
+            for v, p, u in zip(values, self.picked, self.used, strict=True)
+        ]
         return np.concatenate(parts)
 
     def torque(self, joint: int, values: Sequence[Array]) -> Array:
@@ -83,13 +93,19 @@ class Rows:
         result: list[list[Reversal]] = [[] for _ in range(self.n)]
         for j, found in enumerate(result):
             first = 0
-            for scene, picked, used in zip(self.scenes, self.picked, self.used, strict=True):
+            for scene, picked, used in zip(
+                self.scenes, self.picked, self.used, strict=True
+            ):
                 own = reversals_of(scene, picked, used[:, j], j)
-                found += [replace(reversal, first=reversal.first + first) for reversal in own]
+                found += [
+                    replace(reversal, first=reversal.first + first) for reversal in own
+                ]
                 first += int(used[:, j].sum())
         return result
 
-    def columns(self, per_scene: Iterable[Mapping[int, Array]], passes: int) -> dict[int, Array]:
+    def columns(
+        self, per_scene: Iterable[Mapping[int, Array]], passes: int
+    ) -> dict[int, Array]:
         """Low-pass an effect's columns, log by log, and keep the rows of each joint."""
         rows: dict[int, list[Array]] = {}
         for number, columns in enumerate(per_scene):
@@ -99,7 +115,9 @@ class Rows:
             for joint, values in columns.items():
                 low = motion.filtered(values, passes, every=every)[at]
                 rows.setdefault(joint, []).append(low[used[:, joint]])
-        return {j: self.whitened(j, np.concatenate(values)) for j, values in rows.items()}
+        return {
+            j: self.whitened(j, np.concatenate(values)) for j, values in rows.items()
+        }
 
     def without(self, masks: Sequence[Mask]) -> Rows:
         """The same rows without some samples (N, n) of each data set."""
@@ -114,9 +132,15 @@ def stride_of(motion: Motion) -> int:
 
 def rows_of(scenes: Sequence[Scene]) -> Rows:
     """Choose the rows of all logs, their blocks and folds."""
-    picked, used, block, lengths = list[Index](), list[Mask](), list[Index](), list[int]()
+    picked, used, block, lengths = (
+        list[Index](),
+        list[Mask](),
+        list[Index](),
+        list[int](),
+    )
     periods = sum(float(s.motion.t[-1]) * s.motion.lowpass.cutoff_hz for s in scenes)
-    thin = max(1, math.ceil(SAMPLES_PER_CUTOFF * periods / MOST_ROWS))  # very long logs: memory
+    # very long logs: memory
+    thin = max(1, math.ceil(SAMPLES_PER_CUTOFF * periods / MOST_ROWS))
     for scene, outside in zip(scenes, extrapolated(scenes), strict=True):
         motion = scene.motion
         at = np.arange(0, motion.samples, stride_of(motion))
@@ -135,8 +159,9 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
 def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:
     """Samples (N, n) where a friction surface is only held, or bent, beyond what was identified.
 
-    Nothing that the model lacks is left there. Not masked are joints that are hardly ever inside,
-    of which a surface is all there is, and Coulomb and viscous friction, whose columns go on.
+    Nothing that the model lacks is left there. Not masked are joints that are hardly
+    ever inside, of which a surface is all there is, and Coulomb and viscous friction,
+    whose columns go on.
     """
     found, surfaces = list[Mask](), scenes[0].model.surfaces
     for scene in scenes:
@@ -144,7 +169,8 @@ def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:
         for j, surface in enumerate(scene.model.surfaces):
             if surface is not None:
                 outside[:, j] |= surface.vague(motion.q[:, j], motion.dq[:, j])
-        reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))  # of the low-pass
+        # of the low-pass
+        reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
         found.append(binary_dilation(outside, np.ones((2 * reach + 1, 1), dtype=bool)))
     share = np.mean(np.concatenate(found), axis=0)
     simple = np.array([s is None or s.positive.size <= SIMPLE for s in surfaces])
@@ -156,21 +182,25 @@ def _moved(
 ) -> tuple[Mask, ...]:
     """Leave out joints in logs in which they are only shaken or hardly move, or of next to no rows.
 
-    A held joint that gives way a little shows its brake or stiction; a single move of a joint
-    no other log predicts: left out, it would count for more than all of them.
+    A held joint that gives way a little shows its brake or stiction; a single move of a
+    joint no other log predicts: left out, it would count for more than all of them.
     """
     travel = np.zeros((len(scenes), used[0].shape[1]))
     for own, scene, at, counts in zip(travel, scenes, picked, used, strict=True):
         for j in np.flatnonzero(counts.any(axis=0)):
             own[j] = np.ptp(scene.motion.q[at[counts[:, j]], j])
     often = np.array([u.mean(axis=0) for u in used])
-    moves = (travel > SHAKEN * travel.max(axis=0)) & (often > SELDOM * often.max(axis=0))
+    moves = (travel > SHAKEN * travel.max(axis=0)) & (
+        often > SELDOM * often.max(axis=0)
+    )
     kept = [u & m for u, m in zip(used, moves, strict=True)]
     enough = sum(u.sum(axis=0) for u in kept) >= FEWEST_ROWS
     return tuple(u & enough for u in kept)
 
 
-def _predictable(used: Sequence[Mask], block: Sequence[Index], folds: Index) -> tuple[Mask, ...]:
+def _predictable(
+    used: Sequence[Mask], block: Sequence[Index], folds: Index
+) -> tuple[Mask, ...]:
     """Leave out joints that move in too few folds: the other folds would not predict them."""
     counts = np.zeros((int(folds.max()) + 1, used[0].shape[1]))
     for u, b in zip(used, block, strict=True):

@@ -1,19 +1,20 @@
 """Standard deviations of predicted torques, calibrated on samples that were left out of the fit.
 
-A sample's variance is modelled as v = p + s^2: p by the errors of the parameters (`variance`), s^2
-what noise and the model leave besides. The scores
+A sample's variance is modelled as v = p + s^2: p by the errors of the parameters
+(`variance`), s^2 what noise and the model leave besides. The scores
 
     z = |r| / sqrt(v)
 
-of left-out residuals r tell by which factor the bands must be wider or narrower, whatever their
-distribution (conformal prediction: V. Vovk, A. Gammerman, G. Shafer, "Algorithmic Learning in a
-Random World", 2005). Neighbouring samples are not exchangeable, so what is left out are whole logs
-or stretches of time.
+of left-out residuals r tell by which factor the bands must be wider or narrower,
+whatever their distribution (conformal prediction: V. Vovk, A. Gammerman, G. Shafer,
+"Algorithmic Learning in a Random World", 2005). Neighbouring samples are not
+exchangeable, so what is left out are whole logs or stretches of time.
 
-Errors are larger at some speeds and loads than at others. Factors are therefore those of four
-cells, slow or fast and lightly or heavily loaded, as far as this predicts left-out logs better than
-one factor for all. What counts there is the interval score of T. Gneiting and A. Raftery,
-"Strictly proper scoring rules", J. Am. Stat. Assoc. 102, 2007: narrow bands that hold.
+Errors are larger at some speeds and loads than at others. Factors are therefore those
+of four cells, slow or fast and lightly or heavily loaded, as far as this predicts
+left-out logs better than one factor for all. What counts there is the interval score of
+T. Gneiting and A. Raftery, "Strictly proper scoring rules", J. Am. Stat. Assoc. 102,
+2007: narrow bands that hold.
 """
 
 from collections.abc import Sequence
@@ -43,8 +44,8 @@ LEAST_LEFT = 0.1  # of the squared error, that is not the parameters'
 class Scores:
     """Left-out errors of one joint, K samples: scores, and what tells the samples apart.
 
-    `score` (K,) is |residual| over the modelled standard deviation, `std` (K,) N m the latter;
-    `cell` (K,) from 0 to 3, `group` and `block` (K,) are numbers.
+    `score` (K,) is |residual| over the modelled standard deviation, `std` (K,) N m the
+    latter; `cell` (K,) from 0 to 3, `group` and `block` (K,) are numbers.
     """
 
     score: Array
@@ -55,14 +56,20 @@ class Scores:
 
 
 def calibrate(
-    collected: BandRowsCollector, fit: Fit, stages: Stages, robot: Robot, *, cutoff_hz: float
+    collected: BandRowsCollector,
+    fit: Fit,
+    stages: Stages,
+    robot: Robot,
+    *,
+    cutoff_hz: float,
 ) -> BandCalibration | None:
     """Calibrate the bands of a model on the logs that it was identified from.
 
     Parameters
     ----------
     collected : BandRowsCollector
-        Thinned rows of the stage's equations, with columns for the whole of `fit.theta`.
+        Thinned rows of the stage's equations, with columns for the whole of
+        `fit.theta`.
     fit : Fit
         The stage's solution.
     stages : Stages
@@ -81,9 +88,12 @@ def calibrate(
     if rows is None:
         return None
     left_out = left_out_residuals(rows, fit)
-    variance = ParameterVariance.from_stages(stages, robot).of(rows.q, rows.dq, rows.ddq)
+    variance = ParameterVariance.from_stages(stages, robot).of(
+        rows.q, rows.dq, rows.ddq
+    )
     load = load_of(robot, stages, rows.q, rows.dq, rows.ddq)
-    # Cells must do for a motion of another kind: where there are logs enough, whole ones decide.
+    # Cells must do for a motion of another kind: where there are logs enough, whole
+    # ones decide.
     group = rows.log if rows.log.max() + 1 >= FEWEST_LOGS else left_out.fold
 
     joints = {}
@@ -116,7 +126,13 @@ def load_of(robot: Robot, stages: Stages, q: Array, dq: Array, ddq: Array) -> Ar
 
 
 def joint_band(
-    *, residual: Array, variance: Array, speed: Array, load: Array, group: Index, block: Index
+    *,
+    residual: Array,
+    variance: Array,
+    speed: Array,
+    load: Array,
+    group: Index,
+    block: Index,
 ) -> JointBand:
     """Calibrate one joint on K left-out samples.
 
@@ -129,8 +145,8 @@ def joint_band(
     speed, load : array (K,)
         Speed [rad/s] and torque without friction [N m], without sign.
     group, block : array (K,)
-        The part of the logs, and the block of time, that a sample is of. Groups are as unlike each
-        other as new logs are unlike all of them.
+        The part of the logs, and the block of time, that a sample is of. Groups are as
+        unlike each other as new logs are unlike all of them.
     """
     mean_square = float(np.mean(residual**2))
     # Where parameters seem to explain all of it, their errors are overstated.
@@ -150,7 +166,11 @@ def joint_band(
     cells = []
     for number in range(CELLS):
         own = scores.cell == number
-        found = scores.score[own] if np.count_nonzero(own) >= FEWEST_SAMPLES else scores.score
+        found = (
+            scores.score[own]
+            if np.count_nonzero(own) >= FEWEST_SAMPLES
+            else scores.score
+        )
         cells.append(
             BandCell(
                 fast=bool(number // 2),
@@ -177,14 +197,17 @@ def cell_of(fast: Mask, loaded: Mask) -> Index:
 
 def _relative_quantiles(score: Array, levels: Sequence[float]) -> Array:
     """Return quantiles of scores, over those of the size of a normal variable."""
-    return np.asarray(np.quantile(score, levels) / norm.ppf(0.5 + 0.5 * np.array(levels)))
+    return np.asarray(
+        np.quantile(score, levels) / norm.ppf(0.5 + 0.5 * np.array(levels))
+    )
 
 
 def _factor(score: Array) -> float:
     """Return the factor with which bands of both levels come nearest to holding.
 
-    Where tails are heavy the two differ. Their mean errs on neither by much: where one level asks
-    for 10 % more, 95 % bands hold in 94.3 or 95.9 % and 90 % bands in 90.6 or 89.0 %.
+    Where tails are heavy the two differ. Their mean errs on neither by much: where one
+    level asks for 10 % more, 95 % bands hold in 94.3 or 95.9 % and 90 % bands in 90.6
+    or 89.0 %.
     """
     return float(np.mean(_relative_quantiles(score, BAND_LEVELS)))
 
@@ -205,9 +228,10 @@ def _best_share(
 ) -> float:
     """Return the share with which factors of the other groups predict a group best.
 
-    Cells count only where the gain over a common factor is `sigmas` standard errors, over the
-    groups. What is large in one log alone looks like a matter of speed or load as well, and bands
-    of 0.2 standard deviations were stated for logs that had errors as large as any.
+    Cells count only where the gain over a common factor is `sigmas` standard errors,
+    over the groups. What is large in one log alone looks like a matter of speed or load
+    as well, and bands of 0.2 standard deviations were stated for logs that had errors
+    as large as any.
     """
     numbers = np.unique(scores.group)
     losses = np.zeros((len(numbers), len(shares)))

@@ -1,7 +1,8 @@
 """How often bands held on the logs that were predicted, over all and by speed and load.
 
-Errors are counted where a joint slides: at rest the model says an interval, and no deviation. Many
-samples of one moment are not many tests: what counts as a test is a block of time.
+Errors are counted where a joint slides: at rest the model says an interval, and no
+deviation. Many samples of one moment are not many tests: what counts as a test is a
+block of time.
 """
 
 from collections.abc import Mapping, Sequence
@@ -73,7 +74,8 @@ class CoverageCounter:
         residual, std : array (N, n)
             Measured minus predicted torque and its standard deviation [N m].
         counts, fast, loaded : array (N, n)
-            Which samples count, and on which side of the edges they are (None: not known).
+            Which samples count, and on which side of the edges they are (None: not
+            known).
         """
         counts = counts & np.isfinite(std)
         block = (t / BLOCK_S).astype(np.intp)
@@ -84,7 +86,9 @@ class CoverageCounter:
             groups |= {"low_load": counts & ~loaded, "high_load": counts & loaded}
         for name, group in groups.items():
             found = _counted(residual, std, group, log, block)
-            self.groups[name] = self.groups[name] + found if name in self.groups else found
+            self.groups[name] = (
+                self.groups[name] + found if name in self.groups else found
+            )
 
     def of_joint(self, joint: int) -> JointCoverage | None:
         """Return how often the bands of a joint held; None where it was never counted."""
@@ -100,8 +104,8 @@ def clearly_below(
 ) -> bool:
     """Whether a 90 % band held in fewer than `least_share` of the samples, and not by chance.
 
-    Of B blocks of time a share of 0.9 has a standard deviation of 0.3 / sqrt(B); `sigmas` of them
-    are granted.
+    Of B blocks of time a share of 0.9 has a standard deviation of 0.3 / sqrt(B);
+    `sigmas` of them are granted.
     """
     if coverage.band_90 is None or not coverage.blocks:
         return False
@@ -121,7 +125,9 @@ def _counted(
     return BandCounts(
         samples=group.sum(axis=0),
         within={
-            name: (group & (error <= half_width * np.where(group, std, 0.0))).sum(axis=0)
+            name: (
+                (group & (error <= half_width * np.where(group, std, 0.0))).sum(axis=0)
+            )
             for name, half_width in HALF_WIDTHS.items()
         },
         blocks=blocks,

@@ -1,14 +1,15 @@
 """Residuals of samples by a fit that has not seen them.
 
-Of a fit with the weighted normal matrix A (its inverse is `bread`) and a left-out part with normal
-matrix A_F and score s_F = H_F' r_F / sigma^2, the parameters without the part, and its residuals by
-them, are
+Of a fit with the weighted normal matrix A (its inverse is `bread`) and a left-out part
+with normal matrix A_F and score s_F = H_F' r_F / sigma^2, the parameters without the
+part, and its residuals by them, are
 
     theta_F = theta - (A - A_F)^-1 s_F,    r_F + H_F (A - A_F)^-1 s_F.
 
-With B B' = bread and the eigenvalues mu of B' A_F B, all between 0 and 1, (A - A_F)^-1 is
-B U (1 - mu)^-1 U' B'. A direction with mu near 1 is known from this part alone: without it, there
-would be no prediction at all. Such a part is no fair test of a model that has seen it.
+With B B' = bread and the eigenvalues mu of B' A_F B, all between 0 and 1, (A - A_F)^-1
+is B U (1 - mu)^-1 U' B'. A direction with mu near 1 is known from this part alone:
+without it, there would be no prediction at all. Such a part is no fair test of a model
+that has seen it.
 """
 
 from dataclasses import dataclass
@@ -18,8 +19,10 @@ import numpy as np
 from seqid_cli.identify.bands.rows import BandRows
 from seqid_cli.typing import Array, Index
 
-LARGEST_SHARE = 0.9  # of what is known of a direction, that a part may hold to be left out
-FEWEST_LOGS, MOST_FOLDS = 3, 10  # whole logs are left out from so many on, in so many parts
+# of what is known of a direction, that a part may hold to be left out
+LARGEST_SHARE = 0.9
+# whole logs are left out from so many on, in so many parts
+FEWEST_LOGS, MOST_FOLDS = 3, 10
 STRETCHES = 5  # of every log, else
 
 
@@ -27,9 +30,9 @@ STRETCHES = 5  # of every log, else
 class Fit:
     """A weighted least-squares fit: `theta` (p,), `bread` (p, p), by joint `sigma` (n,) N m.
 
-    `independent` is the share of samples that count, as in `least_squares.solve`. Predictions use
-    the first `predicting` unknowns alone (all where it is None): what is marginalised, a delay that
-    the measured torque shows, is of no use to them.
+    `independent` is the share of samples that count, as in `least_squares.solve`.
+    Predictions use the first `predicting` unknowns alone (all where it is None): what
+    is marginalised, a delay that the measured torque shows, is of no use to them.
     """
 
     theta: Array
@@ -61,8 +64,9 @@ class LeftOut:
 def left_out_residuals(rows: BandRows, fit: Fit) -> LeftOut:
     """Return residuals by fits without whole logs; without stretches of time where logs are few.
 
-    Whole logs show more: how friction differs from one day to the next, how a model does on a
-    motion of another kind. But a log that alone shows a direction cannot be spared.
+    Whole logs show more: how friction differs from one day to the next, how a model
+    does on a motion of another kind. But a log that alone shows a direction cannot be
+    spared.
     """
     logs = int(rows.log.max()) + 1
     if logs >= FEWEST_LOGS:

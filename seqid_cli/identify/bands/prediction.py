@@ -4,13 +4,15 @@ By the calibration of the parameter file it is
 
     std = factor(speed, load) * sqrt(p + e + left_std^2),
 
-p the variance by the errors of the parameters (`variance`), e by those of the coefficients of the
-effects. Both grow where a motion asks for what the logs have hardly shown; beyond the identified
-friction p grows by what is not known there. White noise grows with the cut-off, so `left_std` does
-as well where a log is filtered at a higher one than the calibration's.
+p the variance by the errors of the parameters (`variance`), e by those of the
+coefficients of the effects. Both grow where a motion asks for what the logs have hardly
+shown; beyond the identified friction p grows by what is not known there. White noise
+grows with the cut-off, so `left_std` does as well where a log is filtered at a higher
+one than the calibration's.
 
-A file without a calibration has the residual of its stage alone. Bands are then as wide as normal
-errors of that size would ask for, which is too narrow for logs of another day.
+A file without a calibration has the residual of its stage alone. Bands are then as wide
+as normal errors of that size would ask for, which is too narrow for logs of another
+day.
 """
 
 from collections.abc import Sequence
@@ -26,7 +28,8 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index, Mask
 
-# Samples per period of the cut-off at which variances are computed; between them they are smooth.
+# Samples per period of the cut-off at which variances are computed; between them they
+# are smooth.
 NODES_PER_CUTOFF = 8.0
 
 
@@ -34,9 +37,9 @@ NODES_PER_CUTOFF = 8.0
 class Deviation:
     """Standard deviations `std` (N, n) N m of a log's predicted torques, the noise included.
 
-    `parameter_std` (N, n) N m is the part that errors of parameters and effects make. `fast` and
-    `loaded` (N, n) say on which side of the calibration's edges a sample is; None where the file
-    has no calibration. A joint of which nothing is known has NaN.
+    `parameter_std` (N, n) N m is the part that errors of parameters and effects make.
+    `fast` and `loaded` (N, n) say on which side of the calibration's edges a sample is;
+    None where the file has no calibration. A joint of which nothing is known has NaN.
     """
 
     std: Array
@@ -49,8 +52,8 @@ class Deviation:
 class Bands:
     """What a parameter file says of the errors of its predictions.
 
-    `residual_std` (n,) N m is what stages left of the torque, NaN where none says so; it counts for
-    joints without a calibration.
+    `residual_std` (n,) N m is what stages left of the torque, NaN where none says so;
+    it counts for joints without a calibration.
     """
 
     robot: Robot
@@ -109,7 +112,9 @@ class Bands:
             return Deviation(std=std, parameter_std=parameter_std)
         return Deviation(std=std, parameter_std=parameter_std, fast=fast, loaded=loaded)
 
-    def notes(self, cutoffs_hz: Sequence[float] = (), *, higher: float = 1.1) -> list[str]:
+    def notes(
+        self, cutoffs_hz: Sequence[float] = (), *, higher: float = 1.1
+    ) -> list[str]:
         """Say where bands rest on an assumption instead of a calibration.
 
         `higher`: times the calibration's cut-off, from which that of a log is told.
@@ -117,20 +122,22 @@ class Bands:
         notes = []
         names = self.robot.joint_names
         missing = [name for name in names if self.joint(name) is None]
-        # Where an earlier stage is predicted with, the missing inertia stage is told already.
+        # Where an earlier stage is predicted with, the missing inertia stage is told
+        # already.
         if missing and self.stages.inertia is not None:
             which = "" if len(missing) == len(names) else f" of {', '.join(missing)}"
             notes.append(
-                f"bands{which} are not calibrated: the file has no errors of left-out logs, normal "
-                "ones of its residual's size are taken; identify it again for bands that hold"
+                f"bands{which} are not calibrated: the file has no errors of left-out"
+                " logs, normal ones of its residual's size are taken; identify it"
+                " again for bands that hold"
             )
         if self.calibration is not None and cutoffs_hz:
             calibrated_hz = self.calibration.cutoff_hz
             highest = max(cutoffs_hz)
             if highest > higher * calibrated_hz:
                 notes.append(
-                    f"bands were calibrated at a cut-off of {calibrated_hz:.3g} Hz and are widened "
-                    f"for {highest:.3g} Hz as white noise asks for"
+                    f"bands were calibrated at a cut-off of {calibrated_hz:.3g} Hz and"
+                    f" are widened for {highest:.3g} Hz as white noise asks for"
                 )
         return notes
 
@@ -151,11 +158,14 @@ def _residual_std(stages: Stages, robot: Robot) -> Array:
 def _nodes(motion: Motion) -> Index:
     """Return the samples at which variances are computed, the first and the last among them.
 
-    They lie on a grid of the log's time, so that a part of a log has those of the whole.
+    They lie on a grid of the log's time, so that a part of a log has those of the
+    whole.
     """
     stride = 1
     if motion.lowpass.active:
-        stride = max(1, int(motion.rate_hz / (NODES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
+        stride = max(
+            1, int(motion.rate_hz / (NODES_PER_CUTOFF * motion.lowpass.cutoff_hz))
+        )
     samples_before = round(float(motion.t[0]) * motion.rate_hz)
     on_grid = np.arange(-samples_before % stride, motion.samples, stride)
     return np.unique(np.concatenate(([0], on_grid, [motion.samples - 1])))

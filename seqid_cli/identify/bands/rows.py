@@ -1,7 +1,8 @@
 """A thinned copy of a stage's equations, kept so that stretches of time can be left out later.
 
-What is left of the torque is low-passed. Two samples per period of the cut-off therefore say all
-that there is to know of it, and these few rows can be held where the full regressor cannot.
+What is left of the torque is low-passed. Two samples per period of the cut-off
+therefore say all that there is to know of it, and these few rows can be held where the
+full regressor cannot.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,11 +20,11 @@ MOST_ROWS = 4096  # of all logs together: 12 MB for an arm of six joints
 class BandRows:
     """Rows H theta = y of the equations at thinned samples, M of them, of all logs.
 
-    `H` (M, n, p) and `y` (M, n) N m are filtered as in the stage's equations, `used` (M, n) marks
-    those that took part, `judged` (M, n) those by which predictions are judged: near reversals a
-    stage may leave out more. `q`, `dq`, `ddq` (M, n) are the motion behind them. `weight` (M,) is
-    the number of the stage's rows that each stands for. `log` (M,) counts the logs from 0, and `t`
-    (M,) s is the time within the log.
+    `H` (M, n, p) and `y` (M, n) N m are filtered as in the stage's equations, `used`
+    (M, n) marks those that took part, `judged` (M, n) those by which predictions are
+    judged: near reversals a stage may leave out more. `q`, `dq`, `ddq` (M, n) are the
+    motion behind them. `weight` (M,) is the number of the stage's rows that each stands
+    for. `log` (M,) counts the logs from 0, and `t` (M,) s is the time within the log.
     """
 
     H: Array
@@ -118,7 +119,9 @@ class BandRowsCollector:
         if not self.parts:
             return None
         names = vars(self.parts[0])
-        return BandRows(**{n: np.concatenate([getattr(p, n) for p in self.parts]) for n in names})
+        return BandRows(
+            **{n: np.concatenate([getattr(p, n) for p in self.parts]) for n in names}
+        )
 
     def _thin(self) -> None:
         """Keep every second sample, as often as there are too many."""

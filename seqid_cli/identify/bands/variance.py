@@ -4,14 +4,15 @@ The torque of joint j at a sample is off by
 
     e_j = h_j d theta + x_j d c_j,
 
-h_j the regressor of the base parameters theta, x_j the columns of the joint's friction surface, c_j
-its coefficients. With the covariances of the parameter file, and T_j = d theta / d c_j,
+h_j the regressor of the base parameters theta, x_j the columns of the joint's friction
+surface, c_j its coefficients. With the covariances of the parameter file, and T_j = d
+theta / d c_j,
 
     var(e_j) = h_j C h_j' + 2 h_j T_j C_j x_j' + x_j C_j x_j'.
 
-Errors of torque constants are left out: they cancel in the torque of the same drive. Beyond the
-range at which friction was identified, x_j has columns of its own with large variances (see
-`model.friction`): the band widens where the surface is extrapolated.
+Errors of torque constants are left out: they cancel in the torque of the same drive.
+Beyond the range at which friction was identified, x_j has columns of its own with large
+variances (see `model.friction`): the band widens where the surface is extrapolated.
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,8 @@ class ParameterVariance:
     """Covariances of a model, ready for any motion.
 
     `covariance` (b, b) is that of the base parameters, zero where a file says nothing;
-    `sensitivity` holds, by joint, their change (b, k_j) per coefficient of its friction.
+    `sensitivity` holds, by joint, their change (b, k_j) per coefficient of its
+    friction.
     """
 
     robot: Robot
@@ -63,11 +65,16 @@ class ParameterVariance:
                 known = _of_surface(np.array(stage.friction_sensitivity[name]), surface)
                 if known is None or len(known) != len(places):
                     continue
-                total = sensitivity.setdefault(j, np.zeros((basis.size, known.shape[1])))
+                total = sensitivity.setdefault(
+                    j, np.zeros((basis.size, known.shape[1]))
+                )
                 total[places] = known
 
         # Gravity and inertia share the errors of friction.
-        gravity, inertia = _places(stages.gravity, basis), _places(stages.inertia, basis)
+        gravity, inertia = (
+            _places(stages.gravity, basis),
+            _places(stages.inertia, basis),
+        )
         inertia = np.setdiff1d(inertia, gravity)
         for j, T in sensitivity.items():
             surface = surfaces[j]
@@ -115,8 +122,8 @@ def _places(stage: RigidStage | None, basis: Basis) -> Index:
 def _of_surface(sensitivity: Array, surface: FrictionSurface) -> Array | None:
     """Return a sensitivity (p, k) for the surface as it is now; None where it is of another.
 
-    A stage that finds an offset or an asymmetry makes a surface directional. What it said of the
-    coefficients of both directions is then of their mean.
+    A stage that finds an offset or an asymmetry makes a surface directional. What it
+    said of the coefficients of both directions is then of their mean.
     """
     size = len(surface.covariance)
     if sensitivity.ndim != 2 or not size:
@@ -125,7 +132,9 @@ def _of_surface(sensitivity: Array, surface: FrictionSurface) -> Array | None:
         return sensitivity
     if not surface.directional or 2 * sensitivity.shape[1] != size:
         return None
-    of_entries, of_extension = np.split(sensitivity / 2.0, [surface.entries // 2], axis=1)
+    of_entries, of_extension = np.split(
+        sensitivity / 2.0, [surface.entries // 2], axis=1
+    )
     return np.hstack([of_entries, of_entries, of_extension, of_extension])
 
 

@@ -1,9 +1,10 @@
 """Step 2 of the friction surface: its entries over position and speed (Eq. 9-10), and its orders.
 
-Both steps together are the generalised least squares of the whole surface, terms of high degree
-held back by what the data say of their size (`prior`). Such a surface may have the paper's
-orders (10, 11) and does not swing between the speeds (Runge). Those that are kept are the fewest
-with which it stays the same: within `DEVIATION` of its standard errors.
+Both steps together are the generalised least squares of the whole surface, terms of
+high degree held back by what the data say of their size (`prior`). Such a surface may
+have the paper's orders (10, 11) and does not swing between the speeds (Runge). Those
+that are kept are the fewest with which it stays the same: within `DEVIATION` of its
+standard errors.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,15 +21,16 @@ from seqid_cli.typing import Array, Mask
 
 DEVIATION = 0.15  # standard errors, RMS, by which a surface of fewer orders may differ
 CELLS = 17  # per axis, at which two surfaces are compared
-Asked = tuple[int | None, int | None]  # orders over position and velocity that the user fixes
+# orders over position and velocity that the user fixes
+Asked = tuple[int | None, int | None]
 
 
 @dataclass(frozen=True)
 class SharedTerm:
     """An error of all trials beside a surface, in standard deviations of its prior.
 
-    `moves` (k,) N m: change of the surface's entries, row-major, per standard deviation by which
-    the error is larger.
+    `moves` (k,) N m: change of the surface's entries, row-major, per standard deviation
+    by which the error is larger.
     """
 
     value: float
@@ -65,12 +67,17 @@ class SurfaceFit:
 
     def covariance(self, orders: Orders) -> Array:
         """Covariance of those entries, row-major."""
-        # With the mean variance of the whole surface over both ranges: what is left out errs too.
+        # With the mean variance of the whole surface over both ranges: what is left out
+        # errs too.
         kept = np.flatnonzero(self._kept(orders))
         found = self.whole[1][np.ix_(kept, kept)]
         columns, error = self._grid
-        own = np.einsum("nk,kl,nl->", columns[:, kept], found, columns[:, kept], optimize=True)
-        return np.asarray(found * max(float(np.sum(error**2)) / max(float(own), 1e-300), 1.0))
+        own = np.einsum(
+            "nk,kl,nl->", columns[:, kept], found, columns[:, kept], optimize=True
+        )
+        return np.asarray(
+            found * max(float(np.sum(error**2)) / max(float(own), 1e-300), 1.0)
+        )
 
     def shared_term(self, orders: Orders, place: int) -> "SharedTerm":
         """Return an error that all trials share, and how the entries of a surface go with it.
@@ -80,7 +87,8 @@ class SurfaceFit:
         orders : Orders
             Of the surface.
         place : int
-            Of the term behind the functions of position, `reduction.LATE` or `reduction.WARM`.
+            Of the term behind the functions of position, `reduction.LATE` or
+            `reduction.WARM`.
         """
         row = (self.reduced.size + place) * (self.highest.velocity + 1)
         mean, covariance = self.whole
@@ -94,14 +102,19 @@ class SurfaceFit:
         for u in self.reduced.levels[1:-1]:
             own = self.reduced.subset(self.reduced.u == u)
             part = Normal.of(own, self.sizes, self.highest.velocity)
-            yield float(u), self._solved(self.normal.N - part.N, self.normal.b - part.b, orders)
+            yield (
+                float(u),
+                self._solved(self.normal.N - part.N, self.normal.b - part.b, orders),
+            )
 
     def deviation(self, orders: Orders) -> float:
         """RMS difference from the whole surface, in its standard errors, over both ranges."""
         entries = np.zeros(self.prior.size)
         entries[self._kept(orders)] = self.entries(orders).ravel()
         columns, error = self._grid
-        return float(np.sqrt(np.mean((columns @ (entries - self.whole[0]) / error) ** 2)))
+        return float(
+            np.sqrt(np.mean((columns @ (entries - self.whole[0]) / error) ** 2))
+        )
 
     def distances(self, data: Sequence[SpeedData]) -> list[Array]:
         """Distances (K,) N m of slices from the whole surface and their trial's own offset."""
@@ -126,17 +139,26 @@ class SurfaceFit:
         variances = self.sizes.own(
             self.reduced.scaling, self.reduced.size, self.reduced.speeds[[k]]
         )
-        return np.asarray(variances.sum(axis=0)[0, : self.reduced.size + reduction.EDGES])
+        return np.asarray(
+            variances.sum(axis=0)[0, : self.reduced.size + reduction.EDGES]
+        )
 
     @cached_property
     def _grid(self) -> tuple[Array, Array]:
         """Basis (CELLS^2, k) over both ranges, and the whole surface's standard errors there."""
-        over_position, share = self.reduced.scaling.over_position, np.linspace(0.0, 1.0, CELLS)
-        X = over_position.values(over_position.at(share), over_position.order(self.reduced.size))
+        over_position, share = (
+            self.reduced.scaling.over_position,
+            np.linspace(0.0, 1.0, CELLS),
+        )
+        X = over_position.values(
+            over_position.at(share), over_position.order(self.reduced.size)
+        )
         T = np.polynomial.chebyshev.chebvander(2.0 * share - 1.0, self.highest.velocity)
         X = np.hstack([X, np.zeros((CELLS, len(self.prior) - X.shape[1]))])
         columns = tensor(np.repeat(X, CELLS, axis=0), np.tile(T, (CELLS, 1)))
-        variance = np.einsum("nk,kl,nl->n", columns, self.whole[1], columns, optimize=True)
+        variance = np.einsum(
+            "nk,kl,nl->n", columns, self.whole[1], columns, optimize=True
+        )
         return columns, np.sqrt(np.maximum(variance, 1e-300))
 
     def _kept(self, orders: Orders) -> Mask:
@@ -171,14 +193,18 @@ def fit_surfaces(
     sets: Sequence[Reduced], asked: Asked = (None, None), near: Sizes | None = None
 ) -> tuple[list[SurfaceFit], float]:
     """Fit one surface to each set of trials, with sizes of terms and errors in common."""
-    # Sizes are searched from those `near`. Twice the log marginal likelihood comes second.
+    # Sizes are searched from those `near`. Twice the log marginal likelihood comes
+    # second.
     highest = highest_orders(sets, asked)
     sizes, evidence = Evidence(sets, highest).strongest(near)
     return [SurfaceFit(own, sizes, highest) for own in sets], evidence
 
 
 def choose_orders(
-    fits: Sequence[SurfaceFit], asked: Asked, *, accept: Callable[[Orders], bool] | None = None
+    fits: Sequence[SurfaceFit],
+    asked: Asked,
+    *,
+    accept: Callable[[Orders], bool] | None = None,
 ) -> Orders:
     """Choose the fewest orders that `accept`, else the fewest that do as well as the highest.
 
@@ -189,8 +215,9 @@ def choose_orders(
     asked : tuple of int or None
         Orders over position and velocity that the user fixes.
     accept : callable, optional
-        Whether orders are enough, such as Eq. 11. Where none are, as noise may have it, the data
-        decide as they do without it: within `DEVIATION` of the surface of the highest orders.
+        Whether orders are enough, such as Eq. 11. Where none are, as noise may have it,
+        the data decide as they do without it: within `DEVIATION` of the surface of the
+        highest orders.
     """
     highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
     position, velocity = asked

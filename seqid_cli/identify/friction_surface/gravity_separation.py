@@ -4,15 +4,16 @@ Forward and backward trials at one speed have the half-sum
 
     (tau_1 + tau_2) / 2 = a(q)' p_xi + o + (f_forward - f_backward) / 2.
 
-Gravity cannot know the speed and has the shape a(q). The offset o of the drive, and the last term,
-which Eq. 15 takes to be zero, look like it where trials sweep a short way. Friction that depends on
-the direction is a share of its dry part and a share of what it has more at higher speeds. All three
-are unknowns beside p_xi with the priors of `identify.nuisances`, and none of them is decided upon:
-what the sweep does not tell apart goes into the standard errors of all.
+Gravity cannot know the speed and has the shape a(q). The offset o of the drive, and the
+last term, which Eq. 15 takes to be zero, look like it where trials sweep a short way.
+Friction that depends on the direction is a share of its dry part and a share of what it
+has more at higher speeds. All three are unknowns beside p_xi with the priors of
+`identify.nuisances`, and none of them is decided upon: what the sweep does not tell
+apart goes into the standard errors of all.
 
-Friction at a place is half the difference of the two trials. What else is the same both ways and
-depends on the position alone, as the torque of a spring or a cable does, is fitted as well: left
-in, it would be friction's noise.
+Friction at a place is half the difference of the two trials. What else is the same both
+ways and depends on the position alone, as the torque of a spring or a cable does, is
+fitted as well: left in, it would be friction's noise.
 """
 
 from dataclasses import dataclass, field
@@ -71,8 +72,14 @@ class GravityGroup:
 
     def torque(self, q: Array) -> Array:
         """Torque (K,) N m that both ways have at positions q (K,) of the moving joint (Eq. 12)."""
-        columns = gravity_columns(self.robot, self.trials[0].joint, self.configuration, q)
-        more = self.beyond(np.clip(q, *self.beyond.domain)) if self.beyond is not None else 0.0
+        columns = gravity_columns(
+            self.robot, self.trials[0].joint, self.configuration, q
+        )
+        more = (
+            self.beyond(np.clip(q, *self.beyond.domain))
+            if self.beyond is not None
+            else 0.0
+        )
         return np.asarray(columns @ self.p_xi + more)
 
     def slope(self, q: Array, *, step: float = 1e-4) -> Array:
@@ -134,9 +141,10 @@ class Clustered:
         cluster : (N,) array
             Of each row, numbered from 0.
         prior_std : (p,) array, optional
-            Standard deviations of theta about zero before the rows; infinite where nothing is
-            known. A prior counts beside rows whose errors are shared, so its weight is that of the
-            rows' errors as their clusters show them, not of white noise.
+            Standard deviations of theta about zero before the rows; infinite where
+            nothing is known. A prior counts beside rows whose errors are shared, so its
+            weight is that of the rows' errors as their clusters show them, not of white
+            noise.
         """
         unknown = np.full(A.shape[1], np.inf)
         free = cls._solved(A, y, cluster, 1.0, unknown)
@@ -146,7 +154,11 @@ class Clustered:
         white = float(free.left @ free.left) / spare * np.diag(free.bread)
         shared = np.diag(free.covariance)
         seen = white > 0.0
-        design = max(float(np.median(shared[seen] / white[seen])), 1.0) if seen.any() else 1.0
+        design = (
+            max(float(np.median(shared[seen] / white[seen])), 1.0)
+            if seen.any()
+            else 1.0
+        )
         variance = design * float(free.left @ free.left) / spare
         return cls._solved(A, y, cluster, variance, prior_std)
 
@@ -158,7 +170,9 @@ class Clustered:
         precision = variance / prior_std**2
         rows = np.vstack([A, np.diag(np.sqrt(precision))])
         right = np.concatenate([y, np.zeros(A.shape[1])])
-        theta = np.asarray(np.linalg.lstsq(rows, right, rcond=1e-10)[0], dtype=np.float64)
+        theta = np.asarray(
+            np.linalg.lstsq(rows, right, rcond=1e-10)[0], dtype=np.float64
+        )
         left = y - A @ theta
         bread = np.asarray(np.linalg.pinv(A.T @ A + np.diag(precision), hermitian=True))
         scores = np.zeros((int(cluster.max()) + 1, A.shape[1]))
@@ -198,12 +212,15 @@ def configurations(
 
 def _half_sums(group: list[Trial]) -> list[Array]:
     """Half-sums of forward and backward trials of one configuration (Eq. 15), pair by pair."""
-    # Columns (K, 5): position rad, half-sum N m, half the difference N m, speed, samples per slice.
+    # Columns (K, 5): position rad, half-sum N m, half the difference N m, speed,
+    # samples per slice.
     result = []
     for level in speed_levels(group):
         back = [t for t in level if t.velocity < 0]
         for ahead in (t for t in level if t.velocity > 0):
-            met = [(ahead.q >= twin.q.min()) & (ahead.q <= twin.q.max()) for twin in back]
+            met = [
+                (ahead.q >= twin.q.min()) & (ahead.q <= twin.q.max()) for twin in back
+            ]
             best = max(range(len(back)), key=lambda k: int(met[k].sum()), default=-1)
             if best < 0 or met[best].sum() < 4:
                 continue
@@ -211,8 +228,13 @@ def _half_sums(group: list[Trial]) -> list[Array]:
             order = np.argsort(twin.q)
             q, tau = ahead.q[at], ahead.tau[at]
             other = np.interp(q, twin.q[order], twin.tau[order])
-            speed, weight = np.full(len(q), level[0].speed), np.full(len(q), ahead.weight)
-            result.append(np.stack([q, (tau + other) / 2, (tau - other) / 2, speed, weight], 1))
+            speed, weight = (
+                np.full(len(q), level[0].speed),
+                np.full(len(q), ahead.weight),
+            )
+            result.append(
+                np.stack([q, (tau + other) / 2, (tau - other) / 2, speed, weight], 1)
+            )
     return result
 
 
@@ -229,16 +251,20 @@ def fit_gravity(
     degree : int
         Of the polynomial over the position that friction is smoothed by.
     clear : float
-        Torque over the position that is no gravity is believed where trials that are left out keep
-        less than this share of their squares.
+        Torque over the position that is no gravity is believed where trials that are
+        left out keep less than this share of their squares.
     """
     none = np.zeros(0)
     joint = groups[0][0].joint
     paired = [(group, pairs) for group in groups if (pairs := _half_sums(group))]
-    loads = any(gravity_columns(robot, joint, g[0].configuration, none).shape[1] for g in groups)
+    loads = any(
+        gravity_columns(robot, joint, g[0].configuration, none).shape[1] for g in groups
+    )
     if len(paired) < len(groups) and not loads:
         # Nothing to remove, no twin needed.
-        return GravityFit([GravityGroup(robot, group, none, none) for group in groups], 0)
+        return GravityFit(
+            [GravityGroup(robot, group, none, none) for group in groups], 0
+        )
     unpaired = sum(map(len, groups)) - sum(len(group) for group, _ in paired)
     if not paired:
         return GravityFit([], unpaired)
@@ -277,9 +303,13 @@ class _Pairs:
         """Return friction, smooth over the position and straight over the speed."""
         domain = [float(self.q.min()), float(self.q.max())]
         place = np.interp(self.q, domain, [-1.0, 1.0])
-        columns = np.column_stack([chebyshev.chebvander(place, self.degree), self.speed])
+        columns = np.column_stack(
+            [chebyshev.chebvander(place, self.degree), self.speed]
+        )
         root = self.root[:, None]
-        entries = np.linalg.lstsq(columns * root, self.friction * self.root, rcond=1e-10)[0]
+        entries = np.linalg.lstsq(
+            columns * root, self.friction * self.root, rcond=1e-10
+        )[0]
         slowest, slope = float(self.speed.min()), float(entries[-1])
         dry = Chebyshev(entries[:-1], domain=domain) + slope * slowest
         return SmoothFriction(dry, slope, slowest)
@@ -294,9 +324,11 @@ class _Pairs:
         gravity : (N, p) array
             Columns of p_xi, per kg m.
         even : (N, 3) array
-            Columns of offset and asymmetries, with standard deviations `even_std` (3,) about zero.
+            Columns of offset and asymmetries, with standard deviations `even_std` (3,)
+            about zero.
         enough_pairs : int
-            Drift and errors of friction are shared within a pair; fewer pairs are cut up.
+            Drift and errors of friction are shared within a pair; fewer pairs are cut
+            up.
 
         Returns
         -------
@@ -307,7 +339,9 @@ class _Pairs:
             Torque over the position that half-sums have beyond all of it.
         """
         cut = 1 if len(self.lengths) >= enough_pairs else 4
-        block = np.hstack([k * cut + np.arange(n) * cut // n for k, n in enumerate(self.lengths)])
+        block = np.hstack(
+            [k * cut + np.arange(n) * cut // n for k, n in enumerate(self.lengths)]
+        )
         columns = np.hstack([gravity, even])
         prior_std = np.concatenate([np.full(gravity.shape[1], np.inf), even_std])
         root = self.root
@@ -315,13 +349,15 @@ class _Pairs:
 
         fit = Clustered.of(weighted, self.tau * root, block, prior_std)
         first = gravity.shape[1]
-        even_part = EvenPart(values=fit.theta[first:], covariance=fit.covariance[first:, first:])
+        even_part = EvenPart(
+            values=fit.theta[first:], covariance=fit.covariance[first:, first:]
+        )
         beyond = self._beyond(fit.left / root)
         if beyond is None:
             return fit, even_part, None
 
-        # A polynomial of the position beside offset and asymmetries, these held by their prior:
-        # a spring is none of them.
+        # A polynomial of the position beside offset and asymmetries, these held by
+        # their prior: a spring is none of them.
         place = np.interp(self.q, beyond.domain, [-1.0, 1.0])
         terms = np.column_stack([even, chebyshev.chebvander(place, self.degree)])
         terms_std = np.concatenate([even_std, np.full(self.degree + 1, np.inf)])
@@ -335,7 +371,8 @@ class _Pairs:
 
     def _beyond(self, left: Array) -> Chebyshev | None:
         """Return the torque over the position that is in what is `left` (N,) N m, or None."""
-        # None, unless of pairs that are left out it leaves less than `clear` of the squares.
+        # None, unless of pairs that are left out it leaves less than `clear` of the
+        # squares.
         domain = [float(self.q.min()), float(self.q.max())]
 
         def fitted(some: Mask) -> Chebyshev:
@@ -350,6 +387,8 @@ class _Pairs:
             inside = (self.q >= self.q[some].min()) & (self.q <= self.q[some].max())
             left_out = ~some & inside
             rest[left_out] -= fitted(some)(self.q[left_out])
-        if np.sum((rest * self.root) ** 2) >= self.clear * np.sum((left * self.root) ** 2):
+        if np.sum((rest * self.root) ** 2) >= self.clear * np.sum(
+            (left * self.root) ** 2
+        ):
             return None
         return fitted(self.pair >= 0)

@@ -1,7 +1,7 @@
 """Trials in which a joint hunts between counts of its encoder; see `motion.hunting`.
 
-The torque's swing means a velocity only by the inertia that the drive feels, which the ramps of the
-trials show. Where they do not, a joint hunts only if the readings stop.
+The torque's swing means a velocity only by the inertia that the drive feels, which the
+ramps of the trials show. Where they do not, a joint hunts only if the readings stop.
 """
 
 from collections.abc import Sequence
@@ -36,12 +36,13 @@ def sliding_trials(
     first : Fit, optional
         A first estimate of its friction; without it the torque tells nothing.
     settings : HuntingSettings
-        By how much the velocity would swing, if friction did not damp it, from which on the joint
-        stops.
+        By how much the velocity would swing, if friction did not damp it, from which on
+        the joint stops.
     min_sigma : float
         Standard errors that the inertia must be to be known.
     min_share : float
-        Share of the ramps' squared accelerations that must be none of the counts' making.
+        Share of the ramps' squared accelerations that must be none of the counts'
+        making.
     """
     inertia: dict[int, float] = {}
     if first is not None:
@@ -64,7 +65,8 @@ def sliding_trials(
 def _accelerated_share(group: Sequence[Trial], surface: FrictionSurface) -> float:
     """Return the share of squared accelerations of ramps that is not noise of the counts.
 
-    Least squares with noise in the acceleration finds an inertia that is too small by this share.
+    Least squares with noise in the acceleration finds an inertia that is too small by
+    this share.
     """
     low, high = surface.scaling.speed
     squares = noise = 0.0
@@ -78,7 +80,9 @@ def _accelerated_share(group: Sequence[Trial], surface: FrictionSurface) -> floa
     return 1.0 - noise / squares if squares > 0.0 else 0.0
 
 
-def note_on_hunting(joint: Joint, trials: Sequence[Trial], slides: Sequence[Trial]) -> str:
+def note_on_hunting(
+    joint: Joint, trials: Sequence[Trial], slides: Sequence[Trial]
+) -> str:
     """Say at which speeds a joint hunts, what is not known then, and what helps."""
     there = {id(trial) for trial in slides}
     unit = joint.unit("rad/s")
@@ -90,9 +94,9 @@ def note_on_hunting(joint: Joint, trials: Sequence[Trial], slides: Sequence[Tria
             speeds.append(f"{mean:.3g} ({count} of {len(level)})")
             lost += count
     text = (
-        f"{joint.name}: the joint stops and starts between counts of its encoder at "
-        f"{', '.join(speeds)} {unit}: {lost} trial(s), whose mean torque is less than friction, "
-        "were left out"
+        f"{joint.name}: the joint stops and starts between counts of its encoder at"
+        f" {', '.join(speeds)} {unit}: {lost} trial(s), whose mean torque is less than"
+        " friction, were left out"
     )
     if slides:
         lowest = min(trial.speed for trial in slides)

@@ -4,22 +4,25 @@ Slices of trial k, reduced (`reduction`), are
 
     z_k = R_k (D phi(u_k) + e_k) + n_k,
 
-D the surface, phi Chebyshev polynomials of the scaled speed, n_k white noise of variance s_n^2,
-and e_k what the trial has for itself: an offset of variance s_t^2 and terms of degree j of variance
-s_s^2 / j, which is how 1/f noise over the length of a trial spreads over polynomials; torque of a
-speed that changes by a share of itself along its way, I dv/dt ~ v^2, of variance
-s_a^2 (v / v_max)^4 / max(j, 1); and at its ends what is left of acceleration, of variance s_e^2
-(R_k has columns for it). All trials share the error of the inertia whose torque was taken off them,
-that of how far held joints gave way, the delay of the torque and the change of friction per kelvin:
-entries of D beside the surface, of variance 1, whose columns are the torque of one standard error.
-The other entries of D are Gaussian too. Coulomb and viscous friction, d_00 and d_01, are as large
-as they like; others have variances that fall with their degrees,
+D the surface, phi Chebyshev polynomials of the scaled speed, n_k white noise of
+variance s_n^2, and e_k what the trial has for itself: an offset of variance s_t^2 and
+terms of degree j of variance s_s^2 / j, which is how 1/f noise over the length of a
+trial spreads over polynomials; torque of a speed that changes by a share of itself
+along its way, I dv/dt ~ v^2, of variance s_a^2 (v / v_max)^4 / max(j, 1); and at its
+ends what is left of acceleration, of variance s_e^2 (R_k has columns for it). All
+trials share the error of the inertia whose torque was taken off them, that of how far
+held joints gave way, the delay of the torque and the change of friction per kelvin:
+entries of D beside the surface, of variance 1, whose columns are the torque of one
+standard error. The other entries of D are Gaussian too. Coulomb and viscous friction,
+d_00 and d_01, are as large as they like; others have variances that fall with their
+degrees,
 
     var d_j0 = s_q^2 / j^a,   var d_0r = s_v^2 / r^b,   var d_jr = s_qv^2 / (j^a r^b).
 
-The eight sizes and both powers maximise the marginal likelihood of all slices (C. E. Rasmussen and
-C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, Sec. 5.4), which, as restricted
-likelihood does, allows for what the surface takes. What data do not tell stays near what is usual.
+The eight sizes and both powers maximise the marginal likelihood of all slices (C. E.
+Rasmussen and C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, Sec.
+5.4), which, as restricted likelihood does, allows for what the surface takes. What data
+do not tell stays near what is usual.
 """
 
 from collections.abc import Sequence
@@ -30,21 +33,29 @@ from scipy.linalg import cho_factor
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
-from seqid_cli.identify.friction_surface.reduction import EDGES, EXTRA, SHARED, Orders, Reduced
+from seqid_cli.identify.friction_surface.reduction import (
+    EDGES,
+    EXTRA,
+    SHARED,
+    Orders,
+    Reduced,
+)
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array
 
 DECAY_SPREAD = float(np.log(2.0))  # standard deviation of its logarithm
-SPREAD = float(np.log(10.0))  # standard deviation of a size's logarithm about the usual one
+# standard deviation of a size's logarithm about the usual one
+SPREAD = float(np.log(10.0))
 
 
 @dataclass(frozen=True)
 class Sizes:
     """Standard deviations, N m, of the surface's terms over `position`, `speed` and `both`.
 
-    Then of a `trial`'s own offset, of its `slow` changes, of its `unsteady` speed if it is the
-    fastest, of its `edge`s; of the white `noise` of one sample. `over_position` and `over_speed`
-    are the powers with which variances fall. `broad`, of Coulomb and viscous friction, is fixed.
+    Then of a `trial`'s own offset, of its `slow` changes, of its `unsteady` speed if it
+    is the fastest, of its `edge`s; of the white `noise` of one sample. `over_position`
+    and `over_speed` are the powers with which variances fall. `broad`, of Coulomb and
+    viscous friction, is fixed.
     """
 
     position: float
@@ -61,8 +72,9 @@ class Sizes:
 
     def prior(self, scaling: Scaling, size: int, orders: Orders) -> Array:
         """Standard deviations (size + 6, l + 1) of a surface's entries."""
-        # They are 0 above position order m, and for the ends of a trial, which the surface has not.
-        # The last four are those of errors that are one and the same in all trials.
+        # They are 0 above position order m, and for the ends of a trial, which the
+        # surface has not. The last four are those of errors that are one and the same
+        # in all trials.
         over_position = scaling.over_position
         j = over_position.degrees(over_position.order(size))[:, None]
         r = np.arange(orders.velocity + 1.0)[None, :]
@@ -81,7 +93,9 @@ class Sizes:
         found[0, :, :size] = self.trial**2 * (degree == 0)
         found[1, :, :size] = self.slow**2 * (degree > 0) / np.maximum(degree, 1.0)
         fast = (speeds / scaling.speed[1]) ** 4
-        found[2, :, :size] = self.unsteady**2 * np.outer(fast, 1.0 / np.maximum(degree, 1.0))
+        found[2, :, :size] = self.unsteady**2 * np.outer(
+            fast, 1.0 / np.maximum(degree, 1.0)
+        )
         found[3, :, size : size + EDGES] = self.edge**2
         return found
 
@@ -100,7 +114,9 @@ class Normal:
     power: float  # sum of z' V^-1 z
 
     @classmethod
-    def of(cls, trials: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14) -> "Normal":
+    def of(
+        cls, trials: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14
+    ) -> "Normal":
         """Add up the trials; `order` is that over speed."""
         R, z, phi = trials.R, trials.z, trials.over_speed(order)
         own = sizes.own(trials.scaling, trials.size, trials.speeds)
@@ -136,7 +152,10 @@ class Normal:
             # No eigenvalue is below 1, but by rounding, where sizes are far apart.
             values, vectors = np.linalg.eigh(inner)
             values = np.maximum(values, 1.0)
-            inverse, log_size = (vectors / values) @ vectors.T, float(np.log(values).sum())
+            inverse, log_size = (
+                (vectors / values) @ vectors.T,
+                float(np.log(values).sum()),
+            )
         covariance = np.zeros_like(self.N)
         covariance[across] = scale * inverse
         return covariance @ self.b, covariance, log_size
@@ -154,7 +173,9 @@ class Evidence:
         decay: float = 3.0,
         usual_shares: tuple[float, ...] = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1),
     ) -> None:
-        squares = [(np.sum(own.z**2) + own.rest.sum()) / own.total.sum() for own in sets]
+        squares = [
+            (np.sum(own.z**2) + own.rest.sum()) / own.total.sum() for own in sets
+        ]
         level = max(float(np.sqrt(max(squares))), 1e-300)
         rest = sum(own.rest.sum() for own in sets)
         free = sum(np.maximum(own.slices - own.z.shape[1], 0.0).sum() for own in sets)
@@ -170,7 +191,10 @@ class Evidence:
     def __call__(self, logs: Array) -> tuple[float, Array]:
         """Twice the negative logarithm, but for a constant, and its gradient (10,)."""
         sizes = self.sizes(logs)
-        cost, gradient = float(np.sum((logs / self.spread) ** 2)), 2.0 * logs / self.spread**2
+        cost, gradient = (
+            float(np.sum((logs / self.spread) ** 2)),
+            2.0 * logs / self.spread**2,
+        )
         for own in self.sets:
             prior = sizes.prior(own.scaling, own.size, self.highest)
             normal = Normal.of(own, sizes, self.highest.velocity)
@@ -180,39 +204,58 @@ class Evidence:
             more = normal.log_size + normal.power + log_size - float(mean @ normal.b)
             more += 2.0 * beyond * np.log(sizes.noise) + rest
             square = (np.diag(covariance) + mean**2).reshape(prior.shape)
-            share = np.where(prior > 0, 1.0 - square / np.where(prior > 0, prior, 1.0) ** 2, 0.0)
+            share = np.where(
+                prior > 0, 1.0 - square / np.where(prior > 0, prior, 1.0) ** 2, 0.0
+            )
             share[own.size :] = 0.0
             slope = np.empty(len(self.usual))
             slope[:3] = share[1:, 0].sum(), share[0, 2:].sum(), share[1:, 1:].sum()
             slope[3:8] = self._of_errors(own, sizes, normal, mean, covariance)
             slope[7] += beyond - rest
             share[0, :2] = 0.0  # of broad ones, whose variances do not fall
-            degrees = own.scaling.over_position.degrees(own.scaling.over_position.order(own.size))
-            over_position = np.log(np.maximum(degrees, 1.0)) @ share[: own.size].sum(axis=1)
+            degrees = own.scaling.over_position.degrees(
+                own.scaling.over_position.order(own.size)
+            )
+            over_position = np.log(np.maximum(degrees, 1.0)) @ share[: own.size].sum(
+                axis=1
+            )
             order = np.log(np.maximum(np.arange(share.shape[1]), 1.0))
             slope[8] = -0.5 * (sizes.over_position * over_position)
-            slope[9] = -0.5 * (sizes.over_speed * (share[: own.size].sum(axis=0) @ order))
+            slope[9] = -0.5 * (
+                sizes.over_speed * (share[: own.size].sum(axis=0) @ order)
+            )
             cost, gradient = cost + more, gradient + 2.0 * slope
         return cost, gradient
 
-    def strongest(self, near: Sizes | None = None, *, limit: float = 5.0) -> tuple[Sizes, float]:
+    def strongest(
+        self, near: Sizes | None = None, *, limit: float = 5.0
+    ) -> tuple[Sizes, float]:
         """The sizes of the largest marginal likelihood, from those `near`; twice its logarithm."""
         start, furthest, logs = np.zeros(len(self.usual)), limit * self.spread, None
         if near is not None:
-            start = np.log(np.array(astuple(near)[:-1]) / self.usual).clip(-furthest, furthest)
+            start = np.log(np.array(astuple(near)[:-1]) / self.usual).clip(
+                -furthest, furthest
+            )
             logs = self._polished(start)
         if logs is None:
             bounds = [(-far, far) for far in furthest.tolist()]
-            about: Array = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds).x
+            about: Array = minimize(
+                self, start, jac=True, method="L-BFGS-B", bounds=bounds
+            ).x
             logs = self._polished(about)
             logs = about if logs is None else logs
         return self.sizes(logs), -self(logs)[0]
 
     def _polished(self, logs: Array, *, reach: float = 0.3) -> Array | None:
-        """The maximum, by Newton's method: the likelihood is flat about it. None beyond `reach`."""
+        """The maximum, by Newton's method: the likelihood is flat about it.
+
+        None beyond `reach`.
+        """
         slope, difference = self(logs)[1], 1e-4
         steps = difference * np.eye(len(logs))
-        curvature = np.stack([(self(logs + step)[1] - slope) / difference for step in steps])
+        curvature = np.stack(
+            [(self(logs + step)[1] - slope) / difference for step in steps]
+        )
         curvature = 0.5 * (curvature + curvature.T)
         if np.linalg.eigvalsh(curvature)[0] <= 0.0:
             return None
@@ -237,7 +280,9 @@ class Evidence:
         phi = normal.phi
         p, r = own.z.shape[1], phi.shape[1]
         left = own.z - (own.R @ (phi @ mean.reshape(p, r).T)[:, :, None])[:, :, 0]
-        by_speed = covariance.reshape(p, r, p, r).transpose(1, 3, 0, 2).reshape(r * r, p * p)
+        by_speed = (
+            covariance.reshape(p, r, p, r).transpose(1, 3, 0, 2).reshape(r * r, p * p)
+        )
         variance = (_products(phi) @ by_speed).reshape(-1, p, p)
         white = (normal.inverse @ left[:, :, None])[:, :, 0]
         pulled = (own.R.transpose(0, 2, 1) @ white[:, :, None])[:, :, 0] ** 2
@@ -246,7 +291,9 @@ class Evidence:
         weighed = normal.inverse @ own.R
         by_noise = np.trace(normal.inverse, axis1=1, axis2=2).sum() - np.sum(white**2)
         by_noise -= np.sum((weighed @ variance) * weighed)
-        return np.append(np.sum(by_term * normal.own, axis=(1, 2)), sizes.noise**2 * by_noise)
+        return np.append(
+            np.sum(by_term * normal.own, axis=(1, 2)), sizes.noise**2 * by_noise
+        )
 
 
 def _products(phi: Array) -> Array:

@@ -7,7 +7,10 @@ import numpy as np
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface import gravity_separation, reduction, summary
-from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
+from seqid_cli.identify.friction_surface.corrections import (
+    HeldJoints,
+    without_acceleration,
+)
 from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
 from seqid_cli.identify.friction_surface.hunting import note_on_hunting, sliding_trials
@@ -40,19 +43,28 @@ def identify_friction(
 ) -> FrictionStage:
     """Identify the friction surface of every joint that the logs move at constant velocity.
 
-    Raises QualityError if no joint moves by itself at constant velocity, no trial has a twin in the
-    other direction, or the orders ask for more speeds than there are.
+    Raises QualityError if no joint moves by itself at constant velocity, no trial has a
+    twin in the other direction, or the orders ask for more speeds than there are.
     """
     trials = collect_trials(recordings, robot)
     if not trials:
-        logs = [str(getattr(log, "path", log)) for log in getattr(recordings, "logs", recordings)]
+        logs = [
+            str(getattr(log, "path", log))
+            for log in getattr(recordings, "logs", recordings)
+        ]
         raise QualityError(
-            "no stretch was found in which one joint moves by itself at constant velocity",
-            hint="record trapezoidal moves of one joint at a time, or use seqid simultaneous",
+            "no stretch was found in which one joint moves by itself at constant"
+            " velocity",
+            hint=(
+                "record trapezoidal moves of one joint at a time, or use seqid"
+                " simultaneous"
+            ),
             where="".join(logs[:1]) + f" and {len(logs) - 1} more" * (len(logs) > 1),
         )
     firsts: dict[int, summary.Fit] = {}
-    reasons = dict.fromkeys(range(robot.n), "no constant-velocity trial moves this joint")
+    reasons = dict.fromkeys(
+        range(robot.n), "no constant-velocity trial moves this joint"
+    )
     joints, verdicts, notes = {}, [], []
     sliding: list[Trial] = []
     for j in sorted({trial.joint for trial in trials}):
@@ -71,11 +83,16 @@ def identify_friction(
     surfaces = [firsts[j].surface if j in firsts else None for j in range(robot.n)]
     held = HeldJoints.of(robot, sliding, surfaces)
     for j, joint in enumerate(robot.joints):
-        first, verdict = firsts.get(j), Verdict(joint=joint.name, good=False, reason=reasons[j])
+        first, verdict = (
+            firsts.get(j),
+            Verdict(joint=joint.name, good=False, reason=reasons[j]),
+        )
         steady = _steady_gravity(robot, first, held) if first else None
         if first and steady and steady.groups:
             sizes = first.parts[0][1].sizes
-            fit = _fit(robot, j, steady, options, settings.surface, near=sizes, held=held)
+            fit = _fit(
+                robot, j, steady, options, settings.surface, near=sizes, held=held
+            )
             unpaired = first.gravity.unpaired
             joints[joint.name], verdict, said = summary.summarise(
                 robot, j, fit, unpaired, options, settings.surface
@@ -84,7 +101,9 @@ def identify_friction(
         verdicts.append(verdict)
     if not joints:
         hint = "record every speed in both directions over the same range (Eq. 15)"
-        names = [robot.joint_names[j] for j, reason in reasons.items() if reason == UNPAIRED]
+        names = [
+            robot.joint_names[j] for j, reason in reasons.items() if reason == UNPAIRED
+        ]
         if not names:
             raise QualityError(notes[-1], hint="no joint slides in these logs")
         raise QualityError(UNPAIRED, hint=hint, where=f"joint {names[-1]}")
@@ -127,15 +146,23 @@ def _fit(
     held: HeldJoints | None = None,
 ) -> summary.Fit:
     """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`."""
-    # One surface for both directions together: what is alike both ways has been taken off.
-    data, asked = _friction_data(gravity, held), (options.position_order, options.velocity_order)
+    # One surface for both directions together: what is alike both ways has been taken
+    # off.
+    data, asked = (
+        _friction_data(gravity, held),
+        (options.position_order, options.velocity_order),
+    )
     levels = len({item.speed for item in data})
     if asked[1] is not None and asked[1] + 1 > levels:
         needed = f"velocity order {asked[1]} needs at least {asked[1] + 1} speeds"
         hint = f"record more speeds or use --velocity-order {levels - 1} or less"
         where = f"joint {robot.joints[j].name}"
-        raise QualityError(f"{needed}, these logs hold {levels}", hint=hint, where=where)
-    parts = _fitted([data], _scalings(data) if near else _scalings(data)[:1], asked, near)
+        raise QualityError(
+            f"{needed}, these logs hold {levels}", hint=hint, where=where
+        )
+    parts = _fitted(
+        [data], _scalings(data) if near else _scalings(data)[:1], asked, near
+    )
     fits, beta = [fit for _, fit in parts], options.beta
 
     def meets_criterion(orders: reduction.Orders) -> bool:
@@ -143,7 +170,9 @@ def _fit(
         errors = summary.errors_of(parts, orders, unseen=False)
         return beta is not None and errors.relative <= beta
 
-    chosen = choose_orders(fits, asked, accept=None if beta is None else meets_criterion)
+    chosen = choose_orders(
+        fits, asked, accept=None if beta is None else meets_criterion
+    )
     entries = fits[0].entries(chosen)
     scaling = fits[0].reduced.scaling
     units = {"delay": PRIORS.delay_s, "thermal": PRIORS.per_kelvin}
@@ -172,9 +201,10 @@ def _fit(
 def _tells_temperature(gravity: GravityFit, *, least_share: float = 0.1) -> bool:
     """Whether trials at one speed, one way, were recorded at temperatures that differ.
 
-    A joint warms up while its speeds are recorded one after the other. Temperature and speed then
-    say the same, and how smooth friction is over the speed decides between them: the trials do not.
-    `least_share` of the temperatures' variance must lie within speeds and directions.
+    A joint warms up while its speeds are recorded one after the other. Temperature and
+    speed then say the same, and how smooth friction is over the speed decides between
+    them: the trials do not. `least_share` of the temperatures' variance must lie within
+    speeds and directions.
     """
     trials = [trial for group in gravity.groups for trial in group.trials]
     celsius = np.array([trial.celsius for trial in trials])
@@ -202,15 +232,24 @@ def _marginalised(
 
 
 def _fitted(
-    sets: list[list[reduction.SpeedData]], scalings: list[Scaling], asked: Asked, near: Sizes | None
+    sets: list[list[reduction.SpeedData]],
+    scalings: list[Scaling],
+    asked: Asked,
+    near: Sizes | None,
 ) -> list[summary.Part]:
     """Fit on the likeliest basis; slices that do not belong lose their weight round by round."""
-    # Sizes of terms and errors are searched from those of the round before, first from `near`.
+    # Sizes of terms and errors are searched from those of the round before, first from
+    # `near`.
     distances = [reduction.around_medians(own) for own in sets]
     for last in (False, False, True):
-        data = [reduction.weighted(own, off) for own, off in zip(sets, distances, strict=True)]
+        data = [
+            reduction.weighted(own, off)
+            for own, off in zip(sets, distances, strict=True)
+        ]
         tried = [
-            fit_surfaces([reduction.reduce_trials(own, scaling) for own in data], asked, near)
+            fit_surfaces(
+                [reduction.reduce_trials(own, scaling) for own in data], asked, near
+            )
             for scaling in (scalings if last else scalings[:1])
         ]
         fits = max(tried, key=lambda each: each[1])[0]
@@ -219,7 +258,9 @@ def _fitted(
     return list(zip(data, fits, strict=True))
 
 
-def _scalings(data: list[reduction.SpeedData], *, wide_range: float = 4.0) -> list[Scaling]:
+def _scalings(
+    data: list[reduction.SpeedData], *, wide_range: float = 4.0
+) -> list[Scaling]:
     """Bases that may suit: speeds or their logarithms, positions of one range or of every turn."""
     q, speeds = np.concatenate([item.q for item in data]), [item.speed for item in data]
     low, high, slow, fast = float(q.min()), float(q.max()), min(speeds), max(speeds)
@@ -230,15 +271,23 @@ def _scalings(data: list[reduction.SpeedData], *, wide_range: float = 4.0) -> li
     ]
 
 
-def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reduction.SpeedData]:
+def _friction_data(
+    gravity: GravityFit, held: HeldJoints | None
+) -> list[reduction.SpeedData]:
     """Friction by Eq. 16, one entry per trial, all trials of a level at the level's mean speed."""
     data = []
     celsius = summary.mean_celsius(gravity)
     for group in gravity.groups:
-        doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
+        doubts = (
+            held.doubt(group.trials)
+            if held
+            else [0.0 * trial.q for trial in group.trials]
+        )
         for trial, doubt in zip(group.trials, doubts, strict=True):
             way = 1 if trial.velocity > 0 else -1
-            same_both_ways = group.torque(trial.q) + gravity.even_torque(trial.q, trial.speed)
+            same_both_ways = group.torque(trial.q) + gravity.even_torque(
+                trial.q, trial.speed
+            )
             item = reduction.SpeedData(
                 speed=trial.speed,
                 direction=way,
@@ -249,7 +298,9 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reducti
                 push=way * trial.inertia_error * trial.ddq,
                 doubt=doubt,
                 late=-PRIORS.delay_s * trial.speed * group.slope(trial.q),
-                warm=PRIORS.per_kelvin * _warmth(trial, gravity) * kelvin_of(trial, celsius),
+                warm=PRIORS.per_kelvin
+                * _warmth(trial, gravity)
+                * kelvin_of(trial, celsius),
             )
             data.append(item)
     return [

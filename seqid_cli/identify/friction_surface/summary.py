@@ -45,9 +45,9 @@ FEWEST_SPEEDS = 4
 class Errors:
     """Errors (E,) N m of averages at scaled speeds `u`, with the friction measured there.
 
-    `friction` is tau_d of Eq. 11. `noise` is the standard error that the white noise of its
-    slices gives an average, `trial_error` the standard deviation of what its trial has for
-    itself: an offset, slow changes, an unsteady speed (`prior.Sizes`).
+    `friction` is tau_d of Eq. 11. `noise` is the standard error that the white noise of
+    its slices gives an average, `trial_error` the standard deviation of what its trial
+    has for itself: an offset, slow changes, an unsteady speed (`prior.Sizes`).
     """
 
     u: Array
@@ -124,8 +124,8 @@ def errors_of(
     orders : Orders
         Orders of the surfaces.
     unseen : bool
-        Whether the errors at inner speeds, of four speeds or more, are those of surfaces
-        that were fitted without the speed.
+        Whether the errors at inner speeds, of four speeds or more, are those of
+        surfaces that were fitted without the speed.
     group_size : int
         Neighbouring slices that are averaged.
     """
@@ -146,7 +146,8 @@ def errors_of(
 
             belongs = np.flatnonzero(item.belongs)
             groups = np.array_split(belongs, max(len(belongs) // group_size, 1))
-            # Differences of neighbours have the white noise of two slices and little else.
+            # Differences of neighbours have the white noise of two slices and little
+            # else.
             steps = np.concatenate([np.diff(error[group]) for group in groups])
             scatter = _rms(steps) / np.sqrt(2.0) if len(steps) else 0.0
             for group in groups:
@@ -232,7 +233,9 @@ def summarise(
         speeds=levels,
         unit=described.unit("N m"),
     )
-    verdict = _verdict(described.name, joint, unseen, surface.scaling, settings.max_error)
+    verdict = _verdict(
+        described.name, joint, unseen, surface.scaling, settings.max_error
+    )
     joint = _with_nuisances(joint, described.name, fit)
     for level in joint.speeds:
         scaled = described.torque_constant_error * level.friction
@@ -281,7 +284,9 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
         own = [item for item in data if item.speed == speed]
         inner = len(speeds) >= FEWEST_SPEEDS and speeds[0] < speed < speeds[-1]
         q = np.concatenate([item.q for item in own])
-        v = np.repeat([item.direction * speed for item in own], [len(item.q) for item in own])
+        v = np.repeat(
+            [item.direction * speed for item in own], [len(item.q) for item in own]
+        )
         level = SpeedLevel(
             speed=speed,
             forward=sum(item.direction > 0 for item in own),
@@ -302,7 +307,10 @@ def _verdict(
     # There its error may be `max_error` of the friction.
     levels = joint.speeds
     if joint.held_out_rmse is None:
-        reason = f"only {len(levels)} speed(s); with four or more one can be left out to judge"
+        reason = (
+            f"only {len(levels)} speed(s); with four or more one can be left out to"
+            " judge"
+        )
         return Verdict(joint=name, good=False, reason=reason)
     usual = _rms(np.array([level.friction for level in levels]))
     u = scaling.u(np.array([level.speed for level in levels]))
@@ -315,12 +323,16 @@ def _verdict(
     unit = "m/s" if joint.unit == "N" else "rad/s"
     at = f"{percent(errors[worst])} at {levels[worst].speed:.3g} {unit}"
     overall = percent(joint.held_out_rmse / max(usual, 1e-12))
-    reason = f"speeds left out are predicted to {overall} of the friction; known to {at} or better"
+    reason = (
+        f"speeds left out are predicted to {overall} of the friction; known to {at} or"
+        " better"
+    )
     good = errors[worst] <= max_error
     if not good:
         reason = (
-            f"friction is known to {at} only; record more or longer trials there, or look at what "
-            "else moves the torque (seqid simultaneous, then seqid diagnose with its file)"
+            f"friction is known to {at} only; record more or longer trials there, or"
+            " look at what else moves the torque (seqid simultaneous, then seqid"
+            " diagnose with its file)"
         )
     return Verdict(joint=name, good=good, reason=reason)
 
@@ -331,20 +343,23 @@ def _notes(
     """What is to be said of a joint; `beyond` is torque over the position that is no gravity."""
     if unpaired:
         yield (
-            f"{name}: {unpaired} trial(s) have no twin in the other direction in the same "
-            "configuration and were left out; Eq. 15 needs both"
+            f"{name}: {unpaired} trial(s) have no twin in the other direction in the"
+            " same configuration and were left out; Eq. 15 needs both"
         )
-    if shown(joint.nuisances, {name: _rms(np.array([x.friction for x in joint.speeds]))}):
+    if shown(
+        joint.nuisances, {name: _rms(np.array([x.friction for x in joint.speeds]))}
+    ):
         yield (
-            f"{name}: friction depends on direction by {percent(joint.asymmetry or 0.0)}, against "
-            "the assumption of Eq. 15; offset and asymmetry are part of the surfaces"
+            f"{name}: friction depends on direction by"
+            f" {percent(joint.asymmetry or 0.0)}, against the assumption of Eq. 15;"
+            " offset and asymmetry are part of the surfaces"
         )
     if beyond is not None:
         size = float(np.std(beyond(np.linspace(*beyond.domain))))
         yield (
-            f"{name}: torque that depends on the position and is no gravity, {size:.3g} "
-            f"{joint.unit} RMS and the same both ways, as of a spring or a cable, is taken off the "
-            "trials; seqid diagnose tells what it is"
+            f"{name}: torque that depends on the position and is no gravity, {size:.3g}"
+            f" {joint.unit} RMS and the same both ways, as of a spring or a cable, is"
+            " taken off the trials; seqid diagnose tells what it is"
         )
 
 
@@ -354,9 +369,9 @@ def _criterion_note(name: str, joint: FrictionJoint, *, searched: bool) -> str:
     `searched` is whether orders were raised to meet it, up to the highest, and in vain.
     """
     said = (
-        f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}: the largest error is "
-        f"{percent(joint.max_error)} of the friction; the noise of its averages alone makes "
-        f"{percent(joint.max_error_of_noise or 0.0)}"
+        f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}: the largest error is"
+        f" {percent(joint.max_error)} of the friction; the noise of its averages alone"
+        f" makes {percent(joint.max_error_of_noise or 0.0)}"
     )
     if not searched:
         return said
@@ -371,9 +386,11 @@ def _rms(values: Array) -> float:
 def constants_note(robot: Robot) -> list[str]:
     """Say which joints' torque constants are taken as exact, if any."""
     known = [joint for joint in robot.joints if joint.torque_constant is not None]
-    exact = ", ".join(joint.name for joint in known if joint.torque_constant_error == 0.0)
+    exact = ", ".join(
+        joint.name for joint in known if joint.torque_constant_error == 0.0
+    )
     note = (
-        f"torque constants taken as exact: {exact}; torque_constant_error in the robot file adds "
-        "their error to the standard errors"
+        f"torque constants taken as exact: {exact}; torque_constant_error in the robot"
+        " file adds their error to the standard errors"
     )
     return [note] if exact else []

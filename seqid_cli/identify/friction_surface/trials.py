@@ -15,7 +15,12 @@ from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import SurveyedLog, joined
 from seqid_cli.motion.hunting import stops, torque_swing
 from seqid_cli.motion.motion import encoder_resolution
-from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_reach, moving_mask
+from seqid_cli.motion.segmentation import (
+    Stretch,
+    constant_velocity,
+    motion_reach,
+    moving_mask,
+)
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
@@ -38,13 +43,14 @@ class Ramps(NamedTuple):
 class Trial:
     """One joint at constant velocity.
 
-    `q`, `dq` (K,) rad, rad/s and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what
-    acceleration is left, `ramps` how the joint got up to speed and back, `configuration` (n,) rad
-    where every joint stood, the moving one at the middle of its range, `places` (K, n) rad where
-    they were slice by slice, to the `count` (n,) rad of their encoders.
-    `celsius` is the mean of the joint's temperature, NaN where none was logged; `inertia_error`
-    kg m^2 is the standard error of the inertia whose torque was taken off. `swing` N m s and
-    `stopped` tell whether the joint hunts, see `motion.hunting`.
+    `q`, `dq` (K,) rad, rad/s and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2
+    is what acceleration is left, `ramps` how the joint got up to speed and back,
+    `configuration` (n,) rad where every joint stood, the moving one at the middle of
+    its range, `places` (K, n) rad where they were slice by slice, to the `count` (n,)
+    rad of their encoders. `celsius` is the mean of the joint's temperature, NaN where
+    none was logged; `inertia_error` kg m^2 is the standard error of the inertia whose
+    torque was taken off. `swing` N m s and `stopped` tell whether the joint hunts, see
+    `motion.hunting`.
     """
 
     joint: int
@@ -80,7 +86,9 @@ class Trial:
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
     """Constant-velocity trials of all logs, slowest first; InputError where one has no torque."""
     logs = mapped(recordings, partial(trials_of, robot), open_if_long)
-    return sorted((trial for found in logs for trial in found), key=lambda trial: trial.speed)
+    return sorted(
+        (trial for found in logs for trial in found), key=lambda trial: trial.speed
+    )
 
 
 def trials_of(
@@ -102,11 +110,13 @@ def pieces(
 ) -> Iterator[tuple[Block, list[Stretch]]]:
     """Find the stretches of constant velocity of a log.
 
-    They lie within runs of samples at which one and the same joint moves alone. A long log is cut
-    between such runs into pieces, each with so many samples more on either side as the search for
-    motion reaches; what is found is what the whole log gives. A log that is held is one piece.
+    They lie within runs of samples at which one and the same joint moves alone. A long
+    log is cut between such runs into pieces, each with so many samples more on either
+    side as the search for motion reaches; what is found is what the whole log gives. A
+    log that is held is one piece.
 
-    `step` (n,): encoder noise [rad], see `noise_step`. Yields samples, and stretches within them.
+    `step` (n,): encoder noise [rad], see `noise_step`. Yields samples, and stretches
+    within them.
     """
     rate, margin = log.rate_hz, motion_reach(log.rate_hz)
     blocks: Iterable[Block] = ()
@@ -125,10 +135,13 @@ def pieces(
         held = block if held is None else joined([held, block])
         if held.samples - start < wait + margin:
             continue
-        # The last sample, away from the end, at which another joint moves than before it.
+        # The last sample, away from the end, at which another joint moves than before
+        # it.
         moving = moving_mask(held.q, rate, step)
         alone = held.valid & (moving.sum(axis=1) == 1)
-        mover = np.where(alone, moving.argmax(axis=1), -1)[start : held.samples - margin]
+        mover = np.where(alone, moving.argmax(axis=1), -1)[
+            start : held.samples - margin
+        ]
         changes = np.flatnonzero(np.diff(mover))
         if not len(changes):  # one move that goes on and on
             wait = 2 * (held.samples - start)
@@ -159,7 +172,11 @@ def _trial(
     places = block.q[own].reshape(slices, length, -1).mean(axis=1)
     path = _path(middles, places[:, j])
     places[:, j] = path(middles)
-    celsius = np.zeros(0) if temperature is None else temperature[stretch.start : stretch.stop, j]
+    celsius = (
+        np.zeros(0)
+        if temperature is None
+        else temperature[stretch.start : stretch.stop, j]
+    )
     celsius = celsius[np.isfinite(celsius)]
     counts_hz = abs(stretch.velocity) / count[j] if count[j] > 0.0 else np.inf
     return Trial(
@@ -185,8 +202,8 @@ def _trial(
 
 def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
     """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts."""
-    # Its order, two at least, is that of least BIC: gravity and friction that change with the
-    # position leave their trace in the speed that a soft controller holds.
+    # Its order, two at least, is that of least BIC: gravity and friction that change
+    # with the position leave their trace in the speed that a soft controller holds.
     most = max(2, min(most_order, len(q) // 3))
     orders = range(min(3, most), most + 1)
 
@@ -194,7 +211,9 @@ def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
         square = max(float(np.mean((q - fit(time)) ** 2)), 1e-24)
         return float(len(q) * np.log(square) + len(fit.coef) * np.log(len(q)))
 
-    return min((Chebyshev.fit(time, q, order, domain=[-1, 1]) for order in orders), key=score)
+    return min(
+        (Chebyshev.fit(time, q, order, domain=[-1, 1]) for order in orders), key=score
+    )
 
 
 def _ramps(
@@ -208,11 +227,14 @@ def _ramps(
     zeros: int = 4,
 ) -> Ramps:
     """Means of a move (N,) under raised cosines, which overlap by half, where it accelerates."""
-    # With a window that ends in zeros the means of its derivatives are derivatives of its means:
-    # sums over positions times the window's own differences, without differentiating positions.
+    # With a window that ends in zeros the means of its derivatives are derivatives of
+    # its means: sums over positions times the window's own differences, without
+    # differentiating positions.
     length = max(least_window, round(window_s * rate_hz))
     window = np.zeros(length + 2 * zeros)
-    window[zeros:-zeros] = 1.0 - np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
+    window[zeros:-zeros] = 1.0 - np.cos(
+        2.0 * np.pi * (np.arange(length) + 0.5) / length
+    )
     window /= window.sum()
     starts = np.arange(0, len(q) - len(window) + 1, max(1, length // 2))
     middles = starts + len(window) // 2 + stretch.move_start
@@ -223,7 +245,8 @@ def _ramps(
     first = -np.gradient(window) * rate_hz
     second = np.gradient(np.gradient(window)) * rate_hz**2
     positions = q[pieces]
-    off = positions - positions[:, :1]  # the sums of the differences are zero but for rounding
+    # the sums of the differences are zero but for rounding
+    off = positions - positions[:, :1]
     return Ramps(
         q=positions @ window,
         dq=off @ first,
@@ -237,8 +260,9 @@ def _ramps(
 def _smooth_celsius(log: Recording, *, degree: int = 3) -> Array | None:
     """Return the joints' temperatures (N, n) degC without the steps of their sensors.
 
-    Drives report them in steps of half a kelvin or a whole one, and a joint warms up by little more
-    in a log. It does so over minutes: a polynomial of the time knows it between the steps.
+    Drives report them in steps of half a kelvin or a whole one, and a joint warms up by
+    little more in a log. It does so over minutes: a polynomial of the time knows it
+    between the steps.
     """
     if log.temperature is None:
         return None

@@ -1,11 +1,12 @@
 """IMU calibration (Sec. 3, Eq. 29-38): how each IMU is mounted on its link, and what it is like.
 
-Directions of joint axes give a first mounting in closed form (`axis_pairs`, Eq. 38). A joint least
-squares on the raw readings then finds, with the joints' motion, everything at once: mounting and
-lever, biases, gains and axes of the sensors, and the offset of their clock (`solve`). Gravity,
-centripetal and tangential accelerations show more than the axes alone: two parallel axes a known
-distance apart, or a single one that is not vertical, settle the angle about them. What the logs
-leave open is named and never written as a number.
+Directions of joint axes give a first mounting in closed form (`axis_pairs`, Eq. 38). A
+joint least squares on the raw readings then finds, with the joints' motion, everything
+at once: mounting and lever, biases, gains and axes of the sensors, and the offset of
+their clock (`solve`). Gravity, centripetal and tangential accelerations show more than
+the axes alone: two parallel axes a known distance apart, or a single one that is not
+vertical, settle the angle about them. What the logs leave open is named and never
+written as a number.
 """
 
 from collections.abc import Iterable
@@ -38,7 +39,8 @@ from seqid_cli.params import schema
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Mask
 
-# What a log holds of every IMU that it records: [rad/s^2/sqrt(Hz)] last; and its cut-off [Hz].
+# What a log holds of every IMU that it records: [rad/s^2/sqrt(Hz)] last; and its
+# cut-off [Hz].
 Held = tuple[dict[str, tuple[list[Segment], list[initial_guess.Pair], float]], float]
 
 
@@ -50,7 +52,8 @@ def calibrate_imus(
     settings: ImuCalibSettings = ImuCalibSettings(),
 ) -> schema.ImuStage:
     """Calibrate every IMU of the robot file; name what these logs do not determine."""
-    # Best joints before the IMUs move one at a time and fast, others locked in several postures.
+    # Best joints before the IMUs move one at a time and fast, others locked in several
+    # postures.
     if not robot.imus:
         where, hint = str(robot.source), "describe the IMU in it"
         raise UsageError("the robot file has no [[imu]]", hint=hint, where=where)
@@ -71,29 +74,43 @@ def calibrate_imus(
         verdicts.append(verdict)
     if not imus:
         message = "no log moves a joint before an IMU with its readings recorded"
-        hint = "rotate the first joint back and forth with the others locked in several postures"
+        hint = (
+            "rotate the first joint back and forth with the others locked in several"
+            " postures"
+        )
         raise QualityError(message, hint=hint)
     cutoff = float(np.median([hz for _, hz in logs]))
     return schema.ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
 
 
 def _held(
-    robot: Robot, options: MotionOptions, highest_hz: float, recording: Recording, number: int
+    robot: Robot,
+    options: MotionOptions,
+    highest_hz: float,
+    recording: Recording,
+    number: int,
 ) -> Held:
     motion, found = estimate_motion(recording, robot, options), {}
     cutoff_hz = calibration_cutoff(motion, options.cutoff_hz, highest_hz)
     for imu in robot.imus:
         if imu.name in recording.accelerometers:
             seen = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
-            own = segments_of(recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz)
+            own = segments_of(
+                recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz
+            )
             turns = layout(seen).acceleration or seen.gyro
             given = recording, robot, seen, motion
-            found[imu.name] = own, *(initial_guess.axis_pairs(*given) if turns else ([], 0.0))
+            found[imu.name] = (
+                own,
+                *(initial_guess.axis_pairs(*given) if turns else ([], 0.0)),
+            )
     return found, cutoff_hz
 
 
 def _calibrated(
-    robot: Robot, imu: Imu, own: list[tuple[list[Segment], list[initial_guess.Pair], float]]
+    robot: Robot,
+    imu: Imu,
+    own: list[tuple[list[Segment], list[initial_guess.Pair], float]],
 ) -> tuple[schema.ImuCalibration, bool]:
     """The calibration of an IMU by what logs hold of it, and whether its fit has converged."""
     every = [segment for segments, *_ in own for segment in segments]
@@ -101,7 +118,9 @@ def _calibrated(
     densities = [density for _, found, density in own if found]
     channels = [len(segment.readings.noise) for segment in every]
     most = max(channels)
-    segments = thinned([s for s, count in zip(every, channels, strict=True) if count == most])
+    segments = thinned(
+        [s for s, count in zip(every, channels, strict=True) if count == most]
+    )
     seen = replace(imu, gyro=most > len(imu.axes))
     guess = initial_guess.fit_rotation(pairs) if pairs else np.eye(3)
     start = initial_guess.starting_constants(segments, robot, seen, guess)
@@ -122,10 +141,11 @@ def calibration_of(
     sampling: float = 0.01,
 ) -> schema.ImuCalibration:
     """Calibration of one IMU as the parameter file has it."""
-    # A clock offset with a larger standard error than `max_delay_error_s` is not determined.
-    # A coarse encoder crosses its edges somewhere between two samples, at the same places in every
-    # swing that repeats itself: its clock is known to `sampling` of their period at best. Codes of
-    # a fine encoder hold no such error, and jolts between two samples are noise of the fit already.
+    # A clock offset with a larger standard error than `max_delay_error_s` is not
+    # determined. A coarse encoder crosses its edges somewhere between two samples, at
+    # the same places in every swing that repeats itself: its clock is known to
+    # `sampling` of their period at best. Codes of a fine encoder hold no such error,
+    # and jolts between two samples are noise of the fit already.
     constants, sigma = fit.constants, np.sqrt(np.diag(fit.covariance))
     worst, lever, missing = _of_mounting(fit.covariance)
     edges = sampling * segments[0].readings.period * any(s.by_edges for s in segments)
@@ -180,8 +200,9 @@ def _of_sensors(
     max_share: float = 0.5,
 ) -> tuple[dict[str, Any], list[str]]:
     """Entries of a calibration about its channels, and in words what is left open."""
-    # Known is what has a standard error of up to so many m/s^2, rad/s, 1 and degrees, and of gains
-    # and axes less than a prior of fixed width; widths of many sensors are found.
+    # Known is what has a standard error of up to so many m/s^2, rad/s, 1 and degrees,
+    # and of gains and axes less than a prior of fixed width; widths of many sensors are
+    # found.
     constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
     bias, gain, tilt = np.split(np.sqrt(np.diag(fit.covariance))[7:-1], [c, 2 * c])
     tilt = np.degrees(np.sqrt(np.mean(tilt.reshape(c, 2) ** 2, axis=1)))
@@ -190,7 +211,9 @@ def _of_sensors(
     free = accelerometers & (k >= sensor_model.FEW)
     bias_known = bias < np.where(accelerometers, max_bias, max_rate)
     gain_known = (gain < max_gain) & (free | (gain < max_share * gain_prior))
-    tilt_known = (tilt < max_tilt_deg) & (free | (tilt < max_share * np.degrees(tilt_prior[::2])))
+    tilt_known = (tilt < max_tilt_deg) & (
+        free | (tilt < max_share * np.degrees(tilt_prior[::2]))
+    )
     nominal = sensor_model.nominal_axes(imu)
     axes = sensor_model.tilted(nominal, constants.tilt)
     axes = np.where(tilt_known[:, None], axes, nominal)
@@ -208,7 +231,9 @@ def _of_sensors(
                 fields[f"{sensor}_{kind}"] = _listed(values[own], known[own])
             count = int((~known[own]).sum())
             if count:
-                missing.append(f"the {kind} of {count} {sensor} channel(s) is not determined")
+                missing.append(
+                    f"the {kind} of {count} {sensor} channel(s) is not determined"
+                )
     return fields, missing
 
 
@@ -222,14 +247,20 @@ def _references(
     pairs: list[initial_guess.Pair], names: tuple[str, ...]
 ) -> dict[str, schema.AxisReference]:
     """The most certain reference of Eq. 30 and 31 for each joint."""
-    found = {name: [pair.reference for pair in pairs if pair.joint == name] for name in names}
-    return {name: min(own, key=lambda r: r.gain_std_error) for name, own in found.items() if own}
+    found = {
+        name: [pair.reference for pair in pairs if pair.joint == name] for name in names
+    }
+    return {
+        name: min(own, key=lambda r: r.gain_std_error)
+        for name, own in found.items()
+        if own
+    }
 
 
 def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
     """Relative standard error of the accelerations that the readings give of the last joint."""
-    # That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of the
-    # constants, all channels together take it by a'da / a'a too large.
+    # That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of
+    # the constants, all channels together take it by a'da / a'a too large.
     axis = robot.chain.axis[imu.after_joint]
     x = np.zeros((1, MOTION))
     if robot.chain.prismatic[imu.after_joint]:
@@ -252,13 +283,16 @@ def _of_mounting(
     worst = np.degrees(np.sqrt(value))
     known: Mask = np.sqrt(np.diag(covariance)[3:6]) < max_error_m
     missing, is_open = [], bool(worst[2] > max_deg)
-    if is_open:  # where the angle about an axis is open, so is where the IMU sits around it
+    # where the angle about an axis is open, so is where the IMU sits around it
+    if is_open:
         about = vector[:, 2] * np.sign(vector[np.argmax(np.abs(vector[:, 2])), 2])
         known &= np.linalg.norm(np.cross(np.eye(3), about), axis=1) < 0.1
         axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
         missing.append(f"the angle about the link's axis ({axis}) is not determined")
     if not known.all():
-        names = " and ".join(n for n, there in zip("xyz", known, strict=True) if not there)
+        names = " and ".join(
+            n for n, there in zip("xyz", known, strict=True) if not there
+        )
         missing.append(f"the lever along the link's {names} is not determined")
     return float(worst[1 if is_open else 2]), known, missing
 
@@ -276,13 +310,24 @@ def verdict_of(
     settings: MountingSettings = MountingSettings(),
 ) -> schema.Verdict:
     """Whether a mounting is known to `max_error` degrees and predicts a log left out; why not."""
-    worst, left, bends = calibration.std_error_deg, calibration.holdout, deflecting(calibration)
-    angle = [text for text in calibration.not_determined if text.startswith("the angle")]
+    worst, left, bends = (
+        calibration.std_error_deg,
+        calibration.holdout,
+        deflecting(calibration),
+    )
+    angle = [
+        text for text in calibration.not_determined if text.startswith("the angle")
+    ]
     matters = bool(angle) and not _turns_about_one_axis(robot, imu)
-    reason = f"mounting known to {worst:.3g} degrees from {calibration.configurations} trials"
+    reason = (
+        f"mounting known to {worst:.3g} degrees from {calibration.configurations}"
+        " trials"
+    )
     reason += "".join(f"; {text}" for text in angle)
     if angle and not matters:
-        reason += ", and does not matter: every joint before the IMU turns about that axis"
+        reason += (
+            ", and does not matter: every joint before the IMU turns about that axis"
+        )
     if not converged:
         reason += "; the fit has not settled"
     unlike = left is not None and left > settings.max_left_out
@@ -291,10 +336,10 @@ def verdict_of(
     if bends is not None:
         unit = robot.joints[robot.joint_names.index(bends.joint)].unit("rad/s^2")
         reason += (
-            f"; the link after {bends.joint} accelerates {bends.acceleration:.2g} "
-            f"{unit} (RMS) beyond what its encoder tells: the joint is "
-            "elastic or has backlash, or the clocks of IMU and encoders drift apart; errors are "
-            "widened: record slower, smoother swings, and run seqid diagnose"
+            f"; the link after {bends.joint} accelerates {bends.acceleration:.2g}"
+            f" {unit} (RMS) beyond what its encoder tells: the joint is elastic or has"
+            " backlash, or the clocks of IMU and encoders drift apart; errors are"
+            " widened: record slower, smoother swings, and run seqid diagnose"
         )
     if not layout(imu).acceleration and not calibration.gyro_axes:
         reason += "; without a gyro this layout does not see angular acceleration"
@@ -305,7 +350,9 @@ def verdict_of(
 def _turns_about_one_axis(robot: Robot, imu: Imu) -> bool:
     """Whether all joints up to the IMU turn about parallel axes, whatever their angles."""
     q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
-    axes = axes_in_link(robot, q, imu.after_joint)[:, ~robot.chain.prismatic[: imu.after_joint + 1]]
+    axes = axes_in_link(robot, q, imu.after_joint)[
+        :, ~robot.chain.prismatic[: imu.after_joint + 1]
+    ]
     return bool((np.abs(axes @ robot.chain.axis[imu.after_joint]) > 1 - 1e-9).all())
 
 

@@ -1,19 +1,22 @@
 """How far the joints before an IMU deflect: accelerations of a link that no encoder shows.
 
-Per node the residual of the C readings is r = A a + e: e the noise of the readings, a (n,) the
-accelerations by which the joints deflect, both white within the low-pass's band. With r and A over
-the noise that raw readings show, r has the covariance S = K + A V A', V = diag(v), K diagonal with
-one factor k for each kind of sensor (accelerometers, gyro). The sizes v and k are those of the
-largest likelihood. As nodes are closer to each other than the band is wide, each counts as `share`
-of a node (b), the variance of a low-passed unit noise:
+Per node the residual of the C readings is r = A a + e: e the noise of the readings, a
+(n,) the accelerations by which the joints deflect, both white within the low-pass's
+band. With r and A over the noise that raw readings show, r has the covariance S = K + A
+V A', V = diag(v), K diagonal with one factor k for each kind of sensor (accelerometers,
+gyro). The sizes v and k are those of the largest likelihood. As nodes are closer to
+each other than the band is wide, each counts as `share` of a node (b), the variance of
+a low-passed unit noise:
 
     -2 log L = sum_n [ b log det S + r' S^-1 r ].
 
-Each round multiplies v_j and k by the root of the ratio of both terms' slopes, which never lessens
-L (Zhou, Hu, Zhou, Lange: MM algorithms for variance components models, 2019).
+Each round multiplies v_j and k by the root of the ratio of both terms' slopes, which
+never lessens L (Zhou, Hu, Zhou, Lange: MM algorithms for variance components models,
+2019).
 
-Links also jolt faster than the log's rate; that aliases, and no encoder shows it either. The
-same likelihood of the raw readings' roughness, near the Nyquist rate, gives the jolts' size.
+Links also jolt faster than the log's rate; that aliases, and no encoder shows it
+either. The same likelihood of the raw readings' roughness, near the Nyquist rate, gives
+the jolts' size.
 """
 
 from collections.abc import Sequence
@@ -29,12 +32,15 @@ SIGNIFICANT = 5.0  # standard deviations of a deflection's likelihood beyond the
 
 def _joined(parts: Sequence[Rows]) -> Rows:
     """Rows of all segments."""
-    return Rows(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
+    return Rows(
+        *map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True))
+    )
 
 
 def renewed(linear: Sequence[Linearised], sizes: Sizes) -> Sizes:
     """Likeliest sizes, from those that the equations were scaled by."""
-    # Jolts, which a trajectory takes up that a coarse encoder hardly holds, count in full.
+    # Jolts, which a trajectory takes up that a coarse encoder hardly holds, count in
+    # full.
     jolts = likeliest(_joined([x.jolts for x in linear]), sizes).deflection
     return likeliest(_joined([x.deflection for x in linear]), sizes, jolts)
 
@@ -49,14 +55,16 @@ def likeliest(
     done: float = 1e-12,
 ) -> Sizes:
     """Sizes of the largest likelihood among those of at least `least` rad/s^2 of a node."""
-    # Nothing depends on sizes below `min_size`. It ends when none changes by the share `done`.
+    # Nothing depends on sizes below `min_size`. It ends when none changes by the share
+    # `done`.
     least = np.maximum(least, min_size)
     noise, deflection = start.noise, np.maximum(start.deflection, least)
     for _ in range(rounds):
         before = np.append(noise, deflection)
         k, v = noise, deflection**2
         M = np.linalg.inv(np.diag(1.0 / v) + _over(rows.B, k))
-        x = (M @ _over(rows.u, k)[:, :, None])[:, :, 0]  # the accelerations, given the residuals
+        # the accelerations, given the residuals
+        x = (M @ _over(rows.u, k)[:, :, None])[:, :, 0]
         Bx = (rows.B @ x[:, None, :, None])[..., 0]
         left = rows.squares.sum(axis=0) + np.einsum("ngi,ni->g", Bx - 2.0 * rows.u, x)
         count = rows.share @ (rows.count - np.einsum("ngij,nji->ng", rows.B, M) / k) / k
@@ -78,10 +86,17 @@ def _over(values: Array, noise: Array) -> Array:
 
 
 def deflections(
-    linear: Sequence[Linearised], sizes: Sizes, names: Sequence[str], *, beyond: float = 1.5
+    linear: Sequence[Linearised],
+    sizes: Sizes,
+    names: Sequence[str],
+    *,
+    beyond: float = 1.5,
 ) -> list[JointDeflection]:
     """Every joint's deflection, by the likelihood that it is more than `beyond` times the jolts."""
-    rows, share = _joined([x.deflection for x in linear]), [x.deflection.share[0] for x in linear]
+    rows, share = (
+        _joined([x.deflection for x in linear]),
+        [x.deflection.share[0] for x in linear],
+    )
     jolts = likeliest(_joined([x.jolts for x in linear]), sizes).deflection
     best = _log_likelihood(rows, sizes)
     found = []
@@ -89,8 +104,13 @@ def deflections(
         without = sizes.deflection.copy()
         without[joint] = min(size, beyond * jolts[joint])
         gain = max(best - _log_likelihood(rows, Sizes(sizes.noise, without)), 0.0)
-        rms, sigma = float(size * np.sqrt(float(np.mean(share)))), float(np.sqrt(2 * gain))
-        found.append(JointDeflection(joint=names[joint], acceleration=rms, significance=sigma))
+        rms, sigma = (
+            float(size * np.sqrt(float(np.mean(share)))),
+            float(np.sqrt(2 * gain)),
+        )
+        found.append(
+            JointDeflection(joint=names[joint], acceleration=rms, significance=sigma)
+        )
     return found
 
 

@@ -1,17 +1,18 @@
 """Where the IMU calibration begins: directions of joint axes, clock offset, mounting.
 
-Directions of joint axes as an IMU and as the encoders see them (Eq. 29-38): while one joint rotates
-and the others stand still, the direction of an IMU's angular acceleration is that joint's axis
-(Eq. 29, 32), and the encoders give it in the frame of the link that carries the IMU (Eq. 33). k
-such pairs give the rotation R b_k = m_k (Eq. 34-37) by weighted least squares over proper
-rotations; Eq. 38 followed by the projection onto rotations is the same where the axes span space,
-and unlike Eq. 38 this also works where they span only a plane. The paper rotates joint 1; every
-joint before the IMU serves as well.
+Directions of joint axes as an IMU and as the encoders see them (Eq. 29-38): while one
+joint rotates and the others stand still, the direction of an IMU's angular acceleration
+is that joint's axis (Eq. 29, 32), and the encoders give it in the frame of the link
+that carries the IMU (Eq. 33). k such pairs give the rotation R b_k = m_k (Eq. 34-37) by
+weighted least squares over proper rotations; Eq. 38 followed by the projection onto
+rotations is the same where the axes span space, and unlike Eq. 38 this also works where
+they span only a plane. The paper rotates joint 1; every joint before the IMU serves as
+well.
 
-Without a guess: each reading is a linear function of the link's specific force f and of H (see
-`sensor_model`), with twelve coefficients and a bias, whatever the mounting. Their least-squares
-misfit over shifts of the clock finds the offset. The same sums, 13 by 13, hold all that a mounting
-can be judged by, so that many starts cost little.
+Without a guess: each reading is a linear function of the link's specific force f and of
+H (see `sensor_model`), with twelve coefficients and a bias, whatever the mounting.
+Their least-squares misfit over shifts of the clock finds the offset. The same sums, 13
+by 13, hold all that a mounting can be judged by, so that many starts cost little.
 """
 
 from dataclasses import dataclass, replace
@@ -52,12 +53,15 @@ def axis_pairs(
     recording: Recording, robot: Robot, imu: Imu, motion: Motion, *, min_s: float = 0.2
 ) -> tuple[list[Pair], float]:
     """Axes that one log shows: of each joint that rotates by itself for at least `min_s` s."""
-    # The noise density of the IMU's angular acceleration, rad/s^2/sqrt(Hz), comes second.
+    # The noise density of the IMU's angular acceleration, rad/s^2/sqrt(Hz), comes
+    # second.
     given = imu, recording.accelerometers[imu.name], recording.gyros.get(imu.name)
     lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
     reading = read_angular(*given, lowpass, recording.valid)
     raw = read_angular(*given, Lowpass(1e9, recording.rate_hz), recording.valid)
-    density = float(np.sqrt(np.mean(white_noise(raw.dw) ** 2)) * np.sqrt(2 / recording.rate_hz))
+    density = float(
+        np.sqrt(np.mean(white_noise(raw.dw) ** 2)) * np.sqrt(2 / recording.rate_hz)
+    )
     alone = motion.usable & (motion.moving.sum(axis=1) == 1)
     still = shrink(~np.any(motion.moving, axis=1), 2 * motion.lowpass.settling)
     offset = reading.dw[still].mean(axis=0) if still.sum() > 20 else np.zeros(3)
@@ -65,7 +69,9 @@ def axis_pairs(
     for j in range(imu.after_joint + 1):
         own = alone & motion.moving[:, j]
         if own.sum() > min_s * motion.rate_hz and not robot.chain.prismatic[j]:
-            pair = _axis_pair(robot, imu, motion, j, own, reading.dw - offset, reading.products)
+            pair = _axis_pair(
+                robot, imu, motion, j, own, reading.dw - offset, reading.products
+            )
             pairs += [pair] if pair else []
     return pairs, density
 
@@ -83,14 +89,19 @@ def _axis_pair(
     clear_sigma: float = 5.0,
 ) -> Pair | None:
     """Eq. 29/32 and 33 for one joint of one log."""
-    # None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or the IMU does
-    # not see it: the gain is below `clear_sigma` standard errors, and the direction noise's.
+    # None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or
+    # the IMU does not see it: the gain is below `clear_sigma` standard errors, and the
+    # direction noise's.
     a, encoder = dw[own], motion.ddq[own, j]
     direction = a.T @ encoder
-    if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < min_acceleration:
+    if (
+        np.linalg.norm(direction) < 1e-9
+        or np.sqrt(np.mean(encoder**2)) < min_acceleration
+    ):
         return None
     direction = direction / np.linalg.norm(direction)
-    # The IMU's own acceleration along the axis is less noisy than the encoder's: refine with it.
+    # The IMU's own acceleration along the axis is less noisy than the encoder's: refine
+    # with it.
     direction = a.T @ (a @ direction)
     direction = direction / np.linalg.norm(direction)
     along = a @ direction
@@ -102,10 +113,13 @@ def _axis_pair(
     gain_error = float(np.sqrt(np.mean((encoder - gain * along) ** 2) * memory / power))
     if gain < clear_sigma * gain_error:
         return None
-    axis = axes_in_link(robot, motion.q[own][:: max(1, own.sum() // 200)], imu.after_joint)[:, j]
+    axis = axes_in_link(
+        robot, motion.q[own][:: max(1, own.sum() // 200)], imu.after_joint
+    )[:, j]
     mean = axis.mean(axis=0)
     strongest = float(along[np.argmax(np.abs(along))])
-    square = np.einsum("nij,i,j->n", products[own], direction, direction)  # of w about the axis
+    # of w about the axis
+    square = np.einsum("nij,i,j->n", products[own], direction, direction)
     fastest = float(np.max(np.sqrt(np.maximum(square, 0.0))))
     reference = AxisReference(  # Eq. 30 and 31
         axis=direction.tolist(),
@@ -126,14 +140,18 @@ def fit_rotation(pairs: list[Pair]) -> Array:
     if np.linalg.matrix_rank(B, tol=1e-2) == 1:  # one axis alone: by the smallest angle
         return np.asarray(Rotation.align_vectors(M[0], B[0])[0].as_matrix())
     U, _, Vt = np.linalg.svd((M.T * np.array([p.sigma for p in pairs]) ** -2.0) @ B)
-    return np.asarray(U @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))]) @ Vt)
+    return np.asarray(
+        U @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))]) @ Vt
+    )
 
 
 Tables = list[tuple[Segment, Array]]  # with f, H, w and one of its nodes (N, 16)
 Sums = tuple[Array, Array, Array]  # x'x (16, 16) of f, H, w, one; x'y (16, C); y'y (C,)
 
 
-def starting_constants(segments: list[Segment], robot: Robot, imu: Imu, guess: Array) -> Constants:
+def starting_constants(
+    segments: list[Segment], robot: Robot, imu: Imu, guess: Array
+) -> Constants:
     """Mounting, lever, offset and biases to begin with; `guess` (3, 3) is one of the starts."""
     tables = [(segment, _table(segment, robot, imu)) for segment in segments]
     delay = _delay(tables)
@@ -148,11 +166,16 @@ def starting_constants(segments: list[Segment], robot: Robot, imu: Imu, guess: A
 
 
 def _delay(
-    tables: Tables, *, largest_s: float = 0.5, coarse_s: float = 0.016, better: float = 0.7
+    tables: Tables,
+    *,
+    largest_s: float = 0.5,
+    coarse_s: float = 0.016,
+    better: float = 0.7,
 ) -> float:
     """Clock offset [s] with the least misfit: coarsely over all, then finely about the best."""
 
-    # No shift is believed that leaves more than the share `better` of the misfit without one.
+    # No shift is believed that leaves more than the share `better` of the misfit
+    # without one.
     def misfits(delays: NDArray[Any]) -> Array:
         """Shares of the readings' power that the best linear function leaves over."""
         found = []
@@ -172,12 +195,16 @@ def _delay(
     count = int(min(largest_s, longest / 4) / coarse)
     delays = np.arange(-count, count + 1) * coarse
     left = misfits(delays)
-    middle = float(delays[np.argmin(left)]) if left.min() <= better * left[count] else 0.0
+    middle = (
+        float(delays[np.argmin(left)]) if left.min() <= better * left[count] else 0.0
+    )
     delays = np.arange(-coarse, coarse + 0.5 * fine, fine) + middle
     return float(delays[np.argmin(misfits(delays))])
 
 
-def _table(segment: Segment, robot: Robot, imu: Imu, *, lowest_hz: float = 3.0) -> Array:
+def _table(
+    segment: Segment, robot: Robot, imu: Imu, *, lowest_hz: float = 3.0
+) -> Array:
     """Regressors (N, 16) from the encoders alone, smooth enough to differentiate."""
     rate = 1.0 / segment.spacing
     hz = float(min(segment.cutoff_hz, max(lowest_hz, segment.encoder_hz)))
@@ -193,17 +220,24 @@ def _sums(tables: Tables, delay: float) -> Sums:
     total = []
     for segment, x in tables:
         readings = segment.readings
-        at = np.round((segment.t + delay - readings.t[0]) / (readings.t[1] - readings.t[0]))
+        at = np.round(
+            (segment.t + delay - readings.t[0]) / (readings.t[1] - readings.t[0])
+        )
         inside = (at >= 0) & (at < len(readings.t))
         index = np.clip(at, 0, len(readings.t) - 1).astype(np.intp)
-        y, w = readings.values[index], inside * readings.good[index].all(axis=1).astype(float)
+        y, w = (
+            readings.values[index],
+            inside * readings.good[index].all(axis=1).astype(float),
+        )
         wx = x * w[:, None]
         total.append((wx.T @ x, wx.T @ y, w @ y**2))
     xx, xy, yy = (np.sum(part, axis=0) for part in zip(*total, strict=True))
     return xx, xy, yy
 
 
-def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[float, Constants]:
+def _mounting(
+    imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3
+) -> tuple[float, Constants]:
     """Least squares for turn and lever on the sums, from one start; biases follow."""
     # `hold` of the readings' noise over m holds the lever.
     xx, xy, yy = sums
@@ -220,7 +254,9 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[fl
 
     def placed(step: Array) -> Mounting:
         turned = Rotation.from_rotvec(step[:3]).as_matrix() @ R
-        return Mounting(imu.after_joint, imu.positions.reshape(-1, 3), axes, turned, step[3:])
+        return Mounting(
+            imu.after_joint, imu.positions.reshape(-1, 3), axes, turned, step[3:]
+        )
 
     def off(step: Array) -> Array:
         misfit = (root @ placed(step).matrix.T - target) / size

@@ -1,10 +1,11 @@
 """One segment of the IMU calibration: its linear equations with the joint motion taken out.
 
-About a trajectory c of the moving joints and the constants, the readings, the encoders and a
-loose prior on the jerk are linear. The trajectory is eliminated by the banded Cholesky factor of
-its own normal equations, so encoder noise counts as the error in the regressors that it is; what is
-left per segment is a small dense system in the constants and in what belongs to the segment alone:
-a change of each bias and the offsets of the locked joints.
+About a trajectory c of the moving joints and the constants, the readings, the encoders
+and a loose prior on the jerk are linear. The trajectory is eliminated by the banded
+Cholesky factor of its own normal equations, so encoder noise counts as the error in the
+regressors that it is; what is left per segment is a small dense system in the constants
+and in what belongs to the segment alone: a change of each bias and the offsets of the
+locked joints.
 """
 
 from collections.abc import Callable
@@ -22,7 +23,8 @@ from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Index, Mask
 
 ROBUST = 4.685  # Tukey's constant, 95 % efficient on normal noise
-WEIGHED = 1.0 - 6.0 / ROBUST**2 + 15.0 / ROBUST**4  # what his weights leave of its mean square
+# what his weights leave of its mean square
+WEIGHED = 1.0 - 6.0 / ROBUST**2 + 15.0 / ROBUST**4
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,10 @@ class Local:
 class Sizes:
     """What a residual is made of."""
 
-    noise: Array  # (G,) factors on the variance that raw readings show: accelerometers, gyro
-    deflection: Array  # (n,) rad/s^2 of a node, RMS, by which the joints before the IMU deflect
+    # (G,) factors on the variance that raw readings show: accelerometers, gyro
+    noise: Array
+    # (n,) rad/s^2 of a node, RMS, by which the joints before the IMU deflect
+    deflection: Array
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,8 @@ class Linearised:
     outliers: Mask
     weights: Array  # (N, C) robust, zero where a reading does not count
     deflection: Rows  # of the residual
-    jolts: Rows  # of the raw readings' roughness over the root of their number at a node
+    # of the raw readings' roughness over the root of their number at a node
+    jolts: Rows
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,9 @@ class Reduced:
         """What is the segment's own after a step of the constants."""
         change = share * self.own_free - self.follow @ step
         moved = share * self.free - self.back @ np.concatenate([step, change])
-        return Local(local.trajectory + moved.reshape(local.trajectory.shape), local.own + change)
+        return Local(
+            local.trajectory + moved.reshape(local.trajectory.shape), local.own + change
+        )
 
 
 def residual(
@@ -134,7 +141,8 @@ def linearise(
     weights: Array | None = None,
 ) -> Linearised:
     """Equations of one segment; `sigma` (C,), the noise of a residual, makes robust weights."""
-    # Without `sizes` the noise is that of raw readings, and joints are moved by jolts alone.
+    # Without `sizes` the noise is that of raw readings, and joints are moved by jolts
+    # alone.
     r, good, motion, x = residual(segment, robot, imu, constants, local)
     place, count = mounted(imu, constants), r.shape[1]
     slopes = place.by_motion(x, link_slopes(robot, imu.after_joint, motion))
@@ -148,9 +156,12 @@ def linearise(
         weights = np.maximum(1.0 - u**2, 0.0) ** 2
     weights = np.where(good, weights, 0.0)
     # As much as all the raw samples that a node stands for.
-    plain = np.sqrt(weights * segment.share / np.maximum(segment.readings.noise, 1e-6) ** 2)
+    plain = np.sqrt(
+        weights * segment.share / np.maximum(segment.readings.noise, 1e-6) ** 2
+    )
     by_ddq = plain[:, :, None] * slopes[:, :, 2]
-    kinds = np.asarray(np.arange(count) >= len(imu.axes), dtype=np.intp)  # 1 of the gyro
+    # 1 of the gyro
+    kinds = np.asarray(np.arange(count) >= len(imu.axes), dtype=np.intp)
     if sizes is None:  # jolts alone, rad/s^2 of a node, alike at all joints
         power = float(np.mean(np.sum(J[:, :, 2] ** 2, axis=(1, 2)))) if J.size else 0.0
         jolt = segment.readings.jolts / power / segment.share if power > 0.0 else 0.0
@@ -183,7 +194,9 @@ def band_share(cutoff_hz: float, share: float, spacing: float) -> float:
     """Variance that the low-pass leaves of white noise of unit variance per node."""
     lowpass = Lowpass(cutoff_hz, share / spacing)
     impulse = np.eye(4 * lowpass.settling + 1)[:, [2 * lowpass.settling]]
-    return float(share * np.sum(lowpass(impulse, np.ones(len(impulse), dtype=bool)) ** 2))
+    return float(
+        share * np.sum(lowpass(impulse, np.ones(len(impulse), dtype=bool)) ** 2)
+    )
 
 
 def _rows(A: Array, rows: Array, counts: Array, kinds: Index, share: float) -> Rows:
@@ -200,10 +213,11 @@ def _rows(A: Array, rows: Array, counts: Array, kinds: Index, share: float) -> R
 
 def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
     """Scale rows (N, C, b) to unit noise, the joints' deflection included."""
-    # A link moves otherwise than the encoder before its gear shows where the gear bends or has
-    # play, and jolts faster than the log's rate alias. Either is in all channels an acceleration
-    # that the encoders do not know of; its covariance A A', A = `scaled` (N, C, n) over the
-    # readings' noise, has few directions, and so has its inverse's root.
+    # A link moves otherwise than the encoder before its gear shows where the gear bends
+    # or has play, and jolts faster than the log's rate alias. Either is in all channels
+    # an acceleration that the encoders do not know of; its covariance A A', A =
+    # `scaled` (N, C, n) over the readings' noise, has few directions, and so has its
+    # inverse's root.
     value, vector = np.linalg.eigh(scaled.transpose(0, 2, 1) @ scaled)
     value = np.maximum(value, 1e-12)
     directions = scaled @ (vector / np.sqrt(value)[:, None, :])
@@ -228,13 +242,17 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
         pulls = across @ np.concatenate([G, linear.r[:, :, None]], axis=2)
         right = segment.at_samples.T @ pulls.reshape(-1, len(g) + 1)
         right[:, -1] += segment.rows.T @ (segment.information * linear.off)
-        factor = cholesky_banded(segment.band(across @ linear.J), lower=True, check_finite=False)
+        factor = cholesky_banded(
+            segment.band(across @ linear.J), lower=True, check_finite=False
+        )
         solved = cho_solve_banded((factor, True), right, check_finite=False)
         both = right[:, :-1].T @ solved
         S, g = S - both[:, :-1], g - both[:, -1]
     precision = np.concatenate([drift, segment.offset_sigma]) ** -2.0
     p = G.shape[2] - len(precision)
-    covariance = np.asarray(np.linalg.inv(S[p:, p:] + np.diag(precision)), dtype=np.float64)
+    covariance = np.asarray(
+        np.linalg.inv(S[p:, p:] + np.diag(precision)), dtype=np.float64
+    )
     pull, follow = g[p:] - precision * local.own, covariance @ S[p:, :p]
     own = covariance @ pull, follow, covariance, precision
     of_constants = g[:p] - follow.T @ pull, S[:p, :p] - S[:p, p:] @ follow

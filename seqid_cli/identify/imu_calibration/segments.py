@@ -1,10 +1,11 @@
 """What the IMU calibration takes from a log: readings, and encoders with all their uncertainty.
 
-Readings are cleaned of spikes and saturation. They and the encoders pass the same zero-phase
-low-pass and are kept on nodes a few to a period of its cut-off. A moving joint's position at the
-nodes is an unknown of the fit, which the encoder measures: a fine one by its low-passed codes, a
-coarse one by the edges that it crosses, and a code that lasts counts once however many samples
-repeat it. A locked joint keeps the mean of its codes up to an unknown constant within its step.
+Readings are cleaned of spikes and saturation. They and the encoders pass the same
+zero-phase low-pass and are kept on nodes a few to a period of its cut-off. A moving
+joint's position at the nodes is an unknown of the fit, which the encoder measures: a
+fine one by its low-passed codes, a coarse one by the edges that it crosses, and a code
+that lasts counts once however many samples repeat it. A locked joint keeps the mean of
+its codes up to an unknown constant within its step.
 """
 
 from dataclasses import dataclass
@@ -43,7 +44,8 @@ class Readings:
     @property
     def jolts(self) -> float:
         """Variance, of all channels together, of what is rough beyond white noise."""
-        # Jolts faster than the log's rate alias: samples do not add up to the motion between them.
+        # Jolts faster than the log's rate alias: samples do not add up to the motion
+        # between them.
         known = self.rough[np.isfinite(self.rough).all(axis=1)]
         if not len(known):
             return 0.0
@@ -63,7 +65,9 @@ class Readings:
 
     def near(self, t: Array) -> Index:
         """Numbers (N,) of the samples next to times `t` [s]."""
-        return np.clip(np.searchsorted(self.t, t - 0.5 * self.period), 0, len(self.t) - 1)
+        return np.clip(
+            np.searchsorted(self.t, t - 0.5 * self.period), 0, len(self.t) - 1
+        )
 
 
 def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
@@ -80,13 +84,17 @@ def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
     together = (bad.mean(axis=1) > 0.5)[:, None] & np.isfinite(raw)
     own, half = np.full(values.shape, np.nan), DIFFERENCES // 2
     if len(values) > DIFFERENCES:
-        known = np.lib.stride_tricks.sliding_window_view(recording.valid, DIFFERENCES + 1)
+        known = np.lib.stride_tricks.sliding_window_view(
+            recording.valid, DIFFERENCES + 1
+        )
         jolted = rough(np.where(together, raw, values))
         own[half:-half] = np.where(np.all(known, axis=1, keepdims=True), jolted, np.nan)
     return Readings(recording.t, smooth, ~spread, white_noise(values), own, curve)
 
 
-def cleaned(values: Array, valid: Mask, *, min_spike: float = 8.0) -> tuple[Array, Mask]:
+def cleaned(
+    values: Array, valid: Mask, *, min_spike: float = 8.0
+) -> tuple[Array, Mask]:
     """Readings (N, C) with spikes, saturation and missing values bridged, and where they were."""
     # A spike stands out of the median of its neighbours by `min_spike` times the noise.
     finite = np.isfinite(values)
@@ -106,20 +114,22 @@ def cleaned(values: Array, valid: Mask, *, min_spike: float = 8.0) -> tuple[Arra
 REACH = SIDE  # nodes that a derivative takes
 NODES_PER_CUTOFF = 6.0
 
-Measured = tuple[Index, Array, Array, Array]  # first of four nodes, weights, value, information
+# first of four nodes, weights, value, information
+Measured = tuple[Index, Array, Array, Array]
 
 
 @dataclass(frozen=True)
 class Segment:
     """A stretch of one log on nodes `t` (N,) s.
 
-    `motion` (3, n, N) are q, dq, ddq of all joints; those of the m `moving` ones are to be replaced
-    by the unknowns, positions at N + 2 REACH nodes that start at `start`. Row by row `rows` times
-    them, node by node, is the measured `value` (M,), by an encoder or by a loose prior on the jerk,
-    known to `information` (M,); `at` (M,) is the node. `locked` joints are those at rest whose
-    encoder leaves their position open by `offset_sigma` rad. `share` raw samples make a node; the
-    differentiated encoder is trusted below `encoder_hz`. `by_edges`: an encoder is so coarse that
-    the instants at which it crosses its edges are what it tells.
+    `motion` (3, n, N) are q, dq, ddq of all joints; those of the m `moving` ones are to
+    be replaced by the unknowns, positions at N + 2 REACH nodes that start at `start`.
+    Row by row `rows` times them, node by node, is the measured `value` (M,), by an
+    encoder or by a loose prior on the jerk, known to `information` (M,); `at` (M,) is
+    the node. `locked` joints are those at rest whose encoder leaves their position open
+    by `offset_sigma` rad. `share` raw samples make a node; the differentiated encoder
+    is trusted below `encoder_hz`. `by_edges`: an encoder is so coarse that the instants
+    at which it crosses its edges are what it tells.
     """
 
     log: int
@@ -175,12 +185,19 @@ class Segment:
 
 def thinned(segments: list[Segment], *, max_nodes: int = 60_000) -> list[Segment]:
     """Segments that a fit can hold at once, evenly chosen where there are too many."""
-    return segments[:: int(np.ceil(sum(segment.samples for segment in segments) / max_nodes))]
+    return segments[
+        :: int(np.ceil(sum(segment.samples for segment in segments) / max_nodes))
+    ]
 
 
-def calibration_cutoff(motion: Motion, chosen_hz: float | None, highest_hz: float) -> float:
+def calibration_cutoff(
+    motion: Motion, chosen_hz: float | None, highest_hz: float
+) -> float:
     """Cut-off [Hz] for readings and encoders: far above the motion, far below the rate."""
-    return min(highest_hz if chosen_hz is None else chosen_hz, motion.rate_hz / NODES_PER_CUTOFF)
+    return min(
+        highest_hz if chosen_hz is None else chosen_hz,
+        motion.rate_hz / NODES_PER_CUTOFF,
+    )
 
 
 def segments_of(
@@ -198,15 +215,24 @@ def segments_of(
     lowpass = Lowpass(cutoff_hz, recording.rate_hz)
     steps = encoder_resolution(robot)
     steps = np.where(steps > 0, steps, encoder_step(recording.q))
-    views = [encoder_view(recording.q[:, j], float(steps[j])) for j in range(imu.after_joint + 1)]
-    source = _Log(log, recording, motion, lowpass, views, readings_of(recording, imu, lowpass))
+    views = [
+        encoder_view(recording.q[:, j], float(steps[j]))
+        for j in range(imu.after_joint + 1)
+    ]
+    source = _Log(
+        log, recording, motion, lowpass, views, readings_of(recording, imu, lowpass)
+    )
     # Ends that feel the filter's own ends are not used.
     usable = differentiation.shrink(recording.valid, lowpass.settling // 2)
     found = []
     for start, stop in differentiation.runs(usable, len(usable)):
         count = max(1, int(np.ceil((stop - start) / (longest_s * recording.rate_hz))))
         for a, b in pairwise(np.linspace(start, stop, count + 1).astype(int).tolist()):
-            piece = source.segment(slice(a, b)) if b - a > shortest_s * recording.rate_hz else None
+            piece = (
+                source.segment(slice(a, b))
+                if b - a > shortest_s * recording.rate_hz
+                else None
+            )
             found += [piece] if piece is not None else []
     return found
 
@@ -230,12 +256,17 @@ class _Log:
     @cached_property
     def speed(self) -> Array:
         """Their rate of change (N, n)."""
-        return differentiate(self.smooth, self.recording.rate_hz, self.recording.valid)[0]
+        return differentiate(self.smooth, self.recording.rate_hz, self.recording.valid)[
+            0
+        ]
 
-    def segment(self, own: slice, *, min_offset: float = 1e-4, slack: float = 3) -> Segment | None:
+    def segment(
+        self, own: slice, *, min_offset: float = 1e-4, slack: float = 3
+    ) -> Segment | None:
         """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown."""
-        # Moving joints are given jerks of `slack` times the largest RMS, all alike: joints push
-        # each other, and one that hunts within a few counts jerks whatever its encoder shows of it.
+        # Moving joints are given jerks of `slack` times the largest RMS, all alike:
+        # joints push each other, and one that hunts within a few counts jerks whatever
+        # its encoder shows of it.
         rate, views = self.recording.rate_hz, self.views
         every = max(1, int(rate / (NODES_PER_CUTOFF * self.lowpass.cutoff_hz)))
         nodes = np.arange(own.start + REACH * every, own.stop - REACH * every, every)
@@ -243,23 +274,41 @@ class _Log:
             return None
         wide = np.arange(nodes[0] - REACH * every, nodes[-1] + REACH * every + 1, every)
         moves: Mask = np.any(self.motion.moving[own], axis=0)
-        # A joint that leaves a code of an encoder too coarse to show how counts as moving.
-        hunts = [_still_hz(v, rate) == 0.0 and bool(np.ptp(v.q[own]) > 0.0) for v in views]
+        # A joint that leaves a code of an encoder too coarse to show how counts as
+        # moving.
+        hunts = [
+            _still_hz(v, rate) == 0.0 and bool(np.ptp(v.q[own]) > 0.0) for v in views
+        ]
         moving = [j for j in range(len(views)) if moves[j] or hunts[j]]
         resting = [j for j in range(len(views)) if j not in moving]
         motion = np.zeros((3, self.smooth.shape[1], len(nodes)))
         motion[0] = self.smooth[nodes].T
         for j in resting:
             motion[:, j] = self._at_rest(j)[:, nodes]
-        off = {j: float(np.sqrt(views[j].step ** 2 / 12 + views[j].white)) for j in resting}
+        off = {
+            j: float(np.sqrt(views[j].step ** 2 / 12 + views[j].white)) for j in resting
+        }
         locked = tuple(j for j in resting if off[j] > min_offset)
-        jerks = np.sqrt(np.mean((np.diff(self.motion.ddq[own], axis=0) * rate) ** 2, axis=0))
+        jerks = np.sqrt(
+            np.mean((np.diff(self.motion.ddq[own], axis=0) * rate) ** 2, axis=0)
+        )
         jerk, third = max(slack * float(np.max(jerks)), 1.0), JERK * (rate / every) ** 3
         at = np.arange(len(wide) - 3)
-        smooth = at, np.tile(third, (len(at), 1)), np.zeros(len(at)), np.full(len(at), jerk**-2)
+        smooth = (
+            at,
+            np.tile(third, (len(at), 1)),
+            np.zeros(len(at)),
+            np.full(len(at), jerk**-2),
+        )
         pairs = ((self._measured(j, wide, own), smooth) for j in moving)
         parts: list[Measured] = [part for pair in pairs for part in pair]
-        about = self.number, self.recording.t[nodes], every / rate, motion, tuple(moving)
+        about = (
+            self.number,
+            self.recording.t[nodes],
+            every / rate,
+            motion,
+            tuple(moving),
+        )
         measured = _stacked(parts, len(wide), len(moving))
         held = locked, np.array([off[j] for j in locked]), self.readings
         hz = self.lowpass.cutoff_hz, self.motion.cutoff.hz
@@ -280,7 +329,11 @@ class _Log:
 
     def _at_rest(self, j: int) -> Array:
         """What a locked joint does (3, N): no more than its encoder shows of it without noise."""
-        rate, q, valid = self.recording.rate_hz, self.recording.q[:, j], self.recording.valid
+        rate, q, valid = (
+            self.recording.rate_hz,
+            self.recording.q[:, j],
+            self.recording.valid,
+        )
         hz = min(_still_hz(self.views[j], rate), rate / NODES_PER_CUTOFF)
         lowpass = Lowpass(hz or 1.0, rate)
         if not hz or len(q) <= 4 * lowpass.settling:
@@ -288,13 +341,16 @@ class _Log:
         smooth = lowpass(q, valid)
         return np.stack([smooth, *differentiate(smooth, rate, valid)])
 
-    def _measured(self, j: int, wide: Index, own: slice, *, repeated: float = 2.0) -> Measured:
+    def _measured(
+        self, j: int, wide: Index, own: slice, *, repeated: float = 2.0
+    ) -> Measured:
         """Rows of a moving joint: a coarse encoder by its edges, a fine one by low-passed codes."""
         # Swings that repeat themselves repeat their quantisation errors, so many times.
         rate, view = self.recording.rate_hz, self.views[j]
         every, count = int(wide[1] - wide[0]), len(wide)
         if not self._by_edges(j, own):
-            # One row per node, as good as all the samples it stands for, if their codes differ.
+            # One row per node, as good as all the samples it stands for, if their codes
+            # differ.
             variance = max(view.step**2 / 12 + view.white, 1e-16)
             slow = np.abs(self.speed[wide, j]) / rate * every < view.step
             alike = np.where(slow, np.maximum(view.dwell[wide], 1.0), 1.0)
@@ -305,7 +361,9 @@ class _Log:
         index = np.arange(len(view.q), dtype=np.float64)
         places = np.concatenate([index, index + 0.5])
         information = np.concatenate([samples, edges]) / repeated
-        information = information / (1.0 + information * (0.1 * self._rounding(j, own)) ** 2)
+        information = information / (
+            1.0 + information * (0.1 * self._rounding(j, own)) ** 2
+        )
         value = np.concatenate([view.q, np.nan_to_num(view.edge)])
         kept = (information > 0) & (places >= wide[0]) & (places <= wide[-1])
         u = (places[kept] - wide[0]) / every
@@ -314,11 +372,15 @@ class _Log:
         return at, cubic, value[kept], information[kept]
 
 
-def _stacked(parts: list[Measured], nodes: int, m: int) -> tuple[csr_array, Array, Array, Index]:
+def _stacked(
+    parts: list[Measured], nodes: int, m: int
+) -> tuple[csr_array, Array, Array, Index]:
     """Rows, values, information and nodes of measurements, two parts for each moving joint."""
     joint = np.repeat(np.arange(len(parts)) // 2, [len(part[0]) for part in parts])
     none = np.zeros(0, dtype=np.intp), np.zeros((0, 4)), np.zeros(0), np.zeros(0)
-    at, weights, value, information = (np.concatenate(x) for x in zip(none, *parts, strict=True))
+    at, weights, value, information = (
+        np.concatenate(x) for x in zip(none, *parts, strict=True)
+    )
     columns = (at[:, None] + np.arange(4)) * m + joint[:, None]
     place = np.repeat(np.arange(len(at)), 4), columns.ravel()
     rows = csr_array(coo_array((weights.ravel(), place), shape=(len(at), nodes * m)))

@@ -1,8 +1,9 @@
 """The constants of an IMU that the calibration finds, their priors, and what the readings owe them.
 
-Each channel has a gain, a bias and a unit axis, which is turned a little from the nominal one; the
-array has a mounting R, a lever and a clock (see `motion.imu.sensor`). A gyro may be later than the
-accelerometers: the filters of the two inside one chip delay them differently.
+Each channel has a gain, a bias and a unit axis, which is turned a little from the
+nominal one; the array has a mounting R, a lever and a clock (see `motion.imu.sensor`).
+A gyro may be later than the accelerometers: the filters of the two inside one chip
+delay them differently.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,9 @@ class Widths:
     drift: Array
 
 
-def first_widths(c: int, *, gain: float = 0.02, tilt: float = 0.01, drift: float = 0.02) -> Widths:
+def first_widths(
+    c: int, *, gain: float = 0.02, tilt: float = 0.01, drift: float = 0.02
+) -> Widths:
     """Widths to begin with, of `c` channels."""
     return Widths(*(np.full(c, width) for width in (gain, tilt, drift)))
 
@@ -47,21 +50,28 @@ def prior_of(
 
 
 def next_width(
-    values: Array, left_open: Array, width: Array, *, least: float = 1e-4, most_change: float = 5.0
+    values: Array,
+    left_open: Array,
+    width: Array,
+    *,
+    least: float = 1e-4,
+    most_change: float = 5.0,
 ) -> float:
     """Next standard deviation of a prior that `values` come from (MacKay's fixed point)."""
     known = np.maximum(1.0 - left_open / width**2, 0.0)
     found = float(np.sqrt(np.sum(values**2) / max(float(np.sum(known)), 1.0)))
     largest = float(np.max(width))
-    return float(np.clip(found, max(least, largest / most_change), largest * most_change))
+    return float(
+        np.clip(found, max(least, largest / most_change), largest * most_change)
+    )
 
 
 @dataclass(frozen=True)
 class Constants:
     """What the calibration finds of C channels, the gyro's last.
 
-    `tilt` (C, 2) rad is that of each axis; `gyro_delay` s is by how much the gyro is later than the
-    accelerometers.
+    `tilt` (C, 2) rad is that of each axis; `gyro_delay` s is by how much the gyro is
+    later than the accelerometers.
     """
 
     R: Array
@@ -131,15 +141,18 @@ def tilted(axes: Array, tilt: Array) -> Array:
 
 def mounted(imu: Imu, constants: Constants) -> Mounting:
     """An IMU at these constants; its biases come on top."""
-    axes = np.exp(constants.log_gain)[:, None] * tilted(nominal_axes(imu), constants.tilt)
+    axes = np.exp(constants.log_gain)[:, None] * tilted(
+        nominal_axes(imu), constants.tilt
+    )
     positions = imu.positions.reshape(-1, 3)
     return Mounting(imu.after_joint, positions, axes, constants.R, constants.lever)
 
 
 def design(imu: Imu, constants: Constants, x: Array, dy: Array) -> Array:
     """Derivatives (N, C, 8 + 4 C) of readings in the constants; `dy` (N, C) their rate [1/s]."""
-    # A delayed stamp is a later reading: the measured value at t + delay is compared with the
-    # prediction at t, so the derivative in the delay is that of the reading, with its sign turned.
+    # A delayed stamp is a later reading: the measured value at t + delay is compared
+    # with the prediction at t, so the derivative in the delay is that of the reading,
+    # with its sign turned.
     place, c = mounted(imu, constants), dy.shape[1]
     seen, pull, turn = place.by_place(x)
     across = _tangents(nominal_axes(imu)) @ constants.R.T
@@ -150,7 +163,9 @@ def design(imu: Imu, constants: Constants, x: Array, dy: Array) -> Array:
     own = np.arange(c)
     G[:, own, 7 + own] = 1.0
     G[:, own, 7 + c + own] = np.sum(seen * (place.axes @ place.R.T), axis=2)
-    sideways = np.exp(constants.log_gain)[:, None] * np.einsum("nci,cai->nca", seen, across)
+    sideways = np.exp(constants.log_gain)[:, None] * np.einsum(
+        "nci,cai->nca", seen, across
+    )
     for a in range(2):
         G[:, own, 7 + 2 * c + 2 * own + a] = sideways[:, :, a]
     return G

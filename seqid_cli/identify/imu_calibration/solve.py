@@ -1,11 +1,12 @@
 """Joint nonlinear least squares for an IMU's constants over all segments.
 
-Gauss-Newton with Tukey's weights. Gains, tilts and the changes of a bias from log to log have
-normal priors whose widths come from the data (empirical Bayes: the mean square of the estimates
-plus what the data leave open), so good sensors lend their strength to the mounting and bad ones do
-not. Where a joint before the IMU deflects, the accelerations by which it does have the size of the
-largest likelihood (`deflection`). Standard errors are the larger of the model's own and those
-of the scores' long-run variance, summed over blocks of time that may be dependent within.
+Gauss-Newton with Tukey's weights. Gains, tilts and the changes of a bias from log to
+log have normal priors whose widths come from the data (empirical Bayes: the mean square
+of the estimates plus what the data leave open), so good sensors lend their strength to
+the mounting and bad ones do not. Where a joint before the IMU deflects, the
+accelerations by which it does have the size of the largest likelihood (`deflection`).
+Standard errors are the larger of the model's own and those of the scores' long-run
+variance, summed over blocks of time that may be dependent within.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,11 @@ import numpy as np
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.imu_calibration import normal_equations, sensor_model
-from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT, deflections, renewed
+from seqid_cli.identify.imu_calibration.deflection import (
+    SIGNIFICANT,
+    deflections,
+    renewed,
+)
 from seqid_cli.identify.imu_calibration.normal_equations import Local, Reduced, Sizes
 from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.sensor_model import Constants, Widths
@@ -51,16 +56,22 @@ class _State:
     widths: Widths
 
     @classmethod
-    def first(cls, segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> "_State":
+    def first(
+        cls, segments: list[Segment], robot: Robot, imu: Imu, start: Constants
+    ) -> "_State":
         count = len(start.bias)
         locals_ = [Local(s.start, np.zeros(count + len(s.locked))) for s in segments]
-        return cls(segments, robot, imu, start, locals_, sensor_model.first_widths(count))
+        return cls(
+            segments, robot, imu, start, locals_, sensor_model.first_widths(count)
+        )
 
     @property
     def prior(self) -> Array:
         """Information (p, p) of the priors on the constants."""
         prior = sensor_model.prior_of(self.widths)
-        return np.diag(prior**-2.0) + sensor_model.gauge_information(self.imu, len(prior))
+        return np.diag(prior**-2.0) + sensor_model.gauge_information(
+            self.imu, len(prior)
+        )
 
     def noise_scale(self) -> Array:
         """Robust standard deviation (C,) of the low-passed residuals."""
@@ -77,7 +88,9 @@ class _State:
     ) -> list[Reduced]:
         """The linear equations of each segment in the constants alone."""
         found = []
-        for k, (segment, local) in enumerate(zip(self.segments, self.locals_, strict=True)):
+        for k, (segment, local) in enumerate(
+            zip(self.segments, self.locals_, strict=True)
+        ):
             at = segment, self.robot, self.imu, self.constants, local
             own = weights[k] if weights else None
             linear = normal_equations.linearise(*at, sigma, sizes, own)
@@ -90,18 +103,30 @@ class _State:
         gradient = sum((r.gradient for r in reductions), first)
         information = sum((r.information for r in reductions), self.prior)
         information = 0.5 * (information + information.T)
-        return np.asarray(np.linalg.solve(information, gradient), dtype=np.float64), information
+        return (
+            np.asarray(np.linalg.solve(information, gradient), dtype=np.float64),
+            information,
+        )
 
     def moved(
-        self, step: Array, share: float, found: list[Reduced], *, max_factor: float = 10.0
+        self,
+        step: Array,
+        share: float,
+        found: list[Reduced],
+        *,
+        max_factor: float = 10.0,
     ) -> "_State":
         """The state after a step of constants; QualityError if a gain is off by `max_factor`."""
         constants = self.constants.moved(step)
         if not np.abs(constants.log_gain).max() < np.log(max_factor):  # NaN neither
             raise QualityError(
-                "its readings are not those of a sensor on that link: no gain explains them",
-                hint="Check gravity in the robot file, units and axes of the IMU, after_joint and "
-                "the order of the joints (seqid inspect LOG... -r ROBOT).",
+                "its readings are not those of a sensor on that link: no gain explains"
+                " them",
+                hint=(
+                    "Check gravity in the robot file, units and axes of the IMU,"
+                    " after_joint and the order of the joints (seqid inspect LOG... -r"
+                    " ROBOT)."
+                ),
                 where=self.imu.name,
             )
         pairs = zip(found, self.locals_, strict=True)
@@ -109,10 +134,14 @@ class _State:
         return replace(self, constants=constants, locals_=locals_)
 
 
-def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> Fit:
+def fit_constants(
+    segments: list[Segment], robot: Robot, imu: Imu, start: Constants
+) -> Fit:
     """Refine the constants from a start nearby; once more where a joint deflects, as noise."""
     found, sizes = _fitted(_State.first(segments, robot, imu, start), None)
-    if not any(deflection.significance > SIGNIFICANT for deflection in found.deflections):
+    if not any(
+        deflection.significance > SIGNIFICANT for deflection in found.deflections
+    ):
         return found
     return _fitted(_State.first(segments, robot, imu, found.constants), sizes)[0]
 
@@ -129,20 +158,23 @@ def _fitted(
     max_turn: float = 0.3,
 ) -> tuple[Fit, Sizes]:
     """Fit with the noise of raw readings, or from sizes on that are renewed in every round."""
-    # The first `plain` of the `rounds` have no robust weights, those behind `freeze` the same. The
-    # fit ends with a step of `settled` standard errors; none turns by more than `max_turn` rad.
-    # Deflections are looked for from `first_size` rad/s^2 of a node.
+    # The first `plain` of the `rounds` have no robust weights, those behind `freeze`
+    # the same. The fit ends with a step of `settled` standard errors; none turns by
+    # more than `max_turn` rad. Deflections are looked for from `first_size` rad/s^2 of
+    # a node.
     change, fixed = np.inf, None
     for number in range(rounds):
         sigma = state.noise_scale()
         robust = sigma if number >= plain else np.full(len(sigma), np.inf)
         reductions = state.reductions(robust, sizes, fixed)
-        if number == freeze:  # weights that jump to and fro would keep the fit from settling
+        # weights that jump to and fro would keep the fit from settling
+        if number == freeze:
             fixed = [r.linear.weights for r in reductions]
         step, information = state.solved(reductions)
         covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         change = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
-        share = 1.0 if sizes is None or number < freeze else 0.5  # whole ones may jump to and fro
+        # whole ones may jump to and fro
+        share = 1.0 if sizes is None or number < freeze else 0.5
         limit = min(1.0, max_turn / max(float(np.linalg.norm(step[:3])), 1e-12))
         state = state.moved(share * limit * step, share, reductions)
         state = replace(state, widths=_renewed(state, covariance, reductions))
@@ -152,7 +184,9 @@ def _fitted(
             break
     reductions = state.reductions(state.noise_scale(), sizes, None)
     linear = [r.linear for r in reductions]
-    first = Sizes(np.ones(1 + state.imu.gyro), np.full(state.imu.after_joint + 1, first_size))
+    first = Sizes(
+        np.ones(1 + state.imu.gyro), np.full(state.imu.after_joint + 1, first_size)
+    )
     sizes = renewed(linear, sizes or first)
     found = deflections(linear, sizes, state.robot.joint_names)
     return _finished(reductions, state, found, converged=change < settled), sizes
@@ -169,7 +203,11 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
         if size >= sensor_model.FEW:
             gains = constants.log_gain[own], gain_open[own], widths.gain[own]
             widths.gain[own] = sensor_model.next_width(*gains)
-            tilts = constants.tilt[own], tilt_open.reshape(c, 2)[own], widths.tilt[own][:, None]
+            tilts = (
+                constants.tilt[own],
+                tilt_open.reshape(c, 2)[own],
+                widths.tilt[own][:, None],
+            )
             widths.tilt[own] = sensor_model.next_width(*tilts)
         if size and len(drift) > 1:
             drifts = drift[:, own], drift_open[:, own], widths.drift[own]
@@ -178,16 +216,24 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
 
 
 def _finished(
-    reductions: list[Reduced], state: _State, found: list[JointDeflection], *, converged: bool
+    reductions: list[Reduced],
+    state: _State,
+    found: list[JointDeflection],
+    *,
+    converged: bool,
 ) -> Fit:
     _, information = state.solved(reductions)
     own = sum((r.follow.T * r.precision) @ r.follow for r in reductions)
-    # The model's covariance, each standard error at least that of the scores' own variance: over
-    # blocks of time, and over whole logs, since what bends does so alike throughout a move.
+    # The model's covariance, each standard error at least that of the scores' own
+    # variance: over blocks of time, and over whole logs, since what bends does so alike
+    # throughout a move.
     model = np.asarray(np.linalg.inv(information))
     blocks = [_scores(r) for r in reductions]
     largest = np.diag(model)
-    for scores, parameters in ((np.concatenate(blocks), 5.0), (_by_log(reductions, blocks), 1.0)):
+    for scores, parameters in (
+        (np.concatenate(blocks), 5.0),
+        (_by_log(reductions, blocks), 1.0),
+    ):
         count = len(scores)
         share = count / max(count - parameters, 0.5 * count)
         seen = model @ (share * scores.T @ scores + (state.prior + own)) @ model
@@ -211,7 +257,10 @@ def _by_log(reductions: list[Reduced], blocks: list[Array]) -> Array:
     sums = [scores.sum(axis=0) for scores in blocks]
     return np.array(
         [
-            np.sum([total for log, total in zip(logs, sums, strict=True) if log == one], axis=0)
+            np.sum(
+                [total for log, total in zip(logs, sums, strict=True) if log == one],
+                axis=0,
+            )
             for one in sorted(set(logs))
         ]
     )
@@ -225,14 +274,17 @@ def _scores(of: Reduced, *, block_s: float = 0.25, block_periods: float = 4.0) -
     out = np.zeros((block[-1] + 1, of.follow.shape[1]))
     np.add.at(out, block, np.einsum("nc,ncp->np", linear.r, of.readings()))
     rows = of.through(-(segment.rows @ of.back))
-    np.add.at(out, block[segment.at], (segment.information * linear.off)[:, None] * rows)
+    np.add.at(
+        out, block[segment.at], (segment.information * linear.off)[:, None] * rows
+    )
     return out
 
 
 def _left_out(reductions: list[Reduced], information: Array) -> float | None:
     """RMS of what each log reads beyond the prediction by all the others, over the fit's own."""
-    # Both are whitened residuals after each log's own trajectory; one means that the constants
-    # carry over to a log that they have not seen. What only one log shows does not count.
+    # Both are whitened residuals after each log's own trajectory; one means that the
+    # constants carry over to a log that they have not seen. What only one log shows
+    # does not count.
     logs = sorted({r.linear.segment.log for r in reductions})
     if len(logs) < 2:
         return None
@@ -243,14 +295,17 @@ def _left_out(reductions: list[Reduced], information: Array) -> float | None:
         g = sum((r.g[:p] - r.follow.T @ r.g[p:] for r in members), np.zeros(p))
         step = -without(information, S, g)
         for r in members:
-            # What the trajectory still moves at rest constants is nothing at the minimum.
+            # What the trajectory still moves at rest constants is nothing at the
+            # minimum.
             settled = r.linear.r - r.followed(r.free[:, None])[..., 0]
             total += float(np.sum((settled - r.readings() @ step) ** 2))
             before += float(np.sum(settled**2))
     return float(np.sqrt(total / max(before, 1e-12)))
 
 
-def without(information: Array, own: Array, gradient: Array, *, min_others: float = 0.1) -> Array:
+def without(
+    information: Array, own: Array, gradient: Array, *, min_others: float = 0.1
+) -> Array:
     """Step (p,) from one log's gradient by the others' information."""
     # Directions of which the others have less than the share `min_others` stay.
     factor = np.linalg.cholesky(information)

@@ -36,8 +36,9 @@ def prediction_file(
 ) -> PredictionFile:
     """Add up the errors of predictions, and write their torques where these are wanted.
 
-    `logs` is read while the predictions, parts of a long log one by one, are taken. `torques` go to
-    MCAP if it ends so, else Parquet. `unexplained`: whether smooth terms of no known cause count.
+    `logs` is read while the predictions, parts of a long log one by one, are taken.
+    `torques` go to MCAP if it ends so, else Parquet. `unexplained`: whether smooth
+    terms of no known cause count.
     """
     robot, stages = inputs.robot, inputs.stages
     names = robot.joint_names
@@ -134,9 +135,10 @@ class Sums:
 class ErrorSums:
     """Errors of predicted torques, added up part by part of the logs.
 
-    `every` sample that counts is one that slides or one that rests. At rest friction takes any
-    value up to its limit, and the error is the distance to that interval. Those that slide are
-    `inside` the positions and speeds at which friction was identified, or `outside`.
+    `every` sample that counts is one that slides or one that rests. At rest friction
+    takes any value up to its limit, and the error is the distance to that interval.
+    Those that slide are `inside` the positions and speeds at which friction was
+    identified, or `outside`.
     """
 
     every: Sums

@@ -34,19 +34,21 @@ OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a 
 class LogPrediction:
     """Measured and predicted torque (N, n) N m of one log, both low-passed alike.
 
-    `predicted` is the model's own value, whatever was measured. `used` (N,) marks the samples that
-    count, away from ends and gaps; `sliding` (N, n) those of them at which a joint certainly
-    slides. Elsewhere friction is known only as an interval, and the model allows torques between
-    `low` and `high` (N, n) N m; where the joint slides these are `predicted`. `q`, `dq`, `ddq`
-    (N, n) are the joint motion behind the prediction, `start` [s] is the first sample of the log
-    on its own clock. `outside` (N, n) marks sliding samples beyond the identified friction.
-    `std` (N, n) N m is the standard deviation of the prediction with the noise: of `predicted`
-    where a joint slides, at rest of both bounds; NaN where nothing says it. `parameter_std` (N, n)
-    N m is the part of it that errors of parameters and effects make. `fast` and `loaded` (N, n)
-    tell samples apart as the calibration of the bands does; None without one.
+    `predicted` is the model's own value, whatever was measured. `used` (N,) marks the
+    samples that count, away from ends and gaps; `sliding` (N, n) those of them at which
+    a joint certainly slides. Elsewhere friction is known only as an interval, and the
+    model allows torques between `low` and `high` (N, n) N m; where the joint slides
+    these are `predicted`. `q`, `dq`, `ddq` (N, n) are the joint motion behind the
+    prediction, `start` [s] is the first sample of the log on its own clock. `outside`
+    (N, n) marks sliding samples beyond the identified friction. `std` (N, n) N m is the
+    standard deviation of the prediction with the noise: of `predicted` where a joint
+    slides, at rest of both bounds; NaN where nothing says it. `parameter_std` (N, n) N
+    m is the part of it that errors of parameters and effects make. `fast` and `loaded`
+    (N, n) tell samples apart as the calibration of the bands does; None without one.
 
-    A long log comes in several parts, one behind the other: `samples` are those of the whole log,
-    `part` counts its parts from 0, and only the `last` one has `notes` and `motion`.
+    A long log comes in several parts, one behind the other: `samples` are those of the
+    whole log, `part` counts its parts from 0, and only the `last` one has `notes` and
+    `motion`.
     """
 
     path: Path
@@ -102,12 +104,13 @@ def predict(
 ) -> Iterator[LogPrediction]:
     """Predict the torque of any logs, with the effects that the parameter file names.
 
-    What has not been identified is taken as zero and noted. `unexplained`: whether smooth terms of
-    no known cause count as well. `sliding_only`: whether only samples count at which a joint
-    slides: no interval is worked out at rest, no friction of a joint that stays there, and no note
-    on the encoders. Yields one per log; of a long one that is passed over, its parts one after the
-    other. Raises InputError if a log carries neither torque nor current, ConfigError if an effect
-    is not known to this version, or is not what it should be.
+    What has not been identified is taken as zero and noted. `unexplained`: whether
+    smooth terms of no known cause count as well. `sliding_only`: whether only samples
+    count at which a joint slides: no interval is worked out at rest, no friction of a
+    joint that stays there, and no note on the encoders. Yields one per log; of a long
+    one that is passed over, its parts one after the other. Raises InputError if a log
+    carries neither torque nor current, ConfigError if an effect is not known to this
+    version, or is not what it should be.
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
@@ -120,7 +123,8 @@ def predict(
 
 def local_effects(model: TorqueModel, effects: Sequence[Fitted]) -> bool:
     """Whether effects can be predicted part by part, as they come out of the whole log."""
-    # The speed over which the direction of motion changes must be known beforehand as well.
+    # The speed over which the direction of motion changes must be known beforehand as
+    # well.
     known = all(surface is not None for surface in model.surfaces)
     return not effects or (known and all(effect.local for effect in effects))
 
@@ -146,8 +150,13 @@ class Predictor:
         imu, source = self.stages.imu, self.options.source
         motion = equations.torque_motion(log, robot, every, imu=imu, source=source)
         part = self.part(motion, log, slice(None))
-        noise = () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
-        return [replace(x, notes=(*x.notes, *noise)) for x in self.described([(part, motion)])]
+        noise = (
+            () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
+        )
+        return [
+            replace(x, notes=(*x.notes, *noise))
+            for x in self.described([(part, motion)])
+        ]
 
     def part(self, motion: Motion, log: Recording, inner: slice) -> LogPrediction:
         """Predict the inner samples of a motion."""
@@ -164,7 +173,10 @@ class Predictor:
         if self.bands is not None:
             deviation = self.bands.of(motion, by_effects)
         if self.sliding_only:
-            known = [own if slides[:, j].any() else None for j, own in enumerate(model.surfaces)]
+            known = [
+                own if slides[:, j].any() else None
+                for j, own in enumerate(model.surfaces)
+            ]
             model = replace(model, surfaces=known)
             value = model.predict(motion) + (0.0 if added is None else added.value)
             allowed = Predicted(value, value, value)
@@ -195,14 +207,24 @@ class Predictor:
             loaded=None if deviation.loaded is None else deviation.loaded[inner],
         )
 
-    def described(self, parts: Iterable[tuple[LogPrediction, Motion]]) -> Iterator[LogPrediction]:
+    def described(
+        self, parts: Iterable[tuple[LogPrediction, Motion]]
+    ) -> Iterator[LogPrediction]:
         """The parts of a log, the last with its notes and where its motion is from."""
         surfaces, robot = self.model.surfaces, self.model.robot
-        slowest = np.array([0.0 if own is None else own.scaling.speed[0] for own in surfaces])
-        counts, moving, used = np.zeros((3, robot.n)), np.zeros(robot.n, dtype=bool), False
+        slowest = np.array(
+            [0.0 if own is None else own.scaling.speed[0] for own in surfaces]
+        )
+        counts, moving, used = (
+            np.zeros((3, robot.n)),
+            np.zeros(robot.n, dtype=bool),
+            False,
+        )
         for part, motion in parts:
             slower = part.outside & (np.abs(part.dq) < slowest)
-            counts += [mask.sum(axis=0) for mask in (part.sliding, part.outside, slower)]
+            counts += [
+                mask.sum(axis=0) for mask in (part.sliding, part.outside, slower)
+            ]
             moving |= motion.moving.any(axis=0)
             used |= bool(part.used.any())
             if not part.last:
@@ -211,8 +233,14 @@ class Predictor:
             if not used:
                 raise too_short(part.path, part.cutoff_hz)
             shares = counts[1:] / np.maximum(counts[0], 1.0)
-            use = equations.motion_use(part.path, robot, replace(motion, moving=moving[None]))
-            yield replace(part, notes=tuple(notes_on(self.model, self.stages, *shares)), motion=use)
+            use = equations.motion_use(
+                part.path, robot, replace(motion, moving=moving[None])
+            )
+            yield replace(
+                part,
+                notes=tuple(notes_on(self.model, self.stages, *shares)),
+                motion=use,
+            )
 
 
 @dataclass(frozen=True)
@@ -234,7 +262,8 @@ class LongPrediction:
 
     def _parts(self) -> Iterator[tuple[LogPrediction, Motion]]:
         lowpass, log = self.plan.lowpass, self.log
-        # Beside a part, so that the filters forget what lies beyond: parts give what the log does.
+        # Beside a part, so that the filters forget what lies beyond: parts give what
+        # the log does.
         margin = 2 * (lowpass.memory + lowpass.settling)
         with contextlib.ExitStack() as stack:
             if log.spool is None:  # a stored one's copy has gone with its first pass
@@ -267,7 +296,8 @@ def encoder_notes(
     places: int = 50,
 ) -> Iterator[str]:
     """Say where noise of encoders makes `min_share` or more of the squared error."""
-    # Torque that noise of the acceleration makes is taken at so many `places` of the log.
+    # Torque that noise of the acceleration makes is taken at so many `places` of the
+    # log.
     if motion.source != "encoder" or not motion.cutoff.above_own:
         return
     q = motion.q[:: max(1, motion.samples // places)]
@@ -293,7 +323,9 @@ def encoder_notes(
         )
 
 
-def notes_on(model: TorqueModel, stages: Stages, outside: Array, slower: Array) -> Iterator[str]:
+def notes_on(
+    model: TorqueModel, stages: Stages, outside: Array, slower: Array
+) -> Iterator[str]:
     """Say what a prediction lacks; shares (n,) of sliding samples `outside` friction, `slower`."""
     names = model.robot.joint_names
     if stages.inertia is None:
@@ -302,12 +334,13 @@ def notes_on(model: TorqueModel, stages: Stages, outside: Array, slower: Array) 
     if unknown:
         yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
     far = [
-        f"{name} {percent(part, 0)}" + " (slower than its trials)" * bool(2.0 * slow > part)
+        f"{name} {percent(part, 0)}"
+        + " (slower than its trials)" * bool(2.0 * slow > part)
         for name, part, slow in zip(names, outside, slower, strict=True)
         if part > OUTSIDE_NOTE
     ]
     if far:
         yield (
-            "outside the speeds or positions at which friction was identified, so that it is "
-            f"extrapolated: {', '.join(far)} of the samples"
+            "outside the speeds or positions at which friction was identified, so that"
+            f" it is extrapolated: {', '.join(far)} of the samples"
         )

@@ -1,12 +1,12 @@
 """Measured, predicted and residual torque, with the motion behind it, as Parquet or MCAP.
 
-MCAP is for Foxglove, PlotJuggler and rerun: topics of `sensor_msgs/msg/JointState` in CDR, as
-ROS 2 records them. `effort` holds the torque (`low` and `high` the model's bounds: at rest an
-interval, else the predicted value; `std` the standard deviation of the prediction), `position` and
-`velocity` the motion, `header.frame_id` the name of the log. A log without a clock, or one that
-would overlap the log before it, starts a second after that log; the metadata record `seqid.logs`
-says where each log went. Every message of one log has the same layout, so that messages are filled
-in as rows of bytes.
+MCAP is for Foxglove, PlotJuggler and rerun: topics of `sensor_msgs/msg/JointState` in
+CDR, as ROS 2 records them. `effort` holds the torque (`low` and `high` the model's
+bounds: at rest an interval, else the predicted value; `std` the standard deviation of
+the prediction), `position` and `velocity` the motion, `header.frame_id` the name of the
+log. A log without a clock, or one that would overlap the log before it, starts a second
+after that log; the metadata record `seqid.logs` says where each log went. Every message
+of one log has the same layout, so that messages are filled in as rows of bytes.
 """
 
 import contextlib
@@ -26,7 +26,8 @@ from seqid_cli.params.files import replacing, writing
 from seqid_cli.typing import Array
 
 PARAMETERS = "seqid.parameters"  # of the metadata
-# Columns of a joint and what they are of a `LogPrediction`; bounds are null where it slides.
+# Columns of a joint and what they are of a `LogPrediction`; bounds are null where it
+# slides.
 _KINDS = ("predicted", "residual", "sliding", "std", "low", "high")
 _TORQUES = {"torque": "tau", **{kind: kind for kind in _KINDS}}
 _MOTION = {"position": "q", "velocity": "dq"}
@@ -37,22 +38,28 @@ def parquet_writer(
     path: Path, joints: Sequence[str], parameters: Sequence[str] = ()
 ) -> Iterator[Callable[[LogPrediction], None]]:
     """Write torques to `path` in one step; yields what appends a log, or a part of one."""
-    # Columns: `t`, `log`, torques of each joint, `used` (whether the errors count the sample), then
-    # position and velocity of each joint. The SHA-256 of the model's files are metadata.
+    # Columns: `t`, `log`, torques of each joint, `used` (whether the errors count the
+    # sample), then position and velocity of each joint. The SHA-256 of the model's
+    # files are metadata.
     kinds = {"t": pa.float64(), "log": pa.string()}
     kinds |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _TORQUES}
     kinds |= {f"{name}.sliding": pa.bool_() for name in joints}
     kinds |= {"used": pa.bool_()}
     kinds |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _MOTION}
-    schema = pa.schema(kinds.items(), {PARAMETERS: " ".join(parameters)} if parameters else None)
+    schema = pa.schema(
+        kinds.items(), {PARAMETERS: " ".join(parameters)} if parameters else None
+    )
     with replacing(path) as temporary:
         with writing(path):
-            # Torques hardly repeat: a dictionary of them takes most of the time for nothing.
+            # Torques hardly repeat: a dictionary of them takes most of the time for
+            # nothing.
             writer = pq.ParquetWriter(temporary, schema, use_dictionary=["log"])
 
         def write(log: LogPrediction, *, rows: int = 65536) -> None:
             with writing(path):
-                writer.write_table(pa.table(_columns(log), schema=schema), row_group_size=rows)
+                writer.write_table(
+                    pa.table(_columns(log), schema=schema), row_group_size=rows
+                )
 
         yield write
         with writing(path):
@@ -70,8 +77,13 @@ def _columns(log: LogPrediction) -> list[pa.Array]:
                 mask = slides
             columns.append(pa.array(values[:, j], mask=mask))
     columns.append(pa.array(log.used))
-    joints, motion = range(len(log.sliding.T)), [getattr(log, field) for field in _MOTION.values()]
-    return columns + [pa.array(x[:, j], from_pandas=True) for j in joints for x in motion]
+    joints, motion = (
+        range(len(log.sliding.T)),
+        [getattr(log, field) for field in _MOTION.values()],
+    )
+    return columns + [
+        pa.array(x[:, j], from_pandas=True) for j in joints for x in motion
+    ]
 
 
 TOPICS = (
@@ -85,14 +97,17 @@ TOPICS = (
 JOINT_STATE = "sensor_msgs/msg/JointState"
 _RULE = "=" * 80
 _DEFINITION = (
-    "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
-    f"float64[] effort\n{_RULE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
-    f"string frame_id\n{_RULE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[]"
+    f" velocity\nfloat64[] effort\n{_RULE}\nMSG:"
+    f" std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_RULE}\nMSG:"
+    " builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 )
 
 
 @contextlib.contextmanager
-def mcap_writer(path: Path, joints: Sequence[str]) -> Iterator[Callable[[LogPrediction], None]]:
+def mcap_writer(
+    path: Path, joints: Sequence[str]
+) -> Iterator[Callable[[LogPrediction], None]]:
     """Write torques to `path` in one step; yields what appends a log, or a part of one."""
     with replacing(path) as temporary:
         with writing(path):
@@ -101,13 +116,24 @@ def mcap_writer(path: Path, joints: Sequence[str]) -> Iterator[Callable[[LogPred
             with writing(path):
                 writer = Writer(stream, compression=CompressionType.ZSTD)
                 writer.start(profile="ros2", library=f"seqid {__version__}")
-            schema = writer.register_schema(JOINT_STATE, "ros2msg", _DEFINITION.encode())
-            channels = [writer.register_channel(topic, "cdr", schema) for topic in TOPICS]
+            schema = writer.register_schema(
+                JOINT_STATE, "ros2msg", _DEFINITION.encode()
+            )
+            channels = [
+                writer.register_channel(topic, "cdr", schema) for topic in TOPICS
+            ]
             clock = _Clock()
 
             def write(log: LogPrediction) -> None:
                 stamps = clock.stamps(log)
-                torques = (log.tau, log.predicted, log.residual, log.std, log.low, log.high)
+                torques = (
+                    log.tau,
+                    log.predicted,
+                    log.residual,
+                    log.std,
+                    log.low,
+                    log.high,
+                )
                 tables = [_messages(stamps, log, joints, torque) for torque in torques]
                 with writing(path):
                     for stamp, *rows in zip(stamps.tolist(), *tables, strict=True):
@@ -133,7 +159,10 @@ class _Clock:
         """Time stamps (N,) ns of a log's samples."""
         if log.part == 0:
             period = float(log.t[-1] - log.t[0]) / max(len(log.t) - 1, 1)
-            usable = self.end < log.start < latest_s - log.samples * period and log.start >= 0.0
+            usable = (
+                self.end < log.start < latest_s - log.samples * period
+                and log.start >= 0.0
+            )
             self.start = log.start if usable else max(self.end + pause_s, 0.0)
         self.end = self.start + float(log.t[-1])
         if log.last:
@@ -147,17 +176,23 @@ def _messages(
 ) -> NDArray[np.uint8]:
     """Messages (N, bytes), all of one layout, of one topic, for its torque (N, n)."""
     # Encapsulation header, stamp (to be filled in), frame and joint names in CDR.
-    message, places = bytearray(b"\x00\x01\x00\x00" + bytes(8) + _string(str(log.path))), []
+    message, places = (
+        bytearray(b"\x00\x01\x00\x00" + bytes(8) + _string(str(log.path))),
+        [],
+    )
     message += bytes(-len(message) % 4) + struct.pack("<I", len(joints))
     for name in joints:
         message += bytes(-len(message) % 4) + _string(name)
     for values in (log.q, log.dq, torque):
         message += bytes(-len(message) % 4) + struct.pack("<I", len(joints))
-        message += bytes(-(len(message) - 4) % 8)  # from behind the encapsulation header
+        # from behind the encapsulation header
+        message += bytes(-(len(message) - 4) % 8)
         places.append((len(message), np.ascontiguousarray(values, dtype="<f8")))
         message += bytes(8 * len(joints))
     rows = np.tile(np.frombuffer(message, dtype=np.uint8), (len(stamps), 1))
-    seconds, nanoseconds = (part[:, None].astype("<u4") for part in np.divmod(stamps, 10**9))
+    seconds, nanoseconds = (
+        part[:, None].astype("<u4") for part in np.divmod(stamps, 10**9)
+    )
     for at, values in ((4, seconds), (8, nanoseconds), *places):
         rows[:, at : at + values.itemsize * values.shape[1]] = values.view(np.uint8)
     return rows

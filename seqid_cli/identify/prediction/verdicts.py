@@ -1,7 +1,8 @@
 """Whether a prediction can be relied on, joint by joint.
 
-`poor`: the model lacks something of the joint, or errs too much. `usable`: the torque is predicted,
-but more than noise is left of it, or errors are larger than the file states. `good`: neither.
+`poor`: the model lacks something of the joint, or errs too much. `usable`: the torque
+is predicted, but more than noise is left of it, or errors are larger than the file
+states. `good`: neither.
 """
 
 import math
@@ -20,7 +21,8 @@ from seqid_cli.shares import percent
 def noise_floors(stages: Stages, cutoffs_hz: Sequence[float]) -> dict[str, float]:
     """Return what noise leaves at most of each joint's torque [N m], by the inertia stage.
 
-    White noise grows with the cut-off: that of logs which are filtered otherwise is scaled.
+    White noise grows with the cut-off: that of logs which are filtered otherwise is
+    scaled.
     """
     stage = stages.inertia
     if stage is None or not stage.cutoff_hz or not cutoffs_hz:
@@ -50,7 +52,8 @@ def joint_verdicts(
     noise_floors : mapping of str to float
         What noise alone leaves at most [N m], of the joints of which it is known.
     settings : PredictionErrorSettings
-        Which errors are too large to rely on the prediction, and how often its bands must hold.
+        Which errors are too large to rely on the prediction, and how often its bands
+        must hold.
     """
     max_relative_rmse = settings.max_relative_rmse
     surfaces = friction_surfaces(stages, robot)
@@ -72,7 +75,8 @@ def joint_verdicts(
             faults.append("the file holds no inertia stage")
         if share is None or share > max_relative_rmse:
             faults.append(
-                f"the error is {left} of the torque's RMS, above {percent(max_relative_rmse)}"
+                f"the error is {left} of the torque's RMS, above"
+                f" {percent(max_relative_rmse)}"
             )
         if faults:
             yield Verdict(joint=joint.name, good=False, reason="; ".join(faults))
@@ -84,18 +88,21 @@ def joint_verdicts(
             expected = math.hypot(noise_floors[joint.name], error.parameter_std or 0.0)
             if error.rmse > expected:
                 doubts.append(
-                    f"predicted to {left} of the torque's RMS, but {error.rmse:.3g} {unit} are "
-                    f"left where noise and stated errors leave at most {expected:.3g}"
+                    f"predicted to {left} of the torque's RMS, but {error.rmse:.3g}"
+                    f" {unit} are left where noise and stated errors leave at most"
+                    f" {expected:.3g}"
                 )
         overall = error.coverage.overall if error.coverage is not None else None
-        if calibrated and overall is not None and clearly_below(
-            overall, least_share=settings.min_band_share
+        if (
+            calibrated
+            and overall is not None
+            and clearly_below(overall, least_share=settings.min_band_share)
         ):
             assert overall.band_90 is not None
             doubts.append(
-                f"predicted to {left} of the torque's RMS, but the 90 % band holds in "
-                f"{percent(overall.band_90, 0)} of the samples only: these logs are not of the "
-                "kind that the file was identified from"
+                f"predicted to {left} of the torque's RMS, but the 90 % band holds in"
+                f" {percent(overall.band_90, 0)} of the samples only: these logs are"
+                " not of the kind that the file was identified from"
             )
         yield Verdict(
             joint=joint.name,

@@ -1,10 +1,11 @@
 """The motion of one log and how files describe it; rows of its torque equation (Eq. 4).
 
-A log that is held has its motion in one block. A long one is passed over twice, in memory that does
-not grow with it: to lay its time base and choose its cut-off (`motion.filters.survey`; a third time
-where its stamps are uneven), and to filter, decimate and reduce its equations block by block. Both
-give the same: blocks are cut on the same grid, filtered with all the samples that the filter
-remembers, and reduced to the same factors (`rigid.inertia_equations`).
+A log that is held has its motion in one block. A long one is passed over twice, in
+memory that does not grow with it: to lay its time base and choose its cut-off
+(`motion.filters.survey`; a third time where its stamps are uneven), and to filter,
+decimate and reduce its equations block by block. Both give the same: blocks are cut on
+the same grid, filtered with all the samples that the filter remembers, and reduced to
+the same factors (`rigid.inertia_equations`).
 """
 
 import contextlib
@@ -37,11 +38,17 @@ CHUNK = 4096  # samples whose regressor is made at once
 def streams(stages: Stages, options: InertiaOptions) -> bool:
     """Whether long logs may be passed over: the motion is to be that of the encoders."""
     imus = stages.imu is not None and bool(stages.imu.imus)
-    return options.source == "encoder" or (options.source in ("auto", "needed") and not imus)
+    return options.source == "encoder" or (
+        options.source in ("auto", "needed") and not imus
+    )
 
 
 def open_if_long(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header", least: int | None = None
+    path: Path,
+    robot: Robot,
+    *,
+    time_source: TimeSource = "header",
+    least: int | None = None,
 ) -> SurveyedLog | None:
     """Open a log of `least` samples or more that need not be read as a whole, else None."""
     least = LONG if least is None else least
@@ -85,12 +92,14 @@ def cutoff_note(uses: Sequence[MotionUse], options: MotionOptions) -> str:
     """Say which low-pass was used and where it came from."""
     cutoffs = [use.cutoff_hz for use in uses]
     low, high = min(cutoffs), max(cutoffs)
-    span = f"{low:.3g} Hz" if high - low < 0.005 * high else f"{low:.3g} to {high:.3g} Hz"
+    span = (
+        f"{low:.3g} Hz" if high - low < 0.005 * high else f"{low:.3g} to {high:.3g} Hz"
+    )
     if options.cutoff_hz is not None:
         return f"low-pass {span}, {options.origin or 'as given'} (--cutoff overrides)"
     return (
-        f"low-pass {span}, chosen per log from the encoder's step, the rate and the motion's "
-        "bandwidth (--cutoff overrides)"
+        f"low-pass {span}, chosen per log from the encoder's step, the rate and the"
+        " motion's bandwidth (--cutoff overrides)"
     )
 
 
@@ -106,9 +115,10 @@ def filtered_regressor(
 ) -> Iterator[tuple[slice, Array]]:
     """Base regressor of a log in chunks, each filtered with enough overlap to have no seams.
 
-    `within`: first and last of the samples that are wanted. `reach`: samples on either side that
-    the low-pass remembers. `beside`: one more column (N, n) of a motion, filtered already. Yields
-    samples of the chunk, in time order, and H (N, n, b), filtered as `motion.tau`, until the next.
+    `within`: first and last of the samples that are wanted. `reach`: samples on either
+    side that the low-pass remembers. `beside`: one more column (N, n) of a motion,
+    filtered already. Yields samples of the chunk, in time order, and H (N, n, b),
+    filtered as `motion.tau`, until the next.
     """
     first, last = (0, motion.samples) if within is None else within
     reach = motion.lowpass.memory if reach is None else reach
@@ -132,7 +142,8 @@ def filtered_regressor(
 
 def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[slice]:
     """Blocks of about a second: longer than the memory of the residual, shorter than a log."""
-    # By time, so that the same stretch has the same blocks at any rate, and cut-offs can be paired.
+    # By time, so that the same stretch has the same blocks at any rate, and cut-offs
+    # can be paired.
     length = max(4.0, block_s * rate_hz)
     edges = np.linspace(0, samples, max(1, round(samples / length)) + 1).astype(int)
     for a, b in pairwise(edges):
@@ -141,7 +152,8 @@ def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[sl
 
 def independent_share(motion: Motion) -> float:
     """Return the share of a log's samples that counts as independent."""
-    # What is left of the torque is low-passed: two samples per period of its band say all.
+    # What is left of the torque is low-passed: two samples per period of its band say
+    # all.
     if not motion.lowpass.active:
         return 1.0
     return min(1.0, 2.0 * NOISE_BANDWIDTH * motion.lowpass.cutoff_hz / motion.rate_hz)
@@ -178,12 +190,18 @@ def source_text(use: MotionUse) -> str:
 
 
 def motion_uses(
-    recordings: Iterable[Recording], robot: Robot, imu: ImuStage | None, *, options: InertiaOptions
+    recordings: Iterable[Recording],
+    robot: Robot,
+    imu: ImuStage | None,
+    *,
+    options: InertiaOptions,
 ) -> list[MotionUse]:
     """Describe the motion that commands with these options take from logs, where they can."""
     uses = []
     for recording in recordings:
         with contextlib.suppress(InputError):
-            motion = log_motion(recording, robot, options.motion, imu=imu, source=options.source)
+            motion = log_motion(
+                recording, robot, options.motion, imu=imu, source=options.source
+            )
             uses.append(motion_use(recording.path, robot, motion))
     return uses

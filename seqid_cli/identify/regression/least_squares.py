@@ -1,17 +1,18 @@
 """Least squares that never stacks a regressor.
 
-The rows of one joint's equation, [H y] of a block of samples, are reduced to the triangular factor
-of their QR decomposition. Factors of blocks merge by another QR, in any order and in constant
-memory:
+The rows of one joint's equation, [H y] of a block of samples, are reduced to the
+triangular factor of their QR decomposition. Factors of blocks merge by another QR, in
+any order and in constant memory:
 
     [H y] = Q [R z; 0 e],    min ||H theta - y||^2  =  min ||R theta - z||^2 + e^2.
 
-Each joint has its own factor, so joints are weighted by their noise without another pass, and the
-columns of links that it does not carry, being zero, cost nothing. What comes out depends on the
-rows of a log and on how they are cut into blocks, not on where the log was reduced: signs are fixed
-and blocks merge in their order. The factors of blocks (about a second of motion each) are kept as
-well, merged pairwise when they become many: the moves of the estimate without one block give
-standard errors that hold for autocorrelated residuals; the white-noise formula's are too small.
+Each joint has its own factor, so joints are weighted by their noise without another
+pass, and the columns of links that it does not carry, being zero, cost nothing. What
+comes out depends on the rows of a log and on how they are cut into blocks, not on where
+the log was reduced: signs are fixed and blocks merge in their order. The factors of
+blocks (about a second of motion each) are kept as well, merged pairwise when they
+become many: the moves of the estimate without one block give standard errors that hold
+for autocorrelated residuals; the white-noise formula's are too small.
 """
 
 from collections.abc import Sequence
@@ -28,12 +29,15 @@ def triangular(rows: Array) -> Array:
     alive = np.flatnonzero(rows.any(axis=0))
     R = np.asarray(np.linalg.qr(rows[:, alive], mode="r"), dtype=np.float64)
     full = np.zeros((rows.shape[1], rows.shape[1]))
-    full[alive[: len(R), None], alive] = np.where(R.diagonal() < 0, -1.0, 1.0)[:, None] * R
+    full[alive[: len(R), None], alive] = (
+        np.where(R.diagonal() < 0, -1.0, 1.0)[:, None] * R
+    )
     return full
 
 
 MOST_BLOCKS = 256
-RANK_TOLERANCE = 1e-3  # singular value of scaled columns, over the largest, that counts as excited
+# singular value of scaled columns, over the largest, that counts as excited
+RANK_TOLERANCE = 1e-3
 
 
 @dataclass
@@ -49,9 +53,14 @@ class Accumulator:
 
     def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
         """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true."""
-        # An empty one keeps the joints' blocks in step. Cheapest with a column's samples in a row.
+        # An empty one keeps the joints' blocks in step. Cheapest with a column's
+        # samples in a row.
         self._total = None
-        rows = np.vstack([H.T, y]) if where is None else np.vstack([H.T[:, where], y[where]])
+        rows = (
+            np.vstack([H.T, y])
+            if where is None
+            else np.vstack([H.T[:, where], y[where]])
+        )
         factor, count = triangular(rows.T), rows.shape[1]
         if self.blocks and self.filled < self.span:
             if count:
@@ -89,7 +98,9 @@ class Accumulator:
     def total(self) -> Array:
         """Factor of all rows, from the blocks in their order."""
         if self._total is None:
-            self._total = triangular(np.vstack(self.blocks or [np.zeros((0, self.size + 1))]))
+            self._total = triangular(
+                np.vstack(self.blocks or [np.zeros((0, self.size + 1))])
+            )
         return self._total
 
     @property
@@ -103,11 +114,15 @@ class Accumulator:
         fewer = np.delete(factors, column, axis=2)
         fewer[:, :, -1] -= value * factors[:, :, column]
         # The rows above the column are as they should be.
-        below = np.asarray(np.linalg.qr(fewer[:, column:, column:], mode="r"), dtype=np.float64)
+        below = np.asarray(
+            np.linalg.qr(fewer[:, column:, column:], mode="r"), dtype=np.float64
+        )
         negative = np.diagonal(below, axis1=1, axis2=2) < 0
         fewer[:, column:-1, column:] = below * np.where(negative, -1.0, 1.0)[:, :, None]
         total, *blocks = fewer[:, :-1].copy()
-        return Accumulator(self.size - 1, blocks, list(self.rows), self.span, self.filled, total)
+        return Accumulator(
+            self.size - 1, blocks, list(self.rows), self.span, self.filled, total
+        )
 
     def residual_rms(self, theta: Array, fitted: int = 0) -> float:
         """RMS of H theta - y over all rows, but for so many that were `fitted`."""
@@ -121,19 +136,21 @@ class Prior:
 
     A: Array
     b: Array
-    # By joint what b moves by with coefficients of friction (k, K_j), torque constants' errors (k,)
+    # By joint what b moves by with coefficients of friction (k, K_j), torque constants'
+    # errors (k,)
     friction: dict[int, Array] = field(default_factory=dict)
     constants: dict[int, Array] = field(default_factory=dict)
-    tolerances: dict[str, Array] = field(default_factory=dict)  # likewise with what no log shows
+    # likewise with what no log shows
+    tolerances: dict[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Solution:
     """Weighted least squares over all joints.
 
-    `determined` (p,) is False for parameters that these data do not distinguish from others; their
-    values are one choice among many (the smallest) and must not be reported. `left_open`
-    (p, p - rank) are the directions along which nothing is known.
+    `determined` (p,) is False for parameters that these data do not distinguish from
+    others; their values are one choice among many (the smallest) and must not be
+    reported. `left_open` (p, p - rank) are the directions along which nothing is known.
     """
 
     theta: Array
@@ -146,7 +163,8 @@ class Solution:
     left_open: Array
     moves: Array  # (G, p) by which the estimate moves without one block of time
     shares: Array  # (n, p) of the estimate that come from each joint's right side
-    designs: Array  # (n,) variance that each joint's residual makes, over that of white noise
+    # (n,) variance that each joint's residual makes, over that of white noise
+    designs: Array
 
     def first(self, count: int) -> "Solution":
         """Return the same without all but the first so many parameters."""
@@ -173,27 +191,33 @@ def solve(
 ) -> Solution:
     """Solve for all joints together, each weighted by its own residual, with a block jackknife.
 
-    `iterations`: rounds of reweighting. `independent`: share of the samples that count beside the
-    prior: low-passed noise does not count more where there are more samples of it. `nuisances`:
-    columns that the prior determines where the rows do not; rank and condition are of the others,
-    these being marginalised.
+    `iterations`: rounds of reweighting. `independent`: share of the samples that count
+    beside the prior: low-passed noise does not count more where there are more samples
+    of it. `nuisances`: columns that the prior determines where the rows do not; rank
+    and condition are of the others, these being marginalised.
     """
     size = joints[0].size
     totals = [joint.total for joint in joints]
     marginalised = len(range(*nuisances.indices(size)))
     fewest = (size - marginalised) // 4
     used = [k for k, joint in enumerate(joints) if joint.samples > fewest]
-    # Each joint by itself first, not by R's last entry: rounding decides it where columns depend.
+    # Each joint by itself first, not by R's last entry: rounding decides it where
+    # columns depend.
     alone = [_solve_scaled(total)[:2] for total in totals]
-    left = [j.residual_rms(x, B.shape[1]) for j, (x, B) in zip(joints, alone, strict=True)]
+    left = [
+        j.residual_rms(x, B.shape[1]) for j, (x, B) in zip(joints, alone, strict=True)
+    ]
     sigma = np.maximum(left, 1e-12)
     told = [] if prior is None else [np.column_stack([prior.A, prior.b])]
     known = [_seen(rows[:, :-1]) for rows in [*(totals[k] for k in used), *told]]
     seen = np.any(known, axis=0) if known else np.zeros(size, dtype=bool)
     for _ in range(iterations):
-        scale = sigma / np.sqrt(independent)  # of the factor: what follows must use the same
+        # of the factor: what follows must use the same
+        scale = sigma / np.sqrt(independent)
         stack = [totals[k] / scale[k] for k in used] + told
-        factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
+        factor = (
+            triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
+        )
         theta, basis, left_open, condition, determined = _solve_marginalised(
             factor, seen, nuisances
         )
@@ -202,7 +226,8 @@ def solve(
     bread = basis @ basis.T
     blocks = {k: joints[k].blocks for k in used}
     moves, designs = _jackknife(blocks, scale, theta, factor, bread)
-    # A direction in which the blocks happen to agree is not known better than white noise allows.
+    # A direction in which the blocks happen to agree is not known better than white
+    # noise allows.
     covariance = spread_of(moves) + white_floor * bread
     if prior is not None:  # of unit variance: no residual to learn it from
         own = prior.A @ bread
@@ -224,8 +249,8 @@ def _solve_scaled(
     factor: Array, seen: Mask | None = None
 ) -> tuple[Array, Array, Array, float, Mask]:
     """Smallest solution with scaled columns, of those that are `seen` (p,)."""
-    # Then B with (H'H)^+ = B B' over what is excited, the directions that are not, the condition,
-    # and which parameters have no part in those directions.
+    # Then B with (H'H)^+ = B B' over what is excited, the directions that are not, the
+    # condition, and which parameters have no part in those directions.
     R, z = factor[:-1, :-1], factor[:-1, -1]
     scale = np.linalg.norm(R, axis=0)
     scale[~(_seen(R) if seen is None else seen)] = np.inf
@@ -243,15 +268,16 @@ def _solve_marginalised(
 ) -> tuple[Array, Array, Array, float, Mask]:
     """Solve as `_solve_scaled` does, which directions are excited being asked of the others alone.
 
-    A nuisance term that resembles a parameter is told apart by its prior, however weak that is
-    beside the rows: it is no direction to be dropped.
+    A nuisance term that resembles a parameter is told apart by its prior, however weak
+    that is beside the rows: it is no direction to be dropped.
     """
     columns = np.arange(len(factor) - 1)
     first = columns[nuisances]
     if not len(first):
         return _solve_scaled(factor, seen)
 
-    # With the nuisances first, the rows below theirs are of what they leave of the others.
+    # With the nuisances first, the rows below theirs are of what they leave of the
+    # others.
     others = np.setdiff1d(columns, first)
     ordered = factor[:, [*first, *others, len(columns)]]
     R = np.asarray(np.linalg.qr(ordered, mode="r"), dtype=np.float64)
@@ -278,13 +304,17 @@ def _solve_marginalised(
 
 
 def _jackknife(
-    blocks: dict[int, list[Array]], sigma: Array, theta: Array, factor: Array, bread: Array
+    blocks: dict[int, list[Array]],
+    sigma: Array,
+    theta: Array,
+    factor: Array,
+    bread: Array,
 ) -> tuple[Array, Array]:
     """Moves (G, p) of the estimate when one block of time is left out, and designs (n,)."""
-    # With G blocks of normal matrix A_b and score s_b the estimate without block b moves by
-    # (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves. Unlike the sandwich it
-    # does not shrink when a block has leverage. The scores of one joint alone, over what white
-    # noise would make of them, are its design effect.
+    # With G blocks of normal matrix A_b and score s_b the estimate without block b
+    # moves by (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves.
+    # Unlike the sandwich it does not shrink when a block has leverage. The scores of
+    # one joint alone, over what white noise would make of them, are its design effect.
     normal = factor[:-1, :-1].T @ factor[:-1, :-1]
     count = max(map(len, blocks.values()), default=0)
     A, s = np.zeros((count, *bread.shape)), np.zeros((len(sigma), count, len(theta)))
@@ -298,13 +328,16 @@ def _jackknife(
         white = np.trace(bread @ normals.sum(axis=0))
         designs[k] = np.sum((s[k] @ bread) * s[k]) / max(white, 1e-300)
     scores = s.sum(axis=0)
-    # (A - A_b)^+ s_b within the excited directions; the plain score where that is not regular.
+    # (A - A_b)^+ s_b within the excited directions; the plain score where that is not
+    # regular.
     plain, left = scores @ bread, np.eye(len(bread)) - bread @ A
     try:
         moves = np.linalg.solve(left, plain[:, :, None])[:, :, 0]
     except np.linalg.LinAlgError:
         moves = (np.linalg.pinv(left) @ plain[:, :, None])[:, :, 0]
-    before, after = (np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves))
+    before, after = (
+        np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves)
+    )
     regular: Mask = np.sqrt(after) <= 4.0 * np.sqrt(before)
     moves = np.where(regular[:, None], moves, plain)
     # Few blocks: what the fit itself has taken of their residuals.

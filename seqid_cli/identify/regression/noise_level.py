@@ -1,10 +1,11 @@
 """What noise alone would leave of a torque: the measure of every fit's residual.
 
-Noise of a drive's torque is a property of the drive, white and 1/f^a, and is looked for in the
-spectra of the raw torque (`motion.torque_noise`): in rests, where nothing else is, and above the
-cut-off while a joint slides. How much of it passes a log's low-pass depends on the log. What the
-noise of the motion makes of the torque comes upon it, and the share of a joint's torque that no
-model gets right. A fit that leaves no more than the upper end of the interval leaves noise.
+Noise of a drive's torque is a property of the drive, white and 1/f^a, and is looked for
+in the spectra of the raw torque (`motion.torque_noise`): in rests, where nothing else
+is, and above the cut-off while a joint slides. How much of it passes a log's low-pass
+depends on the log. What the noise of the motion makes of the torque comes upon it, and
+the share of a joint's torque that no model gets right. A fit that leaves no more than
+the upper end of the interval leaves noise.
 """
 
 import math
@@ -30,8 +31,8 @@ STRETCH_PERIODS = (
     4.0  # of the cut-off: of a rest, at least, and of a spectrum while joints move
 )
 ABOVE, UP_TO = 1.5, 10.0  # times the cut-off, between which moving joints show noise
-# Twice low-passed noise of the acceleration over that below the cut-off: 5 times the integral of
-# x^4 / (1 + x^8)^4.
+# Twice low-passed noise of the acceleration over that below the cut-off: 5 times the
+# integral of x^4 / (1 + x^8)^4.
 PASSED = math.sqrt(0.625 * beta(0.625, 3.375))
 # One surface has one error, of a size between none and twice its standard error.
 FRICTION_DOUBT = 2.0
@@ -42,8 +43,8 @@ ENCODER_DOUBT = 1.5  # the motion's noise is known to half of itself
 class LogNoise:
     """Spectra of the raw torque of one log, joint by joint, and for how long each slid.
 
-    `resting` and `sliding` hold one spectrum per joint; `motion` is the log's last sample alone,
-    with its low-pass and length; `seconds` (n,) s.
+    `resting` and `sliding` hold one spectrum per joint; `motion` is the log's last
+    sample alone, with its low-pass and length; `seconds` (n,) s.
     """
 
     resting: tuple[Spectrum, ...]
@@ -130,8 +131,8 @@ def noise_level(
     torque : (n,) array
         RMS of the joints' torques [N m].
     friction : (n,) array, optional
-        RMS error that friction, identified before, is known to have [N m]. It is there as
-        noise is.
+        RMS error that friction, identified before, is known to have [N m]. It is there
+        as noise is.
     """
     stated = np.zeros(len(torque)) if friction is None else friction
     n = len(torque)

@@ -1,19 +1,21 @@
 """Noise of averages over slices of slow trials: white, common to a trial, and 1/f over a log.
 
-Averages leave little of white noise, so that what is slow decides: drift and 1/f noise of the drive
-in what neighbouring trials share, and what friction's surface misses in a whole trial. With rows in
-time order the covariance of their errors is
+Averages leave little of white noise, so that what is slow decides: drift and 1/f noise
+of the drive in what neighbouring trials share, and what friction's surface misses in a
+whole trial. With rows in time order the covariance of their errors is
 
     V = s_w W + s_t T + s_f F,
 
-W diagonal (one over the samples of a row), T one within a trial and zero elsewhere, F that of 1/f
-noise between a quarter of one over the log's length and one over twice a row's,
+W diagonal (one over the samples of a row), T one within a trial and zero elsewhere, F
+that of 1/f noise between a quarter of one over the log's length and one over twice a
+row's,
 
     F(tau) = Ci(2 pi f_2 tau) - Ci(2 pi f_1 tau).
 
-The three strengths maximise the restricted likelihood (H. D. Patterson and R. Thompson, "Recovery
-of inter-block information when block sizes are unequal", Biometrika 58(3), 1971): what the fitted
-parameters take away is allowed for. Rows divided by V's root are generalised least squares.
+The three strengths maximise the restricted likelihood (H. D. Patterson and R. Thompson,
+"Recovery of inter-block information when block sizes are unequal", Biometrika 58(3),
+1971): what the fitted parameters take away is allowed for. Rows divided by V's root are
+generalised least squares.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,8 +28,9 @@ from scipy.special import sici
 
 from seqid_cli.typing import Array, Index
 
-# Logarithms of the strengths against white noise, from which the likelihood is climbed: it has one
-# maximum where noise is common to trials, as an offset of the torque is, and another elsewhere.
+# Logarithms of the strengths against white noise, from which the likelihood is climbed:
+# it has one maximum where noise is common to trials, as an offset of the torque is, and
+# another elsewhere.
 STARTS = ((0.0, 0.0, 0.0), (-4.0, 2.0, -4.0))
 
 
@@ -79,7 +82,9 @@ def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
     return white_rows
 
 
-def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> tuple[Array, Array, Array]:
+def _shapes(
+    rows: Rows, at: Index, *, lengths: float = 4.0
+) -> tuple[Array, Array, Array]:
     """W's diagonal, T and F of the rows of one log."""
     # The lowest frequency of 1/f noise is one over so many `lengths` of the log.
     t, trial = rows.t[at], rows.trial[at]
@@ -91,11 +96,15 @@ def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> tuple[Array, Arra
     upper = np.minimum(high[:, None], high[None, :])
     at_once = lag * upper < 1e-6
     safe = np.where(at_once, 1.0, lag)
-    slow = np.where(at_once, np.log(upper / low), sici(safe * upper)[1] - sici(safe * low)[1])
+    slow = np.where(
+        at_once, np.log(upper / low), sici(safe * upper)[1] - sici(safe * low)[1]
+    )
     return 1.0 / rows.weight[at], common, slow
 
 
-def _root(shape: tuple[Array, Array, Array], strengths: Array, *, stiffness: float = 1e-9) -> Array:
+def _root(
+    shape: tuple[Array, Array, Array], strengths: Array, *, stiffness: float = 1e-9
+) -> Array:
     """Cholesky factor of one log's covariance."""
     white, common, slow = shape
     V = strengths[1] * common + strengths[2] * slow

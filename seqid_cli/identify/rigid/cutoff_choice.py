@@ -1,32 +1,33 @@
 """The low-pass cut-off by the posterior: the one with the smallest error of the predicted torque.
 
-Every cut-off keeps the equation exact and another share of its information. A low one throws away
-what quick motion says, and the samples around every reversal; a high one lets the noise of a
-differentiated encoder into the regressor, and what the model lacks. With C(f) the covariance of the
-parameters below a cut-off f, by the jackknife over the log's own blocks and by friction's errors,
-and W the mean of H' D H over the logs' motion (D: one over the torque's noise, squared) below one
-fixed cut-off, the same for all, of the nuisance terms nothing,
+Every cut-off keeps the equation exact and another share of its information. A low one
+throws away what quick motion says, and the samples around every reversal; a high one
+lets the noise of a differentiated encoder into the regressor, and what the model lacks.
+With C(f) the covariance of the parameters below a cut-off f, by the jackknife over the
+log's own blocks and by friction's errors, and W the mean of H' D H over the logs'
+motion (D: one over the torque's noise, squared) below one fixed cut-off, the same for
+all, of the nuisance terms nothing,
 
     E(f) = tr(W C(f))
 
-is the mean square of the predicted torque's error in units of its noise, as a plan minimises it
-(`plan.stages.goal`). A jackknife does not see a bias that is the same in all blocks. Hence a
-cut-off is *admissible* only where
+is the mean square of the predicted torque's error in units of its noise, as a plan
+minimises it (`plan.stages.goal`). A jackknife does not see a bias that is the same in
+all blocks. Hence a cut-off is *admissible* only where
 
-- the excited directions are as many as anywhere, and below the start independent samples are
-  several times as many (blocks of a slow signal are not independent: what is left out is known
-  from both sides),
+- the excited directions are as many as anywhere, and below the start independent
+  samples are several times as many (blocks of a slow signal are not independent: what
+  is left out is known from both sides),
 - noise makes up a small share N / S of the acceleration of every joint that moves,
-- the parameters agree with those at a neighbouring cut-off, by size of effect: what their
-  difference d makes of the torque beyond its own noise, d' W d - tr(W V) with V the covariance of
-  the difference, is a small share of the torque's mean square. A test of significance would be too
-  sharp: with enough samples every model differs somewhere.
+- the parameters agree with those at a neighbouring cut-off, by size of effect: what
+  their difference d makes of the torque beyond its own noise, d' W d - tr(W V) with V
+  the covariance of the difference, is a small share of the torque's mean square. A test
+  of significance would be too sharp: with enough samples every model differs somewhere.
 
-Cut-offs are tried an octave apart, from a starting one outward as long as the error falls, then
-half an octave to either side of the best. Of those that are nearly the best, or worse by no more
-than the scatter over the blocks explains, the one nearest to the start is taken: few blocks say
-little of many parameters. A delay's column is a jerk; where N_jerk / S_jerk is too large there, the
-delay is marginalised and not read.
+Cut-offs are tried an octave apart, from a starting one outward as long as the error
+falls, then half an octave to either side of the best. Of those that are nearly the
+best, or worse by no more than the scatter over the blocks explains, the one nearest to
+the start is taken: few blocks say little of many parameters. A delay's column is a
+jerk; where N_jerk / S_jerk is too large there, the delay is marginalised and not read.
 """
 
 from collections.abc import Callable, Sequence
@@ -72,7 +73,8 @@ class Candidate:
     rank : int
         Number of excited directions.
     independent : float
-        Samples of the logs that count as independent, whatever number of joints they tell of.
+        Samples of the logs that count as independent, whatever number of joints they
+        tell of.
     """
 
     cutoff_hz: float
@@ -89,7 +91,9 @@ class Candidate:
 class Trial(Protocol):
     """Whoever identifies: tries a cut-off on some recordings."""
 
-    def __call__(self, recordings: Sequence[Recording], cutoff_hz: float) -> Candidate | None:
+    def __call__(
+        self, recordings: Sequence[Recording], cutoff_hz: float
+    ) -> Candidate | None:
         """Return what they tell below a cut-off [Hz]; None where it is too low to filter them."""
 
 
@@ -121,7 +125,8 @@ def choose_cutoff(
     trial : callable
         Tries a cut-off [Hz].
     start_hz : float
-        Where the search begins, and what is kept where nothing else is clearly better [Hz].
+        Where the search begins, and what is kept where nothing else is clearly better
+        [Hz].
     lowest_hz, highest_hz : float
         Range of cut-offs, apart from the start [Hz].
     acceleration_noise : callable
@@ -137,7 +142,8 @@ def choose_cutoff(
         """Try a cut-off; whether going on in this direction may bring something."""
         if not lowest_hz <= hz <= highest_hz or hz in tried:
             return False
-        # Noise grows with the fifth power: what is above an inadmissible cut-off is so as well.
+        # Noise grows with the fifth power: what is above an inadmissible cut-off is so
+        # as well.
         if hz > start_hz and acceleration_noise(hz) > limits.max_acceleration_noise:
             return False
         found = trial(hz)
@@ -187,8 +193,9 @@ def _best(choice: CutoffChoice) -> float:
 def _promises(choice: CutoffChoice, best_hz: float, factor: float) -> bool:
     """Return whether half an octave beside the best may be better than the best.
 
-    By the parabola of the error's logarithm through the best, the octave beside it (`factor` times
-    the best), and the one on its other side or the next one. True where these were not tried.
+    By the parabola of the error's logarithm through the best, the octave beside it
+    (`factor` times the best), and the one on its other side or the next one. True where
+    these were not tried.
     """
     log_errors = {
         one.cutoff_hz: float(np.log(max(error, 1e-300)))
@@ -221,9 +228,13 @@ def _chosen(
     highest_rank = max(one.rank for one in tried)
 
     def enough(one: Candidate) -> bool:
-        # The start leaves what the arm's parameters need already (`bandwidth.highest_of`).
+        # The start leaves what the arm's parameters need already
+        # (`bandwidth.highest_of`).
         independent = represented * one.independent
-        return one.cutoff_hz >= start_hz or independent >= limits.min_samples_per_rank * one.rank
+        return (
+            one.cutoff_hz >= start_hz
+            or independent >= limits.min_samples_per_rank * one.rank
+        )
 
     admissible = np.array(
         [
@@ -238,7 +249,11 @@ def _chosen(
         admissible &= agrees
 
     choice = CutoffChoice(
-        cutoff_hz=start_hz, start_hz=start_hz, tried=tried, errors=errors, admissible=admissible
+        cutoff_hz=start_hz,
+        start_hz=start_hz,
+        tried=tried,
+        errors=errors,
+        admissible=admissible,
     )
     if not admissible.any():
         return choice
@@ -247,7 +262,9 @@ def _chosen(
     for k in np.flatnonzero(admissible):
         chance = _standard_error(tried[k], tried[best], W)
         least = errors[best]
-        if errors[k] <= max(limits.nearly_best * least, least + limits.clear_sigma * chance):
+        if errors[k] <= max(
+            limits.nearly_best * least, least + limits.clear_sigma * chance
+        ):
             good.append(tried[k].cutoff_hz)
     nearest = min(good, key=lambda hz: abs(np.log(hz / start_hz)))
     return replace(choice, cutoff_hz=nearest)
@@ -256,12 +273,15 @@ def _chosen(
 def _standard_error(first: Candidate, second: Candidate, W: Array) -> float:
     """Return the standard error of the difference of two errors, zero where blocks differ.
 
-    Each block of time adds m' W m to an error, m its move of the estimate. Both candidates have the
-    same blocks, so that the scatter of the differences says how sure their sum is.
+    Each block of time adds m' W m to an error, m its move of the estimate. Both
+    candidates have the same blocks, so that the scatter of the differences says how
+    sure their sum is.
     """
     if first.moves.shape != second.moves.shape or len(first.moves) < 2:
         return 0.0
-    parts = [np.einsum("gp,pq,gq->g", one.moves, W, one.moves) for one in (first, second)]
+    parts = [
+        np.einsum("gp,pq,gq->g", one.moves, W, one.moves) for one in (first, second)
+    ]
     differences = parts[0] - parts[1]
     return float(np.sqrt(len(differences)) * differences.std(ddof=1))
 
@@ -269,8 +289,8 @@ def _standard_error(first: Candidate, second: Candidate, W: Array) -> float:
 def _judged(tried: Sequence[Candidate], start_hz: float) -> tuple[Array, Array]:
     """Return the error tr(W C) of each candidate, and W (p, p).
 
-    W is the information below one cut-off, so that all are measured in one band: the one nearest
-    to the start of those that excite most.
+    W is the information below one cut-off, so that all are measured in one band: the
+    one nearest to the start of those that excite most.
     """
     highest = max(one.rank for one in tried)
     fullest = [one for one in tried if one.rank == highest]
@@ -330,7 +350,9 @@ def candidate_of(
     size = len(solution.theta)
     information = np.zeros((size, size))
     torque_square = 0.0
-    for joint, sigma, square in zip(joints, solution.sigma, torque_squares, strict=True):
+    for joint, sigma, square in zip(
+        joints, solution.sigma, torque_squares, strict=True
+    ):
         if not joint.samples:
             continue
         rows = joint.total[:, :-1] / sigma
@@ -376,9 +398,13 @@ class InertiaTrial:
         self._robot, self._stages = robot, stages
         self._source, self._settings = source, settings
 
-    def __call__(self, recordings: Sequence[Recording], cutoff_hz: float) -> Candidate | None:
+    def __call__(
+        self, recordings: Sequence[Recording], cutoff_hz: float
+    ) -> Candidate | None:
         """Return what recordings tell below a cut-off; see `Trial`."""
-        motion = MotionOptions(cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF)
+        motion = MotionOptions(
+            cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF
+        )
         options = InertiaOptions(motion, self._source, settings=self._settings)
         own = _TrialEquations(self._robot, self._stages, options)
         parts = []
@@ -387,7 +413,9 @@ class InertiaTrial:
                 parts.append(own.rows_of(recording))
             except InputError:  # too short to be filtered so low
                 continue
-        if not parts or not any(joint.samples for part in parts for joint in part.joints):
+        if not parts or not any(
+            joint.samples for part in parts for joint in part.joints
+        ):
             return None
         rows = reduce(lambda a, b: a + b, parts)
         solution, posterior = own.solved(rows, 0.0, rounds=3)
@@ -405,12 +433,18 @@ class InertiaTrial:
 class SimultaneousTrial:
     """Tries cut-offs for the classical least squares, friction's coefficients included."""
 
-    def __init__(self, robot: Robot, imu: ImuStage | None, source: str, *, offset: bool) -> None:
+    def __init__(
+        self, robot: Robot, imu: ImuStage | None, source: str, *, offset: bool
+    ) -> None:
         self._robot, self._imu, self._source, self._offset = robot, imu, source, offset
 
-    def __call__(self, recordings: Sequence[Recording], cutoff_hz: float) -> Candidate | None:
+    def __call__(
+        self, recordings: Sequence[Recording], cutoff_hz: float
+    ) -> Candidate | None:
         """Return what recordings tell below a cut-off; see `Trial`."""
-        options = MotionOptions(cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF)
+        options = MotionOptions(
+            cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF
+        )
         motions = []
         for recording in recordings:
             try:

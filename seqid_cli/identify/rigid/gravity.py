@@ -1,11 +1,12 @@
 """Gravity stage (Sec. 2.2.3, Eq. 17-19): base gravity parameters of the whole chain.
 
-Rows are slice averages of constant-velocity trials, of the moving joint alone: a locked joint's
-torque lies anywhere within its stiction. Friction comes from the friction stage. Its error flips
-with the direction while gravity does not, so trials in both directions keep it out of the estimate.
-What does not turn with the direction either, a drive's offset and the share by which friction is
-larger one way, is unknown beside gravity, joint by joint (`identify.nuisances`). The surfaces are
-handed on with what these trials, in more postures than friction's, show of it.
+Rows are slice averages of constant-velocity trials, of the moving joint alone: a locked
+joint's torque lies anywhere within its stiction. Friction comes from the friction
+stage. Its error flips with the direction while gravity does not, so trials in both
+directions keep it out of the estimate. What does not turn with the direction either, a
+drive's offset and the share by which friction is larger one way, is unknown beside
+gravity, joint by joint (`identify.nuisances`). The surfaces are handed on with what
+these trials, in more postures than friction's, show of it.
 """
 
 from collections.abc import Iterable
@@ -34,7 +35,12 @@ from seqid_cli.identify.nuisances import (
     with_even_part,
     with_term,
 )
-from seqid_cli.identify.regression.least_squares import Accumulator, Prior, Solution, solve
+from seqid_cli.identify.regression.least_squares import (
+    Accumulator,
+    Prior,
+    Solution,
+    solve,
+)
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from seqid_cli.identify.rigid.parameters import rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior, Sensitivity
@@ -48,7 +54,8 @@ from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index, Mask
 
-TERMS = EVEN_TERMS + 1  # of each joint's drive: what is alike both ways, and thermal change
+# of each joint's drive: what is alike both ways, and thermal change
+TERMS = EVEN_TERMS + 1
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,9 @@ def identify_gravity(
 ) -> GravityResult:
     """Identify the base parameters of gravity; the stage is empty where it loads no joint."""
     if stages.friction is None:
-        raise UsageError("gravity needs the friction stage", hint="run seqid friction first")
+        raise UsageError(
+            "gravity needs the friction stage", hint="run seqid friction first"
+        )
     size = int(base_parameters(robot, rotor=()).gravity.sum())
     if size == 0:
         note = "gravity loads no joint of this robot: nothing to identify (Sec. 4.2)"
@@ -125,8 +134,8 @@ class GravityRows:
         self.robot, self.held, self.surfaces = held.robot, held, surfaces
         self.settings = settings
         self.size = len(held.theta)
-        # Behind the parameters: changes of all joints' offsets, then of their asymmetries, then of
-        # the viscous ones, then of friction per kelvin.
+        # Behind the parameters: changes of all joints' offsets, then of their
+        # asymmetries, then of the viscous ones, then of friction per kelvin.
         self.columns = self.size + TERMS * held.robot.n
         joints = friction.joints
         self.thermal = [
@@ -138,12 +147,16 @@ class GravityRows:
         self.cross: dict[int, Array] = {}
         self.fits: dict[int, TrialFit] = {}
         standard = held.basis.representative[:, : self.size] @ held.theta
-        # The whole of the bodies counts where the geometry is another, not their base parameters.
+        # The whole of the bodies counts where the geometry is another, not their base
+        # parameters.
         links = standard[: 10 * self.robot.n].reshape(-1, 10)
         self.standard = links if self.robot.nominal is None else self.robot.nominal
         self.deviations = [deviation.name for deviation in deviations(self.robot)]
-        self.tolerances: dict[str, dict[int, Array]] = {name: {} for name in self.deviations}
-        self.unseen: list[tuple[int, Array]] = []  # what is not known of acceleration and others
+        self.tolerances: dict[str, dict[int, Array]] = {
+            name: {} for name in self.deviations
+        }
+        # what is not known of acceleration and others
+        self.unseen: list[tuple[int, Array]] = []
 
     def add_joint(self, trials: list[Trial], joints: list[Accumulator]) -> None:
         """Add the trials of one joint, the torque of what acceleration is left taken off."""
@@ -164,7 +177,9 @@ class GravityRows:
         white = whitener_of(noise)(table[:, :-6])
         count = len(self.deviations)
         parts_of = [self.size, shared, -2 - count - self.robot.n, -2 - count, -2, -1]
-        gravity, even, F, stood, deviated, accelerated, y = np.split(white, parts_of, axis=1)
+        gravity, even, F, stood, deviated, accelerated, y = np.split(
+            white, parts_of, axis=1
+        )
 
         H = np.zeros((len(gravity), self.columns))
         H[:, : self.size] = gravity
@@ -181,17 +196,24 @@ class GravityRows:
         for name, torque in zip(self.deviations, deviated.T, strict=True):
             self.tolerances[name][j] = H.T @ torque
         for k, each in enumerate(groups):
-            self.unseen.append((j, H.T @ (each.std_error * accelerated[:, 0] * (group == k))))
-            for number in np.unique(log[group == k]):  # each with the same reading all along
+            self.unseen.append(
+                (j, H.T @ (each.std_error * accelerated[:, 0] * (group == k)))
+            )
+            # each with the same reading all along
+            for number in np.unique(log[group == k]):
                 there = (group == k) & (log == number)
                 self.unseen += [(j, H.T @ (column * there)) for column in stood.T]
 
     def _table(
-        self, groups: list[SteadyGroup], surface: FrictionSurface, *, group_size: int = 8
+        self,
+        groups: list[SteadyGroup],
+        surface: FrictionSurface,
+        *,
+        group_size: int = 8,
     ) -> Array:
         """Rows of all trials, means over so many slices (`group_size`)."""
-        # H, offset and asymmetries, F, where others stand, deviations, acceleration, torque, time,
-        # samples, seconds; last come trial, log, group.
+        # H, offset and asymmetries, F, where others stand, deviations, acceleration,
+        # torque, time, samples, seconds; last come trial, log, group.
         every = [(k, trial) for k, group in enumerate(groups) for trial in group.trials]
         settling = self.settings.fit
         settled = [
@@ -205,14 +227,16 @@ class GravityRows:
         parts = []
         for n, ((k, trial), H, stood) in enumerate(by_gravity):
             v, count = np.full(len(trial.q), trial.velocity), len(trial.q) // group_size
-            # What friction's surfaces have alike both ways is an unknown here, of which they hold
-            # a first estimate; its error is not friction's.
+            # What friction's surfaces have alike both ways is an unknown here, of which
+            # they hold a first estimate; its error is not friction's.
             F = surface.error_columns(trial.q, v)
             warmed = surface.warmed(np.full(len(v), trial.celsius))
             y = trial.tau - warmed * surface.torque(trial.q, v)
             even = even_columns(surface, trial.q, v)
             still = np.zeros_like(trial.places)
-            torques = deviation_torques(self.robot, self.standard, trial.places, still, still)
+            torques = deviation_torques(
+                self.robot, self.standard, trial.places, still, still
+            )
             deviated = [torque[:, trial.joint] for torque in torques.values()]
             warm = self._warm(trial, surface, v)
             columns = [H, even, warm, F, stood, *deviated, trial.ddq, y, trial.t]
@@ -235,7 +259,9 @@ class GravityRows:
         """Return what friction's trials know of the drives' terms, as rows of unit variance."""
         n = self.robot.n
         even = even_prior(self.surfaces, friction, self.robot.joint_names)
-        weights = [1.0 if change is None else 1.0 / change.std_error for change in self.thermal]
+        weights = [
+            1.0 if change is None else 1.0 / change.std_error for change in self.thermal
+        ]
         A = np.zeros((TERMS * n, self.columns))
         A[: len(even.b), self.size : self.size + len(even.b)] = even.A
         A[len(even.b) :, self.size + len(even.b) :] = np.diag(weights)
@@ -251,14 +277,19 @@ class GravityRows:
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
         """How the parameters move with the coefficients of each joint's friction."""
-        return {j: -solution.bread @ (S / solution.sigma[j] ** 2) for j, S in self.cross.items()}
+        return {
+            j: -solution.bread @ (S / solution.sigma[j] ** 2)
+            for j, S in self.cross.items()
+        }
 
 
-def _settled(trial: Trial, surface: FrictionSurface, settings: GravityFitSettings) -> Mask:
+def _settled(
+    trial: Trial, surface: FrictionSurface, settings: GravityFitSettings
+) -> Mask:
     """Return the slices (K,) of a trial where friction is known and the joint keeps its speed."""
-    # Left out are slices that begin or end within `settling` of either end, but no more than
-    # `settling_share` of the trial there. One that only reaches into it holds the torque of a
-    # rotor's acceleration, which is many times a light joint's friction.
+    # Left out are slices that begin or end within `settling` of either end, but no more
+    # than `settling_share` of the trial there. One that only reaches into it holds the
+    # torque of a rotor's acceleration, which is many times a light joint's friction.
     middle = (trial.t[0] + trial.t[-1]) / 2.0
     half_slice = trial.seconds / 2.0
     half_trial = (trial.t[-1] - trial.t[0]) / 2.0 + half_slice
@@ -278,12 +309,14 @@ def _stage(
 ) -> GravityResult:
     """The stage; gravity shows where a parameter is `shown_sigma` standard errors from zero.
 
-    One set of parameters may leave `max_left` times what friction's surface leaves of the same
-    joint's trials, each posture having its own gravity there.
+    One set of parameters may leave `max_left` times what friction's surface leaves of
+    the same joint's trials, each posture having its own gravity there.
     """
     robot = rows.robot
     size = rows.size
-    unseen = [solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen]
+    unseen = [
+        solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen
+    ]
     joint_posterior = Posterior.of(
         solution,
         rows.surfaces,
@@ -292,7 +325,9 @@ def _stage(
         known=_by_prior(solution, prior, robot.n),
         prior=prior,
     ).with_error(np.reshape(unseen, (-1, rows.columns)).T)
-    joint_posterior = replace(joint_posterior, tolerances=rows.tolerance_moves(solution))
+    joint_posterior = replace(
+        joint_posterior, tolerances=rows.tolerance_moves(solution)
+    )
 
     posterior = joint_posterior.first(size)
     parameters = solution.first(size)
@@ -300,14 +335,20 @@ def _stage(
     stage = rigid_stage(
         robot, rows.held.basis, parameters, posterior, own, np.zeros(robot.n)
     )
-    remedy = "Move the joints that carry them with the others locked in other configurations"
+    remedy = (
+        "Move the joints that carry them with the others locked in other configurations"
+    )
     notes = [f"{note}. {remedy}" for note in stage.notes]
     if rows.skipped:
-        notes.append("trials without a friction surface left out: " + ", ".join(set(rows.skipped)))
+        notes.append(
+            "trials without a friction surface left out: "
+            + ", ".join(set(rows.skipped))
+        )
     if all(abs(p.value) < settings.shown_sigma * p.std_error for p in stage.parameters):
         notes.append(
-            "no gravity shows in the torque: either no joint carries a weight, or a driver has "
-            'subtracted it (then write effort = "gravity_compensated" under [channels])'
+            "no gravity shows in the torque: either no joint carries a weight, or a"
+            ' driver has subtracted it (then write effort = "gravity_compensated" under'
+            " [channels])"
         )
 
     friction, terms, order = _with_even_parts(solution, joint_posterior, rows, friction)
@@ -333,7 +374,8 @@ def _stage(
 def _by_prior(solution: Solution, prior: Prior, joints: int) -> dict[int, Array]:
     """Return what the centre of each joint's prior adds to the solution (p,), taken off.
 
-    A prior's centre is an offset that was measured: it scales with the torque as the rows do.
+    A prior's centre is an offset that was measured: it scales with the torque as the
+    rows do.
     """
     found = {}
     for j in range(joints):
@@ -355,11 +397,14 @@ def _joint_verdicts(
             continue
         unit = joint.unit("N m")
         reason = (
-            f"one gravity for all postures leaves {left:.3g} {unit}, {left / alone:.2g} times what "
-            f"a gravity of its own in each does ({alone:.3g} {unit}): geometry, zeros or gravity's "
-            "direction in the robot file are not the arm's, or the load was another in some trials"
+            f"one gravity for all postures leaves {left:.3g} {unit}, {left / alone:.2g}"
+            f" times what a gravity of its own in each does ({alone:.3g} {unit}):"
+            " geometry, zeros or gravity's direction in the robot file are not the"
+            " arm's, or the load was another in some trials"
         )
-        verdicts.append(Verdict(joint=joint.name, good=False, level="usable", reason=reason))
+        verdicts.append(
+            Verdict(joint=joint.name, good=False, level="usable", reason=reason)
+        )
     return verdicts
 
 
@@ -368,8 +413,8 @@ def _with_even_parts(
 ) -> EvenParts:
     """Return friction with offsets and asymmetries as gravity's trials show them.
 
-    Beside it stand the terms as the file lists them, joint by joint, and the place of each of
-    them behind the parameters.
+    Beside it stand the terms as the file lists them, joint by joint, and the place of
+    each of them behind the parameters.
     """
     n = rows.robot.n
     joints = dict(friction.joints)

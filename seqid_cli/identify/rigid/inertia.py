@@ -1,7 +1,8 @@
 """Inertia stage (Sec. 2.2.4, Eq. 22-26): what gravity left open, from moves of few joints.
 
-Rotor inertias are parameters of their own, acting on their own joint alone (Eq. 43); the data are
-asked whether the gyroscopic coupling to the link that carries one is there too (`rotor_coupling`).
+Rotor inertias are parameters of their own, acting on their own joint alone (Eq. 43);
+the data are asked whether the gyroscopic coupling to the link that carries one is there
+too (`rotor_coupling`).
 """
 
 import contextlib
@@ -30,7 +31,12 @@ from seqid_cli.identify.nuisances import (
     with_term,
 )
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import cutoff_note, open_if_long, source_text, streams
+from seqid_cli.identify.regression.equations import (
+    cutoff_note,
+    open_if_long,
+    source_text,
+    streams,
+)
 from seqid_cli.identify.regression.least_squares import Solution
 from seqid_cli.identify.regression.noise_level import noise_of_rows
 from seqid_cli.identify.rigid import parameters
@@ -50,7 +56,8 @@ from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages,
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-AllRows = tuple[InertiaRows | None, ...]  # as used, at neighbouring cut-offs, by the encoders
+# as used, at neighbouring cut-offs, by the encoders
+AllRows = tuple[InertiaRows | None, ...]
 
 
 @dataclass(frozen=True)
@@ -72,13 +79,18 @@ def identify_inertia(
     """Identify the base parameters that gravity does not show."""
     # With `compare` a second time with the encoders alone, for their standard errors.
     if stages.friction is None:
-        raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
+        raise UsageError(
+            "inertia needs the friction stage", hint="run seqid friction first"
+        )
     equations, others = InertiaEquations(robot, stages, options), None
     if compare and stages.imu is not None and options.source != "encoder":
         hz = options.motion.encoder_hz or options.motion.cutoff_hz
         motion = replace(options.motion, cutoff_hz=hz)
-        others = InertiaEquations(robot, stages, replace(options, source="encoder", motion=motion))
-    logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
+        others = InertiaEquations(
+            robot, stages, replace(options, source="encoder", motion=motion)
+        )
+    # whoever reduces them does not look inside
+    logs = cast("Iterable[Recording]", recordings)
     opens = open_if_long if others is None and streams(stages, options) else None
     none: AllRows = (None,) * (2 + len(options.neighbours))
     parts = list(mapped(logs, partial(_rows_of, equations, others), opens))
@@ -86,18 +98,26 @@ def identify_inertia(
     if own is None or not any(joint.samples for joint in own.joints):
         raise QualityError("no joint with known friction moves in these logs")
     known = zip(options.neighbours, near, strict=True)
-    result = _stage(equations, own, {factor: rows for factor, rows in known if rows is not None})
+    result = _stage(
+        equations, own, {factor: rows for factor, rows in known if rows is not None}
+    )
     by_log = [rows for rows, *_ in parts if rows is not None]
     stage = _with_agreement(result.inertia, equations, own, by_log)
-    if not (others and encoder and any(use.source != "encoder" for use in stage.motion_use)):
+    if not (
+        others and encoder and any(use.source != "encoder" for use in stage.motion_use)
+    ):
         return InertiaResult(stage, result.friction)
-    before = {p.name: p.std_error for p in _stage(others, encoder, {}).inertia.parameters}
+    before = {
+        p.name: p.std_error for p in _stage(others, encoder, {}).inertia.parameters
+    }
     there = [p for p in stage.parameters if p.name in before]
     ratios = [before[p.name] / max(p.std_error, 1e-300) for p in there]
     notes = list(stage.notes)
     if ratios:
         times = f"{np.median(ratios):.2g} times these"
-        notes.append(f"by the encoders alone the standard errors would be {times} (median)")
+        notes.append(
+            f"by the encoders alone the standard errors would be {times} (median)"
+        )
     stage = msgspec.structs.replace(stage, encoder_std_errors=before, notes=notes)
     return InertiaResult(stage, result.friction)
 
@@ -111,7 +131,9 @@ def _with_agreement(
     """Add verdicts on logs whose rigid body is not that of all of them `together`."""
     robot, size = equations.robot, equations.basis.size
     coupling = float(stage.rotor_coupling == "gyroscopic")
-    joints = [[j.with_fixed(j.size - 1, coupling) for j in rows.joints] for rows in logs]
+    joints = [
+        [j.with_fixed(j.size - 1, coupling) for j in rows.joints] for rows in logs
+    ]
     found = agreement_verdicts(
         log_equations([rows.uses[0].log for rows in logs], joints),
         robot,
@@ -125,7 +147,10 @@ def _with_agreement(
 
 
 def _rows_of(
-    used: InertiaEquations, others: InertiaEquations | None, log: Recording | SurveyedLog, _: int
+    used: InertiaEquations,
+    others: InertiaEquations | None,
+    log: Recording | SurveyedLog,
+    _: int,
 ) -> AllRows:
     """Reduce the equations of one log, and those by its encoders where they are asked for."""
     own, factors = used.rows_of(log), used.options.neighbours
@@ -163,11 +188,15 @@ def _stage(
     moves = parameters.imu_moves(robot, basis, inertia, equations.reflected, errors)
     moves = np.pad(moves, ((0, equations.nuisances.count), (0, 0)))
     posterior = posterior.with_error(by_cutoff).with_error(moves)
-    posterior = replace(posterior, tolerances=tolerance_moves(equations, rows, solution))
+    posterior = replace(
+        posterior, tolerances=tolerance_moves(equations, rows, solution)
+    )
     stage = _described(
         equations, rows, solution.first(basis.size), posterior.first(basis.size)
     )
-    believed = {verdict.joint for verdict in stage.verdicts if verdict.joint and verdict.good}
+    believed = {
+        verdict.joint for verdict in stage.verdicts if verdict.joint and verdict.good
+    }
     drives = _drive_terms(equations, rows, solution, posterior, believed)
     stage = msgspec.structs.replace(
         stage,
@@ -177,7 +206,9 @@ def _stage(
     )
     verdicts = list(stage.verdicts)
     if coupling.contradicted:
-        verdicts.append(Verdict(good=False, level="usable", reason=coupling.contradicted))
+        verdicts.append(
+            Verdict(good=False, level="usable", reason=coupling.contradicted)
+        )
     stage = msgspec.structs.replace(
         stage,
         rotor_coupling="gyroscopic" if coupling.used else "diagonal",
@@ -231,15 +262,16 @@ def _drive_terms(
 ) -> DriveTerms:
     """Describe the terms of the drives, and put them into the friction stage.
 
-    They are `believed` at joints of which noise alone is left: elsewhere they take what else the
-    model lacks, a friction that has changed reads as a delay of ten milliseconds. There they are
-    marginalised, and friction stays as it came.
+    They are `believed` at joints of which noise alone is left: elsewhere they take what
+    else the model lacks, a friction that has changed reads as a delay of ten
+    milliseconds. There they are marginalised, and friction stays as it came.
     """
     robot, basis, columns = equations.robot, equations.basis, equations.nuisances
     friction = equations.stages.friction
     assert friction is not None
     joints = dict(friction.joints)
-    # The delay's column is a jerk: where noise makes up too much of it, it is marginalised alone.
+    # The delay's column is a jerk: where noise makes up too much of it, it is
+    # marginalised alone.
     reads_delays = equations.options.motion.reads_delays
     gravity = equations.stages.gravity
     of_gravity = {p.name for p in gravity.parameters} if gravity else set()
@@ -265,7 +297,9 @@ def _drive_terms(
         stated = term_of(joint, "thermal")
         values = {
             "delay": float(solution.theta[delay]),
-            "thermal": float(solution.theta[thermal]) + (stated.value if stated else 0.0),
+            "thermal": (
+                float(solution.theta[thermal]) + (stated.value if stated else 0.0)
+            ),
         }
         for place, (term, value) in zip((delay, thermal), values.items(), strict=True):
             if term == "delay" and not reads_delays:
@@ -302,14 +336,24 @@ def _described(
     settings = equations.options.settings.residual
     robot, basis, gravity = equations.robot, equations.basis, equations.stages.gravity
     known = {p.name for p in gravity.parameters} if gravity else set()
-    own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
-    stage = parameters.rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
-    pairs = parameters.missing_pairs(robot, basis, solution.left_open) if stage.not_excited else []
+    own = np.array(
+        [k for k in range(basis.size) if basis.names[k] not in known], dtype=int
+    )
+    stage = parameters.rigid_stage(
+        robot, basis, solution, posterior, own, equations.rotors
+    )
+    pairs = (
+        parameters.missing_pairs(robot, basis, solution.left_open)
+        if stage.not_excited
+        else []
+    )
     cutoff = float(np.median([use.cutoff_hz for use in rows.uses]))
     notes = [cutoff_note(rows.uses, equations.options.motion), *stage.notes]
     if pairs:
         text = ", ".join(" + ".join(pair) for pair in pairs)
-        notes.append(f"moving these joints together as well would give full rank: {text}")
+        notes.append(
+            f"moving these joints together as well would give full rank: {text}"
+        )
     idle = "does not move in these logs, or its friction is not known"
     floor = noise_of_rows(
         stage,
@@ -339,7 +383,9 @@ def _described(
         stage,
         rmse={name: float(solution.sigma[j]) for name, j in moved.items()},
         noise_density={name: float(noise[j]) for name, j in moved.items()},
-        noise_floor={name: float(floor.rms[j]) for name, j in moved.items() if floor.rms[j]},
+        noise_floor={
+            name: float(floor.rms[j]) for name, j in moved.items() if floor.rms[j]
+        },
         noise_floor_high={
             name: float(floor.high[j]) for name, j in moved.items() if floor.high[j]
         },
@@ -364,7 +410,8 @@ def _friction_error(equations: InertiaEquations, rows: InertiaRows) -> Array:
         v = np.concatenate([states.dq[states.used[:, j], j] for states in rows.states])
         if not len(q):
             continue
-        # By its standard error, or by what it leaves of speeds that it was not fitted to.
+        # By its standard error, or by what it leaves of speeds that it was not fitted
+        # to.
         stated = float(np.sqrt(np.mean(surface.std_error(q, v) ** 2)))
         held_out = friction.joints[equations.robot.joint_names[j]].held_out_rmse
         errors[j] = max(stated, held_out or 0.0)

@@ -2,10 +2,11 @@
 
     tau - tau_f - H_g pi_g = H_r pi_r.
 
-Friction is subtracted, gravity enters as a prior with the covariance of its stage, and both
-uncertainties end up in the standard errors. So do what the drives add, delay, offset and asymmetry
-of each joint (`identify.nuisances`), which are unknowns beside the parameters. Only joints that
-slide contribute rows: the torque of a locked joint lies anywhere within its stiction.
+Friction is subtracted, gravity enters as a prior with the covariance of its stage, and
+both uncertainties end up in the standard errors. So do what the drives add, delay,
+offset and asymmetry of each joint (`identify.nuisances`), which are unknowns beside the
+parameters. Only joints that slide contribute rows: the torque of a locked joint lies
+anywhere within its stiction.
 """
 
 from collections.abc import Iterable, Sequence
@@ -36,7 +37,12 @@ from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.tolerances import deviation_torques, deviations
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_friction, sliding
+from seqid_cli.model.torque import (
+    friction_surfaces,
+    known_rotors,
+    sampled_friction,
+    sliding,
+)
 from seqid_cli.motion.blocks import SurveyedLog, motion_blocks, overlapping
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
@@ -79,7 +85,10 @@ class InertiaRows:
         none, known = np.zeros(()), self.cross | other.cross
         cross = {j: self.cross.get(j, none) + other.cross.get(j, none) for j in known}
         joints = [a + b for a, b in zip(self.joints, other.joints, strict=True)]
-        squares, counts = self.torque_squares + other.torque_squares, self.counts + other.counts
+        squares, counts = (
+            self.torque_squares + other.torque_squares,
+            self.counts + other.counts,
+        )
         return InertiaRows(
             joints=joints,
             torque_squares=squares,
@@ -101,9 +110,10 @@ class InertiaRows:
 class DriveColumns:
     """What the drives add to the torques of n joints, filtered alike, all (N, n).
 
-    `delay` [N m/s] is per second by which the torque is late, `friction_per_second` the part of it
-    by which friction was identified differently; `dry_size` and `viscous_size` [N m] are per
-    asymmetry of either part of friction, `per_kelvin` [N m K] is per friction's change per kelvin.
+    `delay` [N m/s] is per second by which the torque is late, `friction_per_second` the
+    part of it by which friction was identified differently; `dry_size` and
+    `viscous_size` [N m] are per asymmetry of either part of friction, `per_kelvin` [N m
+    K] is per friction's change per kelvin.
     """
 
     delay: Array
@@ -126,8 +136,8 @@ class DriveColumns:
 class InertiaEquations:
     """The equations of every log.
 
-    Their unknowns are the base parameters, the nuisance terms of all joints (`NuisanceColumns`),
-    and last the share of gyroscopic coupling.
+    Their unknowns are the base parameters, the nuisance terms of all joints
+    (`NuisanceColumns`), and last the share of gyroscopic coupling.
     """
 
     measures_noise = True
@@ -145,13 +155,18 @@ class InertiaEquations:
         self._thermal = [self._change_of(name, "thermal") for name in robot.joint_names]
         self._scaled = (robot.torque_constant_errors > 0.0) & (self.reflected > 0.0)
 
-    def rows_of(self, log: Recording | SurveyedLog, *, forgotten: float = 0.8) -> InertiaRows:
+    def rows_of(
+        self, log: Recording | SurveyedLog, *, forgotten: float = 0.8
+    ) -> InertiaRows:
         """Rows of one log; `forgotten`: share of the low-pass's memory computed beside."""
-        # The motion of a held log is one block, of others many. 0.8 of the memory leaves 1e-10.
+        # The motion of a held log is one block, of others many. 0.8 of the memory
+        # leaves 1e-10.
         options = self.options.motion
         if isinstance(log, Recording):
             imu, source = self.stages.imu, self.options.source
-            motion = equations.torque_motion(log, self.robot, options, imu=imu, source=source)
+            motion = equations.torque_motion(
+                log, self.robot, options, imu=imu, source=source
+            )
             parts: Iterable[Motion] = [motion]
             lowpass, samples = motion.lowpass, motion.samples
         else:
@@ -160,19 +175,21 @@ class InertiaEquations:
             factor, samples = plan.factor, -(-log.samples // plan.factor)
             lowpass = Lowpass(plan.cutoff.hz, plan.rate_hz / factor, factor)
         reach = int(forgotten * lowpass.memory) + lowpass.settling
-        # Friction at the onset of sliding is not that of its surface, and the filter mixes it in:
-        # the shorter quarter period that a prediction is judged by reads delays of up to a
-        # millisecond where there are none.
+        # Friction at the onset of sliding is not that of its surface, and the filter
+        # mixes it in: the shorter quarter period that a prediction is judged by reads
+        # delays of up to a millisecond where there are none.
         settled = self.options.settings.reversals.settled_periods
         size = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
-        block = lowpass.rate_hz  # samples of a second; longer where blocks would be merged anyway
+        # samples of a second; longer where blocks would be merged anyway
+        block = lowpass.rate_hz
         while samples > MOST_BLOCKS * block and block < CHUNK / 2:
             block *= 2.0
         joints = [Accumulator(self.nuisances.size + 1) for _ in range(self.robot.n)]
         rows = InertiaRows(joints, np.zeros(self.robot.n), {}, [], np.zeros(2))
         rows.band_rows.next_log()
         moving, usable = np.zeros(self.robot.n, dtype=bool), False
-        # Right sides need little memory: they are made of longer parts than the regressor.
+        # Right sides need little memory: they are made of longer parts than the
+        # regressor.
         held = samples if isinstance(log, Recording) else 2 * size
         for motion, start, stop in overlapping(parts, held, 2 * reach):
             y = self.right_side(motion)
@@ -226,12 +243,16 @@ class InertiaEquations:
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
         """The same equations, filtered at another cut-off."""
         motion = replace(self.options.motion, cutoff_hz=cutoff_hz, own=frozenset())
-        return InertiaEquations(self.robot, self.stages, replace(self.options, motion=motion))
+        return InertiaEquations(
+            self.robot, self.stages, replace(self.options, motion=motion)
+        )
 
     def right_side(self, motion: Motion) -> Array:
         """Torque without friction and known rotors, filtered alike (N, n) N m."""
         assert motion.tau is not None
-        own = motion.tau - motion.filtered(sampled_friction(self.surfaces, motion), times=2)
+        own = motion.tau - motion.filtered(
+            sampled_friction(self.surfaces, motion), times=2
+        )
         if self.rotors.any():
             own -= motion.filtered(self.reflected * motion.ddq)
         return own
@@ -247,9 +268,14 @@ class InertiaEquations:
         assert motion.tau is not None
         by_friction = self._friction_of(motion, self._delays)
         none: list[FrictionSurface | None] = [None, None]
-        sizes = [none if surface is None else even_surfaces(surface) for surface in self.surfaces]
+        sizes = [
+            none if surface is None else even_surfaces(surface)
+            for surface in self.surfaces
+        ]
         dry, viscous = (
-            motion.filtered(sampled_friction([parts[k] for parts in sizes], motion), times=2)
+            motion.filtered(
+                sampled_friction([parts[k] for parts in sizes], motion), times=2
+            )
             for k in range(2)
         )
         change = np.gradient(motion.tau, axis=0) * motion.rate_hz
@@ -261,7 +287,9 @@ class InertiaEquations:
             per_kelvin=self._per_kelvin(motion),
         )
 
-    def _friction_of(self, motion: Motion, terms: Sequence[FrictionChange | None]) -> Array:
+    def _friction_of(
+        self, motion: Motion, terms: Sequence[FrictionChange | None]
+    ) -> Array:
         """Return what one unit of each joint's term changes of its friction (N, n) N m."""
         changes = [None if term is None else term.per_unit for term in terms]
         return motion.filtered(sampled_friction(changes, motion), times=2)
@@ -299,24 +327,42 @@ class InertiaEquations:
                 drive.per_kelvin,
             ]
             places = self.nuisances.of_joint(j)
-            columns[:, j, places] = np.stack([values[:, j] for values in of_drive], axis=1)
+            columns[:, j, places] = np.stack(
+                [values[:, j] for values in of_drive], axis=1
+            )
         return columns
 
     def coupling_column(self, motion: Motion) -> Array:
         """Torque (N, n) that known rotors add if they are coupled to the links that carry them."""
         if not self.rotors.any():
             return np.zeros_like(motion.q)
-        state = (self.robot.chain, motion.q, motion.dq, motion.ddq, gear_ratios(self.robot))
-        coupled = rotor_regressor(*state, "gyroscopic") - rotor_regressor(*state, "diagonal")
+        state = (
+            self.robot.chain,
+            motion.q,
+            motion.dq,
+            motion.ddq,
+            gear_ratios(self.robot),
+        )
+        coupled = rotor_regressor(*state, "gyroscopic") - rotor_regressor(
+            *state, "diagonal"
+        )
         return motion.filtered(coupled @ self.rotors)
 
     def add_chunk(
-        self, rows: InertiaRows, motion: Motion, H: Array, y: Array, usable: Mask, block_s: float
+        self,
+        rows: InertiaRows,
+        motion: Motion,
+        H: Array,
+        y: Array,
+        usable: Mask,
+        block_s: float,
     ) -> None:
         """Add H (N, n, p), y (N, n) of consecutive samples, where usable, to some rows."""
         share = equations.independent_share(motion)
         rows.counts += motion.samples * np.array([share, 1.0])
-        every = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
+        every = max(
+            1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz))
+        )
         parts = list(equations.blocks(motion.samples, motion.rate_hz, block_s=block_s))
         for j, surface in enumerate(self.surfaces):
             own = usable[:, j] & (surface is not None)
@@ -330,7 +376,9 @@ class InertiaEquations:
             # What is alike both ways of friction's error is in the nuisance terms.
             F = every * surface.error_columns(motion.q[some, j], motion.dq[some, j])
             if self._scaled[j]:
-                F = np.column_stack([F, every * self.reflected[j] * motion.ddq[some, j]])
+                F = np.column_stack(
+                    [F, every * self.reflected[j] * motion.ddq[some, j]]
+                )
             rows.cross[j] = rows.cross.get(j, 0.0) + H[some, j].T @ F
 
     def _add_band_rows(
@@ -357,14 +405,17 @@ class InertiaEquations:
 
     def prior(self) -> Prior:
         """Return what the stages before know of the unknowns, without that of coupling."""
-        return later_prior(self.stages, self.surfaces, self.basis, self.robot.joint_names)
+        return later_prior(
+            self.stages, self.surfaces, self.basis, self.robot.joint_names
+        )
 
     def solved(
         self, rows: InertiaRows, coupling: float | None, *, rounds: int = 6
     ) -> tuple[Solution, Posterior]:
         """Solve for the base parameters, the share of coupling held, or free where it is None."""
-        # The gravity stage enters as a prior with its covariance, friction's errors directly and
-        # through gravity. After six rounds the weights have settled to 1e-3 standard errors.
+        # The gravity stage enters as a prior with its covariance, friction's errors
+        # directly and through gravity. After six rounds the weights have settled to
+        # 1e-3 standard errors.
         joints = rows.joints
         prior = self.prior()
         if coupling is None:  # of which the prior knows nothing
@@ -416,7 +467,9 @@ def tolerance_moves(
         right = np.zeros(size)
         for j, joint in enumerate(rows.joints):
             mask = used[:, j]
-            weight = share * joint.samples / max(int(mask.sum()), 1) / solution.sigma[j] ** 2
+            weight = (
+                share * joint.samples / max(int(mask.sum()), 1) / solution.sigma[j] ** 2
+            )
             right[: basis.size] += weight * (H[mask, j].T @ torques[name][mask, j])
         if name in prior.tolerances:
             right += prior.A[:, :size].T @ prior.tolerances[name]

@@ -1,16 +1,16 @@
 """Whether all logs are of one rigid body: a log, or a stretch of one, that stands out, by name.
 
-One least squares over logs of which some carry a tool gives the parameters of neither arm, and a
-residual that still looks small against the torque. Here the logs are parted into two groups with a
-rigid body each and one friction,
+One least squares over logs of which some carry a tool gives the parameters of neither
+arm, and a residual that still looks small against the torque. Here the logs are parted
+into two groups with a rigid body each and one friction,
 
     e(G1, G2) = min over pi_1, pi_2, f of  sum_j ||R_j [pi_g; f; -1]||^2 / sigma_j^2,
 
-R_j the triangular factor of joint j's equations in a log, sigma_j what the joint leaves. The log
-that lowers e most by a body of its own goes first, others follow while they lower it further. The
-two groups differ where that takes away most of what one body leaves, where it is a fair share of
-the torque, and where no third group is left: if every log wants a body of its own, the model is
-wrong, not a log.
+R_j the triangular factor of joint j's equations in a log, sigma_j what the joint
+leaves. The log that lowers e most by a body of its own goes first, others follow while
+they lower it further. The two groups differ where that takes away most of what one body
+leaves, where it is a fair share of the torque, and where no third group is left: if
+every log wants a body of its own, the model is wrong, not a log.
 """
 
 from collections.abc import Sequence
@@ -34,8 +34,8 @@ class LogEquations:
     """The equations of one log, or of a stretch of one.
 
     `log`: its name. `part`: which of how many stretches; empty for a whole log.
-    `factors` (n, p + 1, p + 1): triangular factor of each joint's [H y]. `samples` (n,): how many
-    rows each of them has.
+    `factors` (n, p + 1, p + 1): triangular factor of each joint's [H y]. `samples`
+    (n,): how many rows each of them has.
     """
 
     log: str
@@ -51,7 +51,9 @@ class LogEquations:
         return cls(log=PurePath(log).name, factors=totals, samples=samples)
 
 
-def parts_of(log: str, joints: Sequence[Accumulator], *, parts: int = 4) -> list[LogEquations]:
+def parts_of(
+    log: str, joints: Sequence[Accumulator], *, parts: int = 4
+) -> list[LogEquations]:
     """Cut the equations of a log into stretches of about equal length, in their order."""
     name = PurePath(log).name
     found = []
@@ -97,7 +99,9 @@ class _Fit:
         self.b = normals[:, :-1, -1] / self.scale
         self.squares = float(normals[:, -1, -1].sum())
 
-    def solved(self, groups: Sequence[Group], *, rcond: float = 1e-9) -> tuple[float, Array]:
+    def solved(
+        self, groups: Sequence[Group], *, rcond: float = 1e-9
+    ) -> tuple[float, Array]:
         """Return the weighted squares that groups leave, and parameters (G, p) of each."""
         count, rigid, shared = len(groups), self.rigid, self.A.shape[1] - self.rigid
         size = count * rigid + shared
@@ -139,13 +143,15 @@ def agreement_verdicts(
     torque_squares : ndarray, (n,)
         Squared torque of each joint, summed over its rows, (N m)^2.
     rigid : int
-        How many of the first parameters are the rigid body's; the others are the same in all logs.
+        How many of the first parameters are the rigid body's; the others are the same
+        in all logs.
     independent : float
         Share of the rows that count as independent.
     settings : AgreementSettings
         When two groups differ, and from which share of a joint's torque that matters.
     max_third : float
-        Share of what two groups take away that a third one may take, else no log stands out.
+        Share of what two groups take away that a third one may take, else no log stands
+        out.
     most_logs : int
         Logs from which on nothing is compared: the cost grows with their square.
 
@@ -174,17 +180,20 @@ def agreement_verdicts(
     with_one = _left(logs, [everything], [together]) / np.sqrt(counts)
     with_two = _left(logs, [first, second], apart) / np.sqrt(counts)
     torque = np.sqrt(torque_squares / counts)
-    differs = np.sqrt(np.maximum(with_one**2 - with_two**2, 0.0)) / np.maximum(torque, 1e-300)
+    differs = np.sqrt(np.maximum(with_one**2 - with_two**2, 0.0)) / np.maximum(
+        torque, 1e-300
+    )
     differs[with_two > settings.max_left * with_one] = 0.0
     worst = int(np.argmax(differs))
     if differs[worst] < settings.usable_share:
         return []
     joint = robot.joints[worst]
     reason = (
-        f"{_named(logs, second)}: one rigid body for all leaves {with_one[worst]:.3g} "
-        f"{joint.unit('N m')} at {joint.name} ({percent(differs[worst])} of its torque), one for "
-        f"each leaves {with_two[worst]:.3g}. Is there a tool, a load or another mounting in one of "
-        "them? Identify them apart; seqid diagnose tells what differs"
+        f"{_named(logs, second)}: one rigid body for all leaves {with_one[worst]:.3g}"
+        f" {joint.unit('N m')} at {joint.name} ({percent(differs[worst])} of its"
+        f" torque), one for each leaves {with_two[worst]:.3g}. Is there a tool, a load"
+        " or another mounting in one of them? Identify them apart; seqid diagnose"
+        " tells what differs"
     )
     level: Level = "poor" if differs[worst] >= settings.poor_share else "usable"
     return [Verdict(good=False, level=level, reason=reason)]
@@ -200,7 +209,10 @@ def _named(logs: Sequence[LogEquations], odd: Group) -> str:
         for k in group:
             found.setdefault(logs[k].log, []).append(logs[k].part)
         names.append(
-            [f"{log} ({', '.join(own)})" if log in split else log for log, own in found.items()]
+            [
+                f"{log} ({', '.join(own)})" if log in split else log
+                for log, own in found.items()
+            ]
         )
     verb = "differs" if len(names[0]) == 1 else "differ"
     others = names[1][0] if len(names[1]) == 1 and not split else "the others"
@@ -209,15 +221,21 @@ def _named(logs: Sequence[LogEquations], odd: Group) -> str:
     return f"{', '.join(names[0])} {verb} from {others}"
 
 
-def _two_groups(fit: _Fit, logs: Group, *, min_gain: float = 0.1) -> tuple[Group, Group]:
+def _two_groups(
+    fit: _Fit, logs: Group, *, min_gain: float = 0.1
+) -> tuple[Group, Group]:
     """Part logs into the many and the few that lower the squares most; the few come second.
 
-    `min_gain`: share of the squares that are left by which one more log must lower them.
+    `min_gain`: share of the squares that are left by which one more log must lower
+    them.
     """
     first, second = list(logs), Group()
     least = np.inf
     while len(first) > 1:
-        tries = [(fit.solved([[k for k in first if k != m], [*second, m]])[0], m) for m in first]
+        tries = [
+            (fit.solved([[k for k in first if k != m], [*second, m]])[0], m)
+            for m in first
+        ]
         left, moved = min(tries)
         if left > (1.0 - min_gain) * least:
             break
@@ -237,7 +255,9 @@ def _with_a_third(fit: _Fit, first: Group, second: Group) -> float:
 
 
 def _left(
-    logs: Sequence[LogEquations], groups: Sequence[Group], theta: Sequence[Array] | Array
+    logs: Sequence[LogEquations],
+    groups: Sequence[Group],
+    theta: Sequence[Array] | Array,
 ) -> Array:
     """Root of the squares (n,) that parameters of each group leave at each joint, N m."""
     squares = np.zeros(len(logs[0].factors))

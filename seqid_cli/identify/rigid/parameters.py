@@ -1,10 +1,11 @@
 """From a least-squares solution to a stage of the parameter file; shared by gravity and inertia.
 
-Also which pairs of joints must move together to determine what is still open (Sec. 2.2.4), and
-physical consistency as a constraint. Least squares does not know that masses are positive. Of all
-models that bodies with positive density and rotors of positive inertia can have, the constrained
-one is the nearest to the unconstrained in units of its covariance, which is the maximum of the
-posterior under the constraint (see `model.bodies.consistent`).
+Also which pairs of joints must move together to determine what is still open (Sec.
+2.2.4), and physical consistency as a constraint. Least squares does not know that
+masses are positive. Of all models that bodies with positive density and rotors of
+positive inertia can have, the constrained one is the nearest to the unconstrained in
+units of its covariance, which is the maximum of the posterior under the constraint (see
+`model.bodies.consistent`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,11 +52,20 @@ def representative_of(basis: Basis, theta: Array, rotors: Array) -> dict[str, fl
 
 def _named(phi: Array, n: int) -> dict[str, float]:
     """Standard parameters (11 n,) by name, zeros left out."""
-    return {name: float(x) for name, x in zip(standard_names(n), phi, strict=True) if x != 0.0}
+    return {
+        name: float(x)
+        for name, x in zip(standard_names(n), phi, strict=True)
+        if x != 0.0
+    }
 
 
 def rigid_stage(
-    robot: Robot, basis: Basis, solution: Solution, posterior: Posterior, own: Index, rotors: Array
+    robot: Robot,
+    basis: Basis,
+    solution: Solution,
+    posterior: Posterior,
+    own: Index,
+    rotors: Array,
 ) -> RigidStage:
     """What a solution tells of parameters `own`; known `rotors` (n,) join the representative."""
     determined, left = own[solution.determined[own]], own[~solution.determined[own]]
@@ -75,10 +85,12 @@ def rigid_stage(
             for j, name in enumerate(names)
         },
         torque_constant_moves={
-            names[j]: move[determined].tolist() for j, move in posterior.constants.items()
+            names[j]: move[determined].tolist()
+            for j, move in posterior.constants.items()
         },
         tolerance_moves={
-            name: move[determined].tolist() for name, move in posterior.tolerances.items()
+            name: move[determined].tolist()
+            for name, move in posterior.tolerances.items()
         },
         not_excited=missing,
         notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
@@ -89,12 +101,14 @@ def made_consistent(
     stage: RigidStage, stages: Stages, robot: Robot, *, min_move: float = 0.5
 ) -> RigidStage:
     """Put the parameters of an inertia stage among those that bodies can have."""
-    # Standard errors stay the unconstrained ones. A note names what moved by `min_move` of them.
+    # Standard errors stay the unconstrained ones. A note names what moved by `min_move`
+    # of them.
     found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
     nearest = nearest_bodies(robot, found)
     moved = {d.name: d for d in found.deviations(nearest.links, nearest.rotor)}
     parameters = [
-        replace(p, value=moved[p.name].exported) if p.name in moved else p for p in stage.parameters
+        replace(p, value=moved[p.name].exported) if p.name in moved else p
+        for p in stage.parameters
     ]
     phi = _named(np.concatenate([nearest.links.ravel(), nearest.rotor]), robot.n)
     note = "physically consistent as identified: bodies with these parameters exist"
@@ -103,7 +117,9 @@ def made_consistent(
         named = [f"{name} by {x:+.1f}" for name, x in by.items() if abs(x) >= min_move]
         text = ", ".join(named) or f"none by more than {min_move:g}"
         note = f"made physically consistent; moved, in standard errors: {text}"
-    return replace(stage, parameters=parameters, representative=phi, notes=[*stage.notes, note])
+    return replace(
+        stage, parameters=parameters, representative=phi, notes=[*stage.notes, note]
+    )
 
 
 def joint_verdicts(
@@ -133,7 +149,8 @@ def joint_verdicts(
     poor_share : float
         Of the torque's RMS, from which a joint is poor if it is left.
     max_of_noise : float
-        Times the upper end of the noise's interval that may be left: the end scatters too.
+        Times the upper end of the noise's interval that may be left: the end scatters
+        too.
     idle : str
         Why a joint has no rows.
 
@@ -167,17 +184,21 @@ def joint_verdicts(
 
 
 def imu_moves(
-    robot: Robot, basis: Basis, inertia: Array, reflected: Array, errors: Mapping[str, float]
+    robot: Robot,
+    basis: Basis,
+    inertia: Array,
+    reflected: Array,
+    errors: Mapping[str, float],
 ) -> Array:
     """By what IMUs' errors move the parameters (b, d), one standard deviation per column.
 
-    Accelerations that a calibration takes for too large by a share leave inertias too small by as
-    much: those of the links between the IMU before and its own. A known rotor's share of it comes
-    upon the inertia about the joint that it turns.
+    Accelerations that a calibration takes for too large by a share leave inertias too
+    small by as much: those of the links between the IMU before and its own. A known
+    rotor's share of it comes upon the inertia about the joint that it turns.
 
-    `inertia` (b,): base parameters, zero where accelerations do not show them. `reflected` (n,):
-    known rotor inertias at the joints, kg m^2. `errors`: relative standard errors of the
-    accelerations by the IMUs that took part.
+    `inertia` (b,): base parameters, zero where accelerations do not show them.
+    `reflected` (n,): known rotor inertias at the joints, kg m^2. `errors`: relative
+    standard errors of the accelerations by the IMUs that took part.
     """
     links = np.array([basis.joint_index(k) for k in range(basis.size)], dtype=int)
     about = np.array([name.startswith("Izz_") for name in basis.names])
@@ -195,8 +216,8 @@ def missing_pairs(
     robot: Robot, basis: Basis, left_open: Array, *, states: int = 120
 ) -> list[list[str]]:
     """Choose pairs greedily until all base parameters are seen, none that others make idle."""
-    # By random states of two moving joints, the others at random angles. Empty where no pair would
-    # add anything. An arm of one joint has that alone.
+    # By random states of two moving joints, the others at random angles. Empty where no
+    # pair would add anything. An arm of one joint has that alone.
     seen: dict[tuple[int, int], Array] = {}
     for pair in list(combinations(range(robot.n), 2)) or [(0, 0)]:
         rng, moving = np.random.default_rng(0), list(pair)
@@ -228,4 +249,6 @@ def _still_open(H: Array, left: Array, *, min_share: float = 1e-6) -> Array:
     """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see."""
     # Singular values below `min_share` of the largest are rounding.
     _, s, Vt = np.linalg.svd(H @ left, full_matrices=True)
-    return np.asarray(left @ Vt[int(np.sum(s > min_share * float(np.linalg.norm(H, 2)))) :].T)
+    return np.asarray(
+        left @ Vt[int(np.sum(s > min_share * float(np.linalg.norm(H, 2)))) :].T
+    )

@@ -4,23 +4,24 @@ Every stage is a linear function of its own torque and of what earlier stages sa
 
     theta = theta_0(tau) + S_c c + S_g g,
 
-c the coefficients of the friction surfaces, joint by joint, g the gravity parameters, S the
-sensitivities. The noise in theta_0 is the stage's own. Gravity depends on friction (S_c alone), and
-inertia on friction both directly and through gravity, so that
+c the coefficients of the friction surfaces, joint by joint, g the gravity parameters, S
+the sensitivities. The noise in theta_0 is the stage's own. Gravity depends on friction
+(S_c alone), and inertia on friction both directly and through gravity, so that
 
     T = S_c + S_g S_gc,    cov(theta) = own + S_g own_g S_g' + sum_j T_j cov(c_j) T_j'.
 
-Friction is counted once, whatever way its errors take. A stage hands on its covariance and its
-total sensitivity to friction, T; with the covariances of the surfaces that is the covariance of
-everything with everything: cov(theta, c_j) = T_j cov(c_j).
+Friction is counted once, whatever way its errors take. A stage hands on its covariance
+and its total sensitivity to friction, T; with the covariances of the surfaces that is
+the covariance of everything with everything: cov(theta, c_j) = T_j cov(c_j).
 
-The error e_k of a joint's torque constant, s_k its standard deviation, scales the right side y_k of
-that joint's rows in every stage, friction c_k included. What it moves theta by is linear as well,
+The error e_k of a joint's torque constant, s_k its standard deviation, scales the right
+side y_k of that joint's rows in every stage, friction c_k included. What it moves theta
+by is linear as well,
 
     M_k = s_k dtheta_0/de_k + S_g M_gk,    stated cov(theta) = cov(theta) + sum_k M_k M_k',
 
-one common error for all stages. It cancels in the torque of the same drive, so what is held against
-that torque uses cov(theta), and what is stated of physical values adds M.
+one common error for all stages. It cancels in the torque of the same drive, so what is
+held against that torque uses cov(theta), and what is stated of physical values adds M.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,11 +37,15 @@ from seqid_cli.robot.base_parameters import Basis, standard_names
 from seqid_cli.typing import Array
 
 Surfaces = Sequence[FrictionSurface | None]  # of the joints, as far as they are known
-Sensitivity = dict[int, Array]  # by joint: (p, K_j), change of parameters per coefficient of c_j
-Moves = dict[int, Array]  # by joint: (p,), change of parameters per error of its torque constant
+# by joint: (p, K_j), change of parameters per coefficient of c_j
+Sensitivity = dict[int, Array]
+# by joint: (p,), change of parameters per error of its torque constant
+Moves = dict[int, Array]
 
 
-def friction_covariance(sensitivity: Sensitivity, surfaces: Surfaces, size: int) -> Array:
+def friction_covariance(
+    sensitivity: Sensitivity, surfaces: Surfaces, size: int
+) -> Array:
     """Covariance (p, p) that the errors of the friction surfaces make: sum_j T_j cov(c_j) T_j'."""
     total = np.zeros((size, size))
     for j, T in sensitivity.items():
@@ -50,12 +55,14 @@ def friction_covariance(sensitivity: Sensitivity, surfaces: Surfaces, size: int)
     return total
 
 
-def constant_moves(solution: Solution, errors: Array, known: Moves, through: Moves) -> Moves:
+def constant_moves(
+    solution: Solution, errors: Array, known: Moves, through: Moves
+) -> Moves:
     """What one standard error of each joint's torque constant moves a solution by.
 
-    `errors` (n,): relative standard errors of the torque constants. `known`: the move by torque on
-    the right side that was computed, not measured, such as that of known rotors. It does not scale.
-    `through`: the move by way of an earlier stage.
+    `errors` (n,): relative standard errors of the torque constants. `known`: the move
+    by torque on the right side that was computed, not measured, such as that of known
+    rotors. It does not scale. `through`: the move by way of an earlier stage.
     """
     return {
         j: e * (solution.shares[j] - known.get(j, 0.0)) + through.get(j, 0.0)
@@ -76,14 +83,17 @@ class Posterior:
     covariance: Array  # without the errors of torque constants
     friction: Sensitivity  # the total one
     constants: Moves = field(default_factory=dict)
-    # By its name: (p,) change of parameters per standard deviation of what no log shows.
+    # By its name: (p,) change of parameters per standard deviation of what no log
+    # shows.
     tolerances: dict[str, Array] = field(default_factory=dict)
 
     @property
     def stated(self) -> Array:
         """Covariance (p, p) of the physical values, with what cancels in predicted torques."""
         size = len(self.covariance)
-        common = moves_covariance(self.constants, size) + moves_covariance(self.tolerances, size)
+        common = moves_covariance(self.constants, size) + moves_covariance(
+            self.tolerances, size
+        )
         return self.covariance + common
 
     @classmethod
@@ -124,7 +134,9 @@ class Posterior:
         return replace(self, covariance=self.covariance + directions @ directions.T)
 
 
-def gravity_prior(gravity: RigidStage | None, basis: Basis, joints: Sequence[str]) -> Prior:
+def gravity_prior(
+    gravity: RigidStage | None, basis: Basis, joints: Sequence[str]
+) -> Prior:
     """The gravity stage as rows of unit variance on the base parameters that it determined."""
     if gravity is None or not gravity.parameters:
         return Prior(np.zeros((0, basis.size)), np.zeros(0))
@@ -137,9 +149,15 @@ def gravity_prior(gravity: RigidStage | None, basis: Basis, joints: Sequence[str
     names = standard_names(basis.expression.shape[1] // 11)
     phi = np.array([gravity.representative.get(name, 0.0) for name in names])
     friction, constants = (
-        {j: rows @ np.array(known[name]) for j, name in enumerate(joints) if known.get(name)}
+        {
+            j: rows @ np.array(known[name])
+            for j, name in enumerate(joints)
+            if known.get(name)
+        }
         for known in (gravity.friction_sensitivity, gravity.torque_constant_moves)
     )
     value = np.asarray((basis.expression @ phi)[:size])[own]
-    tolerances = {name: rows @ np.array(move) for name, move in gravity.tolerance_moves.items()}
+    tolerances = {
+        name: rows @ np.array(move) for name, move in gravity.tolerance_moves.items()
+    }
     return Prior(wide, rows @ value, friction, constants, tolerances)

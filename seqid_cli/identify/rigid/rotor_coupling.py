@@ -1,16 +1,17 @@
 """Whether rotors react on the links that carry them: the logs decide, or it is left open.
 
-The torque of rotor i on its own joint is N_i^2 I_mi ddq_i (Eq. 43). A rotor that rides on a link
-feels that link's motion as well, and the link feels the rotor's: N_i I_mi times accelerations of
-other joints. `share` kappa of that coupling is 0 or 1. Both hypotheses are fitted, the errors of
-friction and gravity included; with k and its standard error s of the fit that leaves kappa free,
+The torque of rotor i on its own joint is N_i^2 I_mi ddq_i (Eq. 43). A rotor that rides
+on a link feels that link's motion as well, and the link feels the rotor's: N_i I_mi
+times accelerations of other joints. `share` kappa of that coupling is 0 or 1. Both
+hypotheses are fitted, the errors of friction and gravity included; with k and its
+standard error s of the fit that leaves kappa free,
 
     log odds = (k^2 - (k - 1)^2) / (2 s^2).
 
-It must decide alike at neighbouring cut-offs. A k that is neither near 0 nor near 1 is a sign of
-something else. Where the logs do not decide, the data sheet's model stays (rotors act on their own
-joints alone), and what the other one would change counts as an error of the parameters: it is as
-likely as not, or more where the logs favour it.
+It must decide alike at neighbouring cut-offs. A k that is neither near 0 nor near 1 is
+a sign of something else. Where the logs do not decide, the data sheet's model stays
+(rotors act on their own joints alone), and what the other one would change counts as an
+error of the parameters: it is as likely as not, or more where the logs favour it.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,9 @@ from seqid_cli.typing import Array
 class Coupling:
     """What the logs say of the coupling of rotors to the links that carry them.
 
-    `directions` (p, d): along which the other hypothesis would move the parameters, in standard
-    deviations. `contradicted`: why neither hypothesis agrees with the logs, empty where one does.
+    `directions` (p, d): along which the other hypothesis would move the parameters, in
+    standard deviations. `contradicted`: why neither hypothesis agrees with the logs,
+    empty where one does.
     """
 
     used: bool
@@ -83,7 +85,9 @@ def decide(
     if sure and alike and len(shares) == len(rows):
         coupled = used.log_odds > 0.0
         text = "the data show rotors coupled to the links that carry them; used as such"
-        return Coupling(used=coupled, directions=nothing, notes=(text,) if coupled else ())
+        return Coupling(
+            used=coupled, directions=nothing, notes=(text,) if coupled else ()
+        )
 
     # What does not decide does not count against the other hypothesis either.
     odds = float(np.clip(used.log_odds, -min_log_odds, min_log_odds))
@@ -94,18 +98,22 @@ def decide(
     left = f"{used.value:.2f} +- {used.std_error:.2f} of it when left free"
     if near[0]:
         note = (
-            f"these logs do not tell whether rotors are coupled to the links that carry them "
-            f"({left}); they act on their own joints alone, and the standard errors allow for it"
+            "these logs do not tell whether rotors are coupled to the links that carry"
+            f" them ({left}); they act on their own joints alone, and the standard"
+            " errors allow for it"
         )
         return Coupling(used=False, directions=directions, notes=(note,))
     note = (
-        f"coupling of rotors to the links that carry them: {left}, neither 0 nor 1; something "
-        "else is missing in the model, and the rotors act on their own joints alone"
+        f"coupling of rotors to the links that carry them: {left}, neither 0 nor 1;"
+        " something else is missing in the model, and the rotors act on their own"
+        " joints alone"
     )
     return Coupling(used=False, directions=directions, contradicted=note)
 
 
-def _free_shares(equations: InertiaEquations, rows: Sequence[InertiaRows]) -> list[FreeShare]:
+def _free_shares(
+    equations: InertiaEquations, rows: Sequence[InertiaRows]
+) -> list[FreeShare]:
     """Return the free share at each cut-off at which it is determined; none unless at the first."""
     place = equations.coupling_place
     shares = []

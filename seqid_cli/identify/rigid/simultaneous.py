@@ -2,20 +2,21 @@
 
     tau = H(q, dq, ddq) pi + F_c sign(dq) + F_v dq + F_o
 
-for comparison with the sequential way, and for logs that hold no single-joint trials. F_o is a
-constant torque per joint, as a current sensor's zero or a warm drive leaves it. Without it, base
-parameters stand in for it and are wrong beyond their errors. The delay of each joint's torque is
-unknown as well (`identify.nuisances`). It is marginalised and never reported: beside this law of
-friction it takes what friction is otherwise. The result is written as a friction stage of orders
-(0, 1) and an inertia stage with all base parameters, for every later command.
+for comparison with the sequential way, and for logs that hold no single-joint trials.
+F_o is a constant torque per joint, as a current sensor's zero or a warm drive leaves
+it. Without it, base parameters stand in for it and are wrong beyond their errors. The
+delay of each joint's torque is unknown as well (`identify.nuisances`). It is
+marginalised and never reported: beside this law of friction it takes what friction is
+otherwise. The result is written as a friction stage of orders (0, 1) and an inertia
+stage with all base parameters, for every later command.
 
 Friction of most gears waves over the position,
 
     sign(dq) (a cos(q) + b sin(q)),
 
-which this law does not hold and base parameters take, up to many of their errors' worth. So the
-same equations are solved once more with a and b unknown, 0 +- 0.1 F_c. Where they show, the stage
-is usable, not good.
+which this law does not hold and base parameters take, up to many of their errors'
+worth. So the same equations are solved once more with a and b unknown, 0 +- 0.1 F_c.
+Where they show, the stage is usable, not good.
 """
 
 from collections.abc import Iterable, Sequence
@@ -80,27 +81,40 @@ def identify_simultaneous(
     paths, motions, noise = [], [], []
     for recording in recordings:
         paths.append(recording.path)
-        motion = equations.torque_motion(recording, robot, options, imu=imu, source=source)
+        motion = equations.torque_motion(
+            recording, robot, options, imu=imu, source=source
+        )
         motions.append(deepcopy(motion))  # without the samples that it was thinned from
         fastest = np.abs(np.where(motion.moving, motion.dq, 0.0)).max(axis=0)
         slides = sliding(motion, SLIDES * SIGN_SHARE * fastest)
         noise.append(noise_of_log(recording, motion, slides))
     rows = SimultaneousEquations(robot, motions, offset=offset) if motions else None
     if rows is None or not any(joint.samples for joint in rows.joints):
-        raise QualityError("no joint moves in these logs", hint="record moves of every joint")
-    uses = [equations.motion_use(path, robot, x) for path, x in zip(paths, motions, strict=True)]
+        raise QualityError(
+            "no joint moves in these logs", hint="record moves of every joint"
+        )
+    uses = [
+        equations.motion_use(path, robot, x)
+        for path, x in zip(paths, motions, strict=True)
+    ]
     return rows.stages(uses, options, noise, settings)
 
 
 class SimultaneousEquations:
     """Accumulates [H, friction columns | tau] of every joint.
 
-    Friction changes its sign over `width` (n,): `share` of the speed of a joint in the log in which
-    it is fastest. One that moves it hardly, as others shake it, does not say how fast it slides.
+    Friction changes its sign over `width` (n,): `share` of the speed of a joint in the
+    log in which it is fastest. One that moves it hardly, as others shake it, does not
+    say how fast it slides.
     """
 
     def __init__(
-        self, robot: Robot, motions: Sequence[Motion], *, offset: bool, share: float = SIGN_SHARE
+        self,
+        robot: Robot,
+        motions: Sequence[Motion],
+        *,
+        offset: bool,
+        share: float = SIGN_SHARE,
     ) -> None:
         self.robot, self.basis = robot, free_basis(robot)
         self.terms = TERMS if offset else TERMS[:2]
@@ -111,9 +125,12 @@ class SimultaneousEquations:
         size = first_wave + WAVE_TERMS * robot.n
         self.delays = slice(first_delay, first_wave)
         self.nuisances = slice(first_delay, size)
-        self.waves = [slice(k, k + WAVE_TERMS) for k in range(first_wave, size, WAVE_TERMS)]
+        self.waves = [
+            slice(k, k + WAVE_TERMS) for k in range(first_wave, size, WAVE_TERMS)
+        ]
         self.joints = [Accumulator(size) for _ in range(robot.n)]
-        self._rotor_sums = np.zeros((robot.n, size))  # H' times the torque of known rotors
+        # H' times the torque of known rotors
+        self._rotor_sums = np.zeros((robot.n, size))
         self.torque_squares = np.zeros(robot.n)
         self.band_rows = BandRowsCollector()
         shares = [equations.independent_share(motion) for motion in motions]
@@ -122,7 +139,10 @@ class SimultaneousEquations:
         self.fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
         usual = [np.quantile(speed, 0.99, axis=0) for speed in speeds]
         # Zero where it moved for a moment only.
-        shown = [np.where(x > 0, x, v.max(axis=0)) for x, v in zip(usual, speeds, strict=True)]
+        shown = [
+            np.where(x > 0, x, v.max(axis=0))
+            for x, v in zip(usual, speeds, strict=True)
+        ]
         self.width = share * np.max(shown, axis=0)
         self.low = np.min([motion.q.min(axis=0) for motion in motions], axis=0)
         self.high = np.max([motion.q.max(axis=0) for motion in motions], axis=0)
@@ -198,14 +218,17 @@ class SimultaneousEquations:
     def solved(self, prior: Prior) -> Solution:
         """Solve for base parameters, friction, delays and waves."""
         return solve(
-            self.joints, prior=prior, nuisances=self.nuisances, independent=self.independent
+            self.joints,
+            prior=prior,
+            nuisances=self.nuisances,
+            independent=self.independent,
         )
 
     def _wide(self, H: Array, friction: Array, change: Array, waves: Array) -> Array:
         """Return rows (K, n, p) of all unknowns from those of the rigid body and of friction.
 
-        `change` (K, n) N m/s is that of the torque, by which a delay shows; `waves` (K, n, 2) are
-        those of friction over the position.
+        `change` (K, n) N m/s is that of the torque, by which a delay shows; `waves` (K,
+        n, 2) are those of friction over the position.
         """
         wide = np.zeros((*H.shape[:2], self.joints[0].size))
         wide[:, :, : self.basis.size] = H
@@ -235,20 +258,27 @@ class SimultaneousEquations:
         )
         moved = [j for j in range(robot.n) if self.joints[j].samples]
         named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
-        note = f"friction ({named}) from one least squares with the rigid body (Eq. 5-6)"
+        note = (
+            f"friction ({named}) from one least squares with the rigid body (Eq. 5-6)"
+        )
         cutoff = float(np.median([use.cutoff_hz for use in uses]))
         friction = schema.FrictionStage(
-            joints={robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved},
+            joints={
+                robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved
+            },
             method="simultaneous",
             cutoff_hz=cutoff,
             notes=[note, equations.cutoff_note(uses, options), *constants_note(robot)],
         )
         own = np.arange(self.basis.size)
-        stage = rigid_stage(robot, self.basis, solution, posterior, own, known_rotors(robot))
+        stage = rigid_stage(
+            robot, self.basis, solution, posterior, own, known_rotors(robot)
+        )
         free = [j for j in moved if not solution.determined[self.own[j]][2:].all()]
         text = (
-            f"the offset of {', '.join(robot.joint_names[j] for j in free)} is not told apart from "
-            "other torques: record wider moves, or leave offsets out (--no-offset)"
+            f"the offset of {', '.join(robot.joint_names[j] for j in free)} is not told"
+            " apart from other torques: record wider moves, or leave offsets out"
+            " (--no-offset)"
         )
         floor = noise_of_rows(
             stage,
@@ -258,7 +288,9 @@ class SimultaneousEquations:
             joints=self.joints,
             torque_squares=self.torque_squares,
         )
-        named_floor = [(name, j) for j, name in enumerate(robot.joint_names) if floor.high[j]]
+        named_floor = [
+            (name, j) for j, name in enumerate(robot.joint_names) if floor.high[j]
+        ]
         rigid = replace(
             stage,
             noise_floor={name: float(floor.rms[j]) for name, j in named_floor},
@@ -271,7 +303,9 @@ class SimultaneousEquations:
             motion_use=uses,
             cutoff_hz=cutoff,
             verdicts=[
-                *self._verdicts(solution, floor, len(stage.not_excited), settings.residual),
+                *self._verdicts(
+                    solution, floor, len(stage.not_excited), settings.residual
+                ),
                 *agreement_verdicts(
                     log_equations([use.log for use in uses], self.logs),
                     robot,
@@ -295,7 +329,9 @@ class SimultaneousEquations:
         bands = calibrate(self.band_rows, fit, model, robot, cutoff_hz=cutoff)
         return friction, replace(rigid, bands=bands)
 
-    def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
+    def _joint(
+        self, j: int, solution: Solution, posterior: Posterior
+    ) -> schema.FrictionJoint:
         """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
         own, fast, sigma = self.own[j], float(self.fastest[j]), float(solution.sigma[j])
         joint, values = self.robot.joints[j], solution.theta[own]
@@ -308,7 +344,8 @@ class SimultaneousEquations:
             unit=joint.unit("N m"),
             position_order=0,
             velocity_order=1,
-            max_error=sigma / max(float(np.abs(values[0])), 1e-12),  # of Coulomb friction
+            # of Coulomb friction
+            max_error=sigma / max(float(np.abs(values[0])), 1e-12),
             rmse=sigma,
             position_range=[float(self.low[j]), float(self.high[j])],
             speed_range=[0.0, fast],
@@ -320,7 +357,9 @@ class SimultaneousEquations:
             torque_constant_error=joint.torque_constant_error,
             speeds=[schema.SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
             parameters=[
-                schema.Parameter(name=n, value=float(v), std_error=float(e), unit=joint.unit(u))
+                schema.Parameter(
+                    name=n, value=float(v), std_error=float(e), unit=joint.unit(u)
+                )
                 for (n, u), v, e in zip(self.terms, values, errors, strict=True)
             ],
         )
@@ -330,9 +369,10 @@ class SimultaneousEquations:
     ) -> dict[str, schema.Matrix]:
         """Return the change of the reported parameters per entry of each joint's friction.
 
-        One least squares gives rigid body and friction correlated errors: what an offset has too
-        much, gravity has too little. Their sum is known far better than either. With T the change,
-        cov(theta, c) = T cov(c), as in the sequential stages (see `posterior`).
+        One least squares gives rigid body and friction correlated errors: what an
+        offset has too much, gravity has too little. Their sum is known far better than
+        either. With T the change, cov(theta, c) = T cov(c), as in the sequential stages
+        (see `posterior`).
         """
         covariance = posterior.covariance
         own = np.flatnonzero(solution.determined[: self.basis.size])
@@ -359,8 +399,8 @@ class SimultaneousEquations:
     ) -> list[schema.Verdict]:
         """Judge each joint.
 
-        It is poor by what is left of its torque, or where Coulomb friction is negative; usable
-        where more than noise is left, or where friction waves over the position.
+        It is poor by what is left of its torque, or where Coulomb friction is negative;
+        usable where more than noise is left, or where friction waves over the position.
         """
         verdicts = joint_verdicts(
             self.robot,
@@ -375,17 +415,25 @@ class SimultaneousEquations:
         coulomb = solution.theta[[own.start for own in self.own]]
         waving = self.solved(self.prior(coulomb))
         for j, (joint, own) in enumerate(zip(self.robot.joints, self.own, strict=True)):
-            dry, error = solution.theta[own.start], np.sqrt(solution.covariance[(own.start,) * 2])
+            dry, error = (
+                solution.theta[own.start],
+                np.sqrt(solution.covariance[(own.start,) * 2]),
+            )
             if self.joints[j].samples and dry < -settings.negative_sigma * error:
                 text = f"Coulomb friction of {dry:.3g} {joint.unit('N m')} cannot be"
                 reason = f"{verdicts[j].reason}; {text}: record both ways"
-                verdicts[j] = replace(verdicts[j], good=False, level="poor", reason=reason)
+                verdicts[j] = replace(
+                    verdicts[j], good=False, level="poor", reason=reason
+                )
             elif verdicts[j].good and (wave := self._wave(j, waving, settings)):
                 reason = f"{verdicts[j].reason}; {wave}"
-                verdicts[j] = replace(verdicts[j], good=False, level="usable", reason=reason)
-        reason = f"condition {solution.condition:.3g}, {missing} parameter(s) not excited"
+                verdicts[j] = replace(
+                    verdicts[j], good=False, level="usable", reason=reason
+                )
+        reason = (
+            f"condition {solution.condition:.3g}, {missing} parameter(s) not excited"
+        )
         return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
-
 
     def _wave(self, j: int, waving: Solution, settings: OneStepSettings) -> str:
         """Say how a joint's friction waves over the position, where that is certain and matters."""
@@ -398,13 +446,14 @@ class SimultaneousEquations:
         if certainty < settings.wave_sigma or share < settings.wave_share:
             return ""
         return (
-            f"its friction waves by {percent(share)} over the position, which Coulomb and viscous "
-            "friction do not hold"
+            f"its friction waves by {percent(share)} over the position, which Coulomb"
+            " and viscous friction do not hold"
         )
 
 
 def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:
     """Entries (2, terms) of a friction surface, ahead and back, per Coulomb, viscous and offset."""
-    # Over [0, fastest] |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion taken off.
+    # Over [0, fastest] |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of
+    # motion taken off.
     ahead = np.array([[1.0, fastest / 2, 1.0], [0.0, fastest / 2, 0.0]])[:, :terms]
     return ahead, ahead * np.array([1.0, 1.0, -1.0])[:terms]

@@ -35,15 +35,20 @@ def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
         if len(q) < 3:
             continue
         least = ALONE * _beyond_any_arm(float(np.median(np.diff(own_t))))
-        if np.abs(np.diff(q, 2)).max() < least:  # no two changes differ by as much as a break makes
+        # no two changes differ by as much as a break makes
+        if np.abs(np.diff(q, 2)).max() < least:
             continue
         if broken := _break(own_t, q, lattice(q)):
             code, text, wrong = broken
-            breaks.append(Break(j, found(code, text, joint.name, "position"), rows[wrong]))
+            breaks.append(
+                Break(j, found(code, text, joint.name, "position"), rows[wrong])
+            )
     return breaks
 
 
-def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[InspectionFinding]:
+def position_findings(
+    data: LogData, breaks: Sequence[Break]
+) -> Iterator[InspectionFinding]:
     """Check every joint's positions; `breaks` are those of `breaks_of`."""
     for j in range(data.robot.n):
         broken = [each.finding for each in breaks if each.joint == j]
@@ -64,7 +69,11 @@ def position_quality(
             continue
         size, step = held(q), lattice(q)
         declared = joint.encoder_resolution or step
-        if step and np.ptp(q) > 20 * max(declared, step) and abs(step / declared - 1.0) > 0.1:
+        if (
+            step
+            and np.ptp(q) > 20 * max(declared, step)
+            and abs(step / declared - 1.0) > 0.1
+        ):
             text = f"its step is {step:.4g}, the robot file says {declared:.4g}"
             yield found("encoder_resolution", text, joint.name, "position")
         if size > 1 and data.moves(j):
@@ -76,7 +85,9 @@ def position_quality(
             yield found("speed_limit", text, joint.name, "position")
 
 
-def _unit(data: LogData, j: int, *, min_outside: float = 0.02) -> InspectionFinding | None:
+def _unit(
+    data: LogData, j: int, *, min_outside: float = 0.02
+) -> InspectionFinding | None:
     """Compare with the limits, as they are and in other units; `min_outside` of their span."""
     joint = data.robot.joints[j]
     column = data.joints.channels["position"][:, j]
@@ -94,12 +105,16 @@ def _unit(data: LogData, j: int, *, min_outside: float = 0.02) -> InspectionFind
 
     if within(1.0):
         return None
-    text = f"runs from {least:.4g} to {most:.4g}, the limits are {low:.4g} to {high:.4g} {unit}"
+    text = (
+        f"runs from {least:.4g} to {most:.4g}, the limits are {low:.4g} to {high:.4g}"
+        f" {unit}"
+    )
     degrees, mm = ("position_in_degrees", np.degrees(1.0)), ("position_in_mm", 1000.0)
     choices = [mm if joint.prismatic else degrees]
     if joint.gear_ratio is not None and abs(joint.gear_ratio) > 3.0:
         choices.append(("position_motor_side", joint.gear_ratio))
-    if joint.encoder_resolution:  # how many times its declared step is the position's step?
+    # how many times its declared step is the position's step?
+    if joint.encoder_resolution:
         ratio = max(lattice(q), 1e-12) / joint.encoder_resolution
         choices.sort(key=lambda choice: abs(np.log(ratio / abs(choice[1]))))
     beyond = max(low - least, most - high)
@@ -110,12 +125,16 @@ def _unit(data: LogData, j: int, *, min_outside: float = 0.02) -> InspectionFind
     return found("position_limits", text, joint.name, "position")
 
 
-def fast_in_degrees(data: LogData, *, max_speed: float = 20.0) -> Iterator[InspectionFinding]:
+def fast_in_degrees(
+    data: LogData, *, max_speed: float = 20.0
+) -> Iterator[InspectionFinding]:
     """Take most joints impossibly fast for degrees; limits and velocities say it better."""
     robot = data.robot
     if data.recording.dq is not None or any(j.position_limits for j in robot.joints):
         return
-    moving = [j for j in range(robot.n) if data.moves(j) and not robot.joints[j].prismatic]
+    moving = [
+        j for j in range(robot.n) if data.moves(j) and not robot.joints[j].prismatic
+    ]
     speeds = [top_speed(data, j) for j in moving]
     if len(moving) >= 2 and float(np.median(speeds)) > max_speed:
         for j, speed in zip(moving, speeds, strict=True):
@@ -142,28 +161,45 @@ def _break(t: Array, q: Array, step: float) -> tuple[str, str, Index] | None:
         start, stop = frozen[0]
         text = f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
         text += (
-            f"{t[stop - 1] - t[start]:.3f} s, and then catches up by {q[stop] - q[stop - 1]:.3g}"
+            f"{t[stop - 1] - t[start]:.3f} s, and then catches up by"
+            f" {q[stop] - q[stop - 1]:.3g}"
         )
-        return "position_frozen", text, np.concatenate([np.arange(a + 1, b) for a, b in frozen])
+        return (
+            "position_frozen",
+            text,
+            np.concatenate([np.arange(a + 1, b) for a, b in frozen]),
+        )
     d = np.diff(q)
     size = np.abs(d)
-    # A jump stands alone: the motion around it is small against it (a spike returns at once, and of
-    # the two changes on one side the smaller counts).
+    # A jump stands alone: the motion around it is small against it (a spike returns at
+    # once, and of the two changes on one side the smaller counts).
     wide = np.pad(size, 2)
-    around = np.maximum(np.minimum(wide[:-4], wide[1:-3]), np.minimum(wide[3:-1], wide[4:]))
-    at = np.flatnonzero((size > large) & (around < ALONE * size) & (np.diff(t) < 1.5 * usual))
+    around = np.maximum(
+        np.minimum(wide[:-4], wide[1:-3]), np.minimum(wide[3:-1], wide[4:])
+    )
+    at = np.flatnonzero(
+        (size > large) & (around < ALONE * size) & (np.diff(t) < 1.5 * usual)
+    )
     if not len(at):
         return None
     back: dict[int, int] = {}  # after how many samples a change is undone
     for k in at.tolist():
-        undone = (s for s in (1, 2, 3) if k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * size[k])
+        undone = (
+            s
+            for s in (1, 2, 3)
+            if k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * size[k]
+        )
         if s := next(undone, 0):
             back[k] = s
     first, count = next(iter(back), int(at[0])), len(back) or len(at)
     text = f"jumps by {d[first]:.4g} at {t[first + 1]:.3f} s"
     text += f" and {count - 1} more times" if count > 1 else ""
     wrong = [row for k, s in back.items() for row in range(k + 1, k + s + 1)]
-    return "position_spikes" if back else "position_jump", text, np.array(wrong, dtype=np.intp)
+    return (
+        "position_spikes" if back else "position_jump",
+        text,
+        np.array(wrong, dtype=np.intp),
+    )
 
 
 def _least_jump(
@@ -172,7 +208,8 @@ def _least_jump(
     usual: float,
     *,
     min_steps: float = 8.0,
-    min_noise: float = 6.0,  # times what one in a hundred changes differs from its neighbours
+    # times what one in a hundred changes differs from its neighbours
+    min_noise: float = 6.0,
     max_jumps: int = 16,
     min_share: float = 0.005,  # of the position's range
 ) -> float:
@@ -181,14 +218,17 @@ def _least_jump(
     uneven = np.sort(np.abs(d - median_filter(d, 5, mode="wrap")))
     noise = float(np.quantile(uneven[: max(len(d) - max_jumps, 1)], 0.99))
     span = float(np.ptp(np.quantile(q, (0.01, 0.99))))
-    return max(min_steps * step, _beyond_any_arm(usual), min_noise * noise, min_share * span)
+    return max(
+        min_steps * step, _beyond_any_arm(usual), min_noise * noise, min_share * span
+    )
 
 
 def _beyond_any_arm(
     usual: float, *, max_acceleration: float = 1000.0, max_step: float = 0.05
 ) -> float:
     """Return the change of velocity, times the usual time, that no arm makes."""
-    return min(max_acceleration * usual**2, max_step)  # the first says little at low rates
+    # the first says little at low rates
+    return min(max_acceleration * usual**2, max_step)
 
 
 def _frozen(

@@ -5,7 +5,13 @@ from collections.abc import Container, Iterator
 import numpy as np
 from scipy.ndimage import median_filter
 
-from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice, missing
+from seqid_cli.inspect.channels.values import (
+    clipped,
+    equal_runs,
+    held,
+    lattice,
+    missing,
+)
 from seqid_cli.inspect.dynamics.echo import WARNING, echoes
 from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
 from seqid_cli.inspect.findings import found
@@ -32,7 +38,10 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
     light = data.modelled and largest_gravity(data.robot).max() < HEAVY
     if quantity == "torque" and drives and light and not said:
         # Neither the robot file nor the robot's weight tells torque from current.
-        text = "could be torque or current: the robot file gives torque_constant, the log torque"
+        text = (
+            "could be torque or current: the robot file gives torque_constant, the log"
+            " torque"
+        )
         yield found("effort_unclear", text, channel=quantity)
 
 
@@ -50,7 +59,10 @@ def _of_channel(
     if not values.any():
         yield "torque_zero", "is zero throughout although the joint moves"
     elif np.ptp(values) == 0.0:
-        yield "torque_constant_value", f"is {values[0]:.4g} throughout although the joint moves"
+        yield (
+            "torque_constant_value",
+            f"is {values[0]:.4g} throughout although the joint moves",
+        )
     elif stuck := _stuck(values, t, data.moving_samples(j)[present]):
         yield "torque_stuck", stuck
     else:
@@ -59,7 +71,10 @@ def _of_channel(
             more = f" and {len(spikes) - 1} more times" if len(spikes) > 1 else ""
             yield "torque_spikes", text + more
         if limit := clipped(values):
-            yield "torque_saturated", f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
+            yield (
+                "torque_saturated",
+                f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples",
+            )
 
 
 def _spikes(values: Array, *, min_ratio: float = 10.0, min_share: float = 1.0) -> Index:
@@ -75,11 +90,17 @@ def _spikes(values: Array, *, min_ratio: float = 10.0, min_share: float = 1.0) -
 
 
 def torque_quality(
-    data: LogData, broken: Container[str], *, max_step: float = 0.25, max_changing: float = 0.6
+    data: LogData,
+    broken: Container[str],
+    *,
+    max_step: float = 0.25,
+    max_changing: float = 0.6,
 ) -> Iterator[InspectionFinding]:
     """Check how well torque is measured, but for the joints named in `broken`."""
     quantity, all_values = data.effort() or ("", np.zeros((0, 0)))
-    for j, (name, column) in enumerate(zip(data.robot.joint_names, all_values.T, strict=False)):
+    for j, (name, column) in enumerate(
+        zip(data.robot.joint_names, all_values.T, strict=False)
+    ):
         yield from missing(column, name, quantity)
         if not data.moves(j) or name in broken:
             continue
@@ -88,7 +109,10 @@ def torque_quality(
         if (size := held(values)) > 1:
             text = f"repeats each value {size} times"
             yield found("channel_held", text, name, quantity)
-        step, spread = lattice(values), float(values[moving].std()) if moving.any() else 0.0
+        step, spread = (
+            lattice(values),
+            float(values[moving].std()) if moving.any() else 0.0,
+        )
         dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > max_changing
         if step and spread and step > max_step * spread and not dithered:
             text = f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
@@ -101,7 +125,10 @@ def _stuck(
     if moving.sum() < 3 or not np.median(np.diff(values[moving]) != 0):
         return ""  # it repeats itself anyway
     for a, b in equal_runs(values, min_samples):
-        seconds, inner = float(t[b - 1] - t[a]), values[a] not in (values.min(), values.max())
+        seconds, inner = (
+            float(t[b - 1] - t[a]),
+            values[a] not in (values.min(), values.max()),
+        )
         if seconds >= min_s and inner and moving[a:b].mean() > 0.5:
             return f"stays at {values[a]:.4g} for {seconds:.3g} s from {t[a]:.3f} s"
     return ""
@@ -115,20 +142,32 @@ def echo_findings(data: LogData) -> Iterator[InspectionFinding]:
             yield found("torque_echo", WARNING, data.robot.joint_names[j])
 
 
-def sensor_findings(data: LogData, *, opposed: float = -0.5) -> Iterator[InspectionFinding]:
+def sensor_findings(
+    data: LogData, *, opposed: float = -0.5
+) -> Iterator[InspectionFinding]:
     """Check torque sensors behind the gear and encoders on the link against the motor's side."""
     _, torque = data.effort() or ("", None)
-    for channel, motor in (("load", torque), ("link_position", data.joints.channels["position"])):
+    for channel, motor in (
+        ("load", torque),
+        ("link_position", data.joints.channels["position"]),
+    ):
         values = data.joints.channels.get(channel)
         if values is None or motor is None:
             continue
         for j, name in enumerate(data.robot.joint_names):
-            both = data.moving_samples(j) & np.isfinite(values[:, j]) & np.isfinite(motor[:, j])
+            both = (
+                data.moving_samples(j)
+                & np.isfinite(values[:, j])
+                & np.isfinite(motor[:, j])
+            )
             a, b = values[both, j], motor[both, j]
             varied = both.sum() > 1 and a.std() * b.std() > 0.0
             together = float(np.corrcoef(a, b)[0, 1]) if varied else 0.0
             if together < opposed:
-                text = f"runs against the motor's side: their correlation is {together:.2f}"
+                text = (
+                    "runs against the motor's side: their correlation is"
+                    f" {together:.2f}"
+                )
                 yield found("sensor_sign", text, name, channel)
 
 
@@ -141,10 +180,16 @@ def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
         step = float(np.abs(np.diff(values)).max(initial=0.0))
         text, code = "", "temperature_nonsense"
         if len(values) and 240.0 < np.median(values) < 420.0:
-            text, code = f"is {np.median(values):.4g} in the median", "temperature_in_kelvin"
+            text, code = (
+                f"is {np.median(values):.4g} in the median",
+                "temperature_in_kelvin",
+            )
         elif low == high == 0.0:
             text = "is exactly 0 throughout"
         elif low < -40.0 or high > 200.0 or step > 20.0:
-            text = f"runs from {low:.4g} to {high:.4g} degC, in steps of up to {step:.3g} K"
+            text = (
+                f"runs from {low:.4g} to {high:.4g} degC, in steps of up to"
+                f" {step:.3g} K"
+            )
         if text:
             yield found(code, text, name, "temperature")

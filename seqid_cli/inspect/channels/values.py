@@ -19,7 +19,11 @@ def equal_runs(values: Array, least: int) -> list[tuple[int, int]]:
 
 
 def clipped(
-    values: Array, *, min_samples: int = 10, min_share: float = 2e-3, min_pile: float = 3.0
+    values: Array,
+    *,
+    min_samples: int = 10,
+    min_share: float = 2e-3,
+    min_pile: float = 3.0,
 ) -> tuple[float, float] | None:
     """Find a limit at which a channel (M,) is cut off, and its share of the samples; or None."""
     for limit in (float(values.max()), float(values.min())) if len(values) else ():
@@ -34,7 +38,11 @@ def clipped(
 
 
 def held(
-    values: Array, *, min_equal: float = 0.7, min_regular: float = 0.95, min_changes: int = 20
+    values: Array,
+    *,
+    min_equal: float = 0.7,
+    min_regular: float = 0.95,
+    min_changes: int = 20,
 ) -> int:
     """Return in groups of how many samples a channel (M,) repeats its values; 1 if it does not."""
     changes = np.flatnonzero(np.diff(values) != 0)

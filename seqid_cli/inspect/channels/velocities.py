@@ -33,14 +33,18 @@ def velocity_findings(
     whole = [j for j, name in enumerate(names) if name not in broken]
     moving = [j for j in whole if counts[j] >= FEWEST]
     sizes = [np.maximum(np.linalg.norm(x, axis=0), 1e-300) for x in (travel, integral)]
-    r = (travel / sizes[0]).T @ (integral / sizes[1])  # correlations of positions with velocities
+    # correlations of positions with velocities
+    r = (travel / sizes[0]).T @ (integral / sizes[1])
     gains, ratios = np.diag(r) * sizes[0] / sizes[1], sizes[1] / sizes[0]
     crossed = _crossed(r, moving)
     paired = {j for pair in crossed for j in pair}
     still = _still(data, travel, integral, window_s)
     dead = [j for j in whole if still[j] >= FEWEST and j not in paired]
     for j in dead:
-        text = f"stands still for {window_s * still[j]:.2g} s in which its velocity moves it"
+        text = (
+            f"stands still for {window_s * still[j]:.2g} s in which its velocity"
+            " moves it"
+        )
         yield found("position_stuck", text, names[j], "position")
     live = [j for j in moving if j not in dead]
     clear = [gains[j] for j in live if abs(r[j, j]) > CORRELATED]
@@ -50,12 +54,17 @@ def velocity_findings(
             yield found("time_unit", text, channel="t")
             return
     for a, b in crossed:
-        text = f"the velocity of {names[a]} fits the position of {names[b]} and the other way round"
+        text = (
+            f"the velocity of {names[a]} fits the position of {names[b]} and the other"
+            " way round"
+        )
         yield found("joints_swapped", text, f"{names[a]}, {names[b]}", "velocity")
     for j in live:
         if j not in paired:
             joint = data.robot.joints[j]
-            yield from _verdict(joint, float(gains[j]), float(r[j, j]), float(ratios[j]))
+            yield from _verdict(
+                joint, float(gains[j]), float(r[j, j]), float(ratios[j])
+            )
 
 
 def _still(
@@ -69,8 +78,9 @@ def _still(
 ) -> Array:
     """Count the windows (n,) in which the velocity moves a joint and its position stands still.
 
-    Noise of the velocity adds up as well: over a window of T seconds white noise of density S
-    makes sqrt(S T / 2). An integral below `min_noises` times that moves nothing.
+    Noise of the velocity adds up as well: over a window of T seconds white noise of
+    density S makes sqrt(S T / 2). An integral below `min_noises` times that moves
+    nothing.
     """
     size = np.abs(integral)
     noise = np.sqrt(0.5 * window_s * _noise_density(data))
@@ -84,8 +94,9 @@ def _noise_density(
 ) -> Array:
     """Return the density (n,) of the velocities' noise, (rad/s)^2/Hz, one-sided.
 
-    Arms move below `motion_hz`, noise goes on above. A drive may low-pass its velocity, so the
-    octave above with the most counts, each by its median, which a line of hum does not lift.
+    Arms move below `motion_hz`, noise goes on above. A drive may low-pass its velocity,
+    so the octave above with the most counts, each by its median, which a line of hum
+    does not lift.
     """
     recording = data.recording
     assert recording.dq is not None
@@ -98,10 +109,14 @@ def _noise_density(
     return np.max(octaves, axis=0) if octaves else np.zeros(data.robot.n)
 
 
-def _crossed(r: Array, moving: list[int], *, min_crossed: float = 0.95) -> list[tuple[int, int]]:
+def _crossed(
+    r: Array, moving: list[int], *, min_crossed: float = 0.95
+) -> list[tuple[int, int]]:
     """Pairs of joints whose velocities fit each other's positions and not their own."""
     own = np.diag(r)
-    fits = (np.minimum(r, r.T) > min_crossed) & (np.maximum.outer(own, own) < CORRELATED)
+    fits = (np.minimum(r, r.T) > min_crossed) & (
+        np.maximum.outer(own, own) < CORRELATED
+    )
     return [pair for pair in combinations(moving, 2) if fits[pair]]
 
 
@@ -111,9 +126,14 @@ def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
     assert recording.dq is not None
     width = max(2, round(seconds * recording.rate_hz))
     edges = np.arange(0, len(recording.t), width)
-    total = cumulative_trapezoid(recording.dq, dx=1.0 / recording.rate_hz, axis=0, initial=0)
+    total = cumulative_trapezoid(
+        recording.dq, dx=1.0 / recording.rate_hz, axis=0, initial=0
+    )
     whole = np.diff(np.concatenate([[0], np.cumsum(~recording.valid)])[edges]) == 0
-    return np.diff(recording.q[edges], axis=0)[whole], np.diff(total[edges], axis=0)[whole]
+    return (
+        np.diff(recording.q[edges], axis=0)[whole],
+        np.diff(total[edges], axis=0)[whole],
+    )
 
 
 def _verdict(

@@ -1,10 +1,11 @@
 """The robot's equations against the log: axes, zeros, order of joints, and the size of torque.
 
-Two comparisons. The structural one needs no inertial parameters: all joints share one set of base
-parameters (gravity and inertia), so a joint whose axis, zero or place is another one spoils the
-fit, and mending it restores the fit. The nominal one needs a URDF with inertials: the measured
-torque is split into s times its gravity torque, inertia and friction; s is near one where torque
-is torque. Each cause of a misfit is the change to log or robot that undoes it.
+Two comparisons. The structural one needs no inertial parameters: all joints share one
+set of base parameters (gravity and inertia), so a joint whose axis, zero or place is
+another one spoils the fit, and mending it restores the fit. The nominal one needs a
+URDF with inertials: the measured torque is split into s times its gravity torque,
+inertia and friction; s is near one where torque is torque. Each cause of a misfit is
+the change to log or robot that undoes it.
 """
 
 import re
@@ -31,8 +32,8 @@ from seqid_cli.typing import Mask
 class Cause:
     """A change that mends the fit: of which kind, of which joints.
 
-    The two `joints` exchange their motion, their torque or both; then motion and torque are
-    multiplied, and zeros shifted, all (n,).
+    The two `joints` exchange their motion, their torque or both; then motion and torque
+    are multiplied, and zeros shifted, all (n,).
     """
 
     code: str
@@ -44,7 +45,8 @@ class Cause:
     torque: Array | float = 1.0
     shift: Array | float = 0.0
     gravity: Array | None = None  # (3,) m/s^2, that acts instead
-    weighed: bool = False  # gravity as the URDF's inertials give it is added to the torque
+    # gravity as the URDF's inertials give it is added to the torque
+    weighed: bool = False
 
     def on(self, sample: Sample) -> Sample:
         """Return the sample as it would be."""
@@ -74,20 +76,34 @@ def causes_of(data: LogData, sample: Sample, *, units: bool = False) -> Iterator
     def at(own: Sequence[int], value: float, usual: float = 1.0) -> Array:
         return np.where(np.isin(every, own), value, usual)
 
-    far = np.abs(sample.q).max(axis=0) > 2.0 * np.pi  # less in degrees is no motion to speak of
+    # less in degrees is no motion to speak of
+    far = np.abs(sample.q).max(axis=0) > 2.0 * np.pi
     turning = tuple(j for j, joint in enumerate(joints) if not joint.prismatic)
     degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
     for group in (group for group in degrees if far[list(group)].any()):
-        yield Cause("position_in_degrees", group, "is in degrees", motion=at(group, np.pi / 180.0))
+        yield Cause(
+            "position_in_degrees",
+            group,
+            "is in degrees",
+            motion=at(group, np.pi / 180.0),
+        )
     for j in every.tolist():
         back, own = at([j], -1.0), (j,)
-        yield Cause("axis_flipped", own, "turns the other way round", motion=back, torque=back)
+        yield Cause(
+            "axis_flipped", own, "turns the other way round", motion=back, torque=back
+        )
         yield Cause("sign_mismatch", own, "its torque is reversed", torque=back)
         yield Cause("sign_mismatch", own, "its position is reversed", motion=back)
         if j in turning:
-            for turns, angle in (("a quarter", 0.5), ("minus a quarter", -0.5), ("half a", 1.0)):
+            for turns, angle in (
+                ("a quarter", 0.5),
+                ("minus a quarter", -0.5),
+                ("half a", 1.0),
+            ):
                 text = f"its zero is {turns} turn off"
-                yield Cause("position_zero", own, text, shift=at([j], angle * np.pi, 0.0))
+                yield Cause(
+                    "position_zero", own, text, shift=at([j], angle * np.pi, 0.0)
+                )
     # Exchanging a joint that stands with one that moves changes what is compared.
     for pair in combinations(sample.moving, 2):
         for text, exchanged in (
@@ -106,11 +122,14 @@ def _of_efforts(data: LogData, *, units: bool) -> Iterator[Cause]:
     robot, every_joint = data.robot, tuple(range(data.robot.n))
     factor = np.array([abs(joint.torque_per_ampere or 0.0) for joint in robot.joints])
     if units and factor.all():
-        other, scale = ("torque", 1.0 / factor) if quantity == "current" else ("current", factor)
+        other, scale = (
+            ("torque", 1.0 / factor) if quantity == "current" else ("current", factor)
+        )
         text = f"carry {other}, not {quantity}"
         yield Cause(f"effort_is_{other}", every_joint, text, quantity, torque=scale)
     told = robot.channels.effort == "gravity_compensated" or robot.nominal is None
-    if quantity == "torque" and not told and robot.gravity.any():  # a driver subtracts it
+    # a driver subtracts it
+    if quantity == "torque" and not told and robot.gravity.any():
         text = "gravity is not in it"
         yield Cause("effort_without_gravity", every_joint, text, "torque", weighed=True)
 
@@ -122,7 +141,8 @@ def mounted(gravity: Array) -> Cause:
 
 
 BETTER = 0.8  # of another cause's error: less of a difference decides nothing
-CLEARLY = 1.02  # ratio of errors of all equations that a zero changes, and a centre of mass not
+# ratio of errors of all equations that a zero changes, and a centre of mass not
+CLEARLY = 1.02
 HEAVY = 1e-3  # N m
 # How a finding of the mounting reads where one direction alone fits.
 GRAVITY = re.compile(r"gravity acts along (\[[^\]]*\]);")
@@ -134,8 +154,8 @@ def geometry_findings(
 ) -> list[InspectionFinding]:
     """Compare a log with the robot's equations, besides what `friction` shows.
 
-    Another cause that mends the equations explains that as well: a zero that is off leaves gravity
-    in the torque, which may look like friction of any sign.
+    Another cause that mends the equations explains that as well: a zero that is off
+    leaves gravity in the torque, which may look like friction of any sign.
     """
     if not data.modelled or not sample.moving:
         return friction
@@ -143,7 +163,8 @@ def geometry_findings(
     if friction:
         mends = [f for f in structural if f.code != "model_mismatch"]
         known, told = (
-            {(f.code, *sorted(f.joint.split(", "))) for f in x} for x in (friction, mends)
+            {(f.code, *sorted(f.joint.split(", "))) for f in x}
+            for x in (friction, mends)
         )
         return friction if known & told or not mends else mends
     return structural or [*_scale(data, sample.thinned())]
@@ -162,7 +183,9 @@ def _structural(
     if error < suspicious:
         yield from _nearly_right(thin, error)
         return
-    mended = _mending(thin, error, _structural_error, [*causes_of(data, thin, units=True)])
+    mended = _mending(
+        thin, error, _structural_error, [*causes_of(data, thin, units=True)]
+    )
     seen = (sample.rms_speeds > min_steps * data.step)[list(sample.moving)].all()
     if mended is not None:
         yield mended
@@ -176,12 +199,12 @@ def _nearly_right(
 ) -> Iterator[InspectionFinding]:
     """Find gravity turned round, or a zero that is off, where the equations leave little.
 
-    Free parameters take up nearly all of such a fault, so what it leaves is small against the
-    torque, but large against what the right robot leaves: `max_ratio` of the `error` or less. The
-    URDF's inertials cannot take up a zero that is off: what they leave beyond the free parameters
-    must fall as far, to `max_left` of the torque or less. A centre of mass that the URDF has wrong
-    looks alike in the torque of that joint alone, not in the equations of all joints, which then
-    decide between the two.
+    Free parameters take up nearly all of such a fault, so what it leaves is small
+    against the torque, but large against what the right robot leaves: `max_ratio` of
+    the `error` or less. The URDF's inertials cannot take up a zero that is off: what
+    they leave beyond the free parameters must fall as far, to `max_left` of the torque
+    or less. A centre of mass that the URDF has wrong looks alike in the torque of that
+    joint alone, not in the equations of all joints, which then decide between the two.
     """
     against = mounted(-sample.robot.gravity)
     causes = [against] if sample.robot.gravity.any() else []
@@ -204,12 +227,16 @@ def _nearly_right(
     after = float(np.sqrt(max(errors[best] ** 2 - shifted**2, 0.0)))
     if after > min(max_ratio * before, max_left):
         return
-    fall = _fall(before, after, "what the URDF's inertials leave beyond free parameters")
+    fall = _fall(
+        before, after, "what the URDF's inertials leave beyond free parameters"
+    )
     if shifted < error / CLEARLY:
         yield _found(sample.robot, [cause], fall)
     elif shifted < error * CLEARLY:
         name = sample.robot.joint_names[cause.joints[0]]
-        text = f"{cause.text}, or its centre of mass is not where the URDF has it; {fall}"
+        text = (
+            f"{cause.text}, or its centre of mass is not where the URDF has it; {fall}"
+        )
         yield found("zero_or_mass", text, name, "position")
 
 
@@ -236,7 +263,8 @@ def _shifted(
     min_gain : float
         Share by which that must lower the error, else the joint is left alone.
     few_rows : int
-        Rows of the first try and of the search, which costs an evaluation for each angle.
+        Rows of the first try and of the search, which costs an evaluation for each
+        angle.
     angles : int
         Angles over a turn from which the search begins at the best.
     precise : float
@@ -256,7 +284,9 @@ def _shifted(
         start = float(min(around, key=error))
         reach = 2.0 * np.pi / angles
         ends = (start - reach, start + reach)
-        best = minimize_scalar(error, bounds=ends, method="bounded", options={"xatol": precise})
+        best = minimize_scalar(
+            error, bounds=ends, method="bounded", options={"xatol": precise}
+        )
         angle = float((best.x + np.pi) % (2.0 * np.pi) - np.pi)
         if abs(angle) > slightly / 2.0:
             causes.append(_zero_off(robot, j, angle))
@@ -266,7 +296,9 @@ def _shifted(
 def _zero_off(robot: Robot, j: int, angle: float) -> Cause:
     """A revolute joint whose positions lack `angle` [rad]."""
     shift = np.where(np.arange(robot.n) == j, angle, 0.0)
-    return Cause("position_zero", (j,), f"its zero is {-angle:.3g} rad off", shift=shift)
+    return Cause(
+        "position_zero", (j,), f"its zero is {-angle:.3g} rad off", shift=shift
+    )
 
 
 def _fall(before: float, after: float, what: str = "the equations' error") -> str:
@@ -288,9 +320,10 @@ def _mending(
 ) -> InspectionFinding | None:
     """Find the change that mends a fit; none where too many do.
 
-    One of the causes, gravity along an axis of the base, or in any direction: of these kinds the
-    first counts, unless a later one leaves clearly less. Where several of a kind do as well, the
-    inertials of a URDF decide: gravity turned round fits as well with parameters of the other sign.
+    One of the causes, gravity along an axis of the base, or in any direction: of these
+    kinds the first counts, unless a later one leaves clearly less. Where several of a
+    kind do as well, the inertials of a URDF decide: gravity turned round fits as well
+    with parameters of the other sign.
     """
     few = sample.thinned(few_rows)
     kinds = [sorted(causes, key=lambda cause: measure(cause.on(few)))[:max_rivals]]
@@ -304,7 +337,10 @@ def _mending(
         mends = [fit for fit in fits if fit[0] <= min(max_ratio * before, max_error)]
         best = min((error for error, _ in mends), default=np.inf)
         alike = [cause for error, cause in mends if error < best / BETTER]
-        if best < BETTER * least and len({frozenset(c.joints) for c in alike}) <= max_alike:
+        if (
+            best < BETTER * least
+            and len({frozenset(c.joints) for c in alike}) <= max_alike
+        ):
             chosen, least = alike, best
     if not chosen:
         return None
@@ -317,11 +353,17 @@ def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding
     """Tell the first of causes that mend a fit alike, and the others."""
     cause, names = alike[0], robot.joint_names
     if not cause.joints:
-        along = " or ".join(each.text for each in alike[: 2 if robot.nominal is None else 1])
+        along = " or ".join(
+            each.text for each in alike[: 2 if robot.nominal is None else 1]
+        )
         return found(cause.code, f"gravity acts along {along}; {fall}")
     told = [(", ".join(names[j] for j in each.joints), each) for each in alike]
-    others = [f"{own}: {x.text}" for own, x in told if set(x.joints) != set(cause.joints)]
-    text = f"{cause.text}; {fall}" + (f" (as well with {'; or '.join(others)})" if others else "")
+    others = [
+        f"{own}: {x.text}" for own, x in told if set(x.joints) != set(cause.joints)
+    ]
+    text = f"{cause.text}; {fall}" + (
+        f" (as well with {'; or '.join(others)})" if others else ""
+    )
     return found(cause.code, text, told[0][0], cause.channel)
 
 
@@ -347,7 +389,12 @@ def _slanted(
         return measure(mounted(gravity(x)).on(sample))
 
     simplex = reach * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    options = {"initial_simplex": simplex, "xatol": precise, "fatol": np.inf, "maxfev": evaluations}
+    options = {
+        "initial_simplex": simplex,
+        "xatol": precise,
+        "fatol": np.inf,
+        "maxfev": evaluations,
+    }
     best = minimize(error, np.zeros(2), method="Nelder-Mead", options=options).x  # type: ignore[call-overload]
     return [mounted(sign * gravity(best)) for sign in (1.0, -1.0)]
 
@@ -362,7 +409,8 @@ def _structural_error(sample: Sample) -> float:
     """RMS that rigid body and friction leave of the torques, each as a share of its own."""
     assert sample.basis is not None
     tau, n = sample.tau, sample.robot.n
-    each = sample.own_columns()[:, :, None] * np.eye(n)[:, :, None]  # no joint has those of another
+    # no joint has those of another
+    each = sample.own_columns()[:, :, None] * np.eye(n)[:, :, None]
     Y = base_regressor(sample.robot, sample.basis, sample.q, sample.dq, sample.ddq)
     X = np.concatenate([Y, each.reshape(len(tau), n, -1)], axis=2)
     sliding = _sliding(sample)
@@ -382,7 +430,9 @@ def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
     slides = np.array([joint.prismatic for joint in robot.joints])
     q = np.where(slides, turns - 0.5, 2.0 * np.pi * turns)
     still = np.zeros_like(q)
-    torque = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+    torque = inverse_dynamics(
+        robot.chain, robot.gravity, robot.nominal, q, still, still
+    )
     return np.asarray(np.abs(torque).max(axis=0))
 
 
@@ -394,7 +444,9 @@ def _nominal_error(sample: Sample) -> float:
     for j in (j for j in sample.moving if slides[:, j].any()):
         rows = slides[:, j]
         remains = scaled_fit(own[rows, j], left[rows, j])[2]
-        shares.append(np.mean(remains**2) / max(float(sample.tau[rows, j].var()), 1e-300))
+        shares.append(
+            np.mean(remains**2) / max(float(sample.tau[rows, j].var()), 1e-300)
+        )
     return float(np.sqrt(np.mean(shares))) if shares else 0.0
 
 
@@ -403,8 +455,9 @@ def _weights(
 ) -> Iterator[tuple[int, float, float]]:
     """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error.
 
-    Only of joints that carry a fair share of the weight: a small one of another passes for it. It
-    is `min_load` of the most in the log, and `min_acting` of the joint's most in any posture.
+    Only of joints that carry a fair share of the weight: a small one of another passes
+    for it. It is `min_load` of the most in the log, and `min_acting` of the joint's
+    most in any posture.
     """
     robot = sample.robot
     if robot.nominal is None or not robot.gravity.any():
@@ -413,8 +466,14 @@ def _weights(
     rms, could, own = gravity.std(axis=0), largest_gravity(robot), sample.own_columns()
     for j in sample.moving:
         # Forces and torques are not to be compared.
-        alike = [i for i in sample.moving if robot.joints[i].prismatic == robot.joints[j].prismatic]
-        if rms[j] < max(min_load * max(float(rms[alike].max()), HEAVY), min_acting * could[j]):
+        alike = [
+            i
+            for i in sample.moving
+            if robot.joints[i].prismatic == robot.joints[j].prismatic
+        ]
+        if rms[j] < max(
+            min_load * max(float(rms[alike].max()), HEAVY), min_acting * could[j]
+        ):
             continue
         X = np.column_stack([gravity[:, j], inertia[:, j], own[:, j]])
         theta, inverse, left = scaled_fit(X, sample.tau[:, j])
@@ -427,8 +486,10 @@ def _scale(
     sample: Sample,
     *,
     sigmas: float = 3.0,  # from a ratio to its limits
-    min_opposite: float = 0.25,  # of the expected gravity torque, in the opposite direction
-    small: float = 0.25,  # ratios to the expected gravity torque, beyond which a torque is off
+    # of the expected gravity torque, in the opposite direction
+    min_opposite: float = 0.25,
+    # ratios to the expected gravity torque, beyond which a torque is off
+    small: float = 0.25,
     large: float = 4.0,
 ) -> Iterator[InspectionFinding]:
     """Judge the size of the torque at the joints that carry weight."""
@@ -446,7 +507,9 @@ def _scale(
     quantity, _ = data.effort() or ("torque", None)
     for j, ratio, error, high in off:
         joint = data.robot.joints[j]
-        text = f"the torque is {ratio:.3g} +- {error:.1g} of the expected gravity torque"
+        text = (
+            f"the torque is {ratio:.3g} +- {error:.1g} of the expected gravity torque"
+        )
         factor = abs(joint.torque_per_ampere or 0.0)
         in_amperes = abs(ratio) / factor if factor else 0.0
         code = "torque_scale"

@@ -2,12 +2,14 @@
 
 For every joint j the filtered torque is compared with
 
-    tau_j = G_j(q) phi + sum_k c_k T_k(q_j) + sum_i J_i ddq_i + sum_i F_i tanh(dq_i / v_i) + B dq_j,
+    tau_j = G_j(q) phi + sum_k c_k T_k(q_j) + sum_i J_i ddq_i + sum_i F_i tanh(dq_i /
+    v_i) + B dq_j,
 
-gravity of the whole arm, a smooth function of the joint's own position, accelerations, and friction
-of every joint that moves. Whatever the inertias are, F_j tanh + B dq at the joint's own RMS speed
-is positive: a negative one means that torque and position have opposite signs. If F_i of another
-joint i is there and the joint's own is not, the torque is that of the other joint.
+gravity of the whole arm, a smooth function of the joint's own position, accelerations,
+and friction of every joint that moves. Whatever the inertias are, F_j tanh + B dq at
+the joint's own RMS speed is positive: a negative one means that torque and position
+have opposite signs. If F_i of another joint i is there and the joint's own is not, the
+torque is that of the other joint.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,7 +25,11 @@ from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.motion import decimated
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.base_parameters import Basis, base_parameters, gravity_base_regressor
+from seqid_cli.robot.base_parameters import (
+    Basis,
+    base_parameters,
+    gravity_base_regressor,
+)
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
 
@@ -44,7 +50,8 @@ class Sample:
     direction: Array  # of motion, -1 to 1, through the torque's filter
     memory: float  # rows that count as one
     moving: tuple[int, ...]  # joints that are driven far enough both ways
-    basis: Basis | None  # of the robot without rotors; None where its geometry is not known
+    # of the robot without rotors; None where its geometry is not known
+    basis: Basis | None
 
     def mapped(self, change: Callable[[Array], Array]) -> "Sample":
         """Change every array alike."""
@@ -72,7 +79,9 @@ class Sample:
     def own_columns(self) -> Array:
         """Columns (N, n, 4) of one joint each: offset, rotor, direction and speed."""
         moves = np.isin(np.arange(self.robot.n), self.moving)[:, None]
-        own = np.where(moves, np.stack([self.ddq, self.direction, self.dq], axis=-1), 0.0)
+        own = np.where(
+            moves, np.stack([self.ddq, self.direction, self.dq], axis=-1), 0.0
+        )
         return np.concatenate([np.ones((*self.q.shape, 1)), own], axis=2)
 
     def nominal(self) -> tuple[Array, Array]:
@@ -102,10 +111,18 @@ def sample_of(
     rows = rows[:: max(1, len(rows) // max_rows)]
     if len(rows) < min_rows or motion.tau is None:
         return None
-    q, dq, spacing = motion.q[rows], motion.dq[rows], float(np.median(np.diff(motion.t[rows])))
-    ways = np.array([np.clip(sign * dq, 0.0, None).sum(axis=0) * spacing for sign in (1.0, -1.0)])
+    q, dq, spacing = (
+        motion.q[rows],
+        motion.dq[rows],
+        float(np.median(np.diff(motion.t[rows]))),
+    )
+    ways = np.array(
+        [np.clip(sign * dq, 0.0, None).sum(axis=0) * spacing for sign in (1.0, -1.0)]
+    )
     both_ways = ways.min(axis=0) > np.maximum(min_way, min_balance * ways.max(axis=0))
-    moving = tuple(j for j in np.flatnonzero(driven(q) & both_ways).tolist() if data.moves(j))
+    moving = tuple(
+        j for j in np.flatnonzero(driven(q) & both_ways).tolist() if data.moves(j)
+    )
     speeds = np.maximum(np.sqrt(np.mean(dq**2, axis=0)), 1e-12)
     direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)[rows]
     basis = base_parameters(data.robot, rotor=()) if data.modelled and moving else None
@@ -122,7 +139,9 @@ def friction_findings(
     friction, errors, spread, unexplained = map(np.array, zip(*fits, strict=True))
     swapped = _exchanged(friction, errors, spread, sample.moving)
     for a, b in swapped:
-        text = f"the torque of {names[a]} is friction of {names[b]}, not of its own motion"
+        text = (
+            f"the torque of {names[a]} is friction of {names[b]}, not of its own motion"
+        )
         yield found("joints_swapped", text, f"{names[a]}, {names[b]}", "torque")
     for j in sample.moving:
         unknown = not data.modelled and unexplained[j] > max_unexplained
@@ -132,11 +151,16 @@ def friction_findings(
         if value < -SIGMAS * error and value < -SHARE * spread[j]:
             unit = data.robot.joints[j].unit
             text = f"its friction is {value:.3g} +- {error:.2g} {unit('N m')} at "
-            text += f"{sample.rms_speeds[j]:.3g} {unit('rad/s')}: the joint would gain energy"
+            text += (
+                f"{sample.rms_speeds[j]:.3g} {unit('rad/s')}: the joint would gain"
+                " energy"
+            )
             yield found("sign_mismatch", text, names[j], "torque")
 
 
-def scaled_fit(X: Array, y: Array, *, rcond: float = 1e-8) -> tuple[Array, Array, Array]:
+def scaled_fit(
+    X: Array, y: Array, *, rcond: float = 1e-8
+) -> tuple[Array, Array, Array]:
     """Least squares of y (N,) by columns X (N, p), scaled: theta, map from y, what is left."""
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
     inverse = np.linalg.pinv(X / scale, rcond=rcond) / scale[:, None]
@@ -144,14 +168,17 @@ def scaled_fit(X: Array, y: Array, *, rcond: float = 1e-8) -> tuple[Array, Array
     return theta, inverse, y - X @ theta
 
 
-def _friction(sample: Sample, gravity: Array, j: int) -> tuple[Array, Array, float, float]:
+def _friction(
+    sample: Sample, gravity: Array, j: int
+) -> tuple[Array, Array, float, float]:
     """Friction of every moving joint (n,) in a torque or NaN, errors, its spread, what is left."""
     tau, moving = sample.tau[:, j], list(sample.moving)
     spread, (friction, errors) = float(tau.std()), np.full((2, sample.robot.n), np.nan)
     if spread == 0.0 or not moving:
         return friction, errors, spread, np.nan
     columns = [*sample.direction[:, moving].T, *sample.ddq[:, moving].T]
-    if j in moving:  # beside it, the coefficient of the direction is friction at RMS speed
+    # beside it, the coefficient of the direction is friction at RMS speed
+    if j in moving:
         columns.append(sample.dq[:, j] / sample.rms_speeds[j] - sample.direction[:, j])
     # What depends on position alone: a smooth function of its own, and gravity.
     own = smooth(sample.q[:, j], SMOOTH_TERMS if j in sample.moving else 1)
@@ -170,7 +197,12 @@ def _friction(sample: Sample, gravity: Array, j: int) -> tuple[Array, Array, flo
 
 
 def _exchanged(
-    friction: Array, errors: Array, spread: Array, moving: tuple[int, ...], *, max_own: float = 0.25
+    friction: Array,
+    errors: Array,
+    spread: Array,
+    moving: tuple[int, ...],
+    *,
+    max_own: float = 0.25,
 ) -> list[tuple[int, int]]:
     """Pairs of joints whose torques show each other's friction (n, n) but not their own."""
     own, own_error = np.abs(np.diag(friction)), 2.0 * np.diag(errors)
@@ -179,4 +211,8 @@ def _exchanged(
     still = ~np.isin(np.arange(len(own)), moving)
     fits = alien | still  # whose motion shows nowhere
     pairs = combinations(range(len(own)), 2)
-    return [(a, b) for a, b in pairs if fits[a, b] and fits[b, a] and not (still[a] and still[b])]
+    return [
+        (a, b)
+        for a, b in pairs
+        if fits[a, b] and fits[b, a] and not (still[a] and still[b])
+    ]

@@ -1,9 +1,10 @@
 """IMUs against the encoders: delay, link, axes, gyro.
 
-Whatever the mounting, an accelerometer on a link reads a linear function of the link's specific
-force (3), angular acceleration (3) and products of angular velocity (6) in the link's frame, a gyro
-one of the angular velocity (3), at the IMU's own time. Both sides go through the same low-pass; the
-linear function is fitted to each channel for a range of time shifts.
+Whatever the mounting, an accelerometer on a link reads a linear function of the link's
+specific force (3), angular acceleration (3) and products of angular velocity (6) in the
+link's frame, a gyro one of the angular velocity (3), at the IMU's own time. Both sides
+go through the same low-pass; the linear function is fitted to each channel for a range
+of time shifts.
 """
 
 from collections.abc import Iterator
@@ -35,8 +36,10 @@ class LinkFit:
     delay: float
     delay_error: float
     map: Array  # (K, p) readings from the features
-    map_error: float  # largest standard error of the map of specific force (angular velocity)
-    gain: float  # of all channels together: RMS of what the map makes over that of its features
+    # largest standard error of the map of specific force (angular velocity)
+    map_error: float
+    # of all channels together: RMS of what the map makes over that of its features
+    gain: float
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,12 @@ class ShiftScan:
 
 
 def scan(
-    motion: Motion, features: Array, values: Array, *, max_shift_s: float = 0.06, grid: int = 25
+    motion: Motion,
+    features: Array,
+    values: Array,
+    *,
+    max_shift_s: float = 0.06,
+    grid: int = 25,
 ) -> ShiftScan | None:
     """Compare readings (N, K) with a link's features (N, p); None where too few rows are usable."""
     reach = max(1, round(max_shift_s * motion.rate_hz))
@@ -66,17 +74,27 @@ def scan(
 
 
 def _shifted(
-    motion: Motion, features: Array, readings: Array, shifts: Index, *, min_rows: int = 200
+    motion: Motion,
+    features: Array,
+    readings: Array,
+    shifts: Index,
+    *,
+    min_rows: int = 200,
 ) -> ShiftScan | None:
     """What features leave of readings at each shift, by every fourth of some 4000 rows."""
     rows = np.flatnonzero(motion.usable)
     rows = rows[(rows >= shifts[-1]) & (rows < len(readings) - shifts[-1])]
     rows = rows[:: max(1, len(rows) // 4000)]
-    total = float(np.sum(np.var(readings[rows], axis=0))) if len(rows) >= min_rows else 0.0
+    total = (
+        float(np.sum(np.var(readings[rows], axis=0))) if len(rows) >= min_rows else 0.0
+    )
     if total == 0.0 or not np.isfinite(total):
         return None
     few = rows[::4]
-    left = [np.sum(_left(features[few - s], readings[few])[0] ** 2, axis=1).mean() for s in shifts]
+    left = [
+        np.sum(_left(features[few - s], readings[few])[0] ** 2, axis=1).mean()
+        for s in shifts
+    ]
     return ShiftScan(features, readings, rows, total, shifts, np.array(left))
 
 
@@ -100,21 +118,33 @@ def fit_link(
         # None near zero fits: look farther, roughly.
         step = max(1, round(step_s * motion.rate_hz))
         reach = min(round(far_s * motion.rate_hz), len(values) // 4) // step * step
-        far = _shifted(motion, tried.features, tried.readings, np.arange(-reach, reach + 1, step))
+        far = _shifted(
+            motion, tried.features, tried.readings, np.arange(-reach, reach + 1, step)
+        )
         if far is not None and (tried.share > FOLLOWS or far.share < 0.5 * tried.share):
             tried = far
     return _fine(imu, gyro, motion, tried)
 
 
 def _fine(
-    imu: Imu, gyro: bool, motion: Motion, scan: ShiftScan, *, blocks: int = 8, memory_s: float = 0.1
+    imu: Imu,
+    gyro: bool,
+    motion: Motion,
+    scan: ShiftScan,
+    *,
+    blocks: int = 8,
+    memory_s: float = 0.1,
 ) -> LinkFit:
     """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton."""
-    # The delay's error is the larger of what white noise leads to and of how it moves when one of
-    # `blocks` parts of the log is left out: a coarse encoder's noise is far from white.
+    # The delay's error is the larger of what white noise leads to and of how it moves
+    # when one of `blocks` parts of the log is left out: a coarse encoder's noise is far
+    # from white.
     rows, y = scan.rows, scan.readings[scan.rows]
     low, high = scan.shifts[[0, -1]]
-    shift, slopes = float(scan.shifts[scan.left.argmin()]), np.gradient(scan.features, axis=0)
+    shift, slopes = (
+        float(scan.shifts[scan.left.argmin()]),
+        np.gradient(scan.features, axis=0),
+    )
     for _ in range(3):
         at = rows - round(shift)
         X = scan.features[at] + (round(shift) - shift) * slopes[at]
@@ -129,20 +159,26 @@ def _fine(
     error = np.inf
     if low < shift < high and power > 0.0:
         parts = [part.sum() for part in np.array_split(pull, blocks)]
-        error = max(float(np.sqrt(memory * square * power)), float(np.linalg.norm(parts))) / power
+        error = (
+            max(float(np.sqrt(memory * square * power)), float(np.linalg.norm(parts)))
+            / power
+        )
     # Size of the map on its features, however few directions these show.
     X = X - X.mean(axis=0)
     gain = float(np.linalg.norm(X @ fitted.T) / max(float(np.linalg.norm(X)), 1e-12))
     share, rate = square * y.shape[1] / scan.total, motion.rate_hz
     map_error = _map_error(X, square * memory)
-    return LinkFit(imu, gyro, share, shift / rate, error / rate, fitted, map_error, gain)
+    return LinkFit(
+        imu, gyro, share, shift / rate, error / rate, fitted, map_error, gain
+    )
 
 
 def _map_error(X: Array, variance: float) -> float:
     """Largest standard error of a map's first three columns, of features (N, p) without mean."""
     scale = np.maximum(X.std(axis=0), 1e-9)
     _, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
-    inverse = Vt.T / np.maximum(s, 1e-9 * s[0])  # large where the motion does not show a direction
+    # large where the motion does not show a direction
+    inverse = Vt.T / np.maximum(s, 1e-9 * s[0])
     spread = np.sqrt(variance * np.sum(inverse**2, axis=1)) / scale
     return float(spread[:3].max())
 
@@ -151,7 +187,9 @@ def _features(
     robot: Robot, motion: Motion, link: int, *, gyro: bool, min_turning: float = 0.02
 ) -> Array | None:
     """Filtered features (N, p) of a link's motion, for readings on it; None if it rests."""
-    moved = link_motion(robot.chain, robot.gravity, motion.q.T, motion.dq.T, motion.ddq.T)
+    moved = link_motion(
+        robot.chain, robot.gravity, motion.q.T, motion.dq.T, motion.ddq.T
+    )
     w = moved.w[link]
     if float(np.sqrt(np.mean(np.sum(w**2, axis=0)))) < min_turning:
         return None
@@ -186,7 +224,11 @@ def follow(data: LogData) -> list[LinkFit]:
 
 
 def motion_findings(
-    data: LogData, fits: list[LinkFit], *, min_delay_s: float = 0.005, min_delay_samples: int = 2
+    data: LogData,
+    fits: list[LinkFit],
+    *,
+    min_delay_s: float = 0.005,
+    min_delay_samples: int = 2,
 ) -> Iterator[InspectionFinding]:
     """Judge how the IMUs follow the encoders."""
     for item in fits:
@@ -199,22 +241,34 @@ def motion_findings(
             text = f"the motion of its link leaves {left} of its variance unexplained"
             yield found("imu_not_moving", text, name)
             continue
-        least, delay = max(min_delay_s, min_delay_samples / data.recording.rate_hz), item.delay
-        error = float(np.hypot(item.delay_error, _resolution_s(data, item.imu.after_joint)))
+        least, delay = (
+            max(min_delay_s, min_delay_samples / data.recording.rate_hz),
+            item.delay,
+        )
+        error = float(
+            np.hypot(item.delay_error, _resolution_s(data, item.imu.after_joint))
+        )
         if abs(delay) > least and abs(delay) > SIGMAS * error:
-            text = f"its readings are {1e3 * delay:.1f} +- {1e3 * error:.1g} ms behind the encoders"
+            text = (
+                f"its readings are {1e3 * delay:.1f} +- {1e3 * error:.1g} ms behind the"
+                " encoders"
+            )
             yield found("imu_delay", text, name)
         yield from _gyro(item) if item.gyro else _axes(data, item)
 
 
 def _resolution_s(data: LogData, link: int) -> float:
     """Time that the fastest joint before a link takes for the error of its encoder, s."""
-    # Joints rest anywhere within a count, on one side going forward and on the other going back.
+    # Joints rest anywhere within a count, on one side going forward and on the other
+    # going back.
     assert data.motion is not None
     dq, moving = data.motion.dq, data.motion.moving
     there = [j for j in range(link + 1) if moving[:, j].any()]
-    speeds = [float(np.sqrt(np.mean(dq[moving[:, j], j] ** 2))) / data.step[j] for j in there]
-    return float(1.0 / np.sqrt(12.0) / max([*speeds, 1e-9]))  # the error is even within one step
+    speeds = [
+        float(np.sqrt(np.mean(dq[moving[:, j], j] ** 2))) / data.step[j] for j in there
+    ]
+    # the error is even within one step
+    return float(1.0 / np.sqrt(12.0) / max([*speeds, 1e-9]))
 
 
 def _better(
@@ -225,14 +279,19 @@ def _better(
     if item.left < min_left or motion is None:
         return None
     name, own = item.imu.name, item.imu.after_joint
-    values = (data.recording.gyros if item.gyro else data.recording.accelerometers)[name]
+    values = (data.recording.gyros if item.gyro else data.recording.accelerometers)[
+        name
+    ]
     names = robot.joint_names
-    tried = [(-1, k) for k in range(robot.n) if k != own]  # the joint that is reversed, the link
+    # the joint that is reversed, the link
+    tried = [(-1, k) for k in range(robot.n) if k != own]
     tried += [(j, own) for j in range(own + 1) if data.moves(j)]
     best = (max_ratio * item.left, -1, own)
     for joint, link in tried:
         sign = np.where(np.arange(robot.n) == joint, -1.0, 1.0)
-        moved = replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
+        moved = replace(
+            motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign
+        )
         features = _features(robot, moved, link, gyro=item.gyro)
         if features is not None and (scanned := scan(moved, features, values)):
             best = min(best, (scanned.share, joint, link))
@@ -241,7 +300,9 @@ def _better(
     if joint >= 0:
         text = f"by IMU {name} it turns the other way round: {text}"
         return found("axis_flipped", text, names[joint], "position")
-    text = f"follows the link after {names[link]}, not the one after {names[own]}: {text}"
+    text = (
+        f"follows the link after {names[link]}, not the one after {names[own]}: {text}"
+    )
     return None if link == own else found("imu_wrong_link", text, name)
 
 

@@ -26,17 +26,23 @@ def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
         count = len(imu.positions)
         triad = count == 3 and not imu.positions.any()
         if not (imu.gyro or triad or layout(imu).acceleration):
-            text = f"its {count} accelerometers do not determine the angular acceleration"
+            text = (
+                f"its {count} accelerometers do not determine the angular acceleration"
+            )
             yield found("imu_layout", text, imu.name)
 
 
-def imu_findings(data: LogData, *, max_bias: float = 0.1) -> Iterator[InspectionFinding]:
+def imu_findings(
+    data: LogData, *, max_bias: float = 0.1
+) -> Iterator[InspectionFinding]:
     """Check the channels of every IMU in the log; `max_bias` of a gyro at rest, rad/s."""
     for imu in data.robot.imus:
         broken = [*_channels(data, imu)]
         yield from broken
         values = data.recording.accelerometers.get(imu.name)
-        on_earth = abs(float(np.linalg.norm(data.robot.gravity)) - STANDARD_GRAVITY) <= 0.5
+        on_earth = (
+            abs(float(np.linalg.norm(data.robot.gravity)) - STANDARD_GRAVITY) <= 0.5
+        )
         if values is not None and on_earth and np.linalg.matrix_rank(imu.axes) == 3:
             yield from _force(data, imu, values, at_rest=data.modelled and not broken)
         gyro = data.recording.gyros.get(imu.name)
@@ -49,7 +55,10 @@ def imu_findings(data: LogData, *, max_bias: float = 0.1) -> Iterator[Inspection
 
 
 def channel_name(imu: Imu, quantity: str, k: int) -> str:
-    """Name a channel as Parquet logs do: a1, a2, ... (ax, ay, az of a triad), gx, gy, gz."""
+    """Name a channel as Parquet logs do: a1, a2, ...
+
+    (ax, ay, az of a triad), gx, gy, gz.
+    """
     return f"{imu.name}.g{'xyz'[k % 3]}" if quantity == GYRO else f"{imu.name}.a{k + 1}"
 
 
@@ -69,7 +78,9 @@ def _channels(
                 name = channel_name(imu, quantity, k)
                 lost = [*missing(values[:, k - first[quantity]], imu.name, name)]
                 yield from lost
-                if text := "" if lost else _stuck(present, least, seconds, others=others):
+                if text := (
+                    "" if lost else _stuck(present, least, seconds, others=others)
+                ):
                     yield found("imu_stuck", text, imu.name, name)
                 elif limit := None if lost else clipped(present):
                     text = f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
@@ -90,23 +101,35 @@ def _stuck(present: Array, least: int, seconds: float, *, others: bool) -> str:
 
 def rest_rows(data: LogData, values: Array, *, min_rest_s: float = 0.2) -> Array:
     """Average readings (N, K) over each rest of the whole arm; (R, K)."""
-    still = standing(data.moving, data.recording.rate_hz).all(axis=1) & data.recording.valid
+    still = (
+        standing(data.moving, data.recording.rate_hz).all(axis=1) & data.recording.valid
+    )
     least = min_rest_s * data.recording.rate_hz
-    means = [values[a:b].mean(axis=0) for a, b in runs(still, len(still)) if b - a >= least]
+    means = [
+        values[a:b].mean(axis=0) for a, b in runs(still, len(still)) if b - a >= least
+    ]
     return np.array(means).reshape(-1, values.shape[1])
 
 
 def force_of(imu: Imu, readings: Array) -> float:
     """Median size of the specific force by readings (R, K)."""
-    return float(np.median(np.linalg.norm(readings @ np.linalg.pinv(imu.axes).T, axis=1)))
+    return float(
+        np.median(np.linalg.norm(readings @ np.linalg.pinv(imu.axes).T, axis=1))
+    )
 
 
-def _force(data: LogData, imu: Imu, values: Array, *, at_rest: bool) -> Iterator[InspectionFinding]:
+def _force(
+    data: LogData, imu: Imu, values: Array, *, at_rest: bool
+) -> Iterator[InspectionFinding]:
     """Check the size of the specific force, and at rest what the channels say of gravity."""
     rows = values[data.recording.valid & np.isfinite(values).all(axis=1)]
     size = force_of(imu, rows) if len(rows) else 0.0
-    if unit := next((u for u, g in (("g", 1.0), ("mg", 1e3)) if 0.8 * g < size < 1.2 * g), ""):
-        text = f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are expected"
+    if unit := next(
+        (u for u, g in (("g", 1.0), ("mg", 1e3)) if 0.8 * g < size < 1.2 * g), ""
+    ):
+        text = (
+            f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are expected"
+        )
         yield found("imu_in_g", text, imu.name)
         return
     gravity = float(np.linalg.norm(data.robot.gravity))
@@ -135,16 +158,24 @@ def odd_channel(
         changed.append((left, "imu_channel_flipped", (k,)))
         axes = imu.axes[every != k]
         if np.linalg.matrix_rank(axes) == 3:
-            without.append((_disagreement(rest[:, every != k], axes), "imu_channel_wrong", (k,)))
+            without.append(
+                (_disagreement(rest[:, every != k], axes), "imu_channel_wrong", (k,))
+            )
     for pair in combinations(every.tolist(), 2):
         order = every.copy()
         order[list(pair)] = pair[::-1]
-        changed.append((_disagreement(rest[:, order], imu.axes), "imu_channels_swapped", pair))
-    for tried in (changed, without):  # leaving it out does even where it is only reversed
+        changed.append(
+            (_disagreement(rest[:, order], imu.axes), "imu_channels_swapped", pair)
+        )
+    # leaving it out does even where it is only reversed
+    for tried in (changed, without):
         left, code, channels = min(tried, default=(np.inf, "", ()))
         if left <= max_left * error:
             names = ", ".join(channel_name(imu, ACCELEROMETERS, k) for k in channels)
-            text = f"the accelerometers disagree on gravity by {np.sqrt(error):.3g} m/s^2, "
+            text = (
+                f"the accelerometers disagree on gravity by {np.sqrt(error):.3g}"
+                " m/s^2, "
+            )
             text += f"{np.sqrt(left):.3g} once this is mended"
             return found(code, text, imu.name, names)
     return None

@@ -1,7 +1,8 @@
 """What is inside a chunk: unpacking, and where its messages lie.
 
-The index behind a chunk is a guess of where its messages begin: they must follow each other there
-without a hole and fill the chunk, else it is walked record by record, with the same result.
+The index behind a chunk is a guess of where its messages begin: they must follow each
+other there without a hole and fill the chunk, else it is walked record by record, with
+the same result.
 """
 
 import struct
@@ -17,14 +18,18 @@ from numpy.typing import NDArray
 from seqid_cli.logs.messages.batch import Bytes
 
 RECORD = struct.Struct("<BQ")
-CHUNK = struct.Struct("<QQQII")  # first and last time, size, CRC, length of compression's name
-CHUNK_HEAD = CHUNK.size + 8  # with the size of the packed data, without the compression's name
+# first and last time, size, CRC, length of compression's name
+CHUNK = struct.Struct("<QQQII")
+# with the size of the packed data, without the compression's name
+CHUNK_HEAD = CHUNK.size + 8
 MESSAGE_SIZE = 22  # channel, sequence, log time, publish time
-_WORDS = 3  # of a message's record behind the opcode: length; channel, sequence; rest of log time
+# of a message's record behind the opcode: length; channel, sequence; rest of log time
+_WORDS = 3
 _INDEX = struct.Struct("<HI")
 _ENTRY = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
 _LIMIT = 1 << 30  # bytes in one unpacked chunk; recorders write about 1 MB
-SMALL, MOST_TIMES = 16 << 20, 200  # bytes that any log may have; of one packed byte beyond them
+# bytes that any log may have; of one packed byte beyond them
+SMALL, MOST_TIMES = 16 << 20, 200
 _HEAD = RECORD.size + MESSAGE_SIZE
 
 Integers = NDArray[np.int64]
@@ -69,7 +74,8 @@ class Unpacker:
     def unpack(self, content: bytes, complete: bool) -> tuple[bytes, bool]:
         """Return the records in the content of a chunk record, and whether they are all.
 
-        Of a record that is not `complete` what is there is unpacked. Raises DamageError.
+        Of a record that is not `complete` what is there is unpacked. Raises
+        DamageError.
         """
         if len(content) < CHUNK_HEAD:
             raise DamageError("its head is incomplete")
@@ -82,7 +88,9 @@ class Unpacker:
         payload = memoryview(content)[start : start + packed]
         self._packed += len(payload)
         if self._unpacked + size > allowed(self._packed):
-            raise DamageError(f"it unpacks to {size} bytes, {size // max(len(payload), 1)} times")
+            raise DamageError(
+                f"it unpacks to {size} bytes, {size // max(len(payload), 1)} times"
+            )
         self._unpacked += size
         whole = complete and packed <= len(content) - start
         data, fault = self._decompress(name, payload, min(size, _LIMIT))
@@ -96,7 +104,9 @@ class Unpacker:
             raise DamageError("its checksum does not match")
         return data, True
 
-    def _decompress(self, name: str, payload: memoryview, size: int) -> tuple[bytes, str]:
+    def _decompress(
+        self, name: str, payload: memoryview, size: int
+    ) -> tuple[bytes, str]:
         """Unpack up to a byte more than `size`; returns what there is, and what is wrong."""
         if name == "":
             return bytes(payload), ""
@@ -105,8 +115,17 @@ class Unpacker:
                 with self._zstd.stream_reader(payload) as reader:
                     return reader.read(size + 1), ""
             if name == "lz4":
-                return lz4.frame.LZ4FrameDecompressor().decompress(payload, size + 1), ""
-        except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError, ValueError) as error:
+                return (
+                    lz4.frame.LZ4FrameDecompressor().decompress(payload, size + 1),
+                    "",
+                )
+        except (
+            zstandard.ZstdError,
+            RuntimeError,
+            EOFError,
+            MemoryError,
+            ValueError,
+        ) as error:
             return b"", f"{name} data are damaged ({error})"
         raise DamageError(f"its compression {name[:20]!r} is unknown")
 
@@ -119,13 +138,19 @@ def index_offsets(records: bytes) -> Integers:
         at += RECORD.size
         _, size = _INDEX.unpack_from(records, at)
         entries = records[at + _INDEX.size : at + length]
-        if opcode == Opcode.MESSAGE_INDEX and size == len(entries) and not size % _ENTRY.itemsize:
+        if (
+            opcode == Opcode.MESSAGE_INDEX
+            and size == len(entries)
+            and not size % _ENTRY.itemsize
+        ):
             found.append(np.frombuffer(entries, _ENTRY)["offset"].astype(np.int64))
         at += length
     return np.sort(np.concatenate(found), kind="stable")
 
 
-def walk(data: Bytes, only: frozenset[int] | None = None, most: int = 100_000) -> Contents:
+def walk(
+    data: Bytes, only: frozenset[int] | None = None, most: int = 100_000
+) -> Contents:
     """Find records while they are of a kind, up to `most` that are no messages."""
     view, unpack, size = data.data, RECORD.unpack_from, RECORD.size
     messages: list[int] = []
@@ -134,7 +159,11 @@ def walk(data: Bytes, only: frozenset[int] | None = None, most: int = 100_000) -
     while at + size <= len(data):
         opcode, length = unpack(view, at)
         after = at + size + length
-        if after > len(data) or (only is not None and opcode not in only) or len(others) > most:
+        if (
+            after > len(data)
+            or (only is not None and opcode not in only)
+            or len(others) > most
+        ):
             break
         if opcode == Opcode.MESSAGE and length >= MESSAGE_SIZE:
             messages.append(at)
@@ -151,18 +180,26 @@ def by_index(data: Bytes, offsets: Integers) -> Contents | None:
         return None
     heads = _heads(data, offsets)
     lengths = heads[0]
-    sound = (data[offsets] == Opcode.MESSAGE) & (lengths >= MESSAGE_SIZE) & (lengths <= len(data))
+    sound = (
+        (data[offsets] == Opcode.MESSAGE)
+        & (lengths >= MESSAGE_SIZE)
+        & (lengths <= len(data))
+    )
     ends = offsets + lengths.astype(np.int64) + RECORD.size
     if not sound.all() or ends[-1] != len(data) or (ends[:-1] != offsets[1:]).any():
         return None
     return _contents(offsets, [], len(data), heads)
 
 
-def _contents(offsets: Integers, others: list[Record], end: int, heads: Words) -> Contents:
+def _contents(
+    offsets: Integers, others: list[Record], end: int, heads: Words
+) -> Contents:
     lengths = heads[0].astype(np.int64) - MESSAGE_SIZE
     log_ns = (heads[1] >> np.uint64(48)) | (heads[2] << np.uint64(16))
     channels = heads[1].astype(np.uint16)  # its lowest 16 bits
-    return Contents(channels, log_ns.view(np.int64), offsets + _HEAD, lengths, others, end)
+    return Contents(
+        channels, log_ns.view(np.int64), offsets + _HEAD, lengths, others, end
+    )
 
 
 def _heads(data: Bytes, offsets: Integers) -> Words:

@@ -12,7 +12,13 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs import raw as raw_log
 from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.records import Batch, Scan
-from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap, Payloads
+from seqid_cli.logs.messages.batch import (
+    JOINT_QUANTITIES,
+    Decode,
+    Kind,
+    NameMap,
+    Payloads,
+)
 from seqid_cli.logs.messages.parsers import decoder
 from seqid_cli.logs.raw import RawLog, Stamps, Stream, TimeSource, partly_logged
 from seqid_cli.robot.types import Imu, Robot
@@ -51,7 +57,8 @@ class Collector:
     _log_ns: list[int] = field(default_factory=list)
     _data: list[bytes] = field(default_factory=list)
     _done: list[_Part] = field(default_factory=list)
-    _logged: bool | None = None  # whether the times of logging stand in for the headers' stamps
+    # whether the times of logging stand in for the headers' stamps
+    _logged: bool | None = None
 
     @property
     def readable(self) -> bool:
@@ -62,7 +69,9 @@ class Collector:
         """Take messages of one channel."""
         number, encoding = batch.channel.id, batch.channel.message_encoding
         if number not in self._decoders:
-            self._decoders[number] = decoder(encoding, batch.schema, self.kind, self.names)
+            self._decoders[number] = decoder(
+                encoding, batch.schema, self.kind, self.names
+            )
             if self._decoders[number] is None:
                 self.refused.add(encoding)
         large = len(batch.payloads) >= self.few
@@ -92,12 +101,20 @@ class Collector:
         if self._logged is None and self.time_source == "header":
             self._logged = missing == len(stamped)
             if self._logged:
-                text = f"the header stamps of {self.topic} are all zero: the times of logging are "
-                warnings.append(text + "used instead; make the driver fill in header.stamp")
+                text = (
+                    f"the header stamps of {self.topic} are all zero: the times of"
+                    " logging are "
+                )
+                warnings.append(
+                    text + "used instead; make the driver fill in header.stamp"
+                )
         if self.time_source == "log" or self._logged:
             stamp_ns = log_ns
         elif missing:
-            text = f"{missing} messages of {self.topic} have no header stamp and were left out"
+            text = (
+                f"{missing} messages of {self.topic} have no header stamp and were"
+                " left out"
+            )
             warnings.append(text)
             stamp_ns, values = stamp_ns[stamped], values[stamped]
         return Samples(stamp_ns, values, warnings, delay_s)
@@ -128,9 +145,14 @@ def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | No
     known = dict(topics)
     if DYNAMIC_JOINT_STATES in known:
         return DYNAMIC_JOINT_STATES, "dynamic_joint_state"
-    # Types that only measured states have; a JointState on another topic may as well be a command.
-    states = [topic for topic, schema in known.items() if schema == "foxglove.JointStates"]
-    dynamic = [topic for topic, schema in known.items() if schema.endswith("DynamicJointState")]
+    # Types that only measured states have; a JointState on another topic may as well be
+    # a command.
+    states = [
+        topic for topic, schema in known.items() if schema == "foxglove.JointStates"
+    ]
+    dynamic = [
+        topic for topic, schema in known.items() if schema.endswith("DynamicJointState")
+    ]
     if len(states) == 1:
         return states[0], "joint_state"
     return (dynamic[0], "dynamic_joint_state") if len(dynamic) == 1 else None
@@ -156,7 +178,9 @@ def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
     channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
     kind = "current" if robot.channels.effort == "current" else "torque"
     channels[kind] = channels.pop("effort")
-    given = {k: own for k, own in channels.items() if k == "position" or any_finite(own)}
+    given = {
+        k: own for k, own in channels.items() if k == "position" or any_finite(own)
+    }
     return Stream(topic, stamps, in_si(given, stamps, robot))
 
 
@@ -198,10 +222,11 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read an MCAP log block by block, in memory that does not grow with its length.
 
-    `rows`: messages in a block, of all topics together, about; None for one block. Yields: the next
-    part of every topic, empty where it has none; a quantity that no sample of a block has is left
-    out of it. The last block says in `partial` what a damaged file lost. Raises InputError, after
-    the last block: no joint states, none of the robot's joints in them, nothing readable.
+    `rows`: messages in a block, of all topics together, about; None for one block.
+    Yields: the next part of every topic, empty where it has none; a quantity that no
+    sample of a block has is left out of it. The last block says in `partial` what a
+    damaged file lost. Raises InputError, after the last block: no joint states, none of
+    the robot's joints in them, nothing readable.
     """
     names = NameMap(robot.joint_names, robot.channels.effort or "torque")
     kinds: dict[str, Kind] = {JOINT_STATES: "joint_state"}
@@ -210,7 +235,9 @@ def read_blocks(
     log = _Log(path, names, kinds, scan, time_source)
     positions = False
     for last in log.blocks(rows):
-        samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
+        samples = {
+            topic: collector.drain() for topic, collector in log.collectors.items()
+        }
         if last and not log.collectors[log.joint_topic].readable:
             raise _no_joint_states(log.scan, log.collectors[log.joint_topic])
         joints = joint_stream(log.joint_topic, samples[log.joint_topic], robot)
@@ -248,10 +275,17 @@ class _Log:
     """A pass over a file that gathers the messages of some topics."""
 
     def __init__(
-        self, path: Path, names: NameMap, kinds: dict[str, Kind], scan: type[Scan], time: TimeSource
+        self,
+        path: Path,
+        names: NameMap,
+        kinds: dict[str, Kind],
+        scan: type[Scan],
+        time: TimeSource,
     ) -> None:
         self.joint_topic = JOINT_STATES
-        self.collectors = {t: Collector(t, kind, names, time) for t, kind in kinds.items()}
+        self.collectors = {
+            t: Collector(t, kind, names, time) for t, kind in kinds.items()
+        }
         self._chosen = frozenset(kinds)
         self.scan = scan(path, self._wanted)
 
@@ -262,7 +296,9 @@ class _Log:
         """Pass over the file; a second time where the joint states are of the other kind."""
         yield from self._pass()
         usual = self.collectors[JOINT_STATES]
-        found = find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
+        found = find_joint_topic(
+            (_normal(t.topic), t.schema) for t in _topics(self.scan)
+        )
         if found is not None and not usual.readable:
             self.joint_topic, kind = found
             self._chosen = frozenset((self.joint_topic,))
@@ -275,21 +311,28 @@ class _Log:
     def blocks(self, rows: int | None) -> Iterator[bool]:
         """Stop whenever `rows` messages are there, and at the end, which is told by True."""
         for _ in self.batches():
-            if rows is not None and sum(c.waiting for c in self.collectors.values()) >= rows:
+            if (
+                rows is not None
+                and sum(c.waiting for c in self.collectors.values()) >= rows
+            ):
                 yield False
         yield True
 
     def _pass(self) -> Iterator[None]:
         for batch in self.scan.batches():
             self.collectors[_normal(batch.channel.topic)].add(batch)
-            del batch  # the next chunk takes its memory, which the processor's cache still holds
+            # the next chunk takes its memory, which the processor's cache still holds
+            del batch
             yield
 
     def partial(self) -> str:
         """Say in one line what the file lost; empty for a whole one."""
         losses = _losses(self.scan)
         for topic, each in self.collectors.items():
-            text = f"{each.damaged} of {each.received} messages of {topic} could not be decoded"
+            text = (
+                f"{each.damaged} of {each.received} messages of {topic} could not be"
+                " decoded"
+            )
             losses += [text] if each.damaged else []
         return "; ".join(losses)
 
@@ -314,7 +357,9 @@ def _normal(topic: str) -> str:
 
 def _losses(scan: Scan) -> list[str]:
     """Say what the file lost; nothing for a whole one."""
-    losses = [f"{what} ({n} times)" if n > 1 else what for what, n in scan.losses.items()]
+    losses = [
+        f"{what} ({n} times)" if n > 1 else what for what, n in scan.losses.items()
+    ]
     more = [f"and {len(losses) - 3} more faults"] if len(losses) > 3 else []
     met, expected = scan.tally()
     counted = [f"{met} messages were read"] if losses else []
@@ -341,15 +386,22 @@ def _listing(scan: Scan) -> str:
 def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
     if collector.received:
         kinds = ", ".join(sorted(collector.refused))
-        message = f"none of the {collector.received} messages on {collector.topic} can be decoded: "
-        message += f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
+        message = (
+            f"none of the {collector.received} messages on {collector.topic} can be"
+            " decoded: "
+        )
+        message += (
+            f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
+        )
         hint = "Record sensor_msgs/msg/JointState as CDR, JSON or protobuf."
     elif faults := "; ".join(_losses(scan)):
         message = f"the file is damaged and nothing can be salvaged ({faults})"
         hint = scan.remedy
     else:
         message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
-        near = next((t.topic for t in _topics(scan) if t.schema.endswith("JointState")), "")
+        near = next(
+            (t.topic for t in _topics(scan) if t.schema.endswith("JointState")), ""
+        )
         hint = f"Is it {near}? Record or remap it as {JOINT_STATES}."
         if not near:
             hint = f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."

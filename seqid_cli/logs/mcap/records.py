@@ -1,9 +1,9 @@
 """MCAP files, read once from the first record to the last, as far as a damaged one allows.
 
-Chunks are taken one at a time, so memory does not grow with the file. With a summary, which a
-cut-off recording lacks, chunks that hold nothing wanted are stepped over. What is lost is counted,
-and the rest is used. Records are read by the library mcap, but for messages and their indexes, of
-which there are too many.
+Chunks are taken one at a time, so memory does not grow with the file. With a summary,
+which a cut-off recording lacks, chunks that hold nothing wanted are stepped over. What
+is lost is counted, and the rest is used. Records are read by the library mcap, but for
+messages and their indexes, of which there are too many.
 """
 
 import struct
@@ -30,8 +30,16 @@ from seqid_cli.logs.messages.batch import Bytes, Payloads
 from seqid_cli.logs.raw import Stamps
 
 MAGIC = b"\x89MCAP0\r\n"
-LARGEST = 1 << 30  # bytes of a record that is held in memory; recorders write about 1 MB
-_ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError, StopIteration)
+# bytes of a record that is held in memory; recorders write about 1 MB
+LARGEST = 1 << 30
+_ERRORS = (
+    McapError,
+    struct.error,
+    ValueError,
+    OverflowError,
+    MemoryError,
+    StopIteration,
+)
 _WINDOW = 1 << 22  # bytes of loose messages taken together
 _LOOSE = frozenset((Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL))
 _HELD = _LOOSE | {Opcode.CHUNK}
@@ -55,7 +63,8 @@ class Scan:
     """One pass over a file: what was met on the way, and what could not be read."""
 
     path: Path
-    wanted: Callable[[str], bool]  # topics; others are not handed out nor, if it can be, read
+    # topics; others are not handed out nor, if it can be, read
+    wanted: Callable[[str], bool]
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)  # messages per channel
@@ -80,7 +89,8 @@ class Scan:
     def _record(self, file: BinaryIO, at: int) -> Generator[Batch, None, int | None]:
         """Read the record at a place, or many loose messages; returns where the next one begins.
 
-        One is damaged unless it ends where another may begin: bytes inside of records make no head.
+        One is damaged unless it ends where another may begin: bytes inside of records
+        make no head.
         """
         head = _head(file, at)
         opcode, length = head or (Opcode.FOOTER, 0)
@@ -88,9 +98,13 @@ class Scan:
         after = start + length
         if head is None or (opcode == Opcode.FOOTER and after <= self._size):
             if not self.losses:
-                self.losses["the recording was not closed properly: the file has no end"] += 1
+                self.losses[
+                    "the recording was not closed properly: the file has no end"
+                ] += 1
             return None
-        if after > self._size or not (self._begins(file, at) and self._begins(file, after)):
+        if after > self._size or not (
+            self._begins(file, at) and self._begins(file, after)
+        ):
             return (yield from self._damaged(file, at, opcode, length))
         if opcode == Opcode.DATA_END:
             return None
@@ -104,7 +118,9 @@ class Scan:
         if opcode == Opcode.CHUNK and not (chunk and self._unneeded(chunk)):
             file.seek(start)
             content = file.read(length)
-            indexes = file.read(min(chunk.message_index_length, LARGEST)) if chunk else b""
+            indexes = (
+                file.read(min(chunk.message_index_length, LARGEST)) if chunk else b""
+            )
             yield from self._chunk(content, chunks.index_offsets(indexes))
         return after
 
@@ -113,19 +129,23 @@ class Scan:
     ) -> Generator[Batch, None, int | None]:
         """Read what there is of a damaged chunk; goes on at the next that the summary names."""
         found = min((start for start in self._indexed if start > at), default=None)
-        if opcode == Opcode.CHUNK and length <= LARGEST:  # its own checks tell its worth
+        # its own checks tell its worth
+        if opcode == Opcode.CHUNK and length <= LARGEST:
             file.seek(at + chunks.RECORD.size)
             content = file.read(min(length, (found or self._size) - at))
             yield from self._chunk(content, _NONE, complete=len(content) == length)
         what = f"the file breaks off in a record at byte {at} of {self._size}"
         if found is not None:
-            what = f"{found - at} damaged bytes at byte {at} of {self._size} were left out"
+            what = (
+                f"{found - at} damaged bytes at byte {at} of {self._size} were left out"
+            )
         self.losses[what] += 1
         return found
 
     def _begins(self, file: BinaryIO, at: int) -> bool:
         """Tell whether a record may begin at a place: garbage is of no kind, or endless."""
-        opcode, length = _head(file, at) or (Opcode.FOOTER, 0)  # without one it is cut here
+        # without one it is cut here
+        opcode, length = _head(file, at) or (Opcode.FOOTER, 0)
         return bool(opcode and length <= (LARGEST if opcode in _HELD else self._size))
 
     @cached_property
@@ -137,7 +157,9 @@ class Scan:
         """Tell whether a chunk has no messages of wanted topics."""
         numbers = chunk.message_index_offsets
         known = (self.channels.get(number) for number in numbers)
-        return bool(numbers) and not any(one is None or self.wanted(one.topic) for one in known)
+        return bool(numbers) and not any(
+            one is None or self.wanted(one.topic) for one in known
+        )
 
     def _promised(self) -> dict[int, int] | None:
         """Messages per channel by the file's own statistics; None where it does not tell."""
@@ -184,7 +206,8 @@ class Scan:
         for opcode, start, end in contents.others:
             self._definition(opcode, data[start:end].tobytes())
         batches = np.split(order, turns) if len(order) else []
-        for rows in sorted(batches, key=lambda each: int(each[0])):  # in the order of the file
+        # in the order of the file
+        for rows in sorted(batches, key=lambda each: int(each[0])):
             number = int(contents.channels[rows[0]])
             if (channel := self.channels.get(number)) is None:
                 what = f"a message belongs to channel {number}, which the file lacks"

@@ -23,13 +23,18 @@ from seqid_cli.logs.mcap.chunks import allowed
 from seqid_cli.logs.mcap.records import Batch, Scan
 from seqid_cli.logs.messages.batch import Payloads
 
-_KEPT = ("sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "control_msgs/msg/DynamicJointState")
+_KEPT = (
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/Imu",
+    "control_msgs/msg/DynamicJointState",
+)
 _ROSBAG1 = b"#ROSBAG V2.0"
 _ZSTD, _LZ4 = b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"
 _COMPUTED = re.compile(r"\bAS\s*\(", re.IGNORECASE)  # a generated column
 _MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
 _OVERHEAD = 200  # bytes that a message costs beside its own
-_CHUNK_LIMIT = 1 << 28  # bytes of one unpacked chunk of a ROS 1 bag; recorders write about 1 MB
+# bytes of one unpacked chunk of a ROS 1 bag; recorders write about 1 MB
+_CHUNK_LIMIT = 1 << 28
 _AGAIN = "or copy it again from the source."
 _REMEDY1 = f"Run `rosbag reindex FILE`, {_AGAIN}"
 _REMEDY2 = f"Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, {_AGAIN}"
@@ -57,10 +62,14 @@ class BagScan(Scan):
                 raise
             except Exception as error:  # whatever the library raises on a damaged bag
                 message = f"the bag cannot be read ({_reason(error)})"
-                raise InputError(message, hint=self.remedy, where=str(self.path)) from error
+                raise InputError(
+                    message, hint=self.remedy, where=str(self.path)
+                ) from error
             counts = {channel.id: count for channel, _, count in topics}
             total = sum(counts.values())
-            self.summary.statistics = Statistics(0, len(topics), counts, 0, total, 0, 0, 0, 0)
+            self.summary.statistics = Statistics(
+                0, len(topics), counts, 0, total, 0, 0, 0, 0
+            )
             self.channels.update({channel.id: channel for channel, *_ in topics})
             self.schemas.update({schema.id: schema for _, schema, _ in topics})
             for part in _together(self._sound(messages())):
@@ -69,7 +78,9 @@ class BagScan(Scan):
                     self.counts[number] += len(own)
                     log_ns = np.array([max(0, message[1]) for message in own], np.int64)
                     payloads = Payloads.of([message[2] for message in own])
-                    yield Batch(self.channels[number], self.schemas[number], log_ns, payloads)
+                    yield Batch(
+                        self.channels[number], self.schemas[number], log_ns, payloads
+                    )
 
     def _sound(self, messages: Iterator[_Message]) -> Iterator[_Message]:
         """Yield messages up to a fault of the bag, of which `losses` is told."""
@@ -87,7 +98,9 @@ read_blocks = partial(reader.read_blocks, scan=BagScan)
 list_topics = partial(reader.list_topics, scan=BagScan)
 
 
-def _together(messages: Iterator[_Message], *, most: int = 1 << 22) -> Iterator[list[_Message]]:
+def _together(
+    messages: Iterator[_Message], *, most: int = 1 << 22
+) -> Iterator[list[_Message]]:
     """Some messages at a time, of `most` bytes, about."""
     held, size = list[_Message](), 0
     for message in messages:
@@ -105,7 +118,8 @@ def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
     address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
     with closing(sqlite3.connect(address, uri=True)) as database:
         for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
-            # A database that computes what it seems to hold, at any cost: recorders do not.
+            # A database that computes what it seems to hold, at any cost: recorders do
+            # not.
             if kind in ("view", "trigger") or _COMPUTED.search(str(text)):
                 raise ValueError(f"it holds a {kind} that computes values")
     reader = storage.Sqlite3Reader(path.absolute())
@@ -116,7 +130,9 @@ def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
         _as_declared(names, list[tuple[int, str, str, int]])
         others = {c.ext.serialization_format for c in reader.connections} - {"cdr"}
         if others:
-            raise ValueError(f"its serialization is {', '.join(sorted(others))}, not cdr")
+            raise ValueError(
+                f"its serialization is {', '.join(sorted(others))}, not cdr"
+            )
         kept = [c for c in reader.connections if c.msgtype in _KEPT and wanted(c.topic)]
         yield topics, lambda: _unpacked(reader.messages(kept))
     finally:
@@ -131,7 +147,9 @@ def _rosbag1(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
             reader.chunks[place] = one._replace(decompressor=_bounded(one.decompressor))
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         topics = [_topic(c, "") for c in reader.connections]
-        kept = [c for c in reader.connections if c.msgtype in _KEPT[:2] and wanted(c.topic)]
+        kept = [
+            c for c in reader.connections if c.msgtype in _KEPT[:2] and wanted(c.topic)
+        ]
 
         def messages() -> Iterator[_Message]:
             for connection, time_ns, data in reader.messages(kept):
@@ -161,7 +179,9 @@ def _bounded(usual: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
             return usual(data)
         unpacked = bytes(made.decompress(data, limit))
         if not made.eof:
-            raise ValueError(f"a chunk of {len(data)} bytes is cut or unpacks to over {limit}")
+            raise ValueError(
+                f"a chunk of {len(data)} bytes is cut or unpacks to over {limit}"
+            )
         return unpacked
 
     return unpack
@@ -186,15 +206,24 @@ def _unmerged(path: Path) -> list[str]:
     """Tell of a journal beside an SQLite file: the recorder was killed before it was merged."""
     journal = path.with_name(path.name + "-wal")
     size = journal.stat().st_size if journal.is_file() else 0
-    text = f"the bag was not closed: {size} bytes in {journal.name} are not read (merge them: "
-    return [f"{text}`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`)"] if size else []
+    text = (
+        f"the bag was not closed: {size} bytes in {journal.name} are not read (merge"
+        " them: "
+    )
+    return (
+        [f"{text}`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`)"]
+        if size
+        else []
+    )
 
 
 def _module(name: str, path: Path) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        text = "is a ROS bag; reading it needs the package rosbags, which is not installed"
+        text = (
+            "is a ROS bag; reading it needs the package rosbags, which is not installed"
+        )
         hint = 'Install it: pip install "seqid[bags]"; or convert the bag to MCAP with '
         hint += "`ros2 bag convert`."
         raise InputError(f"{text} ({error})", hint=hint, where=str(path)) from error

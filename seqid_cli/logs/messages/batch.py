@@ -1,9 +1,9 @@
 """Batches of messages: payloads that lie in one buffer, and the rows of numbers made of them.
 
-A message is what its parser makes of it: dictionaries of JSON, objects of protobuf, and of CDR the
-places of its numbers. Joint states have the fields of sensor_msgs' JointState, of control_msgs'
-DynamicJointState or of `foxglove.JointStates`: `timestamp`, and `joints` with `name` and optional
-`position`, `velocity` and `effort`.
+A message is what its parser makes of it: dictionaries of JSON, objects of protobuf, and
+of CDR the places of its numbers. Joint states have the fields of sensor_msgs'
+JointState, of control_msgs' DynamicJointState or of `foxglove.JointStates`:
+`timestamp`, and `joints` with `name` and optional `position`, `velocity` and `effort`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -20,7 +20,9 @@ Kind = Literal["joint_state", "dynamic_joint_state", "imu"]
 Decode = Callable[["Payloads"], "Decoded"]
 
 JOINT_QUANTITIES = ("position", "velocity", "effort")
-IMU_FIELDS = tuple((k, axis) for k in ("linear_acceleration", "angular_velocity") for axis in "xyz")
+IMU_FIELDS = tuple(
+    (k, axis) for k in ("linear_acceleration", "angular_velocity") for axis in "xyz"
+)
 _PLAIN = frozenset((float, int, str))
 FRONT = 8  # bytes that any buffer has before its first payload; see `Payloads.cut`
 
@@ -58,7 +60,9 @@ class Payloads:
         buffer, starts = self.buffer, self.starts + low
         if not width or not len(starts):
             return np.zeros((len(starts), width), np.uint8)
-        every = np.ndarray((len(buffer) - width + 1,), f"V{width}", buffer, strides=(1,))
+        every = np.ndarray(
+            (len(buffer) - width + 1,), f"V{width}", buffer, strides=(1,)
+        )
         return every[starts].view(np.uint8).reshape(len(starts), width)
 
 
@@ -85,11 +89,14 @@ class Decoded:
 class NameMap:
     """Which entry of a JointState belongs to which joint of the robot.
 
-    `effort` {"torque", "current"}: an interface of that name stands in for effort. `most`: names of
-    messages that are remembered, for the message that none of them fits.
+    `effort` {"torque", "current"}: an interface of that name stands in for effort.
+    `most`: names of messages that are remembered, for the message that none of them
+    fits.
     """
 
-    def __init__(self, joints: Iterable[str], effort: str = "torque", *, most: int = 200) -> None:
+    def __init__(
+        self, joints: Iterable[str], effort: str = "torque", *, most: int = 200
+    ) -> None:
         self.joints, self.effort, self._most = tuple(joints), effort, most
         self._index = {name: i for i, name in enumerate(self.joints)}
         self._pairs: dict[tuple[str, ...], list[tuple[int, int]]] = {}
@@ -97,7 +104,11 @@ class NameMap:
 
     def width(self, kind: Kind) -> int:
         """Values per row."""
-        return len(IMU_FIELDS) if kind == "imu" else len(JOINT_QUANTITIES) * len(self.joints)
+        return (
+            len(IMU_FIELDS)
+            if kind == "imu"
+            else len(JOINT_QUANTITIES) * len(self.joints)
+        )
 
     def pairs(self, names: Sequence[str]) -> list[tuple[int, int]]:
         """Pair (entry in the message, joint of the robot); of equal names the first counts."""
@@ -141,7 +152,9 @@ def row_of(kind: Kind, message: object, names: NameMap) -> list[object]:
         arrays = [_list(field(message, quantity)) for quantity in JOINT_QUANTITIES]
         for quantity, array in zip(JOINT_QUANTITIES, arrays, strict=True):
             if len(array) not in (0, len(entries)):
-                raise ValueError(f"{len(array)} values of {quantity} for {len(entries)} names")
+                raise ValueError(
+                    f"{len(array)} values of {quantity} for {len(entries)} names"
+                )
         for entry, joint in names.pairs(entries):
             row[joint::n] = [array[entry] if array else None for array in arrays]
     return row

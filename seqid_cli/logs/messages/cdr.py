@@ -1,10 +1,11 @@
 """ROS 2 messages in CDR, a batch at a time: JointState, DynamicJointState and Imu.
 
-Consecutive messages of a topic differ in their stamp and numbers only. One of them is parsed field
-by field, with every bound checked, into a `Layout`: which bytes carry structure (lengths, names)
-and where the numbers lie. All messages of its length with the same structure are decoded as strided
-views, with the same result. Rows are cut into words of 8 bytes from the end of the message: those
-that end in doubles come to lie aligned in this way.
+Consecutive messages of a topic differ in their stamp and numbers only. One of them is
+parsed field by field, with every bound checked, into a `Layout`: which bytes carry
+structure (lengths, names) and where the numbers lie. All messages of its length with
+the same structure are decoded as strided views, with the same result. Rows are cut into
+words of 8 bytes from the end of the message: those that end in doubles come to lie
+aligned in this way.
 """
 
 import struct
@@ -15,15 +16,24 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decoded, Kind, NameMap, Payloads, row_of
+from seqid_cli.logs.messages.batch import (
+    JOINT_QUANTITIES,
+    Decoded,
+    Kind,
+    NameMap,
+    Payloads,
+    row_of,
+)
 from seqid_cli.logs.raw import STAMP_LIMIT_NS, Mask, Rows, Stamps
 
 Words = NDArray[np.uint64]
 
 WORD = 8
 _SEC = 1_000_000_000
-_ENCAPSULATION, _STAMP_END = 4, 12  # bytes; between them seconds (int32), nanoseconds (uint32)
-# Representation identifier -> (byte order, largest alignment): plain CDR of XCDR 1 and 2.
+# bytes; between them seconds (int32), nanoseconds (uint32)
+_ENCAPSULATION, _STAMP_END = 4, 12
+# Representation identifier -> (byte order, largest alignment): plain CDR of XCDR 1 and
+# 2.
 _REPRESENTATIONS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
 
 
@@ -37,7 +47,9 @@ class _Cursor:
         self.order, self._largest = _REPRESENTATIONS[data[1]]
         self.at = _STAMP_END
         # 0xFF where a message of the same layout must have the same bytes.
-        self.mask = bytearray(b"\xff" * _ENCAPSULATION + bytes(len(data) - _ENCAPSULATION))
+        self.mask = bytearray(
+            b"\xff" * _ENCAPSULATION + bytes(len(data) - _ENCAPSULATION)
+        )
 
     def message(self, kind: Kind) -> dict[str, object]:
         """Read a message: places instead of its numbers."""
@@ -49,7 +61,10 @@ class _Cursor:
             acceleration = self.doubles(3)
             self.doubles(9)
             vectors = {"angular_velocity": gyro, "linear_acceleration": acceleration}
-            return {name: dict(zip("xyz", own, strict=True)) for name, own in vectors.items()}
+            return {
+                name: dict(zip("xyz", own, strict=True))
+                for name, own in vectors.items()
+            }
         names = self.texts()
         if kind == "joint_state":
             arrays = {name: self.doubles(self.count()) for name in JOINT_QUANTITIES}
@@ -106,7 +121,8 @@ class Layout:
     mask: Words  # (W,) of the message with its pad: bits of structure
     reference: Words  # (W,) likewise: what they must be
     checked: tuple[int, ...]  # words that hold structure
-    runs: tuple[tuple[int, int, int], ...]  # numbers side by side: byte of a row, column, how many
+    # numbers side by side: byte of a row, column, how many
+    runs: tuple[tuple[int, int, int], ...]
 
     @classmethod
     def of(cls, data: bytes, kind: Kind, names: NameMap) -> "Layout":
@@ -120,9 +136,13 @@ class Layout:
         for offset, group in groupby(enumerate(row), _offset):
             if offset is not None:
                 first, *others = [column for column, _ in group]
-                runs.append((offset + WORD * first + len(front), first, 1 + len(others)))
+                runs.append(
+                    (offset + WORD * first + len(front), first, 1 + len(others))
+                )
         checked = tuple(np.flatnonzero(mask).tolist())
-        return cls(cursor.order, len(row), len(front), mask, reference, checked, tuple(runs))
+        return cls(
+            cursor.order, len(row), len(front), mask, reference, checked, tuple(runs)
+        )
 
     def decode(self, payloads: Payloads) -> tuple[Mask, Decoded]:
         """Tell which payloads of the layout's length have its structure, and decode these."""
@@ -195,7 +215,9 @@ class LayoutDecoder:
         while len(left):
             first, rest = left[:1], left[1:]
             with suppress(ValueError):  # it is damaged
-                layout = Layout.of(next(iter(payloads.take(first))), self.kind, self.names)
+                layout = Layout.of(
+                    next(iter(payloads.take(first))), self.kind, self.names
+                )
                 fitting(layout, first)
                 if len(known) < self.rounds:
                     rest = fitting(layout, rest)

@@ -1,7 +1,8 @@
 """Messages that are decoded one by one: JSON, protobuf, and CDR of an unusual definition.
 
-The encoding's own library makes an object of each message, and `row_of` takes the values out of
-its fields. The faster way for CDR messages that are alike must give the same.
+The encoding's own library makes an object of each message, and `row_of` takes the
+values out of its fields. The faster way for CDR messages that are alike must give the
+same.
 """
 
 import contextlib
@@ -13,7 +14,15 @@ from collections.abc import Callable
 import msgspec
 from mcap.records import Schema
 
-from seqid_cli.logs.messages.batch import Decode, Decoded, Kind, NameMap, Payloads, field, row_of
+from seqid_cli.logs.messages.batch import (
+    Decode,
+    Decoded,
+    Kind,
+    NameMap,
+    Payloads,
+    field,
+    row_of,
+)
 from seqid_cli.logs.messages.cdr import LayoutDecoder
 from seqid_cli.logs.raw import STAMP_LIMIT_NS
 
@@ -22,17 +31,24 @@ SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 # Fields by their definitions, without the packages of their types.
 _USUAL_FIELDS = {
-    "joint_state": "Header header; string[] name; float64[] position; float64[] velocity; "
-    "float64[] effort",
-    "dynamic_joint_state": "Header header; string[] joint_names; "
-    "InterfaceValue[] interface_values; MSG: control_msgs/InterfaceValue; "
-    "string[] interface_names; float64[] values",
-    "imu": "Header header; Quaternion orientation; float64[9] orientation_covariance; "
-    "Vector3 angular_velocity; float64[9] angular_velocity_covariance; "
-    "Vector3 linear_acceleration; float64[9] linear_acceleration_covariance",
+    "joint_state": (
+        "Header header; string[] name; float64[] position; float64[] velocity; "
+        "float64[] effort"
+    ),
+    "dynamic_joint_state": (
+        "Header header; string[] joint_names; "
+        "InterfaceValue[] interface_values; MSG: control_msgs/InterfaceValue; "
+        "string[] interface_names; float64[] values"
+    ),
+    "imu": (
+        "Header header; Quaternion orientation; float64[9] orientation_covariance; "
+        "Vector3 angular_velocity; float64[9] angular_velocity_covariance; "
+        "Vector3 linear_acceleration; float64[9] linear_acceleration_covariance"
+    ),
 }
 _PACKAGE = re.compile("^(?:std|geometry|control)_msgs/")
-LONGEST = 1 << 18  # bytes of a message definition; those of joint states have some hundred
+# bytes of a message definition; those of joint states have some hundred
+LONGEST = 1 << 18
 _NO_JSON = re.compile(rb"(?<=[\[:,\s])(?:NaN|-?Infinity)(?=\s*[,\]}])")
 _SEC = 1_000_000_000
 
@@ -83,7 +99,9 @@ def _number(value: object) -> float:
     return float(value)  # protobuf's JSON form writes NaN and Infinity as text
 
 
-def decoder(encoding: str, schema: Schema | None, kind: Kind, names: NameMap) -> Decode | None:
+def decoder(
+    encoding: str, schema: Schema | None, kind: Kind, names: NameMap
+) -> Decode | None:
     """Make a decoder for the messages of a channel; None where there is none for them."""
     if schema is not None and len(schema.data) > LONGEST:
         return None
@@ -110,7 +128,10 @@ def schema_parser(encoding: str, schema: Schema) -> Parse | None:
             from mcap_ros2.decoder import DecoderFactory as Ros2
 
             unheard = io.StringIO()  # it prints what is wrong
-            with contextlib.redirect_stdout(unheard), contextlib.redirect_stderr(unheard):
+            with (
+                contextlib.redirect_stdout(unheard),
+                contextlib.redirect_stderr(unheard),
+            ):
                 return Ros2().decoder_for(encoding, schema)
         from mcap_protobuf.decoder import DecoderFactory as Protobuf
 
@@ -126,6 +147,8 @@ def is_usual(schema: Schema | None, kind: Kind) -> bool:
     text, *parts = schema.data.decode("utf-8", "replace").split("=" * 80)
     if kind == "dynamic_joint_state":
         text += "".join(part for part in parts if "/InterfaceValue\n" in part)
-    lines = (re.sub(r"\s+", " ", line.split("#")[0]).strip() for line in text.splitlines())
+    lines = (
+        re.sub(r"\s+", " ", line.split("#")[0]).strip() for line in text.splitlines()
+    )
     found = (line.replace("/msg/", "/") for line in lines if line)
     return "; ".join(_PACKAGE.sub("", line) for line in found) == _USUAL_FIELDS[kind]

@@ -26,15 +26,18 @@ MAGIC = {
 METADATA = "metadata.yaml"  # what makes a folder a ROS 2 bag
 
 _FROM_MATLAB = (
-    'Write a table in MATLAB: parquetwrite("log.parquet", array2table([t q i], "VariableNames", '
-    '["time" "q1" "q2" "i1" "i2"])).'
+    'Write a table in MATLAB: parquetwrite("log.parquet", array2table([t q i],'
+    ' "VariableNames", ["time" "q1" "q2" "i1" "i2"])).'
 )
 _FROM_NUMPY = (
     "Write a table in Python: numpy.savetxt('log.csv', numpy.column_stack([t, q, i]), "
     "delimiter=',', comments='', header='time,q1,q2,i1,i2')."
 )
 _OTHER_MAGIC = {
-    b"#ROSBAG": ("a ROS bag of an old version", "Convert it: `rosbag fix OLD.bag NEW.bag`."),
+    b"#ROSBAG": (
+        "a ROS bag of an old version",
+        "Convert it: `rosbag fix OLD.bag NEW.bag`.",
+    ),
     b"PARE": ("an encrypted Parquet file", "Write it without encryption."),
     b"\x89HDF": ("an HDF5 file, or MATLAB's of version 7.3", _FROM_MATLAB),
     b"MATLAB 5.0": ("a MATLAB file", _FROM_MATLAB),
@@ -42,7 +45,10 @@ _OTHER_MAGIC = {
     b"\x93NUMPY": ("a NumPy array", _FROM_NUMPY),
     b"\x28\xb5\x2f\xfd": ("compressed with zstd", "Unpack it: `zstd -d FILE`."),
     b"\x1f\x8b": ("compressed with gzip", "Unpack it: `gunzip FILE`."),
-    b"version https://git-lfs": ("a Git LFS pointer, not the file", "Run `git lfs pull`."),
+    b"version https://git-lfs": (
+        "a Git LFS pointer, not the file",
+        "Run `git lfs pull`.",
+    ),
 }
 _HEAD = 4096
 _OTHER = "is neither Parquet nor MCAP, no ROS bag and no CSV table"
@@ -55,14 +61,17 @@ Stamps = tuple[float, float]
 Note = Callable[[str], None]
 
 
-def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = False) -> list[Path]:
+def expand(
+    paths: Sequence[str], note: Note | None = None, *, stored: bool = False
+) -> list[Path]:
     """Turn files, folders and globs into log files.
 
-    `paths`: files (taken whatever their suffix), folders (searched at any depth for the suffixes of
-    logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth).
-    `note`: told what was left out, and why. `stored`: whether URLs of object storage are welcome as
-    well. Returns: in the natural order of their paths (`run2` before `run10`), so that results
-    repeat bit by bit; each once. Raises InputError: an argument stands for no file at all.
+    `paths`: files (taken whatever their suffix), folders (searched at any depth for the
+    suffixes of logs, hidden files left out; a ROS 2 bag is such a folder) and globs
+    (`**` for any depth). `note`: told what was left out, and why. `stored`: whether
+    URLs of object storage are welcome as well. Returns: in the natural order of their
+    paths (`run2` before `run10`), so that results repeat bit by bit; each once. Raises
+    InputError: an argument stands for no file at all.
     """
     found: dict[Path, Path] = {}
     for argument in map(str, paths):
@@ -75,7 +84,9 @@ def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = Fal
             else:
                 matches = _matches(argument, note or (lambda text: None))
         except OSError as error:
-            raise InputError(f"cannot be looked up ({error})", where=argument) from error
+            raise InputError(
+                f"cannot be looked up ({error})", where=argument
+            ) from error
         for path in matches:
             found.setdefault(path.resolve(), path)
     return natural_order(found.values())
@@ -105,8 +116,8 @@ def sha256_of(path: Path) -> str:
 def time_of_log(path: Path, stamps_s: Stamps | None) -> float | None:
     """Return the time of a log [s, Unix] with this first and last stamp [s, its own clock].
 
-    It is the last stamp where the stamps are dates, else when the file was last modified; None
-    where that is not known either, as of a table in memory.
+    It is the last stamp where the stamps are dates, else when the file was last
+    modified; None where that is not known either, as of a table in memory.
     """
     if stamps_s is not None and all(map(is_date, stamps_s)):
         return stamps_s[1]
@@ -141,13 +152,17 @@ def unchanged(path: Path, before: State | None = None) -> Iterator[None]:
 def check_log(path: Path) -> str:
     """Tell the format by the first bytes: parquet, mcap, csv, rosbag2 (an SQLite file), rosbag1.
 
-    Raises InputError: the file is missing, unreadable, empty, cut short or of another kind.
+    Raises InputError: the file is missing, unreadable, empty, cut short or of another
+    kind.
     """
     where = str(path)
     try:
         path = storage_file(path)
-        if path.exists() and not path.is_file():  # a pipe would be waited for without end
-            raise InputError("is no regular file", hint="Copy it into one first.", where=where)
+        # a pipe would be waited for without end
+        if path.exists() and not path.is_file():
+            raise InputError(
+                "is no regular file", hint="Copy it into one first.", where=where
+            )
         with path.open("rb") as file:
             head = file.read(_HEAD)
             size = file.seek(0, os.SEEK_END)
@@ -156,16 +171,28 @@ def check_log(path: Path) -> str:
     except FileNotFoundError as error:
         raise InputError("does not exist", hint=_nearby(path), where=where) from error
     except PermissionError as error:
-        raise InputError("may not be read", hint="Check its permissions.", where=where) from error
+        raise InputError(
+            "may not be read", hint="Check its permissions.", where=where
+        ) from error
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be opened ({error})", where=where) from error
     if not size:
-        raise InputError("is empty (0 bytes)", hint="Record or copy it again.", where=where)
+        raise InputError(
+            "is empty (0 bytes)", hint="Record or copy it again.", where=where
+        )
     kind = _format(head, where)
     if kind == "parquet" and (tail != MAGIC[kind] or size < 12):
-        text = f"the Parquet file is cut short or damaged: its footer is missing ({size} bytes)"
-        hint = "Parquet keeps its index at the end, so nothing can be salvaged: copy it again "
-        raise InputError(text, hint=hint + "from the source or record again.", where=where)
+        text = (
+            f"the Parquet file is cut short or damaged: its footer is missing ({size}"
+            " bytes)"
+        )
+        hint = (
+            "Parquet keeps its index at the end, so nothing can be salvaged: copy it"
+            " again "
+        )
+        raise InputError(
+            text, hint=hint + "from the source or record again.", where=where
+        )
     try:
         if kind == "csv":
             read_form(path)
@@ -182,10 +209,15 @@ def _format(head: bytes, where: str) -> str:
             return name
     for magic, (kind, remedy) in _OTHER_MAGIC.items():
         if head.startswith(magic):
-            raise InputError(f"is {kind}, not a log that can be read", hint=remedy, where=where)
+            raise InputError(
+                f"is {kind}, not a log that can be read", hint=remedy, where=where
+            )
     if is_text(head) or head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "csv"
-    hint = "Logs are told by their content, not by their suffix: convert it to one of these."
+    hint = (
+        "Logs are told by their content, not by their suffix: convert it to one of"
+        " these."
+    )
     raise InputError(f"{_OTHER} (it starts with {head[:8]!r})", hint=hint, where=where)
 
 
@@ -205,9 +237,13 @@ def _matches(argument: str, note: Note) -> list[Path]:
 
 def _no_logs(folder: Path, *, looked_at: int = 20) -> list[Path]:
     """Say that a folder has no logs, and why the first file is none that might be one."""
-    message = f"there is no log in this folder ({', '.join('*' + end for end in SUFFIXES)})"
+    message = (
+        f"there is no log in this folder ({', '.join('*' + end for end in SUFFIXES)})"
+    )
     hint = "Name the folder of the logs."
-    for path in natural_order(path for path in folder.rglob("*") if path.is_file())[:looked_at]:
+    for path in natural_order(path for path in folder.rglob("*") if path.is_file())[
+        :looked_at
+    ]:
         reason, remedy = _fault_of(path) if path.suffix not in _NOTES else (_OTHER, "")
         if not reason.startswith(_OTHER):
             message += f"; {path.name} {reason or 'is a table of another suffix'}"
@@ -237,7 +273,9 @@ def _logs_in(folder: Path, note: Note) -> list[Path]:
         if path.suffix.lower() in SUFFIXES
         and not path.name.startswith(".")
         and path.is_file()
-        and not any(p.name == "meta" and (p / "info.json").is_file() for p in path.parents)
+        and not any(
+            p.name == "meta" and (p / "info.json").is_file() for p in path.parents
+        )
     )
     return [path for path in candidates if _is_meant(path, note)]
 
@@ -250,7 +288,8 @@ def _is_meant(path: Path, note: Note) -> bool:
 
         with suppress(InputError):
             ends = {name.rpartition(".")[2] for name in list_columns(path)}
-            # A table of `predict --torques`: its torques are of logs that count already.
+            # A table of `predict --torques`: its torques are of logs that count
+            # already.
             if {"predicted", "residual", "sliding"} <= ends:
                 text = "seqid predict wrote it"
     elif path.suffix.lower() in CSV_SUFFIXES and (reason := _fault_of(path)[0]):
@@ -268,14 +307,17 @@ def _fault_of(path: Path) -> tuple[str, str]:
         return error.message, error.hint
     if time_names(names) or stamp_parts(names):
         return "", ""
-    return ("has no line of names" if nameless(names) else "has no column of time"), _NAME_IT
+    return (
+        "has no line of names" if nameless(names) else "has no column of time"
+    ), _NAME_IT
 
 
 def natural_order(paths: Iterable[Path]) -> list[Path]:
     """Sort paths so that numbers in names count as numbers."""
 
     def key(path: Path) -> tuple[list[int | str], str]:
-        parts = enumerate(re.split(r"([0-9]+)", str(path)))  # a text first, then in turn
+        # a text first, then in turn
+        parts = enumerate(re.split(r"([0-9]+)", str(path)))
         return [int(part) if i % 2 else part for i, part in parts], str(path)
 
     return sorted(paths, key=key)

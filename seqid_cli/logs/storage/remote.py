@@ -1,15 +1,16 @@
 """Logs on object storage (whatever fsspec knows), and tables in memory (Arrow, pandas, polars).
 
-A stored log is a path like any other until it is read. Then it is copied to a temporary file, read
-from there by the same readers as local logs, and the copy is removed: memory stays flat, and one
-log at a time (per process) lies on the disk. Access is configured as the store's own tools are, by
-environment and profile; nothing of it passes through here. A table is stored the same way: whoever
-reads it gets a Parquet file, which is removed afterwards, in this process or in others.
+A stored log is a path like any other until it is read. Then it is copied to a temporary
+file, read from there by the same readers as local logs, and the copy is removed: memory
+stays flat, and one log at a time (per process) lies on the disk. Access is configured
+as the store's own tools are, by environment and profile; nothing of it passes through
+here. A table is stored the same way: whoever reads it gets a Parquet file, which is
+removed afterwards, in this process or in others.
 
-Rows are set aside on the disk as well (`Spool`): decoding a compressed column costs ten times what
-reading it back costs. Their file lies where temporary files do (`TMPDIR`), has no name where the
-system allows, and goes with whoever holds it. Where there is too little room, or the rows become
-too many, there is none.
+Rows are set aside on the disk as well (`Spool`): decoding a compressed column costs ten
+times what reading it back costs. Their file lies where temporary files do (`TMPDIR`),
+has no name where the system allows, and goes with whoever holds it. Where there is too
+little room, or the rows become too many, there is none.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ if TYPE_CHECKING:
 
     _LocalPath = Path
 else:
-    _LocalPath = type(Path())  # the system's own kind of path, which can be inherited from
+    # the system's own kind of path, which can be inherited from
+    _LocalPath = type(Path())
 
 
 class Spool:
@@ -46,7 +48,9 @@ class Spool:
         self._shapes: list[tuple[int, int]] = []
         self._size = 0
         try:
-            self._most = min(most_bytes, share * shutil.disk_usage(tempfile.gettempdir()).free)
+            self._most = min(
+                most_bytes, share * shutil.disk_usage(tempfile.gettempdir()).free
+            )
             self._file = tempfile.TemporaryFile(prefix="seqid-", buffering=0)  # noqa: SIM115
             weakref.finalize(self, self._file.close)
         except OSError:
@@ -67,7 +71,8 @@ class Spool:
         try:
             if self._size + size > self._most:
                 raise OSError("too many rows")
-            # Room that is asked for at once costs a third of what it costs page by page.
+            # Room that is asked for at once costs a third of what it costs page by
+            # page.
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(self._file.fileno(), self._size, size)
             stamps.tofile(self._file)
@@ -110,7 +115,9 @@ def temporary_folder(where: str) -> Iterator[Path]:
         folder = tempfile.TemporaryDirectory(prefix=f"seqid-{os.getpid()}-")
     except OSError as error:
         message = f"cannot be copied: {error.strerror or error}"
-        hint = f"Check the space for temporary files in {tempfile.gettempdir()} (TMPDIR)."
+        hint = (
+            f"Check the space for temporary files in {tempfile.gettempdir()} (TMPDIR)."
+        )
         raise InputError(message, hint=hint, where=where) from error
     with folder as name:
         yield Path(name)
@@ -119,8 +126,14 @@ def temporary_folder(where: str) -> Iterator[Path]:
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")  # two letters at least: no drive of Windows
 _EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs", "az": "az", "abfs": "az"}
 _ACCESS = {
-    "s3": "Set AWS_PROFILE, or AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, as for aws itself.",
-    "gs": "Run `gcloud auth application-default login`, or set GOOGLE_APPLICATION_CREDENTIALS.",
+    "s3": (
+        "Set AWS_PROFILE, or AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, as for aws"
+        " itself."
+    ),
+    "gs": (
+        "Run `gcloud auth application-default login`, or set"
+        " GOOGLE_APPLICATION_CREDENTIALS."
+    ),
     "az": "Set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY or _SAS_TOKEN.",
 }
 _REFUSED = re.compile(
@@ -149,7 +162,8 @@ class StoredLog(_LocalPath):
         system, root = _opened(str(self))
         try:
             modified: datetime = system.modified(root)
-        except Exception:  # every kind of store has errors of its own, and a date is no need
+        # every kind of store has errors of its own, and a date is no need
+        except Exception:
             return None
         return modified.timestamp()
 
@@ -170,7 +184,9 @@ class TableLog(StoredLog):
             log.content = pa.table(data) if stream else pa.Table.from_pandas(data)
         except (TypeError, ValueError, AttributeError, pa.ArrowException) as error:
             hint = "Give a path, a pyarrow.Table, a pandas.DataFrame or a Recording."
-            raise InputError(f"{type(data).__name__} is no log ({error})", hint=hint) from error
+            raise InputError(
+                f"{type(data).__name__} is no log ({error})", hint=hint
+            ) from error
         return log
 
     def __reduce__(self) -> Any:
@@ -257,16 +273,26 @@ def _explained(url: str) -> Iterator[None]:
     except (SeqidError, ImportError):
         raise
     except FileNotFoundError as error:
-        raise InputError("does not exist", hint="Check bucket and name.", where=url) from error
+        raise InputError(
+            "does not exist", hint="Check bucket and name.", where=url
+        ) from error
     except Exception as error:
-        said = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0][:200]}"
+        said = (
+            f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0][:200]}"
+        )
         scheme = url.partition("://")[0]
         if isinstance(error, ValueError) and "rotocol not known" in str(error):
             message = f"{scheme}:// is no kind of storage that is known"
-            raise UsageError(message, where=url, hint="s3://, gs:// and az:// are.") from error
+            raise UsageError(
+                message, where=url, hint="s3://, gs:// and az:// are."
+            ) from error
         if _REFUSED.search(f"{type(error).__name__} {error}"):
-            hint = _ACCESS.get(_EXTRAS.get(scheme, ""), "Check the credentials of this store.")
+            hint = _ACCESS.get(
+                _EXTRAS.get(scheme, ""), "Check the credentials of this store."
+            )
             message = f"the store refuses access ({said})"
             raise ConfigError(message, where=url, hint=hint) from error
-        hint = "Check the network, the space for temporary files (TMPDIR) and the store."
+        hint = (
+            "Check the network, the space for temporary files (TMPDIR) and the store."
+        )
         raise InputError(f"cannot be read ({said})", where=url, hint=hint) from error

@@ -15,9 +15,22 @@ import pyarrow.parquet as pq
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import STAMP_LIMIT_NS, Array, Mask, Rows, Stamps
 
-ARROW_ERRORS = (pa.ArrowException, OSError, ValueError, KeyError, MemoryError, OverflowError)
-ROOM, MOST_TIMES = 256 << 20, 500  # bytes in memory of any table; of one byte of a larger one
-_NUMBERS = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
+ARROW_ERRORS = (
+    pa.ArrowException,
+    OSError,
+    ValueError,
+    KeyError,
+    MemoryError,
+    OverflowError,
+)
+# bytes in memory of any table; of one byte of a larger one
+ROOM, MOST_TIMES = 256 << 20, 500
+_NUMBERS = (
+    pa.types.is_integer,
+    pa.types.is_floating,
+    pa.types.is_decimal,
+    pa.types.is_null,
+)
 _TEXTS = (
     pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary,
 )  # fmt: skip
@@ -33,7 +46,8 @@ class TimeColumn:
     """Where time stands: one column, or whole seconds and the nanoseconds beside them."""
 
     name: str
-    unit: str | None = None  # by name or format; None: only the size of the numbers tells
+    # by name or format; None: only the size of the numbers tells
+    unit: str | None = None
     sure: bool = False  # whether it stands with the name
     nanoseconds: str | None = None
 
@@ -64,7 +78,9 @@ def _explained(where: str, name: str) -> Iterator[None]:
     except MemoryError:
         raise  # which is no fault of the column
     except ARROW_ERRORS as error:
-        message = f"column {name!r} cannot be read ({' '.join(str(error).split())[:200]})"
+        message = (
+            f"column {name!r} cannot be read ({' '.join(str(error).split())[:200]})"
+        )
         raise InputError(message, hint=_HINT, where=where) from error
 
 
@@ -79,7 +95,9 @@ def is_text(kind: pa.DataType) -> bool:
     return any(is_kind(kind) for is_kind in _TEXTS)
 
 
-def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, Rows, list[str]]:
+def read_stamps(
+    where: str, table: pa.Table, time: TimeColumn
+) -> tuple[Stamps, Rows, list[str]]:
     """Read the stamps [ns] (M,) of the rows, 0 where missing; the rows that have one; warnings."""
     warnings: list[str] = []
     with _explained(where, time.name):
@@ -97,14 +115,20 @@ def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, 
         if pa.types.is_integer(kind) and not pa.types.is_uint64(kind):
             stamps, good = _from_counts(where, table, time.name, NS_PER[unit])
         else:
-            warnings += _resolution(time.name, kind, values / (NS_PER["s"] / NS_PER[unit]))
+            warnings += _resolution(
+                time.name, kind, values / (NS_PER["s"] / NS_PER[unit])
+            )
             stamps, good = _from_values(values, NS_PER[unit])
     if lost := int(np.count_nonzero(~good)):
-        warnings.append(f"{lost} rows without a usable time in column {time.name!r} were left out")
+        warnings.append(
+            f"{lost} rows without a usable time in column {time.name!r} were left out"
+        )
     return np.where(good, stamps, 0), np.flatnonzero(good), warnings
 
 
-def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: float = 5e-05) -> str:
+def _unit(
+    values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: float = 5e-05
+) -> str:
     """Return the unit: what the name says, or the format, or else the size of the numbers."""
     if time.unit is not None and time.sure:
         return time.unit
@@ -120,17 +144,23 @@ def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: fl
         return "s"
     unit = next((unit for unit, least in _EPOCH if middle > least), "s")
     if unit != "s":
-        warnings.append(f"column {time.name!r} is too large for seconds: read as {unit}")
+        warnings.append(
+            f"column {time.name!r} is too large for seconds: read as {unit}"
+        )
     return unit
 
 
-def _from_counts(where: str, table: pa.Table, name: str, ns_per_unit: int) -> tuple[Stamps, Mask]:
+def _from_counts(
+    where: str, table: pa.Table, name: str, ns_per_unit: int
+) -> tuple[Stamps, Mask]:
     """Stamps [ns] (M,) by integer counts of a unit, exactly, and which of them are usable."""
     with _explained(where, name):
         found = column(table, name)
         missing = pc.is_null(found).to_numpy()
         if not pa.types.is_integer(found.type):
-            found = pc.cast(found, pa.int32() if found.type.bit_width == 32 else pa.int64())
+            found = pc.cast(
+                found, pa.int32() if found.type.bit_width == 32 else pa.int64()
+            )
         counts = pc.fill_null(pc.cast(found, pa.int64()), 0).to_numpy()
     limit = STAMP_LIMIT_NS // ns_per_unit
     good = ~missing & (counts > -limit) & (counts < limit)
@@ -153,12 +183,15 @@ def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
         return []
     step = float(np.spacing(np.abs(finite).max().astype(kind.to_pandas_dtype())))
     forward = np.diff(finite)
-    interval = float(np.mean(forward, where=forward > 0)) if (forward > 0).any() else 0.0
+    interval = (
+        float(np.mean(forward, where=forward > 0)) if (forward > 0).any() else 0.0
+    )
     if step <= 1e-3 * interval:
         return []
     return [
-        f"column {name!r} is {kind} and cannot resolve less than {step:.3g} s at the end of the "
-        f"log ({interval:.3g} s between samples): write time as float64 or timestamp"
+        f"column {name!r} is {kind} and cannot resolve less than {step:.3g} s at the"
+        f" end of the log ({interval:.3g} s between samples): write time as float64 or"
+        " timestamp"
     ]
 
 
@@ -166,7 +199,9 @@ def opened_table(path: Path, **options: object) -> pq.ParquetFile:
     """Open a Parquet file whose values have room: no few bytes that stand for many."""
     file = pq.ParquetFile(readable(path), **options)
     about, schema = file.metadata, file.schema
-    lists = [k for k in range(about.num_columns) if schema.column(k).max_repetition_level]
+    lists = [
+        k for k in range(about.num_columns) if schema.column(k).max_repetition_level
+    ]
     groups = [about.row_group(k) for k in range(about.num_row_groups)] if lists else []
     listed = sum(group.column(k).num_values for group in groups for k in lists)
     size = path.stat().st_size
@@ -180,4 +215,8 @@ def opened_table(path: Path, **options: object) -> pq.ParquetFile:
 
 def readable(path: Path) -> Path | BinaryIO:
     """What Arrow opens: a file by its name, or open already where it cannot spell the name."""
-    return path if str(path).encode("utf-8", "replace") == os.fsencode(path) else path.open("rb")
+    return (
+        path
+        if str(path).encode("utf-8", "replace") == os.fsencode(path)
+        else path.open("rb")
+    )

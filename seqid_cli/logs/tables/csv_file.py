@@ -20,9 +20,12 @@ from seqid_cli.robot.types import Robot
 _BLOCK = 8 << 20  # bytes; no line can be longer
 _CUT = "the last line has no end and may be cut short, it is left out"
 _RAGGED_SHARE = 0.01  # of the lines, that may be left out
-_MISSING = sorted({form for word in MISSING for form in (word, word.upper(), word.capitalize())})
+_MISSING = sorted(
+    {form for word in MISSING for form in (word, word.upper(), word.capitalize())}
+)
 _FAULT = re.compile(
-    r"In CSV column #(?P<column>\d+):(?: Row #(?P<row>\d+):)?.*?invalid value '(?P<value>.*)'",
+    r"In CSV column #(?P<column>\d+):(?: Row #(?P<row>\d+):)?.*?invalid value"
+    r" '(?P<value>.*)'",
     re.DOTALL,
 )
 
@@ -47,14 +50,19 @@ class CsvTable(TableFile):
     form: CsvForm
     size: int | None = None
 
-    def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
+    def tables(
+        self, columns: Sequence[str], rows: int | None
+    ) -> Iterator[tuple[pa.Table, str]]:
         """Read columns as one table; lines with another number of fields are left out."""
         parsed = self._parse(columns)
         ragged = _Ragged()
         if not isinstance(parsed, pa.Table):
             parsed = self._parse(columns, ragged)
-        if isinstance(parsed, pa.Table) and any(is_text(kind) for kind in parsed.schema.types):
-            parsed = self._parse(columns, _Ragged(), numeric=True)  # the time, too, for the fault
+        if isinstance(parsed, pa.Table) and any(
+            is_text(kind) for kind in parsed.schema.types
+        ):
+            # the time, too, for the fault
+            parsed = self._parse(columns, _Ragged(), numeric=True)
         if not isinstance(parsed, pa.Table):
             raise self._fault(parsed)
         first, lines = ragged.first, parsed.num_rows + ragged.count
@@ -62,7 +70,9 @@ class CsvTable(TableFile):
             yield parsed, ""
             return
         what = "a line" if first.number is None else f"line {first.number}"
-        what += f" has {first.actual_columns} fields, the header {first.expected_columns}"
+        what += (
+            f" has {first.actual_columns} fields, the header {first.expected_columns}"
+        )
         if ragged.count > max(1.0, _RAGGED_SHARE * lines):
             message = f"{what}; so do {ragged.count} of {lines} lines"
             hint = "Give every line as many fields as there are names."
@@ -70,18 +80,30 @@ class CsvTable(TableFile):
         yield parsed, f"{what}; {ragged.count} of {lines} lines were left out"
 
     def _parse(
-        self, columns: Sequence[str], ragged: _Ragged | None = None, *, numeric: bool = False
+        self,
+        columns: Sequence[str],
+        ragged: _Ragged | None = None,
+        *,
+        numeric: bool = False,
     ) -> pa.Table | BaseException:
         """Parse the file, time as numbers if `numeric`; returns what Arrow raised otherwise.
 
-        `ragged`: takes lines with another number of fields, which are an error without it.
+        `ragged`: takes lines with another number of fields, which are an error without
+        it.
         """
         places = [self.names.index(name) for name in columns]
-        # Arrow may find out the type of time itself: seconds, counts or a calendar time.
-        times = () if numeric else {*time_names(self.names), *(stamp_parts(self.names) or ())}
+        # Arrow may find out the type of time itself: seconds, counts or a calendar
+        # time.
+        times = (
+            ()
+            if numeric
+            else {*time_names(self.names), *(stamp_parts(self.names) or ())}
+        )
         source: Path | pa.BufferReader = self.path
         if self.size is not None:
-            source = pa.BufferReader(pa.memory_map(str(self.path)).read_buffer(self.size))
+            source = pa.BufferReader(
+                pa.memory_map(str(self.path)).read_buffer(self.size)
+            )
         reading = pc.ReadOptions(
             use_threads=ragged is None,
             block_size=_BLOCK,
@@ -90,9 +112,13 @@ class CsvTable(TableFile):
             # Arrow hands damaged lines over as text: any byte must be some character.
             encoding=self.form.encoding if ragged is None else "latin-1",
         )
-        parsing = pc.ParseOptions(delimiter=self.form.delimiter, invalid_row_handler=ragged)
+        parsing = pc.ParseOptions(
+            delimiter=self.form.delimiter, invalid_row_handler=ragged
+        )
         conversion = pc.ConvertOptions(
-            column_types={f"c{k}": pa.float64() for k in places if self.names[k] not in times},
+            column_types={
+                f"c{k}": pa.float64() for k in places if self.names[k] not in times
+            },
             include_columns=[f"c{k}" for k in places],
             null_values=_MISSING,
             quoted_strings_can_be_null=True,
@@ -110,20 +136,27 @@ class CsvTable(TableFile):
         message = f"the CSV file is not readable ({text[:200]})"
         hint = "Export it again, numbers only, one line per sample."
         if "straddling" in text:
-            message = f"a line is longer than {_BLOCK >> 20} MB: it is no table of samples"
+            message = (
+                f"a line is longer than {_BLOCK >> 20} MB: it is no table of samples"
+            )
             hint = "End every sample with a line feed."
         elif found := _FAULT.search(text):
             name = self.names[int(found["column"])]
             line = f"line {self._line(int(found['row']))}, " if found["row"] else ""
             message = f"{line}column {name!r}: {found['value'][:40]!r} is no number"
-            hint = "Correct or delete the line; leave the field empty where a value is missing."
+            hint = (
+                "Correct or delete the line; leave the field empty where a value is"
+                " missing."
+            )
         return InputError(message, hint=hint, where=self.where)
 
     def _line(self, row: int) -> int:
         """Return the line of a row: Arrow counts all lines but empty ones among the data."""
         counted = 0
         with self.path.open("rb") as file:
-            for number, line in enumerate(iter(lambda: file.readline(_BLOCK), b""), start=1):
+            for number, line in enumerate(
+                iter(lambda: file.readline(_BLOCK), b""), start=1
+            ):
                 counted += number <= self.form.skip or bool(line.strip(b"\r\n"))
                 if counted >= row:
                     return number
@@ -131,7 +164,11 @@ class CsvTable(TableFile):
 
 
 def read_blocks(
-    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = None
+    path: Path,
+    robot: Robot,
+    time_source: TimeSource = "header",
+    *,
+    rows: int | None = None,
 ) -> Iterator[RawLog]:
     """Read a CSV log as one block; see `read_table`. A line has one time."""
     del time_source
@@ -143,4 +180,6 @@ def read_blocks(
     end = max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
     cut = end != len(tail)
     whole, notes = size - len(tail) + end if cut else None, (_CUT,) * cut
-    return read_table(CsvTable(path, form.names, notes=notes, form=form, size=whole), robot, rows)
+    return read_table(
+        CsvTable(path, form.names, notes=notes, form=form, size=whole), robot, rows
+    )

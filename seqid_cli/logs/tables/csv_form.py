@@ -14,7 +14,19 @@ _COMMENTS = ("#", "%")
 _BEGIN = 64  # bytes in which a binary file shows itself
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
-MISSING = ("", "nan", "-nan", "na", "n/a", "null", "none", "inf", "-inf", "+inf", "infinity")
+MISSING = (
+    "",
+    "nan",
+    "-nan",
+    "na",
+    "n/a",
+    "null",
+    "none",
+    "inf",
+    "-inf",
+    "+inf",
+    "infinity",
+)
 _CONTROL = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f]")
 _HINT = "Write a line of names, then one line per sample: t,<joint>.position,..."
 
@@ -48,7 +60,9 @@ def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
     names_line = names_line or data[0]
     if not data:
         hint = "Was the recording stopped at once? Record again."
-        raise InputError("the table has names but no line of data", hint=hint, where=where)
+        raise InputError(
+            "the table has names but no line of data", hint=hint, where=where
+        )
     delimiter = _delimiter(names_line, data[0], where)
     names = [name.strip() for name in _split(names_line, delimiter)]
     if names_line == data[0]:
@@ -67,10 +81,15 @@ def _lines(head: bytes, where: str) -> tuple[str, list[str]]:
     """Return the encoding and the whole lines of the head, which must be text."""
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         hint = "Convert it: `iconv -f UTF-16 -t UTF-8 FILE > NEW.csv`."
-        raise InputError("is UTF-16 text; CSV logs are read as UTF-8", hint=hint, where=where)
+        raise InputError(
+            "is UTF-16 text; CSV logs are read as UTF-8", hint=hint, where=where
+        )
     if b"\0" in head:
         line = head[: head.index(b"\0")].count(b"\n") + 1
-        text = f"line {line} holds NUL bytes: it is not text, or the recording computer lost power"
+        text = (
+            f"line {line} holds NUL bytes: it is not text, or the recording computer"
+            " lost power"
+        )
         hint = "Remove the NUL bytes: `tr -d '\\000' < FILE > NEW.csv`."
         raise InputError(text, hint=hint, where=where)
     encoding = "utf8"
@@ -78,10 +97,14 @@ def _lines(head: bytes, where: str) -> tuple[str, list[str]]:
         head[: head.rfind(b"\n") + 1].decode(encoding)
     except UnicodeDecodeError:
         encoding = "latin-1"
-    lines = re.split(r"\r\n|\n|\r", head.decode(encoding, "replace").removeprefix("\ufeff"))
+    lines = re.split(
+        r"\r\n|\n|\r", head.decode(encoding, "replace").removeprefix("\ufeff")
+    )
     if len(head) == HEAD:
         if len(lines) == 1:
-            message = f"its first line is longer than {HEAD} bytes: it is no table of samples"
+            message = (
+                f"its first line is longer than {HEAD} bytes: it is no table of samples"
+            )
             raise InputError(message, hint=_HINT, where=where)
         lines.pop()
     return encoding, lines
@@ -89,7 +112,8 @@ def _lines(head: bytes, where: str) -> tuple[str, list[str]]:
 
 def _header(lines: Sequence[str], where: str) -> tuple[int, str]:
     """Find the line of names: the first that is no comment, or the last comment before numbers."""
-    # The names are empty, and the line is that before the numbers, where there are none.
+    # The names are empty, and the line is that before the numbers, where there are
+    # none.
     comment = ""
     for at, line in enumerate(lines):
         stripped = line.strip()
@@ -148,12 +172,22 @@ def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
     return "," if commas and not points else "."
 
 
-def _require_numbers(row: Sequence[str], names: int, delimiter: str, line: int, where: str) -> None:
+def _require_numbers(
+    row: Sequence[str], names: int, delimiter: str, line: int, where: str
+) -> None:
     if delimiter == "," and names < len(row) <= 2 * names and all(map(is_number, row)):
-        text = f"line {line} has {len(row)} numbers for {names} names: they seem to have decimal "
-        hint = "Write numbers with a decimal point, or separate the columns by semicolons."
+        text = (
+            f"line {line} has {len(row)} numbers for {names} names: they seem to have"
+            " decimal "
+        )
+        hint = (
+            "Write numbers with a decimal point, or separate the columns by semicolons."
+        )
         raise InputError(f"{text}commas", hint=hint, where=where)
     if not any(map(is_number, row)):
-        message = f"line {line} holds no number: it is no table of samples ({' '.join(row)[:60]!r})"
+        message = (
+            f"line {line} holds no number: it is no table of samples"
+            f" ({' '.join(row)[:60]!r})"
+        )
         hint = _HINT + " A line of units below the names must go."
         raise InputError(message, hint=hint, where=where)

@@ -1,11 +1,13 @@
 """How well-known loggers name the columns of a table: standard library only.
 
-A scheme gives the pattern of each quantity; `{name}` is the joint's name in the robot file,
-`{index0}` and `{index}` its place in the chain from 0 or 1, `column[k]` an element of a list.
+A scheme gives the pattern of each quantity; `{name}` is the joint's name in the robot
+file, `{index0}` and `{index}` its place in the chain from 0 or 1, `column[k]` an
+element of a list.
 
-Sources: UR RTDE, `actual_q` and its like with `_0` ... `_5` (RTDE_Python_Client_Library,
-rtde/csv_writer.py); libfranka, `state.q[0]` ... and time in ms (src/logging/robot_state_log.cpp);
-LeRobot datasets, list columns `observation.state` and others.
+Sources: UR RTDE, `actual_q` and its like with `_0` ... `_5`
+(RTDE_Python_Client_Library, rtde/csv_writer.py); libfranka, `state.q[0]` ... and time
+in ms (src/logging/robot_state_log.cpp); LeRobot datasets, list columns
+`observation.state` and others.
 """
 
 import re
@@ -22,7 +24,8 @@ QUANTITIES = (
 )  # fmt: skip
 EFFORT = "effort"  # torque or current, whichever the robot file says
 
-# Names of time columns, the unit behind them optional: time, t_ms, timestamp [s], __time.
+# Names of time columns, the unit behind them optional: time, t_ms, timestamp [s],
+# __time.
 _UNIT = r"s|sec|secs|seconds|ms|msec|us|usec|ns|nsec"
 _TIME = re.compile(
     r"(?:__)?(?:t|time|timestamp|time_stamp|stamp|header[./_]stamp|zeit)"
@@ -61,13 +64,16 @@ _NUMBERED = {
 _RTDE = {"position": "actual_q", "velocity": "actual_qd", "current": "actual_current"}
 _RTDE |= {"temperature": "joint_temperatures"}
 _FRANKA = {"position": "q", "velocity": "dq", "torque": "tau_J"}
-_LEROBOT = {quantity: quantity for quantity in ("torque", "current", "temperature", "effort")}
+_LEROBOT = {
+    quantity: quantity for quantity in ("torque", "current", "temperature", "effort")
+}
 _LEROBOT |= {"position": "state", "velocity": "velocity state.velocity"}
 LEROBOT_STATE = "observation.state"
 EPISODES = ("episode_index", "episode_id", "episode")
 
 
-Scheme = Mapping[str, tuple[str, ...]]  # patterns of a quantity, tried one after the other
+# patterns of a quantity, tried one after the other
+Scheme = Mapping[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -80,7 +86,10 @@ class Match:
 
 def _scheme(form: str, words: Mapping[str, str]) -> Scheme:
     """Make a scheme of a form of names, in which `*` stands for each word of a quantity."""
-    return {name: tuple(form.replace("*", w) for w in own.split()) for name, own in words.items()}
+    return {
+        name: tuple(form.replace("*", w) for w in own.split())
+        for name, own in words.items()
+    }
 
 
 DEFAULT = _scheme("{name}.*", {quantity: quantity for quantity in _ALL})
@@ -92,7 +101,10 @@ SCHEMES = (
     _scheme("*_{index0}", _RTDE),
     FRANKA,
     _scheme("observation.*[{index0}]", _LEROBOT),
-    *(_scheme(f, _NUMBERED) for f in ("*_{index0}", "*_{index}", "*{index0}", "*{index}")),
+    *(
+        _scheme(f, _NUMBERED)
+        for f in ("*_{index0}", "*_{index}", "*{index0}", "*{index}")
+    ),
     _scheme("*[{index0}]", _NUMBERED),
 )
 
@@ -101,16 +113,21 @@ def column_name(pattern: "Columns", joint: str, index0: int) -> str:
     """Fill a pattern: {name}, {index} (from 1), {index0} (from 0); or look up a joint's column."""
     if not isinstance(pattern, str):
         return str(pattern[index0])
-    filled = pattern.replace("{index0}", str(index0)).replace("{index}", str(index0 + 1))
+    filled = pattern.replace("{index0}", str(index0)).replace(
+        "{index}", str(index0 + 1)
+    )
     return filled.replace("{name}", joint)
 
 
 def find_scheme(
-    joints: Sequence[str], known: Collection[str], entries: Mapping[str, int] | None = None
+    joints: Sequence[str],
+    known: Collection[str],
+    entries: Mapping[str, int] | None = None,
 ) -> Match | None:
     """Find the scheme by which a log names the positions of all joints, in chain order.
 
-    `entries`: place of each joint in the log's lists, where it names them; else that in the chain.
+    `entries`: place of each joint in the log's lists, where it names them; else that in
+    the chain.
     """
     for scheme in SCHEMES:
         lists = all(p.endswith("[{index0}]") for p in scheme["position"])
@@ -118,14 +135,18 @@ def find_scheme(
         if entries and lists and scheme is not FRANKA:
             at = [entries.get(joint, -1) for joint in joints]
         pairs = [*zip(joints, at, strict=True)]
-        found = {name: _find(scheme, name, pairs, known, name == "position") for name in _ALL}
+        found = {
+            name: _find(scheme, name, pairs, known, name == "position") for name in _ALL
+        }
         if found["position"] is not None:
             columns = {name: own for name, own in found.items() if own is not None}
             return Match(columns, "ms" if scheme is FRANKA else None)
     return None
 
 
-def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, list[str | None]]:
+def find_quantities(
+    joints: Sequence[str], known: Collection[str]
+) -> dict[str, list[str | None]]:
     """Find quantities by the first scheme that has all joints, else by some default names."""
     columns: dict[str, list[str | None]] = {}
     tries = [*((scheme, True) for scheme in SCHEMES), (DEFAULT, False)]
@@ -140,12 +161,20 @@ def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, 
 def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
     """List the position columns that a log lacks of the scheme that fits it best."""
     patterns = [pattern for scheme in SCHEMES for pattern in scheme["position"]]
-    tried = [[column_name(p, joint, i) for i, joint in enumerate(joints)] for p in patterns]
-    return min(([name for name in names if name not in known] for names in tried), key=len)
+    tried = [
+        [column_name(p, joint, i) for i, joint in enumerate(joints)] for p in patterns
+    ]
+    return min(
+        ([name for name in names if name not in known] for names in tried), key=len
+    )
 
 
 def _find(
-    scheme: Scheme, quantity: str, pairs: list[tuple[str, int]], known: Collection[str], whole: bool
+    scheme: Scheme,
+    quantity: str,
+    pairs: list[tuple[str, int]],
+    known: Collection[str],
+    whole: bool,
 ) -> list[str | None] | None:
     """Return the columns of the first pattern that gives one for every joint, or for some."""
     for pattern in scheme.get(quantity, ()):

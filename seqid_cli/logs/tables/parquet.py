@@ -1,7 +1,8 @@
 """Parquet logs: only the needed columns are read, one row group at a time.
 
-A table made of JointState messages has a `name` column of string lists; a LeRobot data set names
-the motors of `observation.state` in `meta/info.json`, two folders or one above its data files.
+A table made of JointState messages has a `name` column of string lists; a LeRobot data
+set names the motors of `observation.state` in `meta/info.json`, two folders or one
+above its data files.
 """
 
 import json
@@ -40,7 +41,8 @@ def lerobot_names(path: Path) -> list[str]:
             names = json.loads(info.read_bytes())["features"][LEROBOT_STATE]["names"]
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             continue
-        if isinstance(names, dict) and len(names) == 1:  # {"motors": [...]} of older data sets
+        # {"motors": [...]} of older data sets
+        if isinstance(names, dict) and len(names) == 1:
             (names,) = names.values()
         if isinstance(names, list):
             return [str(name) for name in names]
@@ -54,7 +56,9 @@ def _name_column(path: Path, file: pq.ParquetFile) -> list[str]:
         kind = schema.field(column).type if column in schema.names else pa.null()
         if not pa.types.is_list(kind) or not pa.types.is_string(kind.value_type):
             continue
-        given = [row for row in file.read(columns=[column]).column(0).to_pylist() if row]
+        given = [
+            row for row in file.read(columns=[column]).column(0).to_pylist() if row
+        ]
         if any(row != given[0] for row in given):
             message = f"the names in column {column!r} change from row to row"
             hint = "Write one column per joint, <joint>.position and so on."
@@ -69,18 +73,30 @@ class ParquetTable(TableFile):
 
     lists: dict[str, int] = field(default_factory=dict)
 
-    def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
+    def tables(
+        self, columns: Sequence[str], rows: int | None
+    ) -> Iterator[tuple[pa.Table, str]]:
         """Read columns; nothing of a damaged file can be salvaged."""
         matched = {name: _ELEMENT.fullmatch(name) for name in columns}
-        elements = {n: m for n, m in matched.items() if m is not None and m["list"] in self.lists}
+        elements = {
+            n: m
+            for n, m in matched.items()
+            if m is not None and m["list"] in self.lists
+        }
         lists = dict.fromkeys(found["list"] for found in elements.values())
         plain = [name for name in columns if name not in elements]
         for table in read_tables(self.path, [*lists, *plain], rows=rows):
             flat = _flattened(table)
-            out = {name: flat.column(name) for name in plain if flat.schema.names.count(name) == 1}
+            out = {
+                name: flat.column(name)
+                for name in plain
+                if flat.schema.names.count(name) == 1
+            }
             values = {name: self._matrix(flat, name) for name in lists}
             for name, found in elements.items():
-                out[name] = pa.chunked_array([values[found["list"]][:, int(found["index"])]])
+                out[name] = pa.chunked_array(
+                    [values[found["list"]][:, int(found["index"])]]
+                )
             yield pa.table(out), ""
 
     def _matrix(self, table: pa.Table, name: str) -> Array:
@@ -91,20 +107,31 @@ class ParquetTable(TableFile):
             counts = np.asarray(pc.fill_null(pc.list_value_length(column), -1))
             wrong = np.flatnonzero((counts != length) & (counts > 0))
             if len(wrong):
-                text = f"row {wrong[0] + 1}: {name!r} holds {counts[wrong[0]]} values, the first "
+                text = (
+                    f"row {wrong[0] + 1}: {name!r} holds {counts[wrong[0]]} values, the"
+                    " first "
+                )
                 text += f"row {length} ({len(wrong)} such rows)"
-                hint = "Write one value per joint in every row, null where one is missing."
+                hint = (
+                    "Write one value per joint in every row, null where one is missing."
+                )
                 raise InputError(text, hint=hint, where=self.where)
             values = np.full((len(column), length), np.nan)
             flat = pc.cast(pc.list_flatten(column), pa.float64(), safe=False)
-            values[counts == length] = flat.to_numpy(zero_copy_only=False).reshape(-1, length)
+            values[counts == length] = flat.to_numpy(zero_copy_only=False).reshape(
+                -1, length
+            )
         except ARROW_ERRORS as error:
             raise damaged(self.path, error) from error
         return values
 
 
 def read_blocks(
-    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = BLOCK_ROWS
+    path: Path,
+    robot: Robot,
+    time_source: TimeSource = "header",
+    *,
+    rows: int | None = BLOCK_ROWS,
 ) -> Iterator[RawLog]:
     """Read a Parquet log; see `read_table`. A row has one time, whatever the source."""
     del time_source
@@ -116,14 +143,20 @@ def read_tables(
 ) -> Iterator[pa.Table]:
     """Read columns, up to `rows` rows of a row group at a time, or all; checks checksums."""
     try:
-        with opened_table(path, pre_buffer=False, page_checksum_verification=True) as file:
+        with opened_table(
+            path, pre_buffer=False, page_checksum_verification=True
+        ) as file:
             schema = file.schema_arrow
-            for name in set(columns) & set(schema.names):  # each text may be of any size
+            # each text may be of any size
+            for name in set(columns) & set(schema.names):
                 kind = schema.field(name).type
                 if is_text(kind):
                     kind = kind.value_type if pa.types.is_dictionary(kind) else kind
                     message = f"column {name!r} holds {kind}, not numbers"
-                    hint = "Write it as float64 in SI units, time in seconds or as a timestamp."
+                    hint = (
+                        "Write it as float64 in SI units, time in seconds or as a"
+                        " timestamp."
+                    )
                     raise InputError(message, hint=hint, where=str(path))
             if rows is None:
                 yield file.read(columns=list(columns))
@@ -133,7 +166,8 @@ def read_tables(
                 for batch in file.iter_batches(rows, **own, use_threads=False):
                     yield pa.Table.from_batches([batch])
                     del batch
-                pa.default_memory_pool().release_unused()  # or it keeps some row groups' worth
+                # or it keeps some row groups' worth
+                pa.default_memory_pool().release_unused()
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
 
@@ -143,7 +177,9 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
     try:
         with opened_table(path) as file:
             fields = _flattened(file.schema_arrow.empty_table()).schema
-            lengths = {each.name: _length(file, each.name, each.type) for each in fields}
+            lengths = {
+                each.name: _length(file, each.name, each.type) for each in fields
+            }
             lists = {name: length for name, length in lengths.items() if length}
             lerobot = LEROBOT_STATE in lists
             named = lerobot_names(path) if lerobot else _name_column(path, file)
@@ -151,12 +187,16 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
         raise damaged(path, error) from error
     # The place of each joint in the lists, where the file names them all.
     places = {name: place for place, name in reversed([*enumerate(named)])}
-    forms = [[joint + end for end in _ENDINGS if joint + end in places] for joint in joints]
+    forms = [
+        [joint + end for end in _ENDINGS if joint + end in places] for joint in joints
+    ]
     entries = {joint: places[f[0]] for joint, f in zip(joints, forms, strict=True) if f}
     notes: list[str] = []
     if len(entries) < len(joints):
         entries = {}
-        notes += [f"{LEROBOT_STATE}: values are taken in the order of the robot file"] * lerobot
+        notes += [
+            f"{LEROBOT_STATE}: values are taken in the order of the robot file"
+        ] * lerobot
     names = fields.names
     names += [f"{name}[{k}]" for name, length in lists.items() for k in range(length)]
     return ParquetTable(path, tuple(names), entries, tuple(notes), lists=lists)
@@ -201,5 +241,8 @@ def damaged(path: Path, error: BaseException) -> InputError:
     hint = "Copy it again from the source, or leave this log out."
     if isinstance(error, MemoryError):
         message = f"there is too little memory to read it ({reason})"
-        hint = "Give the process more, or split the log; a damaged file may ask for too much, too."
+        hint = (
+            "Give the process more, or split the log; a damaged file may ask for too"
+            " much, too."
+        )
     return InputError(message, hint=hint, where=str(path))

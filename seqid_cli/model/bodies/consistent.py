@@ -1,24 +1,28 @@
 """Link parameters that a body can have, with the identified torque, as near as possible to CAD.
 
-Unknown are the pseudo-inertias J_i of the links and the rotor inertias that were identified. With
-L_i L_i' = the expected J_i and J_i = L_i S_i L_i', the distance to what is expected is
+Unknown are the pseudo-inertias J_i of the links and the rotor inertias that were
+identified. With L_i L_i' = the expected J_i and J_i = L_i S_i L_i', the distance to
+what is expected is
 
     D = sum_i tr(S_i) - log det S_i,
 
-the Bregman divergence of the log-determinant: it is zero slope at S_i = 1, grows without bound
-towards bodies that cannot exist, and depends neither on units nor on frames (Lee, Wensing, Park,
-"Geometric robot dynamic identification: a convex programming approach", T-RO 2020). Then
+the Bregman divergence of the log-determinant: it is zero slope at S_i = 1, grows
+without bound towards bodies that cannot exist, and depends neither on units nor on
+frames (Lee, Wensing, Park, "Geometric robot dynamic identification: a convex
+programming approach", T-RO 2020). Then
 
     minimise D   subject to   E phi = pi,   S_i >= margin,   rotors >= 0,
 
-E phi being the identified base parameters. Where no body has them, the nearest in units of their
-covariance C are found first,  r* = min |C^-1/2 (pi - E phi)|,  and D is minimised within
+E phi being the identified base parameters. Where no body has them, the nearest in units
+of their covariance C are found first,  r* = min |C^-1/2 (pi - E phi)|,  and D is
+minimised within
 
     |C^-1/2 (pi - E phi)|^2 <= r*^2 + 1,
 
-among all that the data tell from the nearest by less than one standard error: the nearest itself
-lies on the boundary of what can exist, where a link has lost its mass or an axis to the noise. Both
-are conic problems: log det by a semidefinite block of twice the size and four exponential cones.
+among all that the data tell from the nearest by less than one standard error: the
+nearest itself lies on the boundary of what can exist, where a link has lost its mass or
+an axis to the noise. Both are conic problems: log det by a semidefinite block of twice
+the size and four exponential cones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,7 +36,8 @@ from seqid_cli.errors import QualityError
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
 from seqid_cli.robot.types import Array
 
-MARGIN = 1e-3  # least eigenvalue of S: share of the expected pseudo-inertia that is always there
+# least eigenvalue of S: share of the expected pseudo-inertia that is always there
+MARGIN = 1e-3
 
 _UPPER = tuple((i, j) for j in range(4) for i in range(j + 1))
 _LOWER = tuple((i, j) for j in range(4) for i in range(j, 4))
@@ -40,7 +45,8 @@ _ENTRIES, _FACTORS, _LOGS = 10, 10, 4
 _PER_LINK = _ENTRIES + _FACTORS + _LOGS
 
 
-# Links (n, 10) and rotors (k,) kg m^2 that can exist; whether their torque is what was identified.
+# Links (n, 10) and rotors (k,) kg m^2 that can exist; whether their torque is what was
+# identified.
 Consistent = tuple[Array, Array, bool]
 
 
@@ -49,11 +55,12 @@ def consistent_links(
 ) -> Consistent:
     """Find physically consistent parameters with the identified torque, or the nearest to it.
 
-    `J` (n, 4, 4): expected pseudo-inertias, positive definite. `rotors` (k,): typical sizes of the
-    rotor inertias [kg m^2], positive; they scale the problem. `E` (b, 10 n) and `G` (b, k) give the
-    base parameters from the links' standard parameters and the rotors, `values` (b,) is what was
-    identified, `whitening` (b, b) turns a residual into independent standard errors. Raises
-    QualityError if the solver finds nothing, as numbers of wildly different sizes can bring about.
+    `J` (n, 4, 4): expected pseudo-inertias, positive definite. `rotors` (k,): typical
+    sizes of the rotor inertias [kg m^2], positive; they scale the problem. `E` (b, 10
+    n) and `G` (b, k) give the base parameters from the links' standard parameters and
+    the rotors, `values` (b,) is what was identified, `whitening` (b, b) turns a
+    residual into independent standard errors. Raises QualityError if the solver finds
+    nothing, as numbers of wildly different sizes can bring about.
     """
     n = len(J)
     T = np.zeros((10 * n, 10 * n))
@@ -70,20 +77,28 @@ def consistent_links(
     problem = _Problem(n, T, rotors, B / size[:, None], values / size, whitening * size)
     found = problem.exact() or problem.nearest()
     if found is None:
-        hint = "Check the robot file against the arm; compare the file with seqid predict."
-        message = "no physically consistent link parameters were found for these base parameters"
+        hint = (
+            "Check the robot file against the arm; compare the file with seqid predict."
+        )
+        message = (
+            "no physically consistent link parameters were found for these base"
+            " parameters"
+        )
         raise QualityError(message, hint=hint)
     return found
 
 
-def nearest_body(phi: Array, whitening: Array, *, margin: float = 1e-7) -> tuple[Array, float]:
+def nearest_body(
+    phi: Array, whitening: Array, *, margin: float = 1e-7
+) -> tuple[Array, float]:
     """The standard parameters (10,) of a body that are nearest to an estimate `phi` (10,).
 
-    `whitening` (10, 10) turns a difference into independent standard errors. Its length, which
-    comes second, is a convex function of the pseudo-inertia. `margin`: least eigenvalue of that,
-    scaled. Raises QualityError if the solver finds nothing.
+    `whitening` (10, 10) turns a difference into independent standard errors. Its
+    length, which comes second, is a convex function of the pseudo-inertia. `margin`:
+    least eigenvalue of that, scaled. Raises QualityError if the solver finds nothing.
     """
-    # Unknown are the difference y in standard errors and its length: phi + W^-1 y is a body.
+    # Unknown are the difference y in standard errors and its length: phi + W^-1 y is a
+    # body.
     steps = pseudo_inertia(np.asarray(np.linalg.inv(whitening).T, dtype=np.float64))
     J = pseudo_inertia(phi)
     reach = np.abs(J) + np.sqrt(np.sum(steps**2, axis=0))
@@ -98,13 +113,17 @@ def nearest_body(phi: Array, whitening: Array, *, margin: float = 1e-7) -> tuple
     found = _solved(np.eye(11)[10], cones)
     if found is None:
         hint = "Record more moves with the payload, of more joints."
-        raise QualityError("no body was found near the estimate of the payload", hint=hint)
+        raise QualityError(
+            "no body was found near the estimate of the payload", hint=hint
+        )
     return phi + np.linalg.solve(whitening, found[:10]), float(found[10])
 
 
 def _upper(matrix: Array) -> Array:
     """The triangle of a symmetric matrix as clarabel has it."""
-    return np.array([matrix[a, b] * (1.0 if a == b else np.sqrt(2.0)) for a, b in _UPPER])
+    return np.array(
+        [matrix[a, b] * (1.0 if a == b else np.sqrt(2.0)) for a, b in _UPPER]
+    )
 
 
 _Cone = tuple[object, Array, Array]  # rows A v + s = b, s in a cone of a kind
@@ -122,8 +141,9 @@ def _triangle(place: Mapping[tuple[int, int], int], size: int, width: int) -> Ar
 class _Problem:
     """In the variables v: entries of all S, then of the factors of log det, the logs, the rotors.
 
-    `T` (10 n, 10 n) gives the links' standard parameters from the entries, `B` the base parameters
-    from v; rows of `B` and `values` are scaled to a norm of 1, `W` whitens them.
+    `T` (10 n, 10 n) gives the links' standard parameters from the entries, `B` the base
+    parameters from v; rows of `B` and `values` are scaled to a norm of 1, `W` whitens
+    them.
     """
 
     n: int
@@ -151,7 +171,9 @@ class _Problem:
         if least is None:
             return None
         radius = float(np.sqrt(least[-1] ** 2 + alike))
-        near = _solved(self._costs(), [self._ball(radius), *self._domain(), *self._logarithms()])
+        near = _solved(
+            self._costs(), [self._ball(radius), *self._domain(), *self._logarithms()]
+        )
         return self._found(least[:-1] if near is None else near)
 
     def _costs(self, *, rotor_cost: float = 1e-3) -> Array:
@@ -178,7 +200,9 @@ class _Problem:
         cones: list[_Cone] = []
         for i in range(self.n):
             place = {entry: _ENTRIES * i + c for c, entry in enumerate(_UPPER)}
-            cones.append((clarabel.PSDTriangleConeT(4), _triangle(place, 4, width), margin))
+            cones.append(
+                (clarabel.PSDTriangleConeT(4), _triangle(place, 4, width), margin)
+            )
         if count:
             rotors = -np.eye(count, width, _PER_LINK * self.n)
             cones.append((clarabel.NonnegativeConeT(count), rotors, np.zeros(count)))
@@ -195,13 +219,17 @@ class _Problem:
             t = 2 * _ENTRIES * self.n + _LOGS * i
             place = {entry: S + c for c, entry in enumerate(_UPPER)}
             place |= {(a, 4 + b): Z + c for c, (a, b) in enumerate(_LOWER)}
-            place |= {(4 + a, 4 + a): Z + c for c, (a, b) in enumerate(_LOWER) if a == b}
+            place |= {
+                (4 + a, 4 + a): Z + c for c, (a, b) in enumerate(_LOWER) if a == b
+            }
             both = _triangle(place, 8, self.variables)
             cones.append((clarabel.PSDTriangleConeT(8), both, np.zeros(36)))
             for k in range(_LOGS):
                 A = np.zeros((3, self.variables))
                 A[0, t + k] = A[2, place[4 + k, 4 + k]] = -1.0
-                cones.append((clarabel.ExponentialConeT(), A, np.array([0.0, 1.0, 0.0])))
+                cones.append(
+                    (clarabel.ExponentialConeT(), A, np.array([0.0, 1.0, 0.0]))
+                )
         return cones
 
     def _met(self, v: Array, *, max_residual: float = 1e-7) -> Consistent | None:
@@ -239,7 +267,10 @@ def _solved(cost: Array, cones: Sequence[_Cone]) -> Array | None:
     A, b = sparse.csc_matrix(np.vstack(rows)), np.concatenate(right)
     P = sparse.csc_matrix((len(cost), len(cost)))
     solution = clarabel.DefaultSolver(P, cost, A, b, list(kinds), settings).solve()
-    if solution.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
+    if solution.status not in (
+        clarabel.SolverStatus.Solved,
+        clarabel.SolverStatus.AlmostSolved,
+    ):
         return None
     v = np.array(solution.x)
     return v if np.isfinite(v).all() else None

@@ -1,14 +1,15 @@
 """Pseudo-inertia matrices: when inertial parameters belong to a body that can exist.
 
-With m the mass, h = m c the first moment and I the inertia about the frame's origin, the matrix
+With m the mass, h = m c the first moment and I the inertia about the frame's origin,
+the matrix
 
     J = [S  h]        S = 1/2 tr(I) 1 - I
         [h' m],
 
-the second moment of the mass density in homogeneous coordinates, is positive definite exactly if
-some density of positive mass has these parameters (Wensing, Kim, Slotine, "Linear matrix
-inequalities for physically consistent inertial parameter identification", RA-L 2018). It moves with
-a frame as J_A = T_AB J_B T_AB'.
+the second moment of the mass density in homogeneous coordinates, is positive definite
+exactly if some density of positive mass has these parameters (Wensing, Kim, Slotine,
+"Linear matrix inequalities for physically consistent inertial parameter
+identification", RA-L 2018). It moves with a frame as J_A = T_AB J_B T_AB'.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,9 @@ from seqid_cli.robot.types import Array
 
 def pseudo_inertia(phi: Array) -> Array:
     """Return J (..., 4, 4) of standard parameters (..., 10) in Pinocchio's order."""
-    m, mx, my, mz, xx, xy, yy, xz, yz, zz = np.moveaxis(np.asarray(phi, dtype=float), -1, 0)
+    m, mx, my, mz, xx, xy, yy, xz, yz, zz = np.moveaxis(
+        np.asarray(phi, dtype=float), -1, 0
+    )
     half = 0.5 * (xx + yy + zz)
     rows = [
         [half - xx, -xy, -xz, mx],

@@ -2,8 +2,8 @@
 
     T dtau/dt + tau = tau_command,      so that      tau_logged = tau + T dtau/dt
 
-exactly, T [s] being the drive's time constant. To first order the same as torque logged early by
-T. Khalil, Dombre, "Modeling, identification and control of robots", 2002.
+exactly, T [s] being the drive's time constant. To first order the same as torque logged
+early by T. Khalil, Dombre, "Modeling, identification and control of robots", 2002.
 """
 
 from collections.abc import Mapping
@@ -28,8 +28,8 @@ class ActuatorLag(ModelledTorque):
     linear = (Coefficient("time_constant", "s", low=0.0, high=0.2),)
     alike = ("time_skew", "joint_elasticity")
     separate_by = (
-        "log the measured current beside the commanded one; or chirps of torque up to the "
-        "frequency 1/(2 pi T), where a lag attenuates and a delay does not"
+        "log the measured current beside the commanded one; or chirps of torque up to"
+        " the frequency 1/(2 pi T), where a lag attenuates and a delay does not"
     )
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
@@ -41,7 +41,9 @@ class ActuatorLag(ModelledTorque):
         """The same from the torque a little later on the way."""
         return steady_change(scene, joint)
 
-    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+    def true_torque(
+        self, tau: Array, rate_hz: float, settings: Settings, c: Array
+    ) -> Array:
         """Send the command through the lag, starting settled."""
         lag = float(c[0])
         if lag <= 0.0 or not len(tau):

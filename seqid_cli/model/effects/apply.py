@@ -1,8 +1,8 @@
 """Effects at work: their torque on any log, and logs without them.
 
-Which log is number 3 and when time began is said by the session of an effect; a log that the
-session does not know is placed by its own clock, after the logs that started before it. Without a
-common clock it counts as recorded after all of them.
+Which log is number 3 and when time began is said by the session of an effect; a log
+that the session does not know is placed by its own clock, after the logs that started
+before it. Without a common clock it counts as recorded after all of them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,7 +37,9 @@ def session_of(
     return EffectSession(logs=logs, starts=[float(x) for x in starts], origin=origin)
 
 
-def scene_of_log(recording: Recording, robot: Robot, model: TorqueModel, motion: Motion) -> Scene:
+def scene_of_log(
+    recording: Recording, robot: Robot, model: TorqueModel, motion: Motion
+) -> Scene:
     """Return the scene of one log by itself; `motion` is of it, possibly decimated."""
     load, temperature = recording.load, recording.temperature
     picked = slice(None, None, round(recording.rate_hz / motion.rate_hz))
@@ -64,10 +66,17 @@ def placed(scene: Scene, recording: Recording, session: EffectSession | None) ->
         number = session.logs.index(known)
         within = 0.0 if known == recording.sha256 else recording.offset
         if not session.starts:
-            return replace(scene, log=number, start=recording.offset, shared_clock=False)
-        return replace(scene, log=number, start=session.starts[number] + within, shared_clock=True)
+            return replace(
+                scene, log=number, start=recording.offset, shared_clock=False
+            )
+        return replace(
+            scene, log=number, start=session.starts[number] + within, shared_clock=True
+        )
     last = len(session.logs)
-    if session.origin is None or abs(recording.start - session.origin) > LONGEST_SESSION_S:
+    if (
+        session.origin is None
+        or abs(recording.start - session.origin) > LONGEST_SESSION_S
+    ):
         return replace(scene, log=last, start=recording.offset, shared_clock=False)
     start = recording.start - session.origin
     before = [k for k, other in enumerate(session.starts) if other <= start]
@@ -101,11 +110,13 @@ def added_torque(
     return Predicted(torque, low, high)
 
 
-def effects_variance(scene: Scene, recording: Recording, fitted: Sequence[Fitted]) -> Array:
+def effects_variance(
+    scene: Scene, recording: Recording, fitted: Sequence[Fitted]
+) -> Array:
     """Return the variance (N, n) (N m)^2 of the effects' torque by errors of their coefficients.
 
-    Settings (a speed, an order, a lag) count as known. Effects count as independent of each other:
-    a file says nothing of what their errors have in common.
+    Settings (a speed, an order, a lag) count as known. Effects count as independent of
+    each other: a file says nothing of what their errors have in common.
     """
     variance = np.zeros_like(scene.motion.q)
     for place, items in _by_session(scene, recording, fitted):
@@ -134,7 +145,10 @@ def _by_session(
     left = list(fitted)
     while left:
         session = left[0].session
-        yield placed(scene, recording, session), [x for x in left if x.session == session]
+        yield (
+            placed(scene, recording, session),
+            [x for x in left if x.session == session],
+        )
         left = [x for x in left if x.session != session]
 
 
@@ -149,16 +163,18 @@ def without_effects(
 ) -> Recording:
     """Return a recording with torque as it would be without the `fitted` effects, at its own rate.
 
-    Effects of the measurement are undone in the channel that they distort: torque is scaled,
-    shifted in time or sent through the drive's lag, an encoder's error is taken off the position.
-    The torque of all others, as the model in `stages` says it, is subtracted. `source` {"auto",
-    "encoder", "imu"} says where accelerations come from. Raises InputError if the log carries
-    neither torque nor current.
+    Effects of the measurement are undone in the channel that they distort: torque is
+    scaled, shifted in time or sent through the drive's lag, an encoder's error is taken
+    off the position. The torque of all others, as the model in `stages` says it, is
+    subtracted. `source` {"auto", "encoder", "imu"} says where accelerations come from.
+    Raises InputError if the log carries neither torque nor current.
     """
     torque_of(recording)
     rest: list[Fitted] = []
     for item in fitted:
-        if isinstance(item, FittedEffect) and isinstance(item.effect, MeasurementEffect):
+        if isinstance(item, FittedEffect) and isinstance(
+            item.effect, MeasurementEffect
+        ):
             joint, settings, c = item.joint, item.settings, item.coefficients
             recording = item.effect.restored(recording, robot, joint, settings, c)
         else:

@@ -3,13 +3,14 @@
     x = q_motor - q_link in [-b/2, b/2],    M x'' = tau_L in flight,    x = +-b/2 in contact
     tau_effect = -(d tau / d q, dq, ddq) . (x, x', x'')
 
-b [rad] is the gap, tau_L [N m] the torque that would keep the link with the motor, M [kg m^2] the
-links' inertia about the joint with the others held. In flight the motor carries nothing of tau_L;
-where the link lands it gets all of it at once: a hole and a blow of the same area, both at sign
-changes of the load, not of the velocity. Landing is taken for inelastic, and the encoder for the
-motor's. The flight lasts about (6 M b / tau_L')^(1/3), so the shape depends on b too, which is the
-setting `trial_gap`: both must agree. Nordin, Gutman, "Controlling mechanical systems with backlash:
-a survey", Automatica 38(10), 2002.
+b [rad] is the gap, tau_L [N m] the torque that would keep the link with the motor, M
+[kg m^2] the links' inertia about the joint with the others held. In flight the motor
+carries nothing of tau_L; where the link lands it gets all of it at once: a hole and a
+blow of the same area, both at sign changes of the load, not of the velocity. Landing is
+taken for inelastic, and the encoder for the motor's. The flight lasts about (6 M b /
+tau_L')^(1/3), so the shape depends on b too, which is the setting `trial_gap`: both
+must agree. Nordin, Gutman, "Controlling mechanical systems with backlash: a survey",
+Automatica 38(10), 2002.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from seqid_cli.model.effects.declared import Play
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    Grid,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
 from seqid_cli.motion.filters.differentiation import differentiate, runs
@@ -35,7 +43,9 @@ class Backlash(Effect):
 
     name = "backlash"
     family = "transmission"
-    settings = (Setting("trial_gap", "rad", SMALLEST, LARGEST, False, agreement=AGREEMENT),)
+    settings = (
+        Setting("trial_gap", "rad", SMALLEST, LARGEST, False, agreement=AGREEMENT),
+    )
     needs = ("load",)
     apart = True
     linear = (Coefficient("gap", "rad", low=0.0, high=0.1),)
@@ -47,8 +57,9 @@ class Backlash(Effect):
         "transmission_coupling",
     )
     separate_by = (
-        "slow and fast moves in which the load of this joint changes its sign while it moves, and "
-        "others in which it keeps it; an accelerometer on the link sees the landing"
+        "slow and fast moves in which the load of this joint changes its sign while it"
+        " moves, and others in which it keeps it; an accelerometer on the link sees the"
+        " landing"
     )
 
     def local(self, settings: Settings) -> bool:
@@ -67,7 +78,9 @@ class Backlash(Effect):
         flights = [self._flights(scene, joint) for scene in scenes]
         for gap, *parts in zip(GAPS, *flights, strict=True):
             x = np.concatenate(parts) * (y != 0.0)
-            explained = float(x @ y) ** 2 / max(float(x @ x), 1e-300) if x @ y > 0.0 else 0.0
+            explained = (
+                float(x @ y) ** 2 / max(float(x @ x), 1e-300) if x @ y > 0.0 else 0.0
+            )
             if explained > most:
                 best, most = gap, explained
         yield {"trial_gap": best}
@@ -78,8 +91,13 @@ class Backlash(Effect):
         if key not in scene.memo:
             inertia = link_inertia(scene, joint)[:, joint]
             leads = (play(load, inertia, motion, gap) for gap in GAPS)
-            flown = (-inertia * differentiate(x, motion.rate_hz, motion.valid)[1] for x in leads)
-            scene.memo[key] = tuple(motion.filtered(x, times=self.passes) for x in flown)
+            flown = (
+                -inertia * differentiate(x, motion.rate_hz, motion.valid)[1]
+                for x in leads
+            )
+            scene.memo[key] = tuple(
+                motion.filtered(x, times=self.passes) for x in flown
+            )
         return scene.memo[key]
 
     def deviation(self, robot: Robot, joint: int, settings: Settings) -> Play:
@@ -125,7 +143,8 @@ def _flight(
 ) -> tuple[int, float]:
     """Follow one flight from flank `side`, from sample k on; return where and on which it ends.
 
-    Accelerations are joined by straight lines, along which position and speed are exact.
+    Accelerations are joined by straight lines, along which position and speed are
+    exact.
     """
     before, after = float(acceleration[k]), float(acceleration[k + 1])
     share = after / (after - before) if before * side > 0.0 else 1.0

@@ -3,12 +3,13 @@
     tau = G(q; R(t) g) - G(q; g)
         = sin(a) / a (t_1 G(q; e_1 x g) + t_2 G(q; e_2 x g)) - (1 - cos(a)) G(q; g),    a = |t|
 
-g [m/s^2] is gravity in the base frame, G(q; .) the gravity torque of the model, linear in it, and
-t [rad] a rotation of gravity about two axes e_1, e_2 square to it: x and y of the base where it
-stands upright. The settings `around_1`, `around_2` make the columns exact near that rotation: to
-first order a base that leans by 5 degrees looks like an error of torque constants, too. A constant
-tilt hides in the first moments once these are free, to which gravity torque is as linear: Gautier,
-Khalil, "Direct calculation of minimum set of inertial parameters of serial robots", IEEE Trans.
+g [m/s^2] is gravity in the base frame, G(q; .) the gravity torque of the model, linear
+in it, and t [rad] a rotation of gravity about two axes e_1, e_2 square to it: x and y
+of the base where it stands upright. The settings `around_1`, `around_2` make the
+columns exact near that rotation: to first order a base that leans by 5 degrees looks
+like an error of torque constants, too. A constant tilt hides in the first moments once
+these are free, to which gravity torque is as linear: Gautier, Khalil, "Direct
+calculation of minimum set of inertial parameters of serial robots", IEEE Trans.
 Robotics and Automation 6(3), 1990.
 """
 
@@ -17,7 +18,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from seqid_cli.model.effects.declared import BodyTerm
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    GridAxes,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD
@@ -39,12 +47,15 @@ class BaseTilt(Effect):
     passes = 1
     settings = (
         Setting("upright", "1", low=0.0, high=1.0, continuous=False),
-        *(Setting(name, "rad", -LARGEST_RAD, LARGEST_RAD, False, asked=False) for name in AROUND),
+        *(
+            Setting(name, "rad", -LARGEST_RAD, LARGEST_RAD, False, asked=False)
+            for name in AROUND
+        ),
     )
     alike = ("payload", "spring", "torque_bias")
     separate_by = (
-        "an accelerometer on the base, or fast moves of the proximal joints: inertial torque does "
-        "not turn with gravity"
+        "an accelerometer on the base, or fast moves of the proximal joints: inertial"
+        " torque does not turn with gravity"
     )
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
@@ -79,8 +90,8 @@ class BaseTilt(Effect):
     ) -> bool:
         """Ask that a tilt comes with the first link's moments, where other joints would show it.
 
-        Moments alone are any function of the first joint's angle: `most_moment` of the largest
-        torque that a gear passes on, per rad.
+        Moments alone are any function of the first joint's angle: `most_moment` of the
+        largest torque that a gear passes on, per rad.
         """
         alone = not settings["upright"] or scenes[0].robot.n == 1
         tilt, moments = np.linalg.norm(c[:2]), np.linalg.norm(c[2:])
@@ -88,14 +99,18 @@ class BaseTilt(Effect):
         tilted = alone or moments <= most_moment * largest * tilt
         return bool(tilted) and super().plausible(scenes, joint, settings, c)
 
-    def body_terms(self, robot: Robot, joint: Joint, settings: Settings) -> list[BodyTerm]:
+    def body_terms(
+        self, robot: Robot, joint: Joint, settings: Settings
+    ) -> list[BodyTerm]:
         """Return two directions square to gravity, less what is lost along it."""
         gravity = robot.gravity
         across = [np.cross(axis, gravity) for axis in tilt_axes(gravity)]
         around = np.array([settings.get(name, 0.0) for name in AROUND])
         angle = float(np.linalg.norm(around))
         lost = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2  # (1 - cos(a)) / a^2
-        turned = np.sinc(angle / np.pi) * np.array(across) - lost * around[:, None] * gravity
+        turned = (
+            np.sinc(angle / np.pi) * np.array(across) - lost * around[:, None] * gravity
+        )
         moments = 2 * int(settings["upright"])
         return [*(BodyTerm(gravity=g) for g in turned), *[BodyTerm()] * moments]
 
@@ -106,7 +121,9 @@ class BaseTilt(Effect):
         across = np.cross(tilt_axes(robot.gravity)[0], robot.gravity)
         places = np.zeros((2, robot.n))
         places[1, 0] = 0.5 * np.pi
-        (cos_1, cos_2), (sin_1, sin_2) = first_link_moments(robot, across, places).tolist()
+        (cos_1, cos_2), (sin_1, sin_2) = first_link_moments(
+            robot, across, places
+        ).tolist()
         numbers = {"cos_1": cos_1, "cos_2": cos_2, "sin_1": sin_1, "sin_2": sin_2}
         terms = "0.0", "0.0", *(f"cos_{k} * cos(q) + sin_{k} * sin(q)" for k in (1, 2))
         return {0: Law(terms=terms, numbers=numbers)}
@@ -121,13 +138,14 @@ class BaseTilt(Effect):
         still = np.zeros_like(q)
         for k, term in enumerate(terms):
             if term.gravity.any():
-                torque = inverse_dynamics(robot.chain, term.gravity, phi, q, still, still)
+                torque = inverse_dynamics(
+                    robot.chain, term.gravity, phi, q, still, still
+                )
                 for j, column in result.items():
                     column[:, k] = torque[:, j]
         for j, law in self.laws(robot, joint, settings).items():
             result[j] += law.columns(scene, j)
         return result
-
 
 
 def first_joint_upright(robot: Robot) -> bool:

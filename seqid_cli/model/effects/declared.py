@@ -39,9 +39,9 @@ Deviation = Twist | Play | Wave
 class BodyTerm:
     """What one coefficient changes in the rigid body, per unit of it; a torque linear in each.
 
-    `last_link` (10,) standard parameters added to the last link, `armature` (n,) kg m^2 and
-    `rotor` (n,) kg m^2, gear ratio times rotor inertia that turns the link before its joint;
-    `gravity` (3,) m/s^2 in the base frame, which the links feel besides.
+    `last_link` (10,) standard parameters added to the last link, `armature` (n,) kg m^2
+    and `rotor` (n,) kg m^2, gear ratio times rotor inertia that turns the link before
+    its joint; `gravity` (3,) m/s^2 in the base frame, which the links feel besides.
     """
 
     last_link: Array = field(default_factory=lambda: np.zeros(10))

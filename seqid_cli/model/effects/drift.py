@@ -2,13 +2,19 @@
 
     tau_measured = tau + A + B t
 
-A [N m], B [N m/s]; t [s] counts from the first log where the logs share a clock, else from the
-start of each. Beyond the recorded session (`duration`) the offset is held.
+A [N m], B [N m/s]; t [s] counts from the first log where the logs share a clock, else
+from the start of each. Beyond the recorded session (`duration`) the offset is held.
 """
 
 from collections.abc import Mapping
 
-from seqid_cli.model.effects.effect import Coefficient, Effect, GridAxes, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Effect,
+    GridAxes,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.measurement import touched
 from seqid_cli.model.effects.scene import Joint, Scenes, session
@@ -28,8 +34,8 @@ class Drift(Effect):
     alike = ("torque_bias", "thermal_friction")
     by_motion = False
     separate_by = (
-        "ten seconds at rest with the brakes on at the start and at the end of the session, and "
-        "the first log repeated as the last"
+        "ten seconds at rest with the brakes on at the start and at the end of the"
+        " session, and the first log repeated as the last"
     )
 
     def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:

@@ -3,12 +3,13 @@
     q_measured = q + e_s sin(p) + e_c cos(p),        p = order N q
     tau_effect = -(d tau / d q, dq, ddq) . (e, de/dt, d2e/dt2)
 
-e [rad] at the joint, N the gear ratio (1 where unknown), `order` in cycles per motor turn: 1 for an
-eccentric disc, 2 for unequal sine and cosine tracks; per turn of the joint that is order N. What
-the model is told it computes from the wrong angle; the effect is what that costs. Its inertial part
-grows with the square of the speed. An eccentricity d of a disc of radius R gives e = d / R on the
-encoder's shaft: Matsuzoe et al., "High-performance absolute rotary encoder using multitrack and
-M-code", Optical Engineering 42(1), 2003.
+e [rad] at the joint, N the gear ratio (1 where unknown), `order` in cycles per motor
+turn: 1 for an eccentric disc, 2 for unequal sine and cosine tracks; per turn of the
+joint that is order N. What the model is told it computes from the wrong angle; the
+effect is what that costs. Its inertial part grows with the square of the speed. An
+eccentricity d of a disc of radius R gives e = d / R on the encoder's shaft: Matsuzoe et
+al., "High-performance absolute rotary encoder using multitrack and M-code", Optical
+Engineering 42(1), 2003.
 """
 
 from dataclasses import replace
@@ -17,7 +18,13 @@ import numpy as np
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.declared import Wave
-from seqid_cli.model.effects.effect import Coefficient, Columns, GridAxes, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    GridAxes,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import modelled_slopes
@@ -26,7 +33,8 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 ORDERS = (1.0, 2.0)
-FINE_GEAR = 5.0  # below it an order of the joint and one of the motor are the same thing
+# below it an order of the joint and one of the motor are the same thing
+FINE_GEAR = 5.0
 LARGEST_RAD = 0.05
 
 
@@ -43,8 +51,8 @@ class EncoderEccentricity(MeasurementEffect):
     wave = "error"
     alike = ("torque_ripple", "joint_elasticity")
     separate_by = (
-        "one slow and one fast pass at constant speed: torque from a wrong angle grows with the "
-        "square of the speed, ripple does not"
+        "one slow and one fast pass at constant speed: torque from a wrong angle grows"
+        " with the square of the speed, ripple does not"
     )
 
     def axes(self, scenes: Scenes, joint: int) -> GridAxes:
@@ -67,10 +75,17 @@ class EncoderEccentricity(MeasurementEffect):
             [sin, cos * dp, cos * ddp - sin * dp**2],
             [cos, -sin * dp, -sin * ddp - cos * dp**2],
         ]
-        return dict(enumerate(-np.einsum("knj,ckn->jnc", modelled_slopes(scene, joint), errors)))
+        return dict(
+            enumerate(-np.einsum("knj,ckn->jnc", modelled_slopes(scene, joint), errors))
+        )
 
     def restored(
-        self, recording: Recording, robot: Robot, joint: int, settings: Settings, c: Array
+        self,
+        recording: Recording,
+        robot: Robot,
+        joint: int,
+        settings: Settings,
+        c: Array,
     ) -> Recording:
         """Take the error off the measured angle."""
         p = settings["order"] * float(gear_ratios(robot)[joint]) * recording.q[:, joint]

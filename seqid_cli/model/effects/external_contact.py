@@ -1,9 +1,9 @@
 """The arm touches something, or is touched: J' F for a while, at no time that repeats.
 
-Nothing of it is fitted: the stretches are found as events in time, that several joints see at once
-and that no other period of the motion shows, and are left out. Haddadin, De Luca, Albu-Schaeffer,
-"Robot collisions: a survey on detection, isolation, and identification", IEEE Trans. Robotics
-33(6), 2017.
+Nothing of it is fitted: the stretches are found as events in time, that several joints
+see at once and that no other period of the motion shows, and are left out. Haddadin, De
+Luca, Albu-Schaeffer, "Robot collisions: a survey on detection, isolation, and
+identification", IEEE Trans. Robotics 33(6), 2017.
 """
 
 from collections.abc import Mapping
@@ -22,8 +22,8 @@ class ExternalContact(Effect):
     alike = ("backlash",)
     by_motion = False
     separate_by = (
-        "the same motion again, at least three times, with nothing within reach: a contact does "
-        "not repeat"
+        "the same motion again, at least three times, with nothing within reach: a"
+        " contact does not repeat"
     )
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:

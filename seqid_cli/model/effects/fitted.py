@@ -20,8 +20,8 @@ from seqid_cli.typing import Array
 class FittedEffect:
     """An effect of the catalogue at a joint (None: of the whole arm, or of all joints alike).
 
-    `coefficients` (k,) and `covariance` (k, k) belong to the columns; `session` says which logs
-    the effect's times and log numbers are of.
+    `coefficients` (k,) and `covariance` (k, k) belong to the columns; `session` says
+    which logs the effect's times and log numbers are of.
     """
 
     effect: Effect
@@ -50,11 +50,13 @@ class FittedEffect:
 Fitted = FittedEffect | SmoothTerm
 
 
-def fitted_effects(stages: Stages, robot: Robot, *, unexplained: bool = False) -> list[Fitted]:
+def fitted_effects(
+    stages: Stages, robot: Robot, *, unexplained: bool = False
+) -> list[Fitted]:
     """Restore the effects of a parameter file; smooth terms only where `unexplained` are wanted.
 
-    Raises ConfigError if an effect is not known, or its joint, settings or coefficients are not
-    what it takes; the message names the key.
+    Raises ConfigError if an effect is not known, or its joint, settings or coefficients
+    are not what it takes; the message names the key.
     """
     found: list[Fitted] = []
     catalogue = catalogue_of(robot) if stages.effects else {}
@@ -69,7 +71,11 @@ def fitted_effects(stages: Stages, robot: Robot, *, unexplained: bool = False) -
 
 def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
     """Write an effect down; `fitted_effects` restores it exactly."""
-    effect, settings, joint = fitted.effect, fitted.settings, robot.name_of(fitted.joint)
+    effect, settings, joint = (
+        fitted.effect,
+        fitted.settings,
+        robot.name_of(fitted.joint),
+    )
     c, covariance = fitted.coefficients, fitted.covariance
     physical = effect.reported(robot, fitted.joint, settings, c, covariance)
     return EffectOfJoint(
@@ -88,32 +94,50 @@ def _restored(
 ) -> FittedEffect:
     effect = catalogue.get(entry.effect)
     if effect is None:
-        message = f"{key}.effect: no effect named {entry.effect!r} is known to this version"
-        hint = f"An effect of your own must stand in {robot.source.name} as [[effect]]; a newer "
+        message = (
+            f"{key}.effect: no effect named {entry.effect!r} is known to this version"
+        )
+        hint = (
+            f"An effect of your own must stand in {robot.source.name} as [[effect]]; a"
+            " newer "
+        )
         hint += "seqid may have written the file: update, or take the effect out of it."
         raise ConfigError(message, hint=hint)
     settings = _settings(key, effect, entry)
     coefficients = _coefficients(key, effect, entry, settings)
     count = len(coefficients)
-    covariance = np.array(entry.covariance) if entry.covariance else np.zeros((count, count))
+    covariance = (
+        np.array(entry.covariance) if entry.covariance else np.zeros((count, count))
+    )
     if covariance.shape != (count, count):
         raise damaged(f"{key}.covariance", f"must have {count} rows of {count} numbers")
     more = len(effect.coefficients(settings)) - count
-    coefficients, covariance = np.pad(coefficients, (0, more)), np.pad(covariance, (0, more))
+    coefficients, covariance = (
+        np.pad(coefficients, (0, more)),
+        np.pad(covariance, (0, more)),
+    )
     joint = _joint(key, effect, entry, robot)
-    return FittedEffect(effect, joint, settings, coefficients, covariance, entry.session)
+    return FittedEffect(
+        effect, joint, settings, coefficients, covariance, entry.session
+    )
 
 
 def _joint(key: str, effect: Effect, entry: EffectOfJoint, robot: Robot) -> int | None:
     if entry.joint is None:
         if not (effect.arm or effect.shared):
-            raise damaged(f"{key}.joint", f"{effect.name} is an effect of one joint: name it")
+            raise damaged(
+                f"{key}.joint", f"{effect.name} is an effect of one joint: name it"
+            )
         return None
     if effect.arm:
-        raise damaged(f"{key}.joint", f"{effect.name} is of the whole arm: must be null")
+        raise damaged(
+            f"{key}.joint", f"{effect.name} is of the whole arm: must be null"
+        )
     if entry.joint not in robot.joint_names:
         known = ", ".join(robot.joint_names)
-        raise damaged(f"{key}.joint", f"{entry.joint!r} is none of the robot's joints: {known}")
+        raise damaged(
+            f"{key}.joint", f"{entry.joint!r} is none of the robot's joints: {known}"
+        )
     return robot.joint_names.index(entry.joint)
 
 
@@ -125,7 +149,10 @@ def _settings(key: str, effect: Effect, entry: EffectOfJoint) -> dict[str, float
             raise damaged(f"{key}.settings.{name}", f"{effect.name} takes {takes}")
     found = {}
     for setting in effect.settings:
-        value, where = entry.settings.get(setting.name), f"{key}.settings.{setting.name}"
+        value, where = (
+            entry.settings.get(setting.name),
+            f"{key}.settings.{setting.name}",
+        )
         if value is None and not setting.asked:
             continue
         if value is None:
@@ -155,7 +182,9 @@ def _coefficients(
     values = {parameter.name: parameter.value for parameter in entry.parameters}
     missing = [name for name in names if name not in values]
     if missing:
-        raise damaged(f"{key}.coefficients", f"{effect.name} lacks {', '.join(missing)}")
+        raise damaged(
+            f"{key}.coefficients", f"{effect.name} lacks {', '.join(missing)}"
+        )
     return np.array([values[name] for name in names], dtype=float)
 
 
@@ -164,10 +193,15 @@ def effect_notes(stages: Stages, *, unexplained: bool = False) -> list[str]:
     notes, entries = [], stages.effects or []
     taken = [entry for entry in entries if unexplained or entry.effect != UNEXPLAINED]
     if taken:
-        named = ", ".join(f"{entry.effect} ({entry.joint or 'all joints'})" for entry in taken)
+        named = ", ".join(
+            f"{entry.effect} ({entry.joint or 'all joints'})" for entry in taken
+        )
         notes.append(f"effects in the prediction: {named}")
     smooth = [entry.joint or "" for entry in entries if entry.effect == UNEXPLAINED]
     if smooth and not unexplained:
-        left = "a smooth term of no known cause is left out (--with-unexplained takes it in)"
+        left = (
+            "a smooth term of no known cause is left out (--with-unexplained takes"
+            " it in)"
+        )
         notes.append(f"{left}: {', '.join(smooth)}")
     return notes

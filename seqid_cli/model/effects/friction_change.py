@@ -2,13 +2,13 @@
 
     tau = dF_c s(v) + dF_v v
 
-dF_c [N m] and dF_v [N m s/rad] are what Coulomb and viscous friction have gained since the
-friction stage was recorded. Where friction is identified anew with everything else the change is in
-it, so this shows against the earlier parameters only. Bittencourt, Axelsson, "Modeling and
-experiment design for identification of wear in a robot joint under load and temperature
-uncertainties based on friction data", IEEE/ASME Trans. Mechatronics 19(5), 2014.
+dF_c [N m] and dF_v [N m s/rad] are what Coulomb and viscous friction have gained since
+the friction stage was recorded. Where friction is identified anew with everything else
+the change is in it, so this shows against the earlier parameters only. Bittencourt,
+Axelsson, "Modeling and experiment design for identification of wear in a robot joint
+under load and temperature uncertainties based on friction data", IEEE/ASME Trans.
+Mechatronics 19(5), 2014.
 """
-
 
 from collections.abc import Mapping
 
@@ -25,17 +25,27 @@ class FrictionChange(FrictionLaw):
     name = "friction_change"
     change = sided = True
     over = "speed"
-    linear = (Coefficient("coulomb_change", "N m"), Coefficient("viscous_change", "N m s/rad"))
-    alike = ("thermal_friction", "load_dependent_friction", "nonlinear_viscous", "torque_constant")
+    linear = (
+        Coefficient("coulomb_change", "N m"),
+        Coefficient("viscous_change", "N m s/rad"),
+    )
+    alike = (
+        "thermal_friction",
+        "load_dependent_friction",
+        "nonlinear_viscous",
+        "torque_constant",
+    )
     by_motion = False
     separate_by = (
-        "the recordings of the friction stage again, at the temperature of the first time: at "
-        "once after a cold start and once after ten minutes of motion"
+        "the recordings of the friction stage again, at the temperature of the first"
+        " time: at once after a cold start and once after ten minutes of motion"
     )
 
     def available(self, scenes: Scenes, joint: Joint) -> bool:
         """Ask that the joint moves and that its friction was known."""
-        known = joint is None or all(scene.model.surfaces[joint] is not None for scene in scenes)
+        known = joint is None or all(
+            scene.model.surfaces[joint] is not None for scene in scenes
+        )
         return known and super().available(scenes, joint)
 
     def searched(self, settings: Settings) -> int:
@@ -46,10 +56,15 @@ class FrictionChange(FrictionLaw):
         """Direction and velocity."""
         return {joint: Law(terms=("sign(dq)", "dq"))}
 
-    def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
+    def plausible(
+        self, scenes: Scenes, joint: int, settings: Settings, c: Array
+    ) -> bool:
         """Ask that friction, the change included, still takes power from the motion."""
         power = 0.0
         for scene in scenes:
-            torque = scene.friction[:, joint] + self.columns(scene, joint, settings)[joint] @ c
+            torque = (
+                scene.friction[:, joint]
+                + self.columns(scene, joint, settings)[joint] @ c
+            )
             power += float(torque @ scene.motion.dq[:, joint]) / scene.motion.rate_hz
         return power >= 0.0

@@ -3,15 +3,15 @@
     tau = |tau_L| s(v) [k_d 1(tau_L v > 0) + k_b 1(tau_L v < 0)],   k_d = 1 / eta_d - 1,
                                                                     k_b = 1 - eta_b
 
-tau_L [N m] is the torque that the gear passes to the link, without the joint's own rotor; eta_d and
-eta_b [-] the efficiencies while power flows from motor to link (lifting) and from link to motor
-(lowering). Equal losses, k_d = k_b, are load-dependent friction. Where neither robot file nor
-motion tells the rotor's inertia, the losses do: `reflected_rotor_inertia`, at the joint. Pennestri,
-Freudenstein, "The mechanical efficiency of epicyclic gear trains", J. Mech. Des. 115(3), 1993;
-Duclusaud et al., "Extended friction models for the physics simulation of servo actuators", arXiv
+tau_L [N m] is the torque that the gear passes to the link, without the joint's own
+rotor; eta_d and eta_b [-] the efficiencies while power flows from motor to link
+(lifting) and from link to motor (lowering). Equal losses, k_d = k_b, are load-dependent
+friction. Where neither robot file nor motion tells the rotor's inertia, the losses do:
+`reflected_rotor_inertia`, at the joint. Pennestri, Freudenstein, "The mechanical
+efficiency of epicyclic gear trains", J. Mech. Des. 115(3), 1993; Duclusaud et al.,
+"Extended friction models for the physics simulation of servo actuators", arXiv
 2410.08650, 2024.
 """
-
 
 from collections.abc import Mapping
 
@@ -36,21 +36,28 @@ class GearEfficiency(LoadLoss):
     )
     alike = ("load_dependent_friction", "torque_saturation", "asymmetric_friction")
     separate_by = (
-        "lift and lower the same load at the same constant speed, then with another payload: the "
-        "half-sum of both torques keeps a share of the load only where the two losses differ"
+        "lift and lower the same load at the same constant speed, then with another"
+        " payload: the half-sum of both torques keeps a share of the load only where"
+        " the two losses differ"
     )
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Magnitude of the load times direction, where the gear drives and where it is driven."""
         load, numbers = self.load(settings)
-        # Both are the same size; where the gear drives they have the same sign, else opposite ones.
+        # Both are the same size; where the gear drives they have the same sign, else
+        # opposite ones.
         parts = {"load_j": load, "loss": "0.5 * abs(load_j) * sign(dq)"}
         parts["driven"] = "0.5 * load_j * abs(sign(dq))"
         terms = "loss + driven", "loss - driven"
         return {joint: Law(terms=terms, parts=parts, numbers=numbers)}
 
     def values(
-        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
+        self,
+        robot: Robot,
+        joint: Joint,
+        settings: Settings,
+        c: Array,
+        covariance: Array,
     ) -> list[Value]:
         """Return the losses and, behind them, the efficiencies that they stand for."""
         losses = super().values(robot, joint, settings, c, covariance)

@@ -4,16 +4,23 @@ The gear passes to the link what turns the joint but for its own rotor,
 
     tau_L = tau_rigid - I_r ddq.
 
-At the joints near the base no motion tells the reflected rotor inertia I_r [kg m^2] from the
-link's. Where the robot file does not give it either, losses tell: they do not grow with the torque
-that the rotor takes. I_r is then searched, from none to all of the smallest inertia about the joint
-that the logs show. Hamon, Gautier, Garrec, "New dry friction model with load- and
-velocity-dependence and dynamic identification of multi-DOF robots", ICRA 2011.
+At the joints near the base no motion tells the reflected rotor inertia I_r [kg m^2]
+from the link's. Where the robot file does not give it either, losses tell: they do not
+grow with the torque that the rotor takes. I_r is then searched, from none to all of the
+smallest inertia about the joint that the logs show. Hamon, Gautier, Garrec, "New dry
+friction model with load- and velocity-dependence and dynamic identification of
+multi-DOF robots", ICRA 2011.
 """
 
 from collections.abc import Mapping, Sequence
 
-from seqid_cli.model.effects.effect import FrictionLaw, Grid, Setting, Settings, rotor_hidden
+from seqid_cli.model.effects.effect import (
+    FrictionLaw,
+    Grid,
+    Setting,
+    Settings,
+    rotor_hidden,
+)
 from seqid_cli.model.effects.scene import Scenes
 from seqid_cli.model.effects.sensitivity import link_inertia
 from seqid_cli.typing import Array
@@ -26,7 +33,9 @@ class LoadLoss(FrictionLaw):
     """An effect of the torque that a gear passes on."""
 
     sided = steady = True
-    settings = (Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),)
+    settings = (
+        Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),
+    )
     needs = ("motion", "load")
 
     def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
@@ -50,13 +59,16 @@ class LoadLoss(FrictionLaw):
     def load(self, settings: Settings) -> tuple[str, Mapping[str, float]]:
         """Return the formula of the torque [N m] that the gear passes to the link, and its numbers.
 
-        A torque sensor behind the gear does not see a rotor, whoever is looking for one.
+        A torque sensor behind the gear does not see a rotor, whoever is looking for
+        one.
         """
         if ROTOR not in settings:
             return "load", {}
         return f"(load - {ROTOR} * load_is_modelled * ddq)", settings
 
-    def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
+    def plausible(
+        self, scenes: Scenes, joint: int, settings: Settings, c: Array
+    ) -> bool:
         """Ask for bounded losses, and for a link that has inertia of its own."""
         possible = ROTOR not in settings or settings[ROTOR] <= _most(scenes, joint)
         return possible and super().plausible(scenes, joint, settings, c)

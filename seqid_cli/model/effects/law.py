@@ -2,9 +2,9 @@
 
     tau_j = sum_k c_k X_k,        X_k: a text in the grammar of `robot.formula`
 
-A term may name the symbols of that grammar, the law's own `numbers` (settings among them), its
-`parts` (sub-formulas that several terms share) and its `memories`. Laws of the catalogue may
-besides name what no formula of a robot file can:
+A term may name the symbols of that grammar, the law's own `numbers` (settings among
+them), its `parts` (sub-formulas that several terms share) and its `memories`. Laws of
+the catalogue may besides name what no formula of a robot file can:
 
     coulomb_share   Coulomb friction at the place over its mean, 1 where none is identified
     rotor           the model's rotor inertia as the joint feels it, kg m^2
@@ -89,7 +89,8 @@ class Law:
     ) -> Array:
         """Evaluate the terms of a joint: torque (N, k) per unit coefficient, unfiltered.
 
-        `shared` holds parts that laws of other joints have evaluated, by the parts' identity.
+        `shared` holds parts that laws of other joints have evaluated, by the parts'
+        identity.
         """
         remembered: dict[str, Evaluated] = {}
         for name, memory in self.memories.items():

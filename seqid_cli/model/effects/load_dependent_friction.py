@@ -2,13 +2,13 @@
 
     tau = k_l |tau_L| s(v)
 
-tau_L [N m] is the torque that the gear passes to the link, without the joint's own rotor; k_l [-]
-the share of it that is lost, both when the gear drives and when it is driven. Where neither robot
-file nor motion tells the rotor's inertia, the losses do: `reflected_rotor_inertia`, at the joint.
-Hamon, Gautier, Garrec, "New dry friction model with load- and velocity-dependence and dynamic
-identification of multi-DOF robots", ICRA 2011.
+tau_L [N m] is the torque that the gear passes to the link, without the joint's own
+rotor; k_l [-] the share of it that is lost, both when the gear drives and when it is
+driven. Where neither robot file nor motion tells the rotor's inertia, the losses do:
+`reflected_rotor_inertia`, at the joint. Hamon, Gautier, Garrec, "New dry friction model
+with load- and velocity-dependence and dynamic identification of multi-DOF robots", ICRA
+2011.
 """
-
 
 from collections.abc import Mapping
 
@@ -26,8 +26,8 @@ class LoadDependentFriction(LoadLoss):
     linear = (Coefficient("load_coefficient", "1", low=0.0, high=0.5),)
     alike = ("gear_efficiency", "torque_saturation")
     separate_by = (
-        "the same speed, both ways, at different gravity loads or with two payloads: lift and "
-        "lower each"
+        "the same speed, both ways, at different gravity loads or with two payloads:"
+        " lift and lower each"
     )
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:

@@ -1,7 +1,8 @@
 """What effects of the drive and of its measurement have in common.
 
-They act on the joint's whole torque, tau_measured = F(tau), so that their columns are built from
-the modelled torque, and a recording can be freed of them exactly by the inverse of F.
+They act on the joint's whole torque, tau_measured = F(tau), so that their columns are
+built from the modelled torque, and a recording can be freed of them exactly by the
+inverse of F.
 """
 
 import abc
@@ -25,7 +26,12 @@ class MeasurementEffect(Effect):
 
     @abc.abstractmethod
     def restored(
-        self, recording: Recording, robot: Robot, joint: AnyJoint, settings: Settings, c: Array
+        self,
+        recording: Recording,
+        robot: Robot,
+        joint: AnyJoint,
+        settings: Settings,
+        c: Array,
     ) -> Recording:
         """Return a recording without the effect of coefficients c (k,) of a joint, or of all."""
 
@@ -36,11 +42,18 @@ class TorqueMeasurement(MeasurementEffect):
     passes = 1  # what has steps is low-passed once in the columns already
 
     @abc.abstractmethod
-    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+    def true_torque(
+        self, tau: Array, rate_hz: float, settings: Settings, c: Array
+    ) -> Array:
         """Return the torque (N, k) N m that was measured as tau (N, k) at `rate_hz`."""
 
     def restored(
-        self, recording: Recording, robot: Robot, joint: Joint, settings: Settings, c: Array
+        self,
+        recording: Recording,
+        robot: Robot,
+        joint: Joint,
+        settings: Settings,
+        c: Array,
     ) -> Recording:
         """Replace the torque of the joint, or of all."""
         assert recording.tau is not None
@@ -84,12 +97,15 @@ def steady_change(scene: Scene, joint: Joint, seconds: float = 0.0) -> Columns:
     return {j: change[:, [k]] for k, j in enumerate(which)}
 
 
-def of_modelled(scene: Scene, joint: Joint, function: Callable[[Array], Array]) -> Columns:
+def of_modelled(
+    scene: Scene, joint: Joint, function: Callable[[Array], Array]
+) -> Columns:
     """Columns function(tau) of the torque as it should be, ready for one more low-pass.
 
-    The load is measured where a torque sensor does that, else modelled. Rigid torque comes from
-    motion that was low-passed once, friction has steps: what friction adds to the column is
-    low-passed once here, so that one pass more treats both like measured torque.
+    The load is measured where a torque sensor does that, else modelled. Rigid torque
+    comes from motion that was low-passed once, friction has steps: what friction adds
+    to the column is low-passed once here, so that one pass more treats both like
+    measured torque.
     """
     which = touched(scene.robot, joint)
     carried = scene.carried[:, which]

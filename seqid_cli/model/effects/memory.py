@@ -1,7 +1,7 @@
 """What laws remember: quantities that follow from more than the instant.
 
-Each says how it comes out of a whole log; exported code has the same as a state with its update
-(`export.laws`), causal, one sample after the other.
+Each says how it comes out of a whole log; exported code has the same as a state with
+its update (`export.laws`), causal, one sample after the other.
 """
 
 from collections.abc import Mapping
@@ -98,9 +98,10 @@ Memory = Bristles | Rate | Late | FrictionSlope
 def deflection(q: Array, distance: float) -> Array:
     """Deflection (N,) of Dahl's bristles as a share of their largest: within +-1, from 0 on.
 
-    Each sample maps the deflection before it affinely, x <- keep x + gain. Maps are composed by
-    doubling, in log2(N) sweeps over all samples, so there is no loop over time. Positions q (N,)
-    [rad] are taken as monotonic between samples; `distance` is z_max [rad].
+    Each sample maps the deflection before it affinely, x <- keep x + gain. Maps are
+    composed by doubling, in log2(N) sweeps over all samples, so there is no loop over
+    time. Positions q (N,) [rad] are taken as monotonic between samples; `distance` is
+    z_max [rad].
     """
     way = np.diff(q, prepend=q[:1]) / distance
     keep = np.exp(-np.abs(way))

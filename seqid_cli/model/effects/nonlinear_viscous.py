@@ -2,12 +2,12 @@
 
     tau = c s(v) (|v| / v_1)^e,   v_1 = 1 rad/s
 
-c [N m] is the torque at 1 rad/s (1 m/s for a slide), e [-] the exponent: below 1 where grease
-thins, about 3 where a cubic is needed. e = 1 is viscous friction, e = 2 quadratic drag; neither
-goes by this name. Waiboer, Aarts, Jonker, "Velocity dependence of joint friction in robotic
-manipulators with gear transmissions", ECCOMAS Multibody Dynamics, 2005; Wolf, Iskandar, "Extending
-a dynamic friction model with nonlinear viscous and thermal dependency for a motor and harmonic
-drive gear", ICRA 2018.
+c [N m] is the torque at 1 rad/s (1 m/s for a slide), e [-] the exponent: below 1 where
+grease thins, about 3 where a cubic is needed. e = 1 is viscous friction, e = 2
+quadratic drag; neither goes by this name. Waiboer, Aarts, Jonker, "Velocity dependence
+of joint friction in robotic manipulators with gear transmissions", ECCOMAS Multibody
+Dynamics, 2005; Wolf, Iskandar, "Extending a dynamic friction model with nonlinear
+viscous and thermal dependency for a motor and harmonic drive gear", ICRA 2018.
 """
 
 from collections.abc import Mapping
@@ -32,8 +32,9 @@ class NonlinearViscous(FrictionLaw):
     sided = steady = True
     alike = ("quadratic_drag", "stribeck", "thermal_friction")
     separate_by = (
-        "a ladder of eight constant speeds up and down again, both ways, from a fiftieth of the "
-        "speed limit to the limit; repeated after ten minutes of motion"
+        "a ladder of eight constant speeds up and down again, both ways, from a"
+        " fiftieth of the speed limit to the limit; repeated after ten minutes of"
+        " motion"
     )
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
@@ -45,7 +46,9 @@ class NonlinearViscous(FrictionLaw):
         """Power of the speed times direction."""
         return {joint: Law(terms=("abs(dq) ** exponent * sign(dq)",), numbers=settings)}
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(
+        self, scenes: Scenes, joint: Joint, settings: Settings, c: Array
+    ) -> bool:
         """Ask for an exponent that is neither viscous friction's nor quadratic drag's."""
         taken = any(low < settings["exponent"] < high for low, high in TAKEN)
         return not taken and super().plausible(scenes, joint, settings, c)

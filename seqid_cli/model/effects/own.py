@@ -2,7 +2,8 @@
 
     tau = sum_k c_k X_k(q, dq, ddq, load, ...; settings)
 
-Every X_k follows from the formula's text (`robot.formula`); nothing of it is ever executed.
+Every X_k follows from the formula's text (`robot.formula`); nothing of it is ever
+executed.
 """
 
 import ast
@@ -13,7 +14,14 @@ from importlib.metadata import entry_points
 import numpy as np
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Over, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    Over,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.law import Law, factor_of
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.formula import Formula
@@ -54,10 +62,17 @@ def own_effect(asked: OwnEffect, robot: Robot) -> Effect:
         effect = made() if inspect.isclass(made) else made
     except Exception as problem:  # whatever a package of somebody else's raises
         text = f"{type(problem).__name__}: {problem}"
-        raise ConfigError(f"{key} cannot be loaded from {source}: {text}", where=where) from None
+        raise ConfigError(
+            f"{key} cannot be loaded from {source}: {text}", where=where
+        ) from None
     if not isinstance(effect, Effect) or effect.name != name:
-        hint = "It must be a subclass of seqid_cli.model.effects.effect.Effect with this name."
-        raise ConfigError(f"{key}: {source} is no effect of that name", where=where, hint=hint)
+        hint = (
+            "It must be a subclass of seqid_cli.model.effects.effect.Effect with this"
+            " name."
+        )
+        raise ConfigError(
+            f"{key}: {source} is no effect of that name", where=where, hint=hint
+        )
     return effect
 
 
@@ -71,9 +86,12 @@ class FormulaEffect(Effect):
         calls = (node for node in ast.walk(formula.tree) if isinstance(node, ast.Call))
         self.sided = any(ast.unparse(call) == "sign(dq)" for call in calls)
         self.family = "friction" if self.sided else "transmission"
-        # Over the one quantity of its own joint that it depends on beside the direction.
+        # Over the one quantity of its own joint that it depends on beside the
+        # direction.
         some = names - {"dq"} or names
-        alone = len(some) == 1 and all(symbol.joint is None for symbol in formula.symbols)
+        alone = len(some) == 1 and all(
+            symbol.joint is None for symbol in formula.symbols
+        )
         self.over = _MEASURE.get(next(iter(some)), "torque") if alone else "torque"
         self.steady = self.sided and names <= STEADY
         self.settings = tuple(
@@ -81,8 +99,8 @@ class FormulaEffect(Effect):
             for name, (low, high) in asked.settings.items()
         )
         self.separate_by = (
-            f"motions in which {', '.join(sorted(names)) or 'nothing else'} change apart from each "
-            "other, over all of their range"
+            f"motions in which {', '.join(sorted(names)) or 'nothing else'} change"
+            " apart from each other, over all of their range"
         )
         self._names = names
 
@@ -102,7 +120,11 @@ class FormulaEffect(Effect):
     def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Values between the limits of each setting, evenly or by ratio."""
         return {
-            s.name: (np.geomspace if s.logarithmic else np.linspace)(s.low, s.high, GRID).tolist()
+            s.name: (
+                (np.geomspace if s.logarithmic else np.linspace)(
+                    s.low, s.high, GRID
+                ).tolist()
+            )
             for s in self.settings
         }
 
@@ -120,6 +142,11 @@ class FormulaEffect(Effect):
         if not bad:
             return {joint: X}
         many = f"{scene.robot.joint_names[joint]} for {bad} of {len(X)} samples"
-        message = f"effect {self.name!r}: {self.formula.text!r} is no finite number at {many}"
-        hint = "Keep divisors and arguments of log and sqrt away from zero, as in abs(dq) + 0.01."
+        message = (
+            f"effect {self.name!r}: {self.formula.text!r} is no finite number at {many}"
+        )
+        hint = (
+            "Keep divisors and arguments of log and sqrt away from zero, as in abs(dq)"
+            " + 0.01."
+        )
         raise ConfigError(message, where=str(scene.robot.source), hint=hint)

@@ -2,17 +2,25 @@
 
     tau = Y_n(q, dq, ddq) phi    from log `from_log` on, 0 before it
 
-Y_n are the columns of the last link in the regressor of Eq. 3, phi = (m, mx, my, mz, Ixx, Ixy, Iyy,
-Ixz, Iyz, Izz) the ten inertial parameters of what was added [kg, kg m, kg m^2], in the frame of the
-last joint, inertia about its origin. A payload that is in all logs cannot be told from the last
-link once the latter is free. Compare Khalil, Gautier, Lemoine, "Identification of the payload
-inertial parameters of industrial manipulators", ICRA 2007.
+Y_n are the columns of the last link in the regressor of Eq. 3, phi = (m, mx, my, mz,
+Ixx, Ixy, Iyy, Ixz, Iyz, Izz) the ten inertial parameters of what was added [kg, kg m,
+kg m^2], in the frame of the last joint, inertia about its origin. A payload that is in
+all logs cannot be told from the last link once the latter is free. Compare Khalil,
+Gautier, Lemoine, "Identification of the payload inertial parameters of industrial
+manipulators", ICRA 2007.
 """
 
 import numpy as np
 
 from seqid_cli.model.effects.declared import BodyTerm
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, GridAxes, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    GridAxes,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.robot.regressor import PER_LINK, torque_regressor
@@ -27,18 +35,22 @@ class Payload(Effect):
     arm = change = exact = True
     settings = (Setting("from_log", "1", low=0.0, continuous=False),)
     passes = 1
-    linear = tuple(Coefficient(f"payload_{kind}", parameter_unit(f"{kind}_1")) for kind in STANDARD)
+    linear = tuple(
+        Coefficient(f"payload_{kind}", parameter_unit(f"{kind}_1")) for kind in STANDARD
+    )
     alike = ("base_tilt", "torque_constant", "spring")
     separate_by = (
-        "the same motion with and without the payload, and poses that turn the last link against "
-        "gravity"
+        "the same motion with and without the payload, and poses that turn the last"
+        " link against gravity"
     )
 
     def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
         """From any log on."""
         return {"from_log": sorted({float(scene.log) for scene in scenes})}
 
-    def body_terms(self, robot: Robot, joint: Joint, settings: Settings) -> list[BodyTerm]:
+    def body_terms(
+        self, robot: Robot, joint: Joint, settings: Settings
+    ) -> list[BodyTerm]:
         """Return the parameters of the last link, one by one, as from `from_log` on."""
         return [BodyTerm(last_link=unit) for unit in np.eye(PER_LINK)]
 
@@ -49,5 +61,7 @@ class Payload(Effect):
             return {j: np.zeros((scene.samples, PER_LINK)) for j in range(n)}
         last = list(range(PER_LINK * (n - 1), PER_LINK * n))
         states = motion.q, motion.dq, motion.ddq
-        Y = torque_regressor(scene.robot.chain, scene.robot.gravity, *states, columns=last)
+        Y = torque_regressor(
+            scene.robot.chain, scene.robot.gravity, *states, columns=last
+        )
         return {j: np.ascontiguousarray(Y[:, j]) for j in range(n)}

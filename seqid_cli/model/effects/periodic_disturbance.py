@@ -2,13 +2,15 @@
 
     tau = A sin(2 pi f t + p) = a sin(2 pi f t) + b cos(2 pi f t)
 
-A [N m], f [Hz]. Where the logs share a clock, t counts from the first log and one phase p serves
-all; the frequency is then known to a small part of one over the time that the logs span. Otherwise
-t counts from each log's start and every log has a phase of its own (`clocks` says how many): such
-a line is known to be there, but cannot be predicted for another log.
+A [N m], f [Hz]. Where the logs share a clock, t counts from the first log and one phase
+p serves all; the frequency is then known to a small part of one over the time that the
+logs span. Otherwise t counts from each log's start and every log has a phase of its own
+(`clocks` says how many): such a line is known to be there, but cannot be predicted for
+another log.
 
-A line is not taken for a disturbance if the motion makes it: if it is missing in some of the logs,
-if its phase wanders, or if the modelled torque has a line there of comparable size.
+A line is not taken for a disturbance if the motion makes it: if it is missing in some
+of the logs, if its phase wanders, or if the modelled torque has a line there of
+comparable size.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +21,14 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.signal import periodogram
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    Columns,
+    Effect,
+    Grid,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.units import Value
@@ -47,7 +56,9 @@ class Signal:
         return len(self.values) / self.rate_hz
 
 
-def strongest_lines(signals: Sequence[Signal], low_hz: float, count: int) -> list[float]:
+def strongest_lines(
+    signals: Sequence[Signal], low_hz: float, count: int
+) -> list[float]:
     """At most `count` frequencies [Hz] from `low_hz` on that stand out of the summed power.
 
     The clearest comes first.
@@ -84,9 +95,10 @@ def amplitude(signal: Signal, frequency: float) -> float:
 def refined(signals: Sequence[Signal], near: float) -> tuple[float, float]:
     """Sharpen a line's frequency by its phases; the logs share the clock of their starts.
 
-    Power tells it to within one over the longest log, phases to a fraction of one over the time
-    that the logs span; demodulated to a few values per log, their search costs next to nothing.
-    Returns the frequency (Hz) and the coherence: 1 if amplitude and phase are always the same.
+    Power tells it to within one over the longest log, phases to a fraction of one over
+    the time that the logs span; demodulated to a few values per log, their search costs
+    next to nothing. Returns the frequency (Hz) and the coherence: 1 if amplitude and
+    phase are always the same.
     """
     parts = zip(*(_demodulated(signal, near) for signal in signals), strict=True)
     z, t, weight = map(np.concatenate, parts)
@@ -106,7 +118,10 @@ def refined(signals: Sequence[Signal], near: float) -> tuple[float, float]:
 def _coherence(z: Complex, t: Array, weight: Array, offsets: Array) -> Array:
     total = float(weight @ np.abs(z) ** 2) * float(weight.sum())
     chunks = np.array_split(offsets, max(1, len(offsets) * len(t) // 2_000_000))
-    sums = [np.abs(np.exp(-2j * np.pi * np.outer(part, t)) @ (weight * z)) ** 2 for part in chunks]
+    sums = [
+        np.abs(np.exp(-2j * np.pi * np.outer(part, t)) @ (weight * z)) ** 2
+        for part in chunks
+    ]
     return np.concatenate(sums) / max(total, 1e-300)
 
 
@@ -126,7 +141,8 @@ LOWEST_HZ = 1.0
 LINES = 6  # looked at
 COHERENT = 0.6
 SAME = 0.4  # smallest share of the median amplitude that a log may show
-OF_MOTION = 0.3  # share of the modelled torque's line below which the line is the model's error
+# share of the modelled torque's line below which the line is the model's error
+OF_MOTION = 0.3
 
 
 class PeriodicDisturbance(Effect):
@@ -144,8 +160,9 @@ class PeriodicDisturbance(Effect):
     alike = ("torque_ripple",)
     by_motion = False
     separate_by = (
-        "the same motion at two speeds: a disturbance keeps its frequency, what the motion makes "
-        "moves with the speed; a motion whose period is no multiple of the disturbance's"
+        "the same motion at two speeds: a disturbance keeps its frequency, what the"
+        " motion makes moves with the speed; a motion whose period is no multiple of"
+        " the disturbance's"
     )
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
@@ -160,19 +177,29 @@ class PeriodicDisturbance(Effect):
         """Lines of the residual that keep amplitude and phase and are not made by the motion."""
         shared = all(scene.shared_clock for scene in scenes)
         ends = [scene.time[[0, -1]] for scene in scenes]
-        fixed = {"clocks": 0.0 if shared else float(len(scenes)), "span": float(np.ptp(ends))}
+        fixed = {
+            "clocks": 0.0 if shared else float(len(scenes)),
+            "span": float(np.ptp(ends)),
+        }
         pairs = zip(residual, scenes, strict=True)
         residual = [_without_peaks(r, scene.slides, joint) for r, scene in pairs]
         whole = _signals(scenes, joint, residual)
         made = _signals(scenes, joint, [scene.modelled for scene in scenes])
         for near in strongest_lines(whole, LOWEST_HZ, LINES):
             signals = _signals(scenes, joint, residual, near)
-            frequency, coherence = refined(signals, near) if shared else _by_log(signals, near)
+            frequency, coherence = (
+                refined(signals, near) if shared else _by_log(signals, near)
+            )
             here, left, motion = (
-                np.array([amplitude(log, frequency) for log in x]) for x in (signals, whole, made)
+                np.array([amplitude(log, frequency) for log in x])
+                for x in (signals, whole, made)
             )
             alike = here.min() >= SAME * np.median(here)
-            if coherence >= COHERENT and alike and np.median(left) > OF_MOTION * np.median(motion):
+            if (
+                coherence >= COHERENT
+                and alike
+                and np.median(left) > OF_MOTION * np.median(motion)
+            ):
                 yield {"frequency": frequency, **fixed}
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
@@ -180,7 +207,10 @@ class PeriodicDisturbance(Effect):
         logs = round(settings["clocks"])
         frequency = settings["frequency"]
         if logs:
-            note = f"a line of {frequency:.6g} Hz whose phase is another in every log: no torque"
+            note = (
+                f"a line of {frequency:.6g} Hz whose phase is another in every log: no"
+                " torque"
+            )
             return {joint: Law(terms=("0.0",) * (2 * logs), note=note)}
         numbers = {"turning": 2.0 * np.pi * frequency}
         terms = "sin(turning * t)", "cos(turning * t)"
@@ -203,19 +233,29 @@ class PeriodicDisturbance(Effect):
     ) -> list[Value]:
         """Amplitude, and phase where all logs share it."""
         variance = np.maximum(np.diag(covariance), 0.0).reshape(-1, 2).mean(axis=1)
-        amplitudes, errors = np.hypot(c[::2], c[1::2]), np.sqrt(variance)  # of every clock
+        # of every clock
+        amplitudes, errors = np.hypot(c[::2], c[1::2]), np.sqrt(variance)
         weight = 1.0 / np.maximum(errors, 1e-300) ** 2
         mean = float(np.sum(weight * amplitudes) / np.sum(weight))
         error = float(np.sum(weight) ** -0.5)
-        # The Cramer-Rao bound of a line's frequency, over the time that one phase was followed.
-        sharp = np.sqrt(3.0) / np.pi / max(settings["span"], 1e-9) * error / max(mean, 1e-300)
+        # The Cramer-Rao bound of a line's frequency, over the time that one phase was
+        # followed.
+        sharp = (
+            np.sqrt(3.0)
+            / np.pi
+            / max(settings["span"], 1e-9)
+            * error
+            / max(mean, 1e-300)
+        )
         found = [
             Value("amplitude", mean, error, robot.joints[joint].unit("N m")),
             Value("frequency", settings["frequency"], min(float(sharp), 1e3), "Hz"),
         ]
         if round(settings["clocks"]) == 0:
             error = float(errors[0] / max(amplitudes[0], 1e-300))
-            found.append(Value("phase", float(np.arctan2(c[1], c[0])), min(error, np.pi), "rad"))
+            found.append(
+                Value("phase", float(np.arctan2(c[1], c[0])), min(error, np.pi), "rad")
+            )
         return found
 
 
@@ -227,15 +267,24 @@ def _signals(
     for scene, tau in zip(scenes, torque, strict=True):
         motion = scene.motion
         counts = scene.slides[:, joint] | (line_hz > motion.lowpass.cutoff_hz)
-        found.append(Signal(np.where(counts, tau[:, joint], 0.0), motion.rate_hz, scene.start))
+        found.append(
+            Signal(np.where(counts, tau[:, joint], 0.0), motion.rate_hz, scene.start)
+        )
     return found
 
 
-def _without_peaks(torque: Array, slides: Mask, joint: int, *, most: float = 4.0) -> Array:
+def _without_peaks(
+    torque: Array, slides: Mask, joint: int, *, most: float = 4.0
+) -> Array:
     """Torque (N, n) of which a joint has no more than `most` times its median size."""
-    # A line has 1.4 times that; where friction is unknown, and at reversals, more is left.
+    # A line has 1.4 times that; where friction is unknown, and at reversals, more is
+    # left.
     result, own = torque.copy(), torque[:, joint]
-    limit = most * float(np.median(np.abs(own[slides[:, joint]]))) if slides[:, joint].any() else 0
+    limit = (
+        most * float(np.median(np.abs(own[slides[:, joint]])))
+        if slides[:, joint].any()
+        else 0
+    )
     if limit > 0.0:
         result[:, joint] = np.clip(own, -limit, limit)
     return result

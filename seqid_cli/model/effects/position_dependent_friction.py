@@ -2,10 +2,10 @@
 
     tau = s(v) sum_k [a_k cos(2 pi k q / p) + b_k sin(2 pi k q / p)],   k = 1 .. `waves`
 
-a_k, b_k [N m], p the `period`: a turn of the joint (2 pi rad), as a bent bearing or a gear out of
-round has it; at a sliding joint twice the travel. A friction stage whose orders in position suffice
-holds it already. Popovic, Goldenberg, "Modeling of friction using spectral analysis", IEEE Trans.
-Robotics and Automation 14(1), 1998.
+a_k, b_k [N m], p the `period`: a turn of the joint (2 pi rad), as a bent bearing or a
+gear out of round has it; at a sliding joint twice the travel. A friction stage whose
+orders in position suffice holds it already. Popovic, Goldenberg, "Modeling of friction
+using spectral analysis", IEEE Trans. Robotics and Automation 14(1), 1998.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,13 @@ from itertools import product
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    FrictionLaw,
+    GridAxes,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Scenes, travel
 from seqid_cli.robot.types import Robot
@@ -33,8 +39,9 @@ class PositionDependentFriction(FrictionLaw):
     sided = True
     alike = ("friction_change", "torque_ripple", "load_dependent_friction")
     separate_by = (
-        "constant speeds of this joint both ways over its whole range, at three speeds and with "
-        "the load on it turned round: friction over the position stays, that of the load does not"
+        "constant speeds of this joint both ways over its whole range, at three speeds"
+        " and with the load on it turned round: friction over the position stays, that"
+        " of the load does not"
     )
 
     def searched(self, settings: Settings) -> int:
@@ -61,6 +68,8 @@ class PositionDependentFriction(FrictionLaw):
         """Direction of motion times cosines and sines."""
         waves = range(1, round(settings["waves"]) + 1)
         parts = {"turn": "rate * q", "way": "sign(dq)"}
-        terms = [f"way * {wave}({k} * turn)" for k, wave in product(waves, ("cos", "sin"))]
+        terms = [
+            f"way * {wave}({k} * turn)" for k, wave in product(waves, ("cos", "sin"))
+        ]
         numbers = {"rate": 2.0 * np.pi / settings["period"]}
         return {joint: Law(terms=tuple(terms), parts=parts, numbers=numbers)}

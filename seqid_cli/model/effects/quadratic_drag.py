@@ -2,10 +2,10 @@
 
     tau = c v |v|
 
-c [N m s^2/rad^2] is the drag coefficient. Kermani, Patel, Moallem, "Friction identification and
-compensation in robotic manipulators", IEEE Trans. Instrum. Meas. 56(6), 2007.
+c [N m s^2/rad^2] is the drag coefficient. Kermani, Patel, Moallem, "Friction
+identification and compensation in robotic manipulators", IEEE Trans. Instrum. Meas.
+56(6), 2007.
 """
-
 
 from collections.abc import Mapping
 
@@ -23,8 +23,8 @@ class QuadraticDrag(FrictionLaw):
     linear = (Coefficient("drag_coefficient", "N m s^2/rad^2", low=0.0),)
     alike = ("nonlinear_viscous", "stribeck", "thermal_friction")
     separate_by = (
-        "a ladder of six constant speeds up and down again, both ways, from a tenth of the speed "
-        "limit to the limit; repeated after ten minutes of motion"
+        "a ladder of six constant speeds up and down again, both ways, from a tenth of"
+        " the speed limit to the limit; repeated after ten minutes of motion"
     )
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:

@@ -24,7 +24,9 @@ _NAMES = """
 
 
 CATALOGUE: Mapping[str, Effect] = {
-    name: getattr(import_module(f"{__package__}.{name}"), name.title().replace("_", ""))()
+    name: getattr(
+        import_module(f"{__package__}.{name}"), name.title().replace("_", "")
+    )()
     for name in _NAMES.split()
 }
 
@@ -32,14 +34,18 @@ CATALOGUE: Mapping[str, Effect] = {
 def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
     """The catalogue with what the robot file adds.
 
-    Raises ConfigError if an added effect has a name of the catalogue, or cannot be loaded.
+    Raises ConfigError if an added effect has a name of the catalogue, or cannot be
+    loaded.
     """
     for asked in robot.effects:
         if asked.name in CATALOGUE:
             hint = "Give it another name; those of the catalogue are looked for anyway."
             message = f"effect {asked.name!r} is one of the catalogue"
             raise ConfigError(message, where=str(robot.source), hint=hint)
-    return {**CATALOGUE, **{asked.name: own_effect(asked, robot) for asked in robot.effects}}
+    return {
+        **CATALOGUE,
+        **{asked.name: own_effect(asked, robot) for asked in robot.effects},
+    }
 
 
 def setting_units(effect: str) -> dict[str, str]:

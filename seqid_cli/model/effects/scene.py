@@ -10,7 +10,13 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from seqid_cli.model.friction import SLIDES
-from seqid_cli.model.torque import REACH, TorqueModel, known_rotors, sampled_friction, sliding
+from seqid_cli.model.torque import (
+    REACH,
+    TorqueModel,
+    known_rotors,
+    sampled_friction,
+    sliding,
+)
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.segmentation import TRAVEL_STEPS, noise_step
 from seqid_cli.robot.base_parameters import gear_ratios
@@ -27,20 +33,22 @@ DEFAULT_SIGN_SHARE = 0.004  # of a joint's top speed
 class Scene:
     """Everything that an effect's columns may be built from.
 
-    `motion` is at the log's own rate or at least 24 samples per period of the cut-off; its q, dq,
-    ddq (N, n) have been filtered once. The torques of `model`, the one so far, stand for what
-    nobody measures (the load of a gear). `sign_width` (n,) is the speed [rad/s; m/s where
-    prismatic] over which the sign of each joint's velocity changes.
+    `motion` is at the log's own rate or at least 24 samples per period of the cut-off;
+    its q, dq, ddq (N, n) have been filtered once. The torques of `model`, the one so
+    far, stand for what nobody measures (the load of a gear). `sign_width` (n,) is the
+    speed [rad/s; m/s where prismatic] over which the sign of each joint's velocity
+    changes.
 
-    `log` is the number of the log, in the order in which they were given, `start` the time of the
-    first sample [s]: on a clock that all logs share if `shared_clock`, which then tells how long
-    after each other they were recorded; else 0. `period` is the sample period of the log itself
-    [s].
+    `log` is the number of the log, in the order in which they were given, `start` the
+    time of the first sample [s]: on a clock that all logs share if `shared_clock`,
+    which then tells how long after each other they were recorded; else 0. `period` is
+    the sample period of the log itself [s].
 
-    Absent where the log does not have them, (N, n): `temperature` degC as logged; `sensor` [N m],
-    the load as a torque sensor behind the gear measures it, filtered like the motion; `encoder`,
-    positions as it reports them, and `measured` torque [N m; N where prismatic], neither filtered.
-    `full` is the same log at its own rate, where this one has been decimated.
+    Absent where the log does not have them, (N, n): `temperature` degC as logged;
+    `sensor` [N m], the load as a torque sensor behind the gear measures it, filtered
+    like the motion; `encoder`, positions as it reports them, and `measured` torque [N
+    m; N where prismatic], neither filtered. `full` is the same log at its own rate,
+    where this one has been decimated.
     """
 
     robot: Robot
@@ -86,14 +94,17 @@ class Scene:
     def stops(self) -> Mask:
         """Samples (N, n) that the low-pass mixes with some where a sliding joint stops or turns.
 
-        A controller that hunts, or a joint that shakes, may stop many times where the low-passed
-        motion goes on; friction then has less than its usual mean.
+        A controller that hunts, or a joint that shakes, may stop many times where the
+        low-passed motion goes on; friction then has less than its usual mean.
         """
         motion, rate = self.motion, self.motion.rate_hz
         gone = np.diff(self.angle, axis=0, prepend=self.angle[:1]) * np.sign(motion.dq)
         back, step = np.zeros_like(self.slides), noise_step(self.angle)
         for j, least in enumerate(step):
-            expected, way = np.cumsum(np.abs(motion.dq[:, j])) / rate, np.cumsum(gone[:, j])
+            expected, way = (
+                np.cumsum(np.abs(motion.dq[:, j])) / rate,
+                np.cumsum(gone[:, j]),
+            )
             later = np.interp(expected + 2.0 * TRAVEL_STEPS * least, expected, way)
             back[:, j] = later - way < least
         reach = max(1, int(REACH * rate / motion.lowpass.cutoff_hz))
@@ -124,7 +135,9 @@ class Scene:
     @cached_property
     def rotor(self) -> Array:
         """Inertias (n,) kg m^2 of the rotors as the joints feel them."""
-        rotor = known_rotors(self.robot) if self.model.rotor is None else self.model.rotor
+        rotor = (
+            known_rotors(self.robot) if self.model.rotor is None else self.model.rotor
+        )
         return np.asarray(self.gear**2 * rotor)
 
     @cached_property
@@ -135,7 +148,11 @@ class Scene:
     @cached_property
     def carried(self) -> Array:
         """Torque (N, n) N m of links and rotors: modelled, but for a load that is measured."""
-        return self.rigid if self.sensor is None else self.rigid - self.modelled_load + self.sensor
+        return (
+            self.rigid
+            if self.sensor is None
+            else self.rigid - self.modelled_load + self.sensor
+        )
 
     @cached_property
     def friction(self) -> Array:
@@ -145,13 +162,18 @@ class Scene:
     def friction_slope(self, joint: int, lead: Array) -> Array:
         """Secant slope (N,) of a joint's friction, from its speed to `lead` (N,) rad/s more.
 
-        Over as much as a sample resolves at the least: of the step at a reversal the area counts.
+        Over as much as a sample resolves at the least: of the step at a reversal the
+        area counts.
         """
         motion = self.motion
         q, v = motion.q[:, joint], motion.dq[:, joint] + 0.5 * lead
         per_sample = 2.0 * np.abs(motion.ddq[:, joint]) / motion.rate_hz
-        half = np.maximum(np.maximum(self.sign_width[joint], per_sample), 0.5 * np.abs(lead))
-        ahead, behind = (self.model.friction_of(joint, q, v + side * half) for side in (1, -1))
+        half = np.maximum(
+            np.maximum(self.sign_width[joint], per_sample), 0.5 * np.abs(lead)
+        )
+        ahead, behind = (
+            self.model.friction_of(joint, q, v + side * half) for side in (1, -1)
+        )
         return np.asarray((ahead - behind) / (2.0 * half))
 
     @cached_property
@@ -171,7 +193,9 @@ Scenes = Sequence[Scene]
 
 def sign_widths(model: TorqueModel, top_speed: Array) -> Array:
     """Speeds (n,) over which friction changes its sign: the file's, or a share of the top speed."""
-    usual = zip(model.surfaces, np.maximum(DEFAULT_SIGN_SHARE * top_speed, 1e-6), strict=True)
+    usual = zip(
+        model.surfaces, np.maximum(DEFAULT_SIGN_SHARE * top_speed, 1e-6), strict=True
+    )
     return np.array([width if own is None else own.sign_width for own, width in usual])
 
 

@@ -14,7 +14,8 @@ from seqid_cli.typing import Array
 
 Torque = Callable[[Array, Array, Array], Array]  # (q, dq, ddq), each (N, n) -> (N, n)
 
-STEPS = (1e-4, 1e-3, 1.0)  # rad, rad/s, rad/s^2, of central differences; the last is exact
+# rad, rad/s, rad/s^2, of central differences; the last is exact
+STEPS = (1e-4, 1e-3, 1.0)
 BLOCK = 4096  # samples at a time, so that they stay in cache
 
 
@@ -24,7 +25,9 @@ def link_torque(scene: Scene, q: Array, dq: Array, ddq: Array) -> Array:
     if phi is None:
         return np.zeros_like(q)
     parts = [
-        inverse_dynamics(scene.robot.chain, scene.robot.gravity, phi, q[at], dq[at], ddq[at])
+        inverse_dynamics(
+            scene.robot.chain, scene.robot.gravity, phi, q[at], dq[at], ddq[at]
+        )
         for at in tiles(len(q), size=BLOCK)
     ]
     return np.concatenate(parts)
@@ -37,17 +40,26 @@ def link_inertia(scene: Scene, joint: int) -> Array:
         q, phi, still = scene.motion.q, scene.model.phi, np.zeros_like(scene.motion.q)
         unit = still + np.eye(scene.robot.n)[joint]
         chain, no_gravity = scene.robot.chain, np.zeros(3)
-        made = still if phi is None else inverse_dynamics(chain, no_gravity, phi, q, still, unit)
+        made = (
+            still
+            if phi is None
+            else inverse_dynamics(chain, no_gravity, phi, q, still, unit)
+        )
         scene.memo[key] = (made,)
     return scene.memo[key][0]
 
 
 def slopes(
-    scene: Scene, joint: int, name: str, torque: Torque, which: Sequence[int] = (0, 1, 2)
+    scene: Scene,
+    joint: int,
+    name: str,
+    torque: Torque,
+    which: Sequence[int] = (0, 1, 2),
 ) -> tuple[Array, ...]:
     """Derivatives (N, n) of a torque by `which` of one joint's position, velocity, acceleration.
 
-    N m per rad, rad/s and rad/s^2; computed once per scene, joint and `name` of the torque.
+    N m per rad, rad/s and rad/s^2; computed once per scene, joint and `name` of the
+    torque.
     """
     key = (name, joint)
     if key not in scene.memo:
@@ -81,7 +93,9 @@ def modelled_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:
 
 def link_deviation(scene: Scene, joint: int, deviation: Array) -> Columns:
     """Torque (N, 1) of every joint for a deviation (N,) of one's link; rotors do not feel it."""
-    speed, acceleration = differentiate(deviation, scene.motion.rate_hz, scene.motion.valid)
+    speed, acceleration = differentiate(
+        deviation, scene.motion.rate_hz, scene.motion.valid
+    )
     by_place, by_speed, by_acceleration = link_slopes(scene, joint)
     torque = by_place * deviation[:, None] + by_speed * speed[:, None]
     torque += by_acceleration * acceleration[:, None]

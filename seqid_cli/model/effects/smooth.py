@@ -1,9 +1,9 @@
 """Smooth functions of what a motion says: the axes that they are drawn over and their bases.
 
-An axis takes one number per sample from a scene and spreads it over a few functions: cubic
-B-splines between knots, held at the ends. A shape is the product of one or two axes, times a
-factor (1, the direction). A smooth term is a torque that no effect of the catalogue explains, as it
-stands in a parameter file,
+An axis takes one number per sample from a scene and spreads it over a few functions:
+cubic B-splines between knots, held at the ends. A shape is the product of one or two
+axes, times a factor (1, the direction). A smooth term is a torque that no effect of the
+catalogue explains, as it stands in a parameter file,
 
     tau = f(scene) sum_k c_k B_k(x_1, x_2);
 
@@ -51,9 +51,10 @@ MOST_AXES, MOST_KNOTS = 2, 64
 class Axis:
     """One quantity of one joint and the functions over it.
 
-    `measure` says what is taken: `speed` and `load_size` are magnitudes, `time` counts from the
-    log's start and `session_time` on the clock of all logs. `joint` is whose it is (of no matter
-    for times), `knots` are the ends of the spline's pieces, ascending, in the measure's unit.
+    `measure` says what is taken: `speed` and `load_size` are magnitudes, `time` counts
+    from the log's start and `session_time` on the clock of all logs. `joint` is whose
+    it is (of no matter for times), `knots` are the ends of the spline's pieces,
+    ascending, in the measure's unit.
     """
 
     measure: Measure
@@ -91,7 +92,11 @@ class Axis:
     def basis(self, scene: Scene) -> Array:
         """Compute the functions (N, size) of a scene; zero where it lacks the quantity."""
         x = self.values(scene)
-        return np.zeros((scene.samples, self.size)) if x is None else splines(x, self.knots)
+        return (
+            np.zeros((scene.samples, self.size))
+            if x is None
+            else splines(x, self.knots)
+        )
 
 
 def splines(x: Array, knots: Sequence[float]) -> Array:
@@ -102,7 +107,9 @@ def splines(x: Array, knots: Sequence[float]) -> Array:
 
 def greville(knots: Sequence[float]) -> Array:
     """Abscissae of the splines' coefficients: coefficients linear in them make a straight line."""
-    return np.convolve(_padded(knots)[1:-1], np.full(DEGREE, 1.0 / DEGREE), mode="valid")
+    return np.convolve(
+        _padded(knots)[1:-1], np.full(DEGREE, 1.0 / DEGREE), mode="valid"
+    )
 
 
 def _padded(knots: Sequence[float]) -> Array:
@@ -124,8 +131,8 @@ class SmoothTerm:
     """A smooth torque at one joint.
 
     `quantities` are what it depends on, as the contract spells it, the strongest first.
-    `coefficients` (K,) N m, one per product of the axes' functions, times a factor: `one` or the
-    `direction`. `session` says which logs its times are of.
+    `coefficients` (K,) N m, one per product of the axes' functions, times a factor:
+    `one` or the `direction`. `session` says which logs its times are of.
     """
 
     name: ClassVar[str] = UNEXPLAINED
@@ -145,7 +152,11 @@ class SmoothTerm:
 
     def torques(self, scene: Scene) -> dict[int, Array]:
         """Torque (N,) N m of its joint, unfiltered; the low-pass is to be applied twice."""
-        return {self.joint: shape(scene, self.joint, self.axes, self.factor) @ self.coefficients}
+        return {
+            self.joint: (
+                shape(scene, self.joint, self.axes, self.factor) @ self.coefficients
+            )
+        }
 
     def to_stage(self, robot: Robot) -> EffectOfJoint:
         """Write the term down; its coefficients have no errors."""
@@ -159,33 +170,49 @@ class SmoothTerm:
                 settings[f"axis_{number}_knot_{k}"] = float(knot)
         unit = robot.joints[self.joint].unit("N m")
         terms = [
-            Parameter(name=f"c_{k}", value=float(c), std_error=0.0, unit=unit, joint=name)
+            Parameter(
+                name=f"c_{k}", value=float(c), std_error=0.0, unit=unit, joint=name
+            )
             for k, c in enumerate(self.coefficients)
         ]
-        return EffectOfJoint(effect=UNEXPLAINED, joint=name, parameters=terms, settings=settings)
+        return EffectOfJoint(
+            effect=UNEXPLAINED, joint=name, parameters=terms, settings=settings
+        )
 
     @classmethod
-    def from_stage(cls, entry: EffectOfJoint, robot: Robot, key: str = "$.stages.effects") -> Self:
+    def from_stage(
+        cls, entry: EffectOfJoint, robot: Robot, key: str = "$.stages.effects"
+    ) -> Self:
         """Restore a term from a parameter file, in which its entry stands under `key`.
 
-        Raises ConfigError if a key is missing or contradicts another; the message names it.
+        Raises ConfigError if a key is missing or contradicts another; the message names
+        it.
         """
         settings, names = entry.settings, robot.joint_names
 
         def one_of(name: str, value: object, known: Sequence[str]) -> str:
             if value not in known:
-                raise damaged(f"{key}.{name}", f"must be one of {', '.join(known)}, is {value!r}")
+                raise damaged(
+                    f"{key}.{name}", f"must be one of {', '.join(known)}, is {value!r}"
+                )
             return str(value)
 
         def axis(name: str) -> Axis:
             measure = one_of(f"settings.{name}", settings[name], MEASURES)
-            owner = one_of(f"settings.{name}_joint", settings.get(f"{name}_joint"), names)
+            owner = one_of(
+                f"settings.{name}_joint", settings.get(f"{name}_joint"), names
+            )
             every = (f"{name}_knot_{k}" for k in range(MOST_KNOTS + 1))
             found = [settings[knot] for knot in takewhile(settings.__contains__, every)]
-            numbers = [float(x) for x in found if not isinstance(x, str) and isfinite(x)]
+            numbers = [
+                float(x) for x in found if not isinstance(x, str) and isfinite(x)
+            ]
             ascending = all(low < high for low, high in pairwise(numbers))
             if not (2 <= len(numbers) == len(found) <= MOST_KNOTS and ascending):
-                what = f"must be 2 to {MOST_KNOTS} finite numbers in ascending order, is {found}"
+                what = (
+                    f"must be 2 to {MOST_KNOTS} finite numbers in ascending order, is"
+                    f" {found}"
+                )
                 raise damaged(f"{key}.settings.{name}_knot", what)
             return Axis(cast(Measure, measure), names.index(owner), tuple(numbers))
 
@@ -196,7 +223,9 @@ class SmoothTerm:
         size = prod(axis.size for axis in axes)
         values = np.array([parameter.value for parameter in entry.parameters])
         if not axes or size != len(values):
-            raise damaged(f"{key}.parameters", f"has {len(values)} coefficients, expected {size}")
+            raise damaged(
+                f"{key}.parameters", f"has {len(values)} coefficients, expected {size}"
+            )
         if not np.all(np.isfinite(values)):
             raise damaged(f"{key}.parameters", "has a coefficient that is not finite")
         quantities = tuple(str(settings.get("depends_on", "")).split())

@@ -2,13 +2,14 @@
 
     tau = k (q - q0) + k2 q^2 + k3 q^3
 
-k [N m/rad], q0 [rad] where it is slack, k2 [N m/rad^2] and k3 [N m/rad^3] (0 unless `cubic`): a
-cable or hose stiffens, and a spring between two points pulls with another arm on either side.
-Where it rubs it follows with hysteresis, which presliding_hysteresis shows as well. A motor holds
-against a spring that pulls back with tau > 0 ahead of q0, so k > 0; a counterbalance that helps
-away from its dead centre has k < 0. With the cubic law q0 is where the linear part vanishes. For
-compensators see Klimchik et al., "Identification of geometrical and elastostatic parameters of
-heavy industrial robots", ICRA 2013.
+k [N m/rad], q0 [rad] where it is slack, k2 [N m/rad^2] and k3 [N m/rad^3] (0 unless
+`cubic`): a cable or hose stiffens, and a spring between two points pulls with another
+arm on either side. Where it rubs it follows with hysteresis, which
+presliding_hysteresis shows as well. A motor holds against a spring that pulls back with
+tau > 0 ahead of q0, so k > 0; a counterbalance that helps away from its dead centre has
+k < 0. With the cubic law q0 is where the linear part vanishes. For compensators see
+Klimchik et al., "Identification of geometrical and elastostatic parameters of heavy
+industrial robots", ICRA 2013.
 """
 
 from collections.abc import Mapping
@@ -27,19 +28,24 @@ class Spring(Effect):
 
     name = "spring"
     family = "transmission"
-    settings = (Setting("cubic", "1", low=0.0, high=1.0, continuous=False, grid=(0.0, 1.0)),)
+    settings = (
+        Setting("cubic", "1", low=0.0, high=1.0, continuous=False, grid=(0.0, 1.0)),
+    )
     passes = 1
     later = ("quadratic_stiffness",)
     over = "position"
     alike = ("torque_bias", "payload", "base_tilt", "presliding_hysteresis")
     separate_by = (
-        "slow sweeps of this joint over its whole range, both ways, with the other joints in two "
-        "poses that turn gravity on it round: a spring does not follow"
+        "slow sweeps of this joint over its whole range, both ways, with the other"
+        " joints in two poses that turn gravity on it round: a spring does not follow"
     )
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return stiffness, torque at q = 0 and, where asked, what the cubic law has besides."""
-        linear = (Coefficient("stiffness", "N m/rad"), Coefficient("torque_at_zero", "N m"))
+        linear = (
+            Coefficient("stiffness", "N m/rad"),
+            Coefficient("torque_at_zero", "N m"),
+        )
         if settings["cubic"] > 0.5:
             squared = Coefficient("quadratic_stiffness", "N m/rad^2")
             return (*linear, Coefficient("cubic_stiffness", "N m/rad^3"), squared)

@@ -2,17 +2,23 @@
 
     tau = F_s exp(-(|v| / v_s)^delta) s(v)
 
-F_s [N m] is what is added at the slowest speeds, v_s [rad/s] the Stribeck speed, delta [-] its
-exponent (0.5 to 1 after Bo and Pavelescu, 2 for a Gaussian hump). Armstrong-Helouvry, Dupont,
-Canudas de Wit, "A survey of models, analysis tools and compensation methods for the control of
-machines with friction", Automatica 30(7), 1994.
+F_s [N m] is what is added at the slowest speeds, v_s [rad/s] the Stribeck speed, delta
+[-] its exponent (0.5 to 1 after Bo and Pavelescu, 2 for a Gaussian hump).
+Armstrong-Helouvry, Dupont, Canudas de Wit, "A survey of models, analysis tools and
+compensation methods for the control of machines with friction", Automatica 30(7), 1994.
 """
 
 from collections.abc import Mapping
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    FrictionLaw,
+    GridAxes,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Scenes, top_speed
 from seqid_cli.model.friction import SLIDES
@@ -38,9 +44,10 @@ class Stribeck(FrictionLaw):
     linear = (Coefficient("stribeck_torque", "N m", low=0.0),)
     alike = ("presliding_hysteresis", "quadratic_drag", "nonlinear_viscous")
     separate_by = (
-        "constant speeds, both ways, from a third of the Stribeck speed up to the joint's limit, "
-        "at least two of them per doubling; then slow reversals at two accelerations, where "
-        "speeding up and slowing down must give the same torque at the same speed"
+        "constant speeds, both ways, from a third of the Stribeck speed up to the"
+        " joint's limit, at least two of them per doubling; then slow reversals at two"
+        " accelerations, where speeding up and slowing down must give the same torque"
+        " at the same speed"
     )
 
     def axes(self, scenes: Scenes, joint: int) -> GridAxes:
@@ -55,11 +62,14 @@ class Stribeck(FrictionLaw):
         term = "exp(-((abs(dq) / stribeck_speed) ** exponent)) * sign(dq)"
         return {joint: Law(terms=(term,), numbers=settings)}
 
-    def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
+    def plausible(
+        self, scenes: Scenes, joint: int, settings: Settings, c: Array
+    ) -> bool:
         """Ask for more friction at low speed, and that the hump ends within the speeds seen.
 
-        It must show mostly at speeds at which the joint certainly slides: of a narrower one little
-        more is seen than what the low-pass brings over from reversals, where nothing is known.
+        It must show mostly at speeds at which the joint certainly slides: of a narrower
+        one little more is seen than what the low-pass brings over from reversals, where
+        nothing is known.
         """
         speed = settings["stribeck_speed"]
         slides = ABOVE * SLIDES * float(scenes[0].sign_width[joint])

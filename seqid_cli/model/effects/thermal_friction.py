@@ -2,28 +2,34 @@
 
     tau = h (a_c s(v) + a_v v),   h = T - T_0 where temperature is logged, exp(-t / T_w) otherwise
 
-T [degC] is the logged temperature, T_0 that at which the file's friction was identified (the mean
-over the logs, where the file does not know it), a_c [N m/K] and a_v [N m s/(rad K)] how Coulomb and
-viscous friction change with it. Without a sensor the gear warms up with the time constant T_w [s]
-on the clock that the logs share, t [s] since the first of them began, and a_c [N m], a_v
-[N m s/rad] is what a cold start adds. Logs that share no clock count as begun equally
-cold.
+T [degC] is the logged temperature, T_0 that at which the file's friction was identified
+(the mean over the logs, where the file does not know it), a_c [N m/K] and a_v [N m
+s/(rad K)] how Coulomb and viscous friction change with it. Without a sensor the gear
+warms up with the time constant T_w [s] on the clock that the logs share, t [s] since
+the first of them began, and a_c [N m], a_v [N m s/rad] is what a cold start adds. Logs
+that share no clock count as begun equally cold.
 
-A time constant is told from a drift, or from any other change of friction, only where the logs see
-the warm-up go by: several time constants within a log, or logs on a shared clock that cover one.
-Longer ones are not tried.
+A time constant is told from a drift, or from any other change of friction, only where
+the logs see the warm-up go by: several time constants within a log, or logs on a shared
+clock that cover one. Longer ones are not tried.
 
-Simoni, Beschi, Legnani, Visioli, "Modelling the temperature in joint friction of industrial
-manipulators", Robotica 37(5), 2019; Bittencourt, Gunnarsson, "Static friction in a robot joint:
-modeling and identification of load and temperature effects", J. Dyn. Sys. Meas. Control 134(5),
-2012.
+Simoni, Beschi, Legnani, Visioli, "Modelling the temperature in joint friction of
+industrial manipulators", Robotica 37(5), 2019; Bittencourt, Gunnarsson, "Static
+friction in a robot joint: modeling and identification of load and temperature effects",
+J. Dyn. Sys. Meas. Control 134(5), 2012.
 """
 
 from collections.abc import Mapping
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, GridAxes, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    FrictionLaw,
+    GridAxes,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, session
 from seqid_cli.model.effects.smooth import Axis
@@ -44,15 +50,18 @@ class ThermalFriction(FrictionLaw):
     settings = (
         Setting("warm_up_time", "s", low=SHORTEST_S, high=LONGEST_S, logarithmic=True),
         Setting("logged", "1", low=0.0, high=1.0, continuous=False),
-        Setting("reference_temperature", "degC", low=-60.0, high=200.0, continuous=False),
+        Setting(
+            "reference_temperature", "degC", low=-60.0, high=200.0, continuous=False
+        ),
     )
     over = "session_time"
     sided = True
     alike = ("torque_constant", "drift", "friction_change")
     by_motion = False
     separate_by = (
-        "the same trajectory cold, after five and after twenty minutes of motion, with motor "
-        "temperature logged if the drive offers it; payload and mounting untouched"
+        "the same trajectory cold, after five and after twenty minutes of motion, with"
+        " motor temperature logged if the drive offers it; payload and mounting"
+        " untouched"
     )
 
     def possible(self, scenes: Scenes, joint: Joint) -> bool:
@@ -68,7 +77,11 @@ class ThermalFriction(FrictionLaw):
 
     def axis(self, joint: int, settings: Settings) -> Axis | None:
         """Return the logged temperature, or time."""
-        return Axis("temperature", joint) if settings["logged"] else super().axis(joint, settings)
+        return (
+            Axis("temperature", joint)
+            if settings["logged"]
+            else super().axis(joint, settings)
+        )
 
     def searched(self, settings: Settings) -> int:
         """Return 1 for the time constant, without a logged temperature."""
@@ -84,19 +97,29 @@ class ThermalFriction(FrictionLaw):
 
     def axes(self, scenes: Scenes, joint: int) -> GridAxes:
         """Time constants that the logs cover; with a temperature they do nothing."""
-        span, logged, longest = session(scenes), _logged(scenes, joint), longest_warm_up(scenes)
+        span, logged, longest = (
+            session(scenes),
+            _logged(scenes, joint),
+            longest_warm_up(scenes),
+        )
         times = [span] if logged else np.geomspace(0.04 * span, longest, TIME_CONSTANTS)
         if not logged and longest < SHORTEST_S:
             times = []
         return {
-            "warm_up_time": [float(np.clip(time, SHORTEST_S, LONGEST_S)) for time in times],
+            "warm_up_time": [
+                float(np.clip(time, SHORTEST_S, LONGEST_S)) for time in times
+            ],
             "logged": [float(logged)],
             "reference_temperature": [_reference(scenes, joint) if logged else 0.0],
         }
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(
+        self, scenes: Scenes, joint: Joint, settings: Settings, c: Array
+    ) -> bool:
         """Return whether the logs cover the time constant as well."""
-        covered = settings["logged"] or settings["warm_up_time"] <= longest_warm_up(scenes)
+        covered = settings["logged"] or settings["warm_up_time"] <= longest_warm_up(
+            scenes
+        )
         return bool(covered) and super().plausible(scenes, joint, settings, c)
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
@@ -108,12 +131,11 @@ class ThermalFriction(FrictionLaw):
         return {joint: Law(terms=terms, parts={"heat": heat}, numbers=settings)}
 
 
-
 def longest_warm_up(scenes: Scenes) -> float:
     """Return the longest time constant [s] that logs without a temperature can tell.
 
-    Several logs on a shared clock must cover it; within one log, or where each log begins a clock
-    of its own, it must go by several times.
+    Several logs on a shared clock must cover it; within one log, or where each log
+    begins a clock of its own, it must go by several times.
     """
     on_one_clock = len(scenes) > 1 and all(scene.shared_clock for scene in scenes)
     return session(scenes) if on_one_clock else session(scenes) / SEVERAL
@@ -133,7 +155,10 @@ def _logged(scenes: Scenes, joint: int) -> bool:
         return False
     logged = np.concatenate(found)
     possible = np.all((logged > -60.0) & (logged < 200.0))
-    return bool(possible and np.ptp(np.append(logged, _reference(scenes, joint))) >= LEAST_KELVIN)
+    return bool(
+        possible
+        and np.ptp(np.append(logged, _reference(scenes, joint))) >= LEAST_KELVIN
+    )
 
 
 def _reference(scenes: Scenes, joint: int) -> float:

@@ -2,29 +2,36 @@
 
     tau_logged(t) = tau(t - d)
 
-d [s] is the delay. To first order the logged torque differs by -d dtau/dt; the setting `around`
-(d_0) makes the column exact near d = d_0:
+d [s] is the delay. To first order the logged torque differs by -d dtau/dt; the setting
+`around` (d_0) makes the column exact near d = d_0:
 
     X = (tau(t - d_0) - tau(t)) / d_0.
 
-Friction's steps are shifted with the rest, which is what tells a delay from an elastic joint.
-A delay and a lag agree to first order and part in the second, d^2/2 against T^2 times the second
-derivative.
+Friction's steps are shifted with the rest, which is what tells a delay from an elastic
+joint. A delay and a lag agree to first order and part in the second, d^2/2 against T^2
+times the second derivative.
 """
 
 from collections.abc import Mapping
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
 from seqid_cli.model.effects.law import Law
-from seqid_cli.model.effects.measurement import SMALL_S, ModelledTorque, steady_change, touched
+from seqid_cli.model.effects.measurement import (
+    SMALL_S,
+    ModelledTorque,
+    steady_change,
+    touched,
+)
 from seqid_cli.model.effects.memory import Late, Rate, delayed
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 LARGEST_S = 0.1
-# Free base parameters take up part of a delay, so that the residual's own comes out too short.
-CONSISTENT = 1.5  # ratio of d to d_0 beyond which the column does not belong to the coefficient
+# Free base parameters take up part of a delay, so that the residual's own comes out too
+# short.
+# ratio of d to d_0 beyond which the column does not belong to the coefficient
+CONSISTENT = 1.5
 
 
 class TimeSkew(ModelledTorque):
@@ -32,14 +39,22 @@ class TimeSkew(ModelledTorque):
 
     name = "time_skew"
     settings = (
-        Setting("around", "s", -LARGEST_S, LARGEST_S, False, grid=(0.0,), agreement=CONSISTENT),
+        Setting(
+            "around",
+            "s",
+            -LARGEST_S,
+            LARGEST_S,
+            False,
+            grid=(0.0,),
+            agreement=CONSISTENT,
+        ),
     )
     timing = steady = even = first_order = shared = True
     linear = (Coefficient("delay", "s", low=-LARGEST_S, high=LARGEST_S),)
     alike = ("actuator_lag", "joint_elasticity")
     separate_by = (
-        "fast reversals and steps of acceleration; stamp positions and torques with one clock, or "
-        "log a common trigger"
+        "fast reversals and steps of acceleration; stamp positions and torques with one"
+        " clock, or log a common trigger"
     )
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
@@ -54,8 +69,12 @@ class TimeSkew(ModelledTorque):
 
     def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """The same from the torque a little earlier on the way."""
-        return {j: -X for j, X in steady_change(scene, joint, -settings["around"]).items()}
+        return {
+            j: -X for j, X in steady_change(scene, joint, -settings["around"]).items()
+        }
 
-    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+    def true_torque(
+        self, tau: Array, rate_hz: float, settings: Settings, c: Array
+    ) -> Array:
         """Shift back."""
         return delayed(tau, -float(c[0]), rate_hz)

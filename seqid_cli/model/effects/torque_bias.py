@@ -2,8 +2,8 @@
 
     tau_measured = tau + A
 
-A [N m] is there in every state, at rest too. On a joint whose range is small it is almost the
-same as a gravity parameter.
+A [N m] is there in every state, at rest too. On a joint whose range is small it is
+almost the same as a gravity parameter.
 """
 
 from collections.abc import Mapping
@@ -25,14 +25,16 @@ class TorqueBias(TorqueMeasurement):
     linear = (Coefficient("offset", "N m"),)
     alike = ("asymmetric_friction", "spring", "drift", "base_tilt")
     separate_by = (
-        "ten seconds with the brakes on or the motors without current, before and after, and a "
-        "slow sweep over the joint's whole range"
+        "ten seconds with the brakes on or the motors without current, before and"
+        " after, and a slow sweep over the joint's whole range"
     )
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
         """Return ones."""
         return dict.fromkeys(touched(robot, joint), Law(terms=("1.0",)))
 
-    def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
+    def true_torque(
+        self, tau: Array, rate_hz: float, settings: Settings, c: Array
+    ) -> Array:
         """Subtract the offset."""
         return tau - float(c[0])

@@ -2,23 +2,24 @@
 
     tau = m (c_s sin(p) + c_c cos(p)),        p = order N (q - lag dq)
 
-`order` is in cycles per motor turn (N the gear ratio; per joint turn where the robot file gives
-none, N = 1). On a slide N is the motor's angle per length [rad/m], 2 pi over the screw's lead.
-The multiplier m is the law by which the ripple scales:
+`order` is in cycles per motor turn (N the gear ratio; per joint turn where the robot
+file gives none, N = 1). On a slide N is the motor's angle per length [rad/m], 2 pi over
+the screw's lead. The multiplier m is the law by which the ripple scales:
 
     law 0, constant:   m = 1            cogging, also without current [N m]
     law 1, torque:     m = tau_model    commutation, phase gains [-]
     law 2, direction:  m = s(v)         friction that varies round the turn [N m]
     law 3, load:       m = tau_load     mesh under what the gear passes to the link [-]
 
-`lag` [s] is how late a fast ripple shows in the measured torque: the drive answers it with a delay
-of its own, and what is left of it shakes the arm. Both ways and at many speeds its waves then fall
-on different angles, and no sine of the angle alone sums them up. It is looked for with law 0.
+`lag` [s] is how late a fast ripple shows in the measured torque: the drive answers it
+with a delay of its own, and what is left of it shakes the arm. Both ways and at many
+speeds its waves then fall on different angles, and no sine of the angle alone sums them
+up. It is looked for with law 0.
 
-Candidate orders are the peaks of the residual's least-squares spectrum over position. Cogging:
-Piccoli, Yim, "Anticogging: torque ripple suppression, modeling, and parameter selection", IJRR
-35(1-3), 2016; strain wave: Ghorbel, Gandhi, "On the kinematic error in harmonic drive gears", J.
-Mech. Des. 123(1), 2001.
+Candidate orders are the peaks of the residual's least-squares spectrum over position.
+Cogging: Piccoli, Yim, "Anticogging: torque ripple suppression, modeling, and parameter
+selection", IJRR 35(1-3), 2016; strain wave: Ghorbel, Gandhi, "On the kinematic error in
+harmonic drive gears", J. Mech. Des. 123(1), 2001.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,7 +39,8 @@ from seqid_cli.typing import Array
 
 BINS_PER_CYCLE = 4
 MOST_BINS = 1 << 17
-PADDING = 4  # of the Fourier transform, so that a line cannot fall between two of its values
+# of the Fourier transform, so that a line cannot fall between two of its values
+PADDING = 4
 TREND = 5  # terms of the smooth dependence on position that is taken out first
 FLOOR_WINDOW = 64  # values of the spectrum over which its level is taken
 XATOL = 5e-4  # of the half width of a line, to which its order is refined
@@ -48,9 +50,9 @@ XATOL = 5e-4  # of the half width of a line, to which its order is refined
 class Profile:
     """A residual r with its multiplier m, summed up over position in B bins.
 
-    `x` (B,) is the mean position of each bin [turns], `rm` and `mm` (B,) the sums of r m and of m m
-    in it, `span` the range of position [turns], `highest` the cycles per turn up to which the bins
-    resolve lines.
+    `x` (B,) is the mean position of each bin [turns], `rm` and `mm` (B,) the sums of r
+    m and of m m in it, `span` the range of position [turns], `highest` the cycles per
+    turn up to which the bins resolve lines.
     """
 
     x: Array
@@ -81,7 +83,11 @@ class Profile:
         # A smooth dependence on position, scaled to [-1, 1], is taken out of r first.
         basis = chebvander(2 * (position - start) / span - 1, TREND - 1)
         weighted = basis * mm[:, None]
-        rm = rm - weighted @ np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
+        rm = (
+            rm
+            - weighted
+            @ np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
+        )
         return cls(position, rm, mm, span, min(highest, bins / (BINS_PER_CYCLE * span)))
 
     def gain(self, order: float) -> float:
@@ -111,7 +117,10 @@ def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
             if all(abs(k - other) > 2 * PADDING for other in chosen):
                 chosen.append(int(k))
                 found += 1
-    return [_refined(profile, float(orders[k]), 1.0 / profile.span / PADDING) for k in chosen]
+    return [
+        _refined(profile, float(orders[k]), 1.0 / profile.span / PADDING)
+        for k in chosen
+    ]
 
 
 def clearest(profile: Profile, lowest: float) -> float:
@@ -136,8 +145,12 @@ def _lines(profile: Profile, lowest: float) -> tuple[Array, Array, Array]:
     if len(power) == 0:
         return orders, power, power
     # Their level: medians of windows, joined by lines.
-    parts = np.array_split(np.arange(len(power)), len(power) // min(FLOOR_WINDOW, len(power)))
-    at, level = zip(*((part.mean(), np.median(power[part])) for part in parts), strict=True)
+    parts = np.array_split(
+        np.arange(len(power)), len(power) // min(FLOOR_WINDOW, len(power))
+    )
+    at, level = zip(
+        *((part.mean(), np.median(power[part])) for part in parts), strict=True
+    )
     floor = np.interp(np.arange(len(power)), at, level)
     return orders, power, power / np.maximum(floor, 1e-300)
 
@@ -146,7 +159,10 @@ def _refined(profile: Profile, order: float, width: float) -> float:
     """Best order within `width` of a peak."""
     near = (order - width, order + width)
     found = minimize_scalar(
-        lambda x: -profile.gain(x), bounds=near, method="bounded", options={"xatol": XATOL * width}
+        lambda x: -profile.gain(x),
+        bounds=near,
+        method="bounded",
+        options={"xatol": XATOL * width},
     )
     return float(found.x)
 
@@ -154,17 +170,22 @@ def _refined(profile: Profile, order: float, width: float) -> float:
 LAWS = ("constant", "torque", "direction", "load")
 SCALES = ("", "tau * ", "sign(dq) * ", "load * ")  # of the ripple, by law
 PEAKS = 4  # per law
-USUAL = (1.0, 2.0)  # cycles per motor turn: eccentricity of the drive, a strain wave's two lobes
-LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
-FINE = 12.0  # cycles per joint turn, below which a ripple is whole per motor turn, or clear
+# cycles per motor turn: eccentricity of the drive, a strain wave's two lobes
+USUAL = (1.0, 2.0)
+# cycles per joint turn: below it a smooth dependence on position does as well
+LOWEST = 1.5
+# cycles per joint turn, below which a ripple is whole per motor turn, or clear
+FINE = 12.0
 FINE_IN_RANGE = 8.0  # cycles in the range of a slide, likewise: it has no turn
 HIGHEST = 4000.0
 HIGHEST_OF_SLIDE = 40000.0  # cycles per 2 pi m: waves of 0.16 mm
 CYCLES_IN_RANGE = 2.0
-WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9  # of the best gain, from which a whole number is taken
+# of the best gain, from which a whole number is taken
+WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9
 TURNED = 0.3  # rad, that a lag must turn a ripple by to be worth a name
 LAGS_S = (0.005, 0.01, 0.015, 0.02)
-CLEAR = 15.0  # times the level around it, as the luckiest line of noise: of lag or few waves
+# times the level around it, as the luckiest line of noise: of lag or few waves
+CLEAR = 15.0
 SPARSE = 3.0  # motor turns in the range: whole numbers then lie far apart
 
 
@@ -183,8 +204,9 @@ class TorqueRipple(Effect):
     over = "wave"
     alike = ("encoder_eccentricity", "periodic_disturbance", "torque_constant")
     separate_by = (
-        "slow passes at two constant speeds and two loads, both ways: ripple keeps its place in "
-        "angle; what grows with load, direction or speed tells which kind it is"
+        "slow passes at two constant speeds and two loads, both ways: ripple keeps its"
+        " place in angle; what grows with load, direction or speed tells which kind"
+        " it is"
     )
 
     def searched(self, settings: Settings) -> int:
@@ -200,18 +222,26 @@ class TorqueRipple(Effect):
         """Yield the usual lines, the strongest and the clearest of every law and best lag."""
         gear = abs(float(scenes[0].gear[joint]))
         speed = max(usual_speed(scene, joint) for scene in scenes)
-        for order in USUAL:  # which the spectrum over position does not reach where logs are fast
+        # which the spectrum over position does not reach where logs are fast
+        for order in USUAL:
             if order * gear >= FINE:
                 yield {"order": order, "law": 0.0, "lag": 0.0}
         for law, lag, profile in _profiles(scenes, joint, residual):
             lowest = max(LOWEST, CYCLES_IN_RANGE / profile.span)
-            fine_from = FINE_IN_RANGE / profile.span if _slides(scenes[0], joint) else FINE
-            orders = (self._named(profile, k / gear, gear) for k in peaks(profile, lowest, PEAKS))
+            fine_from = (
+                FINE_IN_RANGE / profile.span if _slides(scenes[0], joint) else FINE
+            )
+            orders = (
+                self._named(profile, k / gear, gear)
+                for k in peaks(profile, lowest, PEAKS)
+            )
             for order in dict.fromkeys(orders):
                 turned = order * gear * lag * speed
                 fine = order == round(order) or order * gear >= fine_from
                 few = not _slides(scenes[0], joint) and LAWS[law] != "direction"
-                clear = fine or (few and clearness(profile, lowest, order * gear) > CLEAR)
+                clear = fine or (
+                    few and clearness(profile, lowest, order * gear) > CLEAR
+                )
                 if clear and (lag == 0.0 or turned > TURNED):
                     yield {"order": order, "law": float(law), "lag": lag}
 
@@ -219,7 +249,9 @@ class TorqueRipple(Effect):
         """A whole number of cycles per motor turn where it explains as much."""
         whole = float(round(order))
         enough = WHOLE_IF_SPARSE if gear * profile.span > SPARSE else WHOLE
-        if whole >= 1.0 and profile.gain(whole * gear) >= enough * profile.gain(order * gear):
+        if whole >= 1.0 and profile.gain(whole * gear) >= enough * profile.gain(
+            order * gear
+        ):
             return whole
         return order
 
@@ -234,7 +266,6 @@ class TorqueRipple(Effect):
         return {joint: Law(terms=terms, parts=parts, numbers=numbers)}
 
 
-
 def _profiles(
     scenes: Scenes, joint: int, residual: Sequence[Array]
 ) -> Iterator[tuple[int, float, Profile]]:
@@ -244,13 +275,21 @@ def _profiles(
 
     def profile_of(law: int, lag: float) -> Profile | None:
         turns = [_angle(scene, joint, lag) / (2 * np.pi) for scene in scenes]
-        return Profile.of(turns, r, [multiplier(scene, joint, law) for scene in scenes], highest)
+        return Profile.of(
+            turns, r, [multiplier(scene, joint, law) for scene in scenes], highest
+        )
 
     prompt = [profile_of(law, 0.0) for law in range(len(LAWS))]
-    yield from ((law, 0.0, profile) for law, profile in enumerate(prompt) if profile is not None)
+    yield from (
+        (law, 0.0, profile) for law, profile in enumerate(prompt) if profile is not None
+    )
     late = [(lag, profile_of(0, lag)) for lag in LAGS_S]
-    there = [(clearest(profile, FINE), lag, profile) for lag, profile in late if profile]
-    clear, lag, profile = max(there, key=lambda found: found[0], default=(0.0, 0.0, None))
+    there = [
+        (clearest(profile, FINE), lag, profile) for lag, profile in late if profile
+    ]
+    clear, lag, profile = max(
+        there, key=lambda found: found[0], default=(0.0, 0.0, None)
+    )
     if profile is not None and clear > CLEAR:
         yield 0, lag, profile
 

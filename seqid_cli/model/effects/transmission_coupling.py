@@ -3,18 +3,18 @@
     u = dq_j + a dq_k,        tau_u = F_c s(u) + F_v u + J du/dt
     tau_j = tau_u,            tau_k = a tau_u                  (virtual work)
 
-F_c [N m], F_v [N m s/rad], J [kg m^2] at the joint, k the neighbour, `ratio` a by how much the
-drive of joint j turns with it: 1 or -1, unless another is clearly better; of a ball screw that
-slides and turns it is the lead over 2 pi [m/rad], or its inverse. Usual in wrists, whose last motor
-sits behind the joint before it: Gautier, Janot, Vandanjon, "A new closed-loop output error method
-for parameter identification of robot dynamics", IEEE Trans. Control Syst. Technol. 21(2), 2013
-(Staubli TX40, a = 1).
+F_c [N m], F_v [N m s/rad], J [kg m^2] at the joint, k the neighbour, `ratio` a by how
+much the drive of joint j turns with it: 1 or -1, unless another is clearly better; of a
+ball screw that slides and turns it is the lead over 2 pi [m/rad], or its inverse. Usual
+in wrists, whose last motor sits behind the joint before it: Gautier, Janot, Vandanjon,
+"A new closed-loop output error method for parameter identification of robot dynamics",
+IEEE Trans. Control Syst. Technol. 21(2), 2013 (Staubli TX40, a = 1).
 
-Seen from joint k the same drive has the ratio 1 / a. The joint whose residual it explains most
-gives its name.
+Seen from joint k the same drive has the ratio 1 / a. The joint whose residual it
+explains most gives its name.
 
-What the model already has acts on dq_j. The effect moves it, so that its columns are differences:
-s(u) - s(dq_j) and so on.
+What the model already has acts on dq_j. The effect moves it, so that its columns are
+differences: s(u) - s(dq_j) and so on.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,9 @@ class TransmissionCoupling(Effect):
     drive = steady = True
     settings = (
         Setting("neighbour", "1", low=-1.0, high=1.0, continuous=False),
-        Setting("ratio", "1", low=-LARGEST_RATIO, high=LARGEST_RATIO, usual=(-1.0, 1.0)),
+        Setting(
+            "ratio", "1", low=-LARGEST_RATIO, high=LARGEST_RATIO, usual=(-1.0, 1.0)
+        ),
     )
     over = "acceleration"
     linear = (
@@ -52,7 +54,8 @@ class TransmissionCoupling(Effect):
     )
     alike = ("asymmetric_friction", "rotor_inertia")
     separate_by = (
-        "each of the two joints alone, then both together, with equal and with opposite directions"
+        "each of the two joints alone, then both together, with equal and with opposite"
+        " directions"
     )
 
     def available(self, scenes: Scenes, joint: Joint) -> bool:
@@ -64,11 +67,15 @@ class TransmissionCoupling(Effect):
 
         Between sliding and turning ratios are in units of the top speeds.
         """
-        mixed = scenes[0].robot.chain.prismatic != scenes[0].robot.chain.prismatic[joint]
+        mixed = (
+            scenes[0].robot.chain.prismatic != scenes[0].robot.chain.prismatic[joint]
+        )
         near = [k for k in (joint - 1, joint + 1) if 0 <= k < len(mixed)]
         for k in sorted(near, key=lambda k: bool(mixed[k])):
             unit = top_speed(scenes, joint) / top_speed(scenes, k) if mixed[k] else 1.0
-            yield from ({"neighbour": float(k - joint), "ratio": unit * x} for x in RATIOS)
+            yield from (
+                {"neighbour": float(k - joint), "ratio": unit * x} for x in RATIOS
+            )
 
     def axis(self, joint: int, settings: Settings) -> Axis:
         """Return the neighbour's velocity."""
@@ -80,7 +87,9 @@ class TransmissionCoupling(Effect):
         parts = {
             "u": f"dq_{k} + ratio * dq_{partner + 1}",
             "du": f"ddq_{k} + ratio * ddq_{partner + 1}",
-            "width": f"sqrt(sign_width_{k} ** 2 + (ratio * sign_width_{partner + 1}) ** 2)",
+            "width": (
+                f"sqrt(sign_width_{k} ** 2 + (ratio * sign_width_{partner + 1}) ** 2)"
+            ),
             "way": "tanh(u / width)",
         }
         own = f"way - sign(dq_{k})", f"u - dq_{k}", f"du - ddq_{k}"
@@ -90,7 +99,9 @@ class TransmissionCoupling(Effect):
             partner: Law(terms=other, parts=parts, numbers=settings),
         }
 
-    def guessed(self, scene: Scene, joint: int, settings: Settings) -> Mapping[int, Mask]:
+    def guessed(
+        self, scene: Scene, joint: int, settings: Settings
+    ) -> Mapping[int, Mask]:
         """Where the drive sticks, though both joints move."""
         partner, ratio, width = _drive(scene, joint, settings)
         rate = scene.motion.dq[:, [joint]] + ratio * scene.motion.dq[:, [partner]]
@@ -101,4 +112,8 @@ class TransmissionCoupling(Effect):
 def _drive(scene: Scene, joint: int, settings: Settings) -> tuple[int, float, float]:
     """Partner, ratio, and the speed over which the drive's direction changes."""
     partner, ratio = joint + int(settings["neighbour"]), float(settings["ratio"])
-    return partner, ratio, float(np.hypot(*(scene.sign_width[[joint, partner]] * (1.0, ratio))))
+    return (
+        partner,
+        ratio,
+        float(np.hypot(*(scene.sign_width[[joint, partner]] * (1.0, ratio)))),
+    )

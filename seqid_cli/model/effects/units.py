@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sized
 
 UNEXPLAINED = "unexplained"
-UNTOLD = 1e29  # standard error, from which on no sample shows a parameter; files hold no larger
+# standard error, from which on no sample shows a parameter; files hold no larger
+UNTOLD = 1e29
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,12 @@ class Value:
     unit: str
 
 
-def smooth_in_words(coefficients: Sized, settings: Mapping[str, str | float | int | bool]) -> str:
+def smooth_in_words(
+    coefficients: Sized, settings: Mapping[str, str | float | int | bool]
+) -> str:
     """Say on what a smooth term that no effect explains depends; its numbers tell nobody more."""
     quantities = ", ".join(str(settings.get("depends_on", "")).split())
-    return f"a smooth function of {quantities}, {len(coefficients)} coefficients without errors"
+    return (
+        f"a smooth function of {quantities}, {len(coefficients)} coefficients without"
+        " errors"
+    )

@@ -1,27 +1,30 @@
 """The low-pass cut-off, chosen from the log itself.
 
-Differentiating the position twice multiplies its spectrum by omega^4. With encoder noise of
-one-sided density n (rad^2/Hz, white) the noise power of the acceleration inside a cut-off f is
+Differentiating the position twice multiplies its spectrum by omega^4. With encoder
+noise of one-sided density n (rad^2/Hz, white) the noise power of the acceleration
+inside a cut-off f is
 
     N(f) = n (2 pi)^4 f^5 / 5,
 
-while the power of the true acceleration S(f) stops growing where the motion's bandwidth ends.
-Noise in the acceleration shrinks a least-squares inertia by about N / (S + N): the
-errors-in-variables bias. The cut-off maximises
+while the power of the true acceleration S(f) stops growing where the motion's bandwidth
+ends. Noise in the acceleration shrinks a least-squares inertia by about N / (S + N):
+the errors-in-variables bias. The cut-off maximises
 
     J(f) = log S(f) - KAPPA N(f) / S(f),
 
-which stops where a further percent of information would cost more than 1 / KAPPA percent of bias.
-With a fine encoder that is higher than the model reaches (elasticity, ripple), so the cut-off also
-stays below ten times the motion's own bandwidth, the frequency below which 99 percent of the
-velocity's power lies. A slow motion of many joints in a short log needs more: the cut-off may be as
-high as leaves twice as many independent samples of each joint's torque as a chain of so many links
-has inertial parameters.
+which stops where a further percent of information would cost more than 1 / KAPPA
+percent of bias. With a fine encoder that is higher than the model reaches (elasticity,
+ripple), so the cut-off also stays below ten times the motion's own bandwidth, the
+frequency below which 99 percent of the velocity's power lies. A slow motion of many
+joints in a short log needs more: the cut-off may be as high as leaves twice as many
+independent samples of each joint's torque as a chain of so many links has inertial
+parameters.
 
-With motion from the smoother, N is the power of its error instead (see `smoothed_error`). That is
-so small that J rises as long as the motion has content; the cut-off is the lowest one within a
-percent of the highest J, for what lies above is noise of the torque and nothing to learn from. It
-is never below that of the encoders, beside which the smoother has nowhere more noise.
+With motion from the smoother, N is the power of its error instead (see
+`smoothed_error`). That is so small that J rises as long as the motion has content; the
+cut-off is the lowest one within a percent of the highest J, for what lies above is
+noise of the torque and nothing to learn from. It is never below that of the encoders,
+beside which the smoother has nowhere more noise.
 """
 
 import math
@@ -36,7 +39,8 @@ from seqid_cli.typing import Array, Mask
 KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
 BANDWIDTHS = 10.0
-NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over its cut-off
+# of white noise after two passes of the low-pass, over its cut-off
+NOISE_BANDWIDTH = 0.807
 
 
 @dataclass(frozen=True)
@@ -67,14 +71,15 @@ def differentiated_error(density: Array | float, hz: float | Array) -> Array:
 def smoothed_error(variance: Array, density: Array, hz: float) -> Array:
     """Power of the smoother's acceleration error below a cut-off.
 
-    Above some f_c the IMUs make the error of the acceleration white of density s, below it the
-    encoder holds it down to s (f / f_c)^4. Velocity and position then have the variances
-    4 s / (3 (2 pi)^2 f_c) and 4 s / (3 (2 pi)^4 f_c^3), from which f_c and s follow. No more than
-    the smoother's whole error lies below a cut-off, and no more than the encoder alone would have.
+    Above some f_c the IMUs make the error of the acceleration white of density s, below
+    it the encoder holds it down to s (f / f_c)^4. Velocity and position then have the
+    variances 4 s / (3 (2 pi)^2 f_c) and 4 s / (3 (2 pi)^4 f_c^3), from which f_c and s
+    follow. No more than the smoother's whole error lies below a cut-off, and no more
+    than the encoder alone would have.
 
-    `variance` (n, 3): typical variance of the smoother's q, dq, ddq; infinite where the encoder is
-    used instead. `density` (n,): noise of the encoders [rad^2/Hz]. `hz`: cut-off. Returns (n,):
-    [(rad/s^2)^2].
+    `variance` (n, 3): typical variance of the smoother's q, dq, ddq; infinite where the
+    encoder is used instead. `density` (n,): noise of the encoders [rad^2/Hz]. `hz`:
+    cut-off. Returns (n,): [(rad/s^2)^2].
     """
     known = np.asarray(np.isfinite(variance).all(axis=1))
     used = np.where(known[:, None], np.maximum(variance, 1e-300), 1.0)
@@ -97,8 +102,11 @@ def step_of(position: Array) -> float:
         return float(levels.min()) if len(levels) else 0.0
     smallest = float(np.median(levels[levels < 1.5 * levels.min()]))
     near = levels[levels < 20 * smallest] / smallest
-    quantised = np.mean(np.abs(near - np.round(near)) < 0.1) > 0.9 and len(near) > 0.3 * len(levels)
-    # Unquantised noise also has a smallest distance, but not one that its steps are multiples of.
+    quantised = np.mean(np.abs(near - np.round(near)) < 0.1) > 0.9 and len(
+        near
+    ) > 0.3 * len(levels)
+    # Unquantised noise also has a smallest distance, but not one that its steps are
+    # multiples of.
     return smallest if quantised else 0.0
 
 
@@ -189,7 +197,8 @@ def noise_shares(
         np.array([power_below(frequency, density, cutoffs) for density in densities])
         for densities in (acceleration, jerk)
     ]
-    # Of noise whose power grows with f^5, n (2 pi)^4 f^5 / 5, the jerk has n (2 pi)^6 f^7 / 7.
+    # Of noise whose power grows with f^5, n (2 pi)^4 f^5 / 5, the jerk has n (2 pi)^6
+    # f^7 / 7.
     jerk_error = error * (2.0 * np.pi * cutoffs) ** 2 * 5.0 / 7.0
     return NoiseShares(
         acceleration=seconds * powers[0],
@@ -207,27 +216,39 @@ class Score:
     bandwidth_hz: float  # of their motion
     joints: int  # that move
     seconds: float = math.inf
-    shares: NoiseShares | None = None  # of all joints of the robot, or of those that were given
+    # of all joints of the robot, or of those that were given
+    shares: NoiseShares | None = None
 
 
 def highest_of(
-    bandwidth_hz: float, joints: int = 0, seconds: float = math.inf, *, per_parameter: float = 2.0
+    bandwidth_hz: float,
+    joints: int = 0,
+    seconds: float = math.inf,
+    *,
+    per_parameter: float = 2.0,
 ) -> float:
     """Highest cut-off [Hz] for a motion's bandwidth, and for the joints that move so long."""
     # Low-passed noise has 2 B independent samples a second, B its bandwidth.
-    needed = per_parameter * PER_LINK * joints / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
+    needed = (
+        per_parameter * PER_LINK * joints / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
+    )
     return max(BANDWIDTHS * bandwidth_hz, 2 * LOWEST_HZ, needed)
 
 
-def smoothed_score(dq: Array, ddq: Array, error: Array, rate_hz: float, cutoffs: Array) -> Score:
+def smoothed_score(
+    dq: Array, ddq: Array, error: Array, rate_hz: float, cutoffs: Array
+) -> Score:
     """Score cut-offs (C,) Hz by the smoothed motion (N, m) [rad/s, rad/s^2] of joints that move.
 
-    `error` (C, m): power of the acceleration's error below each, as of `smoothed_error`.
+    `error` (C, m): power of the acceleration's error below each, as of
+    `smoothed_error`.
     """
 
     def spectra(values: Array, seconds: int) -> tuple[Array, Array]:
         length = min(len(values), max(256, int(seconds * rate_hz)))
-        frequency, density = welch(values, rate_hz, nperseg=length, detrend=False, axis=0)
+        frequency, density = welch(
+            values, rate_hz, nperseg=length, detrend=False, axis=0
+        )
         return frequency, density.T
 
     values, (frequency, densities) = np.zeros(len(cutoffs)), spectra(ddq, 8)
@@ -238,7 +259,9 @@ def smoothed_score(dq: Array, ddq: Array, error: Array, rate_hz: float, cutoffs:
         signal = np.maximum(power - own, 1e-12)
         values += np.log(signal) - KAPPA * own / signal
     frequency, densities = spectra(dq, 20)
-    widest = max((bandwidth_of(frequency, one, rate_hz) for one in densities), default=0.0)
+    widest = max(
+        (bandwidth_of(frequency, one, rate_hz) for one in densities), default=0.0
+    )
     return Score(values, widest, len(densities), shares=shares)
 
 
@@ -255,8 +278,8 @@ def power_below(frequency: Array, density: Array, cutoffs: Array) -> Array:
 
 def first_maximum(score: Array, *, clear_fall: float = 0.05) -> int:
     """Index of the best value before the first clear fall."""
-    # A slow joint's quantisation is tones, not white noise; above the motion's bandwidth they would
-    # count as signal and raise the score again.
+    # A slow joint's quantisation is tones, not white noise; above the motion's
+    # bandwidth they would count as signal and raise the score again.
     fallen = np.flatnonzero(score < np.maximum.accumulate(score) - clear_fall)
     return int(np.argmax(score[: fallen[0]] if len(fallen) else score))
 
@@ -271,11 +294,12 @@ def bandwidth_of(
 ) -> float:
     """Return the bandwidth of a motion by the spectrum of its measured velocity.
 
-    A position's white noise has, differentiated, a spectrum that rises with f^2. Its level is read
-    off the top of the spectrum. The noise of a coarse encoder is not white but tones at the rate at
-    which counts pass; all of them together have no more than the power of quantisation. The motion
-    ends where an octave to either side holds hardly more than such noise can make: what lies above
-    the first such place is noise, whatever its level.
+    A position's white noise has, differentiated, a spectrum that rises with f^2. Its
+    level is read off the top of the spectrum. The noise of a coarse encoder is not
+    white but tones at the rate at which counts pass; all of them together have no more
+    than the power of quantisation. The motion ends where an octave to either side holds
+    hardly more than such noise can make: what lies above the first such place is noise,
+    whatever its level.
 
     Parameters
     ----------

@@ -1,22 +1,22 @@
 """Zero-phase low-pass of uniformly sampled channels, also of every M-th sample of a log.
 
-The low-pass is a fourth-order Butterworth run forward and backward: its phase is zero, and its gain
-is the squared one,
+The low-pass is a fourth-order Butterworth run forward and backward: its phase is zero,
+and its gain is the squared one,
 
     |H(f)|^2 = 1 / (1 + (tan(pi f / rate) / tan(pi cutoff / rate))^8).
 
-Every quantity of one equation goes through the same filter (parallel filtering): a linear equation
-stays exact whatever the cut-off, only its information shrinks.
+Every quantity of one equation goes through the same filter (parallel filtering): a
+linear equation stays exact whatever the cut-off, only its information shrinks.
 
-Both ways together are a convolution with one symmetric impulse response h, the inverse Fourier
-transform of that gain. It is cut off where it has decayed to 1e-14, and applied to overlapping
-pieces by the fast Fourier transform (overlap-save).
+Both ways together are a convolution with one symmetric impulse response h, the inverse
+Fourier transform of that gain. It is cut off where it has decayed to 1e-14, and applied
+to overlapping pieces by the fast Fourier transform (overlap-save).
 
-A filter designed for every M-th sample is not the filter that ran at the full rate: near its
-cut-off the two differ by what the frequency axis is bent. Terms computed from decimated motion must
-see the filter that the torque has seen, so theirs has the response M h[M k] (impulse invariance).
-Both differ only by what lies above half of the kept rate, 3e-6 at ten samples per period of the
-cut-off.
+A filter designed for every M-th sample is not the filter that ran at the full rate:
+near its cut-off the two differ by what the frequency axis is bent. Terms computed from
+decimated motion must see the filter that the torque has seen, so theirs has the
+response M h[M k] (impulse invariance). Both differ only by what lies above half of the
+kept rate, 3e-6 at ten samples per period of the cut-off.
 """
 
 from dataclasses import dataclass
@@ -61,12 +61,18 @@ class Lowpass:
         return len(impulse_response(self)) // 2 if self.active else 0
 
     def __call__(
-        self, values: Array, valid: Mask | None = None, *, times: int = 1, every: int = 1
+        self,
+        values: Array,
+        valid: Mask | None = None,
+        *,
+        times: int = 1,
+        every: int = 1,
     ) -> Array:
         """Filter (N, ...) in its precision along the first axis, each valid run by itself.
 
-        `valid` (N,): false where samples must not leak into others; these are returned as they are.
-        `times`: number of passes. `every`: samples 0, `every`, 2 `every`, ... are returned only.
+        `valid` (N,): false where samples must not leak into others; these are returned
+        as they are. `times`: number of passes. `every`: samples 0, `every`, 2 `every`,
+        ... are returned only.
         """
         kind = np.float32 if values.dtype == np.float32 else np.float64
         rows: Array = np.array(values.reshape(len(values), -1).T, dtype=kind, order="C")
@@ -87,9 +93,9 @@ class Lowpass:
     ) -> None:
         """Filter signals `rows` (c, N), each run of valid samples by itself.
 
-        `only`: numbers of the signals to filter; all by default. `into` (c, N / every): where they
-        go, by default in place. What is not filtered stays as it is. `tile`: values that are worked
-        on at once. Others: as of a call.
+        `only`: numbers of the signals to filter; all by default. `into` (c, N / every):
+        where they go, by default in place. What is not filtered stays as it is. `tile`:
+        values that are worked on at once. Others: as of a call.
         """
         kept = rows if into is None else into
         chosen = np.arange(len(rows)) if only is None else only
@@ -102,17 +108,21 @@ class Lowpass:
             for top in range(0, len(chosen), height):
                 own = chosen[top : top + height]
                 run = rows[own, start:stop]
-                kept[own, first:last] = self._filtered(run, times, every, first * every - start)
+                kept[own, first:last] = self._filtered(
+                    run, times, every, first * every - start
+                )
 
     def _filtered(self, rows: Array, times: int, every: int, first: int) -> Array:
         """Filter (c, N), prolonged by point reflections at its ends, samples from `first` on."""
-        # What a pass makes of the prolonged signal is prolonged in the same way, so that passes at
-        # once are passes one by one.
+        # What a pass makes of the prolonged signal is prolonged in the same way, so
+        # that passes at once are passes one by one.
         response = _response(self, times, every)
         samples, reach = rows.shape[1], response.reach
         hop = response.size - 2 * reach
         if samples <= reach:
-            wide = np.pad(rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
+            wide = np.pad(
+                rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd"
+            )
         else:  # the same, faster
             before, behind = rows[:, reach:0:-1], rows[:, -2 : -reach - 2 : -1]
             ends = 2.0 * rows[:, :1] - before, 2.0 * rows[:, -1:] - behind
@@ -135,15 +145,25 @@ class _Response:
     """Gain of some passes over pieces of `longer` reaches and `least` samples, or a little more."""
 
     def __init__(
-        self, lowpass: Lowpass, times: int, every: int, *, longer: int = 8, least: int = 512
+        self,
+        lowpass: Lowpass,
+        times: int,
+        every: int,
+        *,
+        longer: int = 8,
+        least: int = 512,
     ) -> None:
         h = impulse_response(lowpass)
         self.every = every  # of so many samples one is wanted
-        self.reach = -(-times * (len(h) // 2) // every) * every  # that depend, on either side
-        self.size = every * next_fast_len(-(-(longer * self.reach + least) // every), real=True)
+        # that depend, on either side
+        self.reach = -(-times * (len(h) // 2) // every) * every
+        self.size = every * next_fast_len(
+            -(-(longer * self.reach + least) // every), real=True
+        )
         both = np.zeros(self.size)
         both[: len(h)] = h
-        self.gain = rfft(np.roll(both, -(len(h) // 2))).real ** times  # the phase is zero
+        # the phase is zero
+        self.gain = rfft(np.roll(both, -(len(h) // 2))).real ** times
 
     def of(self, piece: Array) -> Array:
         """Filter a piece (c, m), from its sample `reach` on; zeros follow it."""

@@ -1,8 +1,8 @@
 """What the choice of a cut-off needs to know of a log, gathered block by block.
 
-Welch spectra are means over segments, counted from the first sample on, and add up as the samples
-come; which joints move follows from the largest travel over each time scale; an encoder's step
-from the levels it was seen at. A short log is one block.
+Welch spectra are means over segments, counted from the first sample on, and add up as
+the samples come; which joints move follows from the largest travel over each time
+scale; an encoder's step from the levels it was seen at. A short log is one block.
 """
 
 import weakref
@@ -26,8 +26,9 @@ MANY = 1 << 60
 class Welch:
     """One-sided spectral density of c signals, by Welch's method with half overlap.
 
-    Equal to `scipy.signal.welch` (Hann window, no detrending) of the signals as a whole, as long as
-    they have no more than `dense` samples. Behind those every `sparse`-th segment is taken.
+    Equal to `scipy.signal.welch` (Hann window, no detrending) of the signals as a
+    whole, as long as they have no more than `dense` samples. Behind those every
+    `sparse`-th segment is taken.
     """
 
     def __init__(self, length: int, differences: int = 0) -> None:
@@ -37,7 +38,9 @@ class Welch:
         self._sum: Array | float = 0.0
         self._segments = self._start = 0  # taken so far; where the next one begins
 
-    def look(self, samples: Array, begin: int, *, dense: int = 262144, sparse: int = 4) -> int:
+    def look(
+        self, samples: Array, begin: int, *, dense: int = 262144, sparse: int = 4
+    ) -> int:
         """Take what is new in samples from number `begin` on; tells which is wanted next."""
         hop, wanted = self.length - self.length // 2, self.length + self._differences
         while self._start + wanted <= begin + len(samples):
@@ -54,7 +57,9 @@ class Welch:
     def density(self, rate_hz: float) -> tuple[Array, Array]:
         """Return frequencies (F,) Hz and densities (c, F) of samples at a rate."""
         assert self._segments
-        density = np.asarray(self._sum / (rate_hz * np.sum(self._window**2) * self._segments))
+        density = np.asarray(
+            self._sum / (rate_hz * np.sum(self._window**2) * self._segments)
+        )
         density[:, 1 : None if self.length % 2 else -1] *= 2
         frequency = np.arange(self.length // 2 + 1) * (rate_hz / self.length)
         return np.asarray(frequency, dtype=np.float64), density
@@ -90,13 +95,20 @@ class Survey:
         wide = q if self._tail is None else np.concatenate([self._tail, q])
         end = self._seen + len(q)
         begin = end - len(wide)
-        self._fourth.push(np.abs(np.diff(wide[max(0, self._seen - begin - 4) :], 4, axis=0)))
-        wanted = [spectrum.look(wide, begin) for spectrum in (self._second, self._velocity)]
+        self._fourth.push(
+            np.abs(np.diff(wide[max(0, self._seen - begin - 4) :], 4, axis=0))
+        )
+        wanted = [
+            spectrum.look(wide, begin) for spectrum in (self._second, self._velocity)
+        ]
         for half in self._halves:
             low, step = max(0, self._seen - begin - 2 * half), max(1, half // steps)
-            low += -(begin + low) % step  # on the same samples whatever parts they come in
+            # on the same samples whatever parts they come in
+            low += -(begin + low) % step
             if low + 2 * half < len(wide):
-                travel = np.abs(wide[low + 2 * half :: step] - wide[low : -2 * half : step])
+                travel = np.abs(
+                    wide[low + 2 * half :: step] - wide[low : -2 * half : step]
+                )
                 largest = travel.max(axis=1, keepdims=True)
                 own = np.where(travel > SHAKEN * largest, travel, 0.0).max(axis=0)
                 self._travel = np.maximum(self._travel, own)
@@ -135,7 +147,8 @@ class Survey:
         self, resolution: Array, *, highest_hz: float = bandwidth.HIGHEST_HZ
     ) -> bandwidth.Cutoff:
         """Choose one low-pass cut-off by the joints that move; the others say nothing about it."""
-        # `resolution` (n,) rad: of the robot file, zero where the step is to be read off the data.
+        # `resolution` (n,) rad: of the robot file, zero where the step is to be read
+        # off the data.
         step, joints = self._steps(resolution)
         highest = min(highest_hz, self.rate_hz / 8)
         floors = step**2 / 12 * 2 / self.rate_hz
@@ -175,13 +188,17 @@ class Survey:
         moves[joints] = 1.0
         noise = np.zeros(len(density))
         noise[joints] = floors
-        error = np.array([bandwidth.differentiated_error(noise, hz) for hz in cutoffs]).T
-        return bandwidth.noise_shares(frequency, moves * density, error, cutoffs, seconds)
+        error = np.array(
+            [bandwidth.differentiated_error(noise, hz) for hz in cutoffs]
+        ).T
+        return bandwidth.noise_shares(
+            frequency, moves * density, error, cutoffs, seconds
+        )
 
     def _acceleration(self) -> tuple[Array, Array]:
         """Return frequencies (F,) [Hz] and densities (n, F) of the acceleration."""
-        # Spectra of the second difference of the position: it whitens the steep spectrum of the
-        # position before the window smears it.
+        # Spectra of the second difference of the position: it whitens the steep
+        # spectrum of the position before the window smears it.
         rate = self.rate_hz
         frequency, density = self._second.density(rate)
         density *= rate**4
@@ -190,7 +207,9 @@ class Survey:
 
     def _steps(self, resolution: Array) -> tuple[Array, Index]:
         """Encoder steps (n,) rad and the joints that move."""
-        return self.count(resolution), np.flatnonzero(self.moving(self.noise_step(resolution)))
+        return self.count(resolution), np.flatnonzero(
+            self.moving(self.noise_step(resolution))
+        )
 
     def _widest(self, joints: Index, step: Array) -> float:
         """Return the bandwidth of the motion [Hz], the largest of some joints.
@@ -205,20 +224,24 @@ class Survey:
             for j in joints
         )
 
-    def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array]:
+    def _scored(
+        self, joints: Index, step: Array, cutoffs: Array
+    ) -> tuple[Array, Array]:
         """Score of each cut-off (C,) by some joints, and these joints' noise densities."""
         rate = self.rate_hz
         frequency, density = self._acceleration()
         top = (frequency > 0.2 * rate) & (frequency < 0.4 * rate)
         score, floors = np.zeros(len(cutoffs)), np.zeros(len(joints))
         for k, j in enumerate(joints):
-            # The position's noise: the quantisation's, or what the top of the spectrum shows.
+            # The position's noise: the quantisation's, or what the top of the spectrum
+            # shows.
             above = density[j, top] / (2 * np.pi * frequency[top]) ** 4
             shown = float(np.median(above)) if top.any() else 0.0
             floors[k] = max(step[j] ** 2 / 12 * 2 / rate, shown, 1e-30)
             noise = bandwidth.differentiated_error(floors[k], cutoffs)
             signal = bandwidth.power_below(frequency, density[j], cutoffs) - noise
-            # Power beyond the first point where noise takes over is noise, whatever its level.
+            # Power beyond the first point where noise takes over is noise, whatever its
+            # level.
             signal = np.maximum.accumulate(np.maximum(signal, 1e-12))
             score += np.log(signal) - bandwidth.KAPPA * noise / signal
         return score, floors
@@ -227,7 +250,8 @@ class Survey:
 def survey_of_positions(q: Array, rate_hz: float) -> Survey:
     """Return the survey of positions (N, n) that are held; made once while the array lives.
 
-    A log is filtered at several cut-offs, and what they are chosen from is the same for all.
+    A log is filtered at several cut-offs, and what they are chosen from is the same for
+    all.
     """
     number = id(q)
     known = _KEPT.get(number)
@@ -251,7 +275,12 @@ _KEPT: dict[int, _Kept] = {}
 
 
 def _lengths(
-    hz: float, samples: int, *, second_s: int = 8, velocity_s: int = 20, least_segment: int = 256
+    hz: float,
+    samples: int,
+    *,
+    second_s: int = 8,
+    velocity_s: int = 20,
+    least_segment: int = 256,
 ) -> tuple[int, int, list[int]]:
     """Segments of both spectra and halves of the time scales, in samples."""
     second, velocity = (max(least_segment, int(s * hz)) for s in (second_s, velocity_s))

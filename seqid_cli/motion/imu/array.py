@@ -1,12 +1,13 @@
 """Angular motion of a link from an array of accelerometers (Sec. 3) or an ordinary IMU.
 
-An accelerometer at r with sensing axis s, on a body whose frame origin has the specific force f
-and which turns with w, reads
+An accelerometer at r with sensing axis s, on a body whose frame origin has the specific
+force f and which turns with w, reads
 
     a = s'(f + dw x r + w x (w x r)),
 
-which is linear in f (3), dw (3) and the products of w (6): xx, yy, zz, xy, xz, yz. Twelve
-well-placed accelerometers determine all of them; the products give w up to its sign.
+which is linear in f (3), dw (3) and the products of w (6): xx, yy, zz, xy, xz, yz.
+Twelve well-placed accelerometers determine all of them; the products give w up to its
+sign.
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,8 @@ GROUPS = {
         f"angular velocity product {a}" for a in ("xx", "yy", "zz", "xy", "xz", "yz")
     ],
 }
-# By the number of dimensions over which accelerometers spread that do not see everything.
+# By the number of dimensions over which accelerometers spread that do not see
+# everything.
 REMEDIES = (
     "all of them sit at one point: spread them",
     "they sit on a line: place some off it",
@@ -40,7 +42,8 @@ REMEDIES = (
 class AngularReading:
     """What an IMU says of its turning, in its frame.
 
-    `dw` (N, 3) rad/s^2 and w w' (N, 3, 3) rad^2/s^2, zero if not seen; `w` (N, 3) rad/s of a gyro.
+    `dw` (N, 3) rad/s^2 and w w' (N, 3, 3) rad^2/s^2, zero if not seen; `w` (N, 3) rad/s
+    of a gyro.
     """
 
     dw: Array
@@ -54,7 +57,8 @@ class ArrayLayout:
 
     rank: int
     condition: float  # of the unknowns that they determine
-    errors: Array  # (12,) of f, dw, products for 1 m/s^2 of white noise; infinite if not seen
+    # (12,) of f, dw, products for 1 m/s^2 of white noise; infinite if not seen
+    errors: Array
 
     @property
     def acceleration(self) -> bool:
@@ -72,7 +76,9 @@ def array_matrix(imu: Imu) -> Array:
     s, r = imu.axes, imu.positions
     squares = s * r - np.sum(s * r, axis=1)[:, None]
     a, b = [0, 0, 1], [1, 2, 2]
-    return np.hstack([s, np.cross(r, s), squares, s[:, a] * r[:, b] + s[:, b] * r[:, a]])
+    return np.hstack(
+        [s, np.cross(r, s), squares, s[:, a] * r[:, b] + s[:, b] * r[:, a]]
+    )
 
 
 def layout(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> ArrayLayout:
@@ -82,7 +88,9 @@ def layout(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> ArrayLayout:
     kept = s > 1e-6 * s[0]
     own = Vt[: len(s)][kept]
     variance = np.sum((own / s[kept, None]) ** 2, axis=0) / scale**2
-    errors = np.where(np.sum(own**2, axis=0) > min_resolution, np.sqrt(variance), np.inf)
+    errors = np.where(
+        np.sum(own**2, axis=0) > min_resolution, np.sqrt(variance), np.inf
+    )
     return ArrayLayout(int(kept.sum()), float(s[0] / s[kept][-1]), errors)
 
 
@@ -92,14 +100,18 @@ def layout_statements(imu: Imu, *, poor_condition: float = 1000.0) -> list[str]:
     hidden = np.isinf(found.errors)
     if imu.gyro:
         hidden[3:] = False
-    for (what, names), own in zip(GROUPS.items(), np.split(hidden, [3, 6]), strict=True):
+    for (what, names), own in zip(
+        GROUPS.items(), np.split(hidden, [3, 6]), strict=True
+    ):
         if own.all():
             said.append(f"{what} cannot be told from the rest")
         elif own.any():
             unseen = [name for name, h in zip(names, own, strict=True) if h]
             said.append(f"not told from the rest: {', '.join(unseen)}")
     if said and count > found.rank:
-        said.append(f"{count - found.rank} of its {count} accelerometers repeat what others say")
+        said.append(
+            f"{count - found.rank} of its {count} accelerometers repeat what others say"
+        )
     if hidden[3:].any():
         centred = imu.positions - imu.positions.mean(axis=0)
         remedy = REMEDIES[np.linalg.matrix_rank(centred, tol=1e-9)]
@@ -122,10 +134,15 @@ def calibrated(
     imu: Imu, calibration: ImuCalibration, accelerations: Array, gyro: Array | None
 ) -> tuple[Imu, Array, Array | None]:
     """Take a calibration's biases and gains off the readings, and its axes into the layout."""
-    # What is not determined is left as the robot file has it. The clock offset stays in.
+    # What is not determined is left as the robot file has it. The clock offset stays
+    # in.
     bias = entries(calibration.accelerometer_bias, len(imu.axes), 0.0)
     scale = entries(calibration.accelerometer_scale, len(imu.axes), 1.0)
-    axes = np.array(calibration.accelerometer_axes) if calibration.accelerometer_axes else imu.axes
+    axes = (
+        np.array(calibration.accelerometer_axes)
+        if calibration.accelerometer_axes
+        else imu.axes
+    )
     if gyro is not None:
         gyro = gyro - entries(calibration.gyro_bias, 3, 0.0)
         gyro = gyro / entries(calibration.gyro_scale, 3, 1.0)
@@ -152,7 +169,9 @@ def read_angular(
         return AngularReading(dw, w[:, :, None] * w[:, None, :], w)
     unknowns = lowpass(accelerations, valid) @ array_inverse(imu).T
     pairs = [[6, 9, 10], [9, 7, 11], [10, 11, 8]]
-    return AngularReading(unknowns[:, 3:6], unknowns[:, pairs] * float(layout(imu).products))
+    return AngularReading(
+        unknowns[:, 3:6], unknowns[:, pairs] * float(layout(imu).products)
+    )
 
 
 def array_inverse(imu: Imu) -> Array:

@@ -4,11 +4,11 @@ An IMU on link m, its readings turned into the link's frame, sees
 
     dw_m = sum_{i <= m} z_i ddq_i + c_m(q, dq),
 
-z_i the joint axes in that frame and c_m what the velocities alone produce (Eq. 39 for two joints).
-Each IMU weighted by its noise below the cut-off, this is a small least squares per sample; Eq. 30
-and 42 are its cases of one and two moving joints. Only what no IMU sees is left to the encoder.
-The velocities dq are the IMUs' as well (Eq. 31 and 41, `imu.link_velocity`); positions stay the
-encoders'.
+z_i the joint axes in that frame and c_m what the velocities alone produce (Eq. 39 for
+two joints). Each IMU weighted by its noise below the cut-off, this is a small least
+squares per sample; Eq. 30 and 42 are its cases of one and two moving joints. Only what
+no IMU sees is left to the encoder. The velocities dq are the IMUs' as well (Eq. 31 and
+41, `imu.link_velocity`); positions stay the encoders'.
 """
 
 from collections.abc import Sequence
@@ -46,12 +46,18 @@ class LinkReading(NamedTuple):
 
 
 def log_motion(
-    recording: Recording, robot: Robot, options: MotionOptions, *, imu: ImuStage | None, source: str
+    recording: Recording,
+    robot: Robot,
+    options: MotionOptions,
+    *,
+    imu: ImuStage | None,
+    source: str,
 ) -> Motion:
     """Motion of a log at its own rate, of the encoders or better (see `best_motion`).
 
-    With `options.kept` the motion of logs that differ in their torque alone is made once. Raises
-    InputError: no stretch is long enough to filter, or the log lacks an IMU that `source` needs.
+    With `options.kept` the motion of logs that differ in their torque alone is made
+    once. Raises InputError: no stretch is long enough to filter, or the log lacks an
+    IMU that `source` needs.
     """
     if options.kept is None:
         encoder = estimate_motion(recording, robot, options)
@@ -60,8 +66,11 @@ def log_motion(
     arrays = id(recording.q), id(recording.valid), id(imu)
     key = (sha256, *arrays, source, options.cutoff_hz, sha256 in options.own)
     if key not in options.kept:
-        made = log_motion(recording, robot, replace(options, kept=None), imu=imu, source=source)
-        options.kept[key] = recording, imu, made  # what is kept keeps its place in memory
+        made = log_motion(
+            recording, robot, replace(options, kept=None), imu=imu, source=source
+        )
+        # what is kept keeps its place in memory
+        options.kept[key] = recording, imu, made
     known: Recording
     motion: Motion
     known, _, motion = options.kept[key]
@@ -71,16 +80,22 @@ def log_motion(
 
 
 def best_motion(
-    recording: Recording, robot: Robot, stage: ImuStage | None, motion: Motion, *, source: str
+    recording: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    motion: Motion,
+    *,
+    source: str,
 ) -> Motion:
     """Improve the encoders' motion by the IMUs that are calibrated and healthy.
 
-    `source`: "imu" replaces `dq` and `ddq` (Eq. 30-42), "fused" all motion, and the filter with it;
-    both insist: a log without a usable IMU is an error. "auto" is "fused" where that can be had,
-    contradicts no encoder and has the smaller left-out error (see `smoother.left_out`), and
-    "encoder" elsewhere; "needed" takes the encoder as well where it is nearly as good (see
-    `fused.needed`). Raises UsageError: it is unknown. Raises InputError: it insists, and no
-    calibrated, healthy IMU is in the log.
+    `source`: "imu" replaces `dq` and `ddq` (Eq. 30-42), "fused" all motion, and the
+    filter with it; both insist: a log without a usable IMU is an error. "auto" is
+    "fused" where that can be had, contradicts no encoder and has the smaller left-out
+    error (see `smoother.left_out`), and "encoder" elsewhere; "needed" takes the encoder
+    as well where it is nearly as good (see `fused.needed`). Raises UsageError: it is
+    unknown. Raises InputError: it insists, and no calibrated, healthy IMU is in the
+    log.
     """
     if source not in SOURCES:
         raise UsageError(f"motion source {source!r} is not one of {', '.join(SOURCES)}")
@@ -112,7 +127,8 @@ def _from_imus(
         if calibration is None or imu.name not in recording.accelerometers or not sees:
             continue
         reading = _link_reading(imu, calibration, recording, motion)
-        # What the encoders alone say of the link; its mean over a whole log they know well.
+        # What the encoders alone say of the link; its mean over a whole log they know
+        # well.
         states = motion.q, motion.dq, motion.ddq, reading.link
         expected = link_angular_motion(robot.chain, *states)[1]
         bias = (reading.dw - expected)[motion.usable].mean(axis=0)
@@ -127,7 +143,8 @@ def _from_imus(
     velocities = joint_velocities(recording, robot, motion, turning)
     ddq, error = _solve(robot, replace(motion, dq=velocities.dq), readings)
 
-    # Jolts between two samples fold into the band of the motion; encoders show them as error.
+    # Jolts between two samples fold into the band of the motion; encoders show them as
+    # error.
     apart = np.mean((ddq - motion.ddq)[motion.usable] ** 2, axis=0)
     noise = motion.cutoff.acceleration_noise**2
     shown = np.sqrt(np.maximum(error**2, apart - noise))
@@ -146,7 +163,11 @@ def _from_imus(
 
 
 def _impossible(
-    source: str, recording: Recording, robot: Robot, stage: ImuStage | None, reasons: Sequence[str]
+    source: str,
+    recording: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    reasons: Sequence[str],
 ) -> InputError:
     """The error of a log that has no IMU to go by, with what stands in the way."""
     if not robot.imus:
@@ -161,7 +182,12 @@ def _impossible(
 
 
 def _link_reading(
-    imu: Imu, known: ImuCalibration, log: Recording, motion: Motion, *, axis_error: float = 0.003
+    imu: Imu,
+    known: ImuCalibration,
+    log: Recording,
+    motion: Motion,
+    *,
+    axis_error: float = 0.003,
 ) -> LinkReading:
     """One IMU's angular acceleration in its link's frame, its calibration taken off."""
     raw = log.accelerometers[imu.name], log.gyros.get(imu.name)
@@ -172,7 +198,9 @@ def _link_reading(
         # Readings stamped t were taken at t - `offset_s`.
         if not offset_s:
             return values
-        return np.column_stack([np.interp(t + offset_s, t[valid], v[valid]) for v in values.T])
+        return np.column_stack(
+            [np.interp(t + offset_s, t[valid], v[valid]) for v in values.T]
+        )
 
     values = on_encoders_clock(values, known.time_offset_s)
     if gyro is not None:
@@ -199,7 +227,8 @@ def _healthy(
     noise = np.sqrt(np.sum(motion.cutoff.acceleration_noise[own] ** 2)) + reading.noise
     both = (x[motion.usable] for x in (reading.dw - expected, expected))
     error, size = (np.sqrt(np.mean(np.sum(x**2, axis=1))) for x in both)
-    return bool(len(own) and error < disagreement * size + 3 * noise)  # not if it is no number
+    # not if it is no number
+    return bool(len(own) and error < disagreement * size + 3 * noise)
 
 
 def _solve(
@@ -213,7 +242,9 @@ def _solve(
     for _, link, dw, sigma, _ in readings:
         c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[1]
         J, own = np.zeros((N, 3, count)), moving <= link
-        J[:, :, own] = axes_in_link(robot, motion.q, link)[:, moving[own]].swapaxes(1, 2)
+        J[:, :, own] = axes_in_link(robot, motion.q, link)[:, moving[own]].swapaxes(
+            1, 2
+        )
         weight = 1.0 / max(sigma, 1e-9) ** 2
         normal += weight * np.einsum("nik,nil->nkl", J, J)
         right += weight * np.einsum("nik,ni->nk", J, dw - c)

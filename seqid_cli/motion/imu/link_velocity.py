@@ -1,15 +1,16 @@
 """Joint velocities from the angular velocities of links (Eq. 31 and 41).
 
-A link m turns with w_m = sum_{i <= m} z_i dq_i, z_i the joint axes in its frame. With one moving
-joint the components of w_m over those of the axis are its velocity (Eq. 31); with two, the second
-one's is what the first leaves of the second IMU's (Eq. 41). All IMUs together, each sample is a
-small least squares, of which both are cases.
+A link m turns with w_m = sum_{i <= m} z_i dq_i, z_i the joint axes in its frame. With
+one moving joint the components of w_m over those of the axis are its velocity (Eq. 31);
+with two, the second one's is what the first leaves of the second IMU's (Eq. 41). All
+IMUs together, each sample is a small least squares, of which both are cases.
 
-A gyro reads w. An array of accelerometers reads the products w w', so w up to its sign. The
-encoders' differentiated position w_e has the sign, and the root is taken about it: with
-w w' - w_e w_e' = w_e d' + d w_e', w = w_e + d. That is linear in the readings, so their noise
-does not rectify into a bias. Products of slow turning say nothing of w: d has the products' noise
-over |w_e|. There the encoders' own velocity, which is never without weight, takes over.
+A gyro reads w. An array of accelerometers reads the products w w', so w up to its sign.
+The encoders' differentiated position w_e has the sign, and the root is taken about it:
+with w w' - w_e w_e' = w_e d' + d w_e', w = w_e + d. That is linear in the readings, so
+their noise does not rectify into a bias. Products of slow turning say nothing of w: d
+has the products' noise over |w_e|. There the encoders' own velocity, which is never
+without weight, takes over.
 """
 
 from dataclasses import dataclass
@@ -33,8 +34,9 @@ NO_LOWPASS_HZ = 1e9
 class Turning:
     """What one IMU says of its link's angular velocity, in the link's frame, sample by sample.
 
-    `rates` (N, 3) rad/s of a gyro, or `products` (N, 3, 3) rad^2/s^2 of an array; `noise` is the
-    standard deviation of either below the motion's cut-off. Neither went through a low-pass.
+    `rates` (N, 3) rad/s of a gyro, or `products` (N, 3, 3) rad^2/s^2 of an array;
+    `noise` is the standard deviation of either below the motion's cut-off. Neither went
+    through a low-pass.
     """
 
     link: int
@@ -69,7 +71,8 @@ def turning_of(
     rotation : Array
         (3, 3), from the IMU's frame to the link's.
     accelerations, gyro : Array
-        (N, K) m/s^2 and (N, 3) rad/s on the encoders' clock, biases and gains taken off.
+        (N, K) m/s^2 and (N, 3) rad/s on the encoders' clock, biases and gains taken
+        off.
     axis_error : float
         Share of the angular velocity by which axes and gains may be off.
     """
@@ -91,7 +94,9 @@ def turning_of(
     rates = None if reading.w is None else reading.w @ rotation.T
     products = rotation @ reading.products @ rotation.T
     noise = float(np.hypot(white * band, axis_error * size))
-    return Turning(link=imu.after_joint, rates=rates, products=products, noise=max(noise, 1e-9))
+    return Turning(
+        link=imu.after_joint, rates=rates, products=products, noise=max(noise, 1e-9)
+    )
 
 
 def joint_velocities(
@@ -104,7 +109,8 @@ def joint_velocities(
     motion : Motion
         By the encoders, at the log's own rate; its velocity gives the signs.
     turning : list of Turning
-        One of each IMU that sees its link's angular velocity; none leaves the encoders'.
+        One of each IMU that sees its link's angular velocity; none leaves the
+        encoders'.
     """
     hz, density = motion.lowpass.cutoff_hz, motion.cutoff.noise_density
     encoder_noise = np.sqrt(density * (2 * np.pi) ** 2 * hz**3 / 3)
@@ -130,7 +136,9 @@ def joint_velocities(
         weighted = np.einsum("nji,njk->nik", J, weight)
         normal += weighted @ J
         right += np.einsum("nik,nk->ni", weighted, w)
-    raw = np.where(motion.valid[:, None], np.linalg.solve(normal, right[:, :, None])[:, :, 0], 0.0)
+    raw = np.where(
+        motion.valid[:, None], np.linalg.solve(normal, right[:, :, None])[:, :, 0], 0.0
+    )
 
     dq, error = motion.dq.copy(), encoder_noise.copy()
     dq[:, moving] = motion.lowpass(raw, motion.valid)

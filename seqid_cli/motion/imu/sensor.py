@@ -1,8 +1,9 @@
 """The readings of an IMU on a link, as a function of the joints' motion and of where it sits.
 
-Symbols: `x` (N, 15) is a link's motion in its own frame: f (3) specific force of its origin, H (9)
-with f + H r the specific force at r, w (3) its angular velocity. With u the sensing axes in that
-frame, as long as the channels' gains, and p the accelerometers' places,
+Symbols: `x` (N, 15) is a link's motion in its own frame: f (3) specific force of its
+origin, H (9) with f + H r the specific force at r, w (3) its angular velocity. With u
+the sensing axes in that frame, as long as the channels' gains, and p the
+accelerometers' places,
 
     accelerometers:  y = u'(f + H p),        gyro:  y = u'w.
 """
@@ -72,12 +73,16 @@ class Mounting:
 def _head(chain: Chain, count: int) -> Chain:
     """The first joints alone."""
     own = slice(count)
-    return Chain(chain.rotation[own], chain.position[own], chain.axis[own], chain.prismatic[own])
+    return Chain(
+        chain.rotation[own], chain.position[own], chain.axis[own], chain.prismatic[own]
+    )
 
 
 def link_state(robot: Robot, link: int, motion: Array) -> Array:
     """Motion (N, 15) of a link by q, dq, ddq (3, n, N) of the joints."""
-    found = link_motion(_head(robot.chain, link + 1), robot.gravity, *motion[:, : link + 1])
+    found = link_motion(
+        _head(robot.chain, link + 1), robot.gravity, *motion[:, : link + 1]
+    )
     return np.vstack([found.a[-1], found.H[-1].reshape(9, -1), found.w[-1]]).T
 
 
@@ -100,7 +105,9 @@ def link_slopes(robot: Robot, link: int, motion: Array) -> Array:
             before = own.w[i - 1]
             step[:, :3, 6:] = -R @ (_skew(cross(before, p)) + _skew(before) @ _skew(p))
             passed = _skew(z * speed) @ R
-            step[:, (0 if slides else 3) : (3 if slides else 6), 6:] -= (1 + slides) * passed
+            step[:, (0 if slides else 3) : (3 if slides else 6), 6:] -= (
+                1 + slides
+            ) * passed
             D[:, :, : 3 * i] = step @ D[:, :, : 3 * i]
         new = np.zeros((3, 3, 3, len(D)))  # of f, dw, w, in q, dq, ddq
         if slides:

@@ -1,8 +1,8 @@
 """What one stretch of a log holds: encoder codes, IMUs, and its motion as cubic splines.
 
-The trajectory of a joint is a cubic spline, its jerk constant between knots. In interval k the
-position, velocity and acceleration depend on the coefficients k to k + 3 alone, so states
-(q, dq, ddq) driven by white jerk take one unknown per knot.
+The trajectory of a joint is a cubic spline, its jerk constant between knots. In
+interval k the position, velocity and acceleration depend on the coefficients k to k + 3
+alone, so states (q, dq, ddq) driven by white jerk take one unknown per knot.
 """
 
 from dataclasses import dataclass, replace
@@ -16,7 +16,8 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Index, Mask
 
-# Cubic B-splines on an interval by powers of u in [0, 1), times 6; the third derivative.
+# Cubic B-splines on an interval by powers of u in [0, 1), times 6; the third
+# derivative.
 SPLINES = np.array([[1.0, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]])
 JERK = SPLINES[3]
 
@@ -33,8 +34,8 @@ class Jerk:
 
     size: Array  # (n,) rad/s^3 between knots
     correlation: Array  # (n, n)
-    # (M, n) how much larger than usual it is in each interval: friction jolts a joint that turns
-    # back, and an arm that rests has none.
+    # (M, n) how much larger than usual it is in each interval: friction jolts a joint
+    # that turns back, and an arm that rests has none.
     relative: Array
 
     @property
@@ -66,12 +67,18 @@ class EncoderView:
         return replace(self, q=q, edge=edge, dwell=dwell, known=known, stride=stride)
 
     def weights(
-        self, speed: Array, dt: float, *, edge: float = 0.03, smallest_variance: float = 1e-16
+        self,
+        speed: Array,
+        dt: float,
+        *,
+        edge: float = 0.03,
+        smallest_variance: float = 1e-16,
     ) -> tuple[Array, Array]:
         """Weights, 1/rad^2, of samples and of the edges half a sample after them."""
-        # A joint that crosses an edge was there within one sample: its position is known to speed *
-        # dt / sqrt 12, which beats step / sqrt 12 below one count per sample. While a code lasts
-        # its samples say the same again and again; together they count once.
+        # A joint that crosses an edge was there within one sample: its position is
+        # known to speed * dt / sqrt 12, which beats step / sqrt 12 below one count per
+        # sample. While a code lasts its samples say the same again and again; together
+        # they count once.
         uniform = self.step**2 / 12
         if not self.step or not np.isfinite(self.edge).any():
             known = self.known / max(self.white + uniform, smallest_variance)
@@ -112,9 +119,13 @@ def encoder_view(
     edge = nowhere.copy()
     single = at[np.abs(change[at]) == 1]
     edge[single] = 0.5 * (q[single] + q[single + 1])
-    bounds = np.concatenate(([0], np.flatnonzero((change != 0) | ~between) + 1, [len(q)]))
+    bounds = np.concatenate(
+        ([0], np.flatnonzero((change != 0) | ~between) + 1, [len(q)])
+    )
     lasting = np.diff(bounds)
-    return EncoderView(q, step, 0.0, edge, np.repeat(lasting, lasting).astype(float), known)
+    return EncoderView(
+        q, step, 0.0, edge, np.repeat(lasting, lasting).astype(float), known
+    )
 
 
 CELL_S = 0.016  # within which an arm hardly turns
@@ -124,8 +135,8 @@ CELL_S = 0.016  # within which an arm hardly turns
 class Mounted:
     """An IMU in one stretch: its readings as they came, as the knots gather them, its constants.
 
-    The constants are the channels' biases (K), the place on the link (3) m, a small turn (3) rad,
-    the clock's offset (1) s and the channels' axes (3 K).
+    The constants are the channels' biases (K), the place on the link (3) m, a small
+    turn (3) rad, the clock's offset (1) s and the channels' axes (3 K).
     """
 
     name: str
@@ -134,7 +145,8 @@ class Mounted:
     live: Mask  # (N, K)
     noise: Array  # (K,) of single readings
     bias: Array  # (K,)
-    delay: float  # a reading stamped t was taken at t - `delay` s on the encoders' clock
+    # a reading stamped t was taken at t - `delay` s on the encoders' clock
+    delay: float
     away: Array  # (g,) from where the prior had the constants
     precision: Array  # (g, g) of the prior
     y: Array  # (M, K) averaged over knot intervals
@@ -243,10 +255,14 @@ def sampled(c: Array, weights: Array) -> Array:
     return np.tensordot(weights, sliding_window_view(c, 4, axis=0), (1, 2))
 
 
-def mean_motion(chunk: Chunk, c: Array, fraction: float = 0.0, at: Index | None = None) -> Array:
+def mean_motion(
+    chunk: Chunk, c: Array, fraction: float = 0.0, at: Index | None = None
+) -> Array:
     """q, dq, ddq (3, n, M) averaged over the samples of every interval, or of those `at` alone."""
     near = sliding_window_view(c, 4, axis=0)
-    motion = np.tensordot(chunk.mean_knots(fraction), near if at is None else near[at], (1, 2))
+    motion = np.tensordot(
+        chunk.mean_knots(fraction), near if at is None else near[at], (1, 2)
+    )
     return np.ascontiguousarray(motion.transpose(0, 2, 1))
 
 

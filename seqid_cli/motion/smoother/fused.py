@@ -1,9 +1,10 @@
 """Motion from encoders and IMUs together: what the smoother says, filtered like everything else.
 
-The smoother's error is uncorrelated with its estimate, as that of every posterior mean is: it adds
-to the noise of the torque, but does not shrink a least-squares inertia as noise of a differentiated
-encoder does (Berkson's errors, not the classical ones). What it leaves out of the acceleration
-above its own bandwidth the low-pass takes from torque and motion alike.
+The smoother's error is uncorrelated with its estimate, as that of every posterior mean
+is: it adds to the noise of the torque, but does not shrink a least-squares inertia as
+noise of a differentiated encoder does (Berkson's errors, not the classical ones). What
+it leaves out of the acceleration above its own bandwidth the low-pass takes from torque
+and motion alike.
 """
 
 import hashlib
@@ -20,7 +21,12 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.motion import Motion, estimate_motion, filtered_motion, filtered_torque
+from seqid_cli.motion.motion import (
+    Motion,
+    estimate_motion,
+    filtered_motion,
+    filtered_torque,
+)
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother.imus import mounted_imus
 from seqid_cli.motion.smoother.left_out import Compliance, beyond_noise, compliance_of
@@ -31,15 +37,21 @@ from seqid_cli.typing import Array, Mask
 
 
 def fused_motion(
-    log: Recording, robot: Robot, stage: ImuStage | None, encoder: Motion, *, insist: bool = False
+    log: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    encoder: Motion,
+    *,
+    insist: bool = False,
 ) -> Motion:
     """Smooth a log with all its IMUs that can be believed, and filter it once.
 
-    `encoder`: motion by the encoders alone, at the log's own rate; its cut-off is kept where a user
-    gave it. `insist`: keep fused motion whatever its left-out error (see `left_out`) and what it
-    contradicts (see `disagreement`). Returns: of source "fused" at that rate; the encoder's own,
-    with both errors and warnings, where its left-out error is smaller, or no IMU is calibrated,
-    recorded and believed. Raises InputError: no stretch of the log is long enough to filter.
+    `encoder`: motion by the encoders alone, at the log's own rate; its cut-off is kept
+    where a user gave it. `insist`: keep fused motion whatever its left-out error (see
+    `left_out`) and what it contradicts (see `disagreement`). Returns: of source "fused"
+    at that rate; the encoder's own, with both errors and warnings, where its left-out
+    error is smaller, or no IMU is calibrated, recorded and believed. Raises InputError:
+    no stretch of the log is long enough to filter.
     """
     missing = tuple(absent_imus(log, robot, stage))
     if not mounted_imus(log, robot, stage):
@@ -57,7 +69,9 @@ def fused_motion(
         names = ", ".join(robot.joint_names[j] for j in np.flatnonzero(apart))
         doubt = f"{', '.join(smoothed.mounted)} and the encoder of {names} disagree"
         if not insist:
-            return replace(alone, warnings=(*warnings, f"{doubt}: encoders alone are used"))
+            return replace(
+                alone, warnings=(*warnings, f"{doubt}: encoders alone are used")
+            )
         warnings = (*warnings, doubt)
     if not insist and not _smaller_error(judged, smoothed, encoder):
         return alone
@@ -67,8 +81,9 @@ def fused_motion(
 def _smaller_error(judged: "LeftOut", smoothed: Smoothed, encoder: Motion) -> bool:
     """Whether fused motion errs less than the encoders, on the geometric mean of what moves.
 
-    What is left out was compared below the encoders' own cut-off. Where a model asks for a higher
-    one, the noise up to there counts, of which differentiated encoders have more by hz^5.
+    What is left out was compared below the encoders' own cut-off. Where a model asks
+    for a higher one, the noise up to there counts, of which differentiated encoders
+    have more by hz^5.
     """
     moving = encoder.moving.any(axis=0)
     if not moving.any():
@@ -88,12 +103,14 @@ def _bending(robot: Robot, bent: Array) -> Iterator[str]:
         joint = robot.joints[j]
         size = f"{np.sqrt(bent[j]):.2g} {joint.unit('rad/s^2')} (RMS)"
         yield (
-            f"the link of {joint.name} accelerates by {size} otherwise than its encoder says: "
-            "the joint bends; the errors of both sources hold that"
+            f"the link of {joint.name} accelerates by {size} otherwise than its encoder"
+            " says: the joint bends; the errors of both sources hold that"
         )
 
 
-def _with_left_out_errors(encoder: Motion, smoothed: Smoothed, judged: "LeftOut") -> Motion:
+def _with_left_out_errors(
+    encoder: Motion, smoothed: Smoothed, judged: "LeftOut"
+) -> Motion:
     """The encoders' motion with what the IMUs say of its error."""
     ddq = encoder.lowpass(smoothed.ddq, encoder.valid)
     bent = judged.compliance.power(ddq, encoder.lowpass, encoder.usable)
@@ -107,7 +124,11 @@ def _with_left_out_errors(encoder: Motion, smoothed: Smoothed, judged: "LeftOut"
 
 
 def score_of_smoothed(
-    recording: Recording, robot: Robot, stage: ImuStage | None, encoder: Motion, cutoffs: Array
+    recording: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    encoder: Motion,
+    cutoffs: Array,
 ) -> bandwidth.Score:
     """Score cut-offs [Hz] by the motion that the smoother makes of a log."""
     return _score(_smoothed(recording, robot, stage), encoder, cutoffs)
@@ -116,7 +137,9 @@ def score_of_smoothed(
 def _score(smoothed: Smoothed, encoder: Motion, cutoffs: Array) -> bandwidth.Score:
     variance, density = smoothed.typical(encoder.valid), encoder.cutoff.noise_density
     moves = np.any(encoder.moving, axis=0)
-    error = np.array([bandwidth.smoothed_error(variance, density, hz)[moves] for hz in cutoffs])
+    error = np.array(
+        [bandwidth.smoothed_error(variance, density, hz)[moves] for hz in cutoffs]
+    )
     motion = smoothed.dq[:, moves], smoothed.ddq[:, moves]
     score = bandwidth.smoothed_score(*motion, error, encoder.rate_hz, cutoffs)
     assert score.shares is not None
@@ -131,16 +154,18 @@ def _cutoff(smoothed: Smoothed, encoder: Motion) -> bandwidth.Cutoff:
     highest = max(own.hz, min(bandwidth.HIGHEST_HZ, encoder.rate_hz / 8))
     candidates = np.geomspace(own.hz, highest, 60)
     found = _score(smoothed, encoder, candidates)
-    allowed = np.searchsorted(candidates, bandwidth.highest_of(found.bandwidth_hz), side="right")
+    allowed = np.searchsorted(
+        candidates, bandwidth.highest_of(found.bandwidth_hz), side="right"
+    )
     best = bandwidth.lowest_as_good(found.values[: max(1, allowed)], found.joints)
     return replace(own, hz=float(candidates[best]), alone_hz=own.hz)
 
 
 def needed(motion: Motion, encoder: Motion, *, min_gain: float = 3.0) -> bool:
     """Whether acceleration is `min_gain` times better known than by encoders: that pays."""
-    # What the drive and its encoder do wrong shows between encoder and torque, and a smoother that
-    # believes the IMUs hides it. Who looks for such effects takes IMUs only where the encoders are
-    # too coarse to show anything.
+    # What the drive and its encoder do wrong shows between encoder and torque, and a
+    # smoother that believes the IMUs hides it. Who looks for such effects takes IMUs
+    # only where the encoders are too coarse to show anything.
     return _gain(motion, encoder) > min_gain
 
 
@@ -162,7 +187,9 @@ def promising(
     first = min(max(middle - 0.5 * piece_s, 0.0), float(recording.t[-1]) - piece_s)
     piece = cut(recording, [(first, first + piece_s)])[0]
     try:
-        alone = estimate_motion(piece, robot, MotionOptions(cutoff_hz=encoder.cutoff.hz))
+        alone = estimate_motion(
+            piece, robot, MotionOptions(cutoff_hz=encoder.cutoff.hz)
+        )
         return _gain(fused_motion(piece, robot, stage, alone), alone) > min_gain
     except InputError:  # nothing of the piece can be filtered
         return True
@@ -178,15 +205,20 @@ def _gain(motion: Motion, encoder: Motion) -> float:
 
 
 def disagreement(
-    encoder: Motion, ddq: Array, *, max_noise_ratio: float = 5.0, max_share: float = 0.05
+    encoder: Motion,
+    ddq: Array,
+    *,
+    max_noise_ratio: float = 5.0,
+    max_share: float = 0.05,
 ) -> Mask:
     """Joints (n,) whose encoder contradicts accelerations that were filtered like its own.
 
-    A wrong calibration, clocks apart, or a link that does not follow its encoder: elastic, loose,
-    or behind an encoder that is mounted off its axis. The smoother knows nothing of any of them.
-    `ddq` (N, n): accelerations [rad/s^2], low-passed at the encoders' cut-off. `max_noise_ratio`:
-    times the encoder's noise, whose quantisation is not white in slow moves. `max_share`: share of
-    the acceleration: what shakes faster than IMUs sample shows up below.
+    A wrong calibration, clocks apart, or a link that does not follow its encoder:
+    elastic, loose, or behind an encoder that is mounted off its axis. The smoother
+    knows nothing of any of them. `ddq` (N, n): accelerations [rad/s^2], low-passed at
+    the encoders' cut-off. `max_noise_ratio`: times the encoder's noise, whose
+    quantisation is not white in slow moves. `max_share`: share of the acceleration:
+    what shakes faster than IMUs sample shows up below.
     """
     seen, used = encoder.moving.any(axis=0), encoder.usable
     apart = np.sqrt(np.mean((ddq - encoder.ddq)[used] ** 2, axis=0))
@@ -199,15 +231,26 @@ _KEPT = OrderedDict[bytes, Smoothed]()
 
 
 def _smoothed(
-    recording: Recording, robot: Robot, stage: ImuStage | None, *, most_values: int = 16_000_000
+    recording: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    *,
+    most_values: int = 16_000_000,
 ) -> Smoothed:
     """Smooth a log; the last motions are kept, up to so many values in all."""
     # By a digest of what a smoothed motion follows from: all but the torque.
     arm = f"{robot.sha256} {robot.joints!r} {robot.imus!r} {recording.rate_hz!r}"
     follows = hashlib.sha256(arm.encode())
     follows.update(b"" if stage is None else msgspec.json.encode(stage))
-    readings = {**recording.accelerometers, **{f"{k} w": v for k, v in recording.gyros.items()}}
-    for name, values in (("q", recording.q), ("valid", recording.valid), *readings.items()):
+    readings = {
+        **recording.accelerometers,
+        **{f"{k} w": v for k, v in recording.gyros.items()},
+    }
+    for name, values in (
+        ("q", recording.q),
+        ("valid", recording.valid),
+        *readings.items(),
+    ):
         follows.update(f"{name} {values.shape}".encode())
         follows.update(np.ascontiguousarray(values).tobytes())
     digest = follows.digest()
@@ -218,7 +261,9 @@ def _smoothed(
     return found
 
 
-def absent_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> Iterator[str]:
+def absent_imus(
+    recording: Recording, robot: Robot, stage: ImuStage | None
+) -> Iterator[str]:
     """Say which calibrated IMUs are not in the log, and which in the log are not calibrated."""
     if stage is None:
         return
@@ -286,7 +331,8 @@ def _left_out(recording: Recording, encoder: Motion, smoothed: Smoothed) -> Left
     apart = ddq - alone.ddq
     beyond = beyond_noise(apart, alone)
 
-    # Links against drives: what the IMUs show beyond the fused motion, and that beyond encoders.
+    # Links against drives: what the IMUs show beyond the fused motion, and that beyond
+    # encoders.
     links = alone.lowpass(smoothed.beyond, valid) + apart
     compliance = compliance_of(links, ddq, alone)
     bent = compliance.power(ddq, alone.lowpass, alone.usable)

@@ -15,12 +15,15 @@ from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Index, Mask
 
-# Prior standard deviations where no calibration says better, and what changes since it was made.
+# Prior standard deviations where no calibration says better, and what changes since it
+# was made.
 BIAS_DRIFT, GYRO_BIAS_DRIFT, DELAY_DRIFT_S = 0.05, 0.005, 0.001
 LEAST_NOISE = 1e-3  # m/s^2 or rad/s
 
 
-def mounted_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> list[Mounted]:
+def mounted_imus(
+    recording: Recording, robot: Robot, stage: ImuStage | None
+) -> list[Mounted]:
     """IMUs with calibration and readings, as the calibration has them, without their readings."""
     known = stage.imus if stage else {}
     both = known.keys() & recording.accelerometers.keys()
@@ -116,8 +119,8 @@ def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
 def _on_accelerometers_clock(raw: Array, live: Mask, t: Array, x: Mounted) -> None:
     """Move a gyro's channels, in place, to the times of the accelerometers.
 
-    After this one clock holds for all channels. Values between two samples are on straight lines:
-    the gyro is later by a fraction of a sample, as a rule.
+    After this one clock holds for all channels. Values between two samples are on
+    straight lines: the gyro is later by a fraction of a sample, as a rule.
     """
     later = t + x.gyro_delay
     for channel in range(len(x.place.positions), x.place.channels):
@@ -126,7 +129,9 @@ def _on_accelerometers_clock(raw: Array, live: Mask, t: Array, x: Mounted) -> No
         live[:, channel] &= counts > 0.999
 
 
-def _silent(raw: Array, rate_hz: float, *, stuck_s: float = 0.5, min_alike: int = 25) -> Mask:
+def _silent(
+    raw: Array, rate_hz: float, *, stuck_s: float = 0.5, min_alike: int = 25
+) -> Mask:
     """Where a sensor repeats its last reading in all channels, or one while the others move."""
     values = np.ascontiguousarray(raw.T)
     same = np.zeros(values.shape, dtype=bool)
@@ -145,7 +150,12 @@ def _silent(raw: Array, rate_hz: float, *, stuck_s: float = 0.5, min_alike: int 
 
 
 def clipped(
-    raw: Array, live: Mask, noise: Array, *, clipped_noise: float = 20.0, min_clipped: int = 3
+    raw: Array,
+    live: Mask,
+    noise: Array,
+    *,
+    clipped_noise: float = 20.0,
+    min_clipped: int = 3,
 ) -> Mask:
     """Where a channel stays at its own limit for several samples, with those beside them."""
     found = np.zeros_like(live)
@@ -157,7 +167,10 @@ def clipped(
             at = channel == limit
             if abs(limit - middle) < clipped_noise * noise[k] or at.sum() < min_clipped:
                 continue
-            run = np.convolve(at.astype(float), np.ones(min_clipped), "same") > min_clipped - 0.5
+            run = (
+                np.convolve(at.astype(float), np.ones(min_clipped), "same")
+                > min_clipped - 0.5
+            )
             found[:, k] |= np.convolve(run, np.ones(min_clipped + 2), "same") > 0.5
     return found
 
@@ -167,13 +180,19 @@ def moved(x: Mounted, change: Array) -> Mounted:
     place, channels = x.place, x.place.channels
     bias, lever, turn, late, axes = np.split(change, channels + np.array([0, 3, 6, 7]))
     turned, axes = Rotation.from_rotvec(turn), place.axes + axes.reshape(-1, 3)
-    place = replace(place, lever=place.lever + lever, R=place.R @ turned.as_matrix(), axes=axes)
+    place = replace(
+        place, lever=place.lever + lever, R=place.R @ turned.as_matrix(), axes=axes
+    )
     away, turns = x.away + change, slice(channels + 3, channels + 6)
     away[turns] = (Rotation.from_rotvec(x.away[turns]) * turned).as_rotvec()
-    return replace(x, place=place, bias=x.bias + bias, delay=x.delay + float(late[0]), away=away)
+    return replace(
+        x, place=place, bias=x.bias + bias, delay=x.delay + float(late[0]), away=away
+    )
 
 
-def handed_on(x: Mounted, taken: Index, covariance: Array, *, forget: float = 1.5) -> Mounted:
+def handed_on(
+    x: Mounted, taken: Index, covariance: Array, *, forget: float = 1.5
+) -> Mounted:
     """What the next stretch is to assume; `covariance` (m, m) is of the constants `taken` (m,)."""
     own: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
     own[taken], own[:, taken] = 0.0, 0.0
@@ -181,7 +200,11 @@ def handed_on(x: Mounted, taken: Index, covariance: Array, *, forget: float = 1.
     channels = x.place.channels
     rates = channels - len(x.place.positions)
     drift = np.zeros(len(own))
-    drift[:channels] = np.repeat([BIAS_DRIFT, GYRO_BIAS_DRIFT], [channels - rates, rates])
+    drift[:channels] = np.repeat(
+        [BIAS_DRIFT, GYRO_BIAS_DRIFT], [channels - rates, rates]
+    )
     drift[channels + 6] = 0.1 * DELAY_DRIFT_S
     precision = np.linalg.inv(forget * own + np.diag(0.1 * drift**2))
-    return replace(x, away=np.zeros(len(x.away)), precision=0.5 * (precision + precision.T))
+    return replace(
+        x, away=np.zeros(len(x.away)), precision=0.5 * (precision + precision.T)
+    )

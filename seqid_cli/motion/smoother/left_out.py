@@ -1,18 +1,20 @@
 """What encoders and IMUs say of each other: errors that no noise model of either knows.
 
-An encoder sees the drive's side of a joint, an IMU the link's. Each is left out in turn and
-predicted by the other; what noise does not explain is an error of one of them, and nothing in the
-log says of which.
+An encoder sees the drive's side of a joint, an IMU the link's. Each is left out in turn
+and predicted by the other; what noise does not explain is an error of one of them, and
+nothing in the log says of which.
 
-Where a joint bends with the compliance c, its link is behind the drive by c times the load, which
-is mostly the arm's inertia, M ddq. The link's acceleration differs from the drive's by
+Where a joint bends with the compliance c, its link is behind the drive by c times the
+load, which is mostly the arm's inertia, M ddq. The link's acceleration differs from the
+drive's by
 
     d_j = sum_i s_ji d4q_i/dt4,      s_ji = -c_j M_ji,
 
-d4q/dt4 the second derivative of the accelerations ("snap"). A gain, a mounting or a clock of an
-IMU that is off differs by ddq and its first derivative instead, and jolts that fall between two
-samples by nothing that the motion predicts. So `d` is predicted block by block from the others,
-with and without snap: joints bend where snap predicts blocks that it has not seen.
+d4q/dt4 the second derivative of the accelerations ("snap"). A gain, a mounting or a
+clock of an IMU that is off differs by ddq and its first derivative instead, and jolts
+that fall between two samples by nothing that the motion predicts. So `d` is predicted
+block by block from the others, with and without snap: joints bend where snap predicts
+blocks that it has not seen.
 """
 
 from dataclasses import dataclass
@@ -37,8 +39,8 @@ PIECE = 4096  # samples whose Jacobians are held at once
 class Compliance:
     """By how much links bend behind the drives' encoders.
 
-    `per_snap` (n, n) s^2: acceleration of link j beyond its drive per snap of joint i; rows of
-    joints that do not bend for certain are zero.
+    `per_snap` (n, n) s^2: acceleration of link j beyond its drive per snap of joint i;
+    rows of joints that do not bend for certain are zero.
     """
 
     per_snap: Array
@@ -82,7 +84,8 @@ def beyond_motion(
     readings = [_on_encoders_clock(x, t) for x in imus]
     means = [np.zeros(x.place.channels) for x in imus]
 
-    # A bias that has changed since the calibration is no acceleration: means are taken off first.
+    # A bias that has changed since the calibration is no acceleration: means are taken
+    # off first.
     for removing_means in (True, False):
         for start in range(0, samples, PIECE):
             own = slice(start, min(start + PIECE, samples))
@@ -112,7 +115,9 @@ def _on_encoders_clock(x: Mounted, t: Array) -> tuple[Array, Mask]:
     if not x.delay:
         return x.raw, x.live
     values = [np.interp(t + x.delay, t, column) for column in x.raw.T]
-    live = [np.interp(t + x.delay, t, column.astype(float)) > 0.999 for column in x.live.T]
+    live = [
+        np.interp(t + x.delay, t, column.astype(float)) > 0.999 for column in x.live.T
+    ]
     return np.column_stack(values), np.column_stack(live)
 
 
@@ -143,7 +148,8 @@ def compliance_of(
     encoder : Motion
         Says which samples are usable, and which joints move.
     false_alarms : float
-        Share of stiff joints that are taken to bend: the level of a t test of the mean gain.
+        Share of stiff joints that are taken to bend: the level of a t test of the mean
+        gain.
     """
     per_snap = np.zeros((apart.shape[1],) * 2)
     used = np.flatnonzero(encoder.usable)
@@ -152,7 +158,9 @@ def compliance_of(
     if count < fewest_blocks or not len(moving):
         return Compliance(per_snap)
 
-    jerk, snap = (values[used] for values in differentiate(ddq[:, moving], encoder.rate_hz))
+    jerk, snap = (
+        values[used] for values in differentiate(ddq[:, moving], encoder.rate_hz)
+    )
     of_imus = np.hstack([ddq[used][:, moving], jerk])
     columns = np.hstack([of_imus, snap])
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
@@ -161,7 +169,9 @@ def compliance_of(
         values = apart[used, j]
         weights = _weights_beside_jolts(columns / size, values)
         bent = _left_by_others(columns / size, values, weights, blocks)
-        rigid = _left_by_others((columns / size)[:, : of_imus.shape[1]], values, weights, blocks)
+        rigid = _left_by_others(
+            (columns / size)[:, : of_imus.shape[1]], values, weights, blocks
+        )
         gain = rigid - bent
         t_value = gain.mean() / max(gain.std(ddof=1) / np.sqrt(count), 1e-300)
         if t_value > stdtrit(count - 1, 1.0 - false_alarms):
@@ -173,7 +183,9 @@ def compliance_of(
 def _weighted(columns: Array, values: Array, weights: Array) -> Array:
     """Weighted least squares (p,)."""
     root = np.sqrt(weights)
-    return np.asarray(np.linalg.lstsq(columns * root[:, None], values * root, rcond=1e-10)[0])
+    return np.asarray(
+        np.linalg.lstsq(columns * root[:, None], values * root, rcond=1e-10)[0]
+    )
 
 
 def _weights_beside_jolts(columns: Array, values: Array, *, rounds: int = 5) -> Array:
@@ -190,7 +202,10 @@ def _left_by_others(
     columns: Array, values: Array, weights: Array, blocks: list[Index]
 ) -> Array:
     """Weighted mean square (B,) that each block leaves when all others predict it."""
-    own = [(columns[b].T * weights[b]) @ np.column_stack([columns, values])[b] for b in blocks]
+    own = [
+        (columns[b].T * weights[b]) @ np.column_stack([columns, values])[b]
+        for b in blocks
+    ]
     total = np.sum(own, axis=0)
     left = []
     for block, matrix in zip(blocks, own, strict=True):
@@ -209,10 +224,11 @@ def beyond_noise(
     Parameters
     ----------
     apart : Array
-        That motion's acceleration minus the encoders', (N, n) rad/s^2, both below the encoders'
-        cut-off. A better motion differs from them by their noise and less.
+        That motion's acceleration minus the encoders', (N, n) rad/s^2, both below the
+        encoders' cut-off. A better motion differs from them by their noise and less.
     max_noise_ratio : float
-        Share of the encoders' noise power that may be missed: quantisation is not white.
+        Share of the encoders' noise power that may be missed: quantisation is not
+        white.
     """
     noise = encoder.cutoff.acceleration_noise**2
     power = np.mean(apart[encoder.usable] ** 2, axis=0)

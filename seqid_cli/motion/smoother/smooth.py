@@ -1,13 +1,14 @@
 """Joint motion from encoders and all calibrated IMUs together, by one smoother with variances.
 
-Each joint's jerk is white, so its trajectory is a cubic spline whose third differences are
-penalised (see `chunk`). Encoders enter by the edges that they cross and by their codes,
-IMUs by every accelerometer and gyro as a function of all joints before them; where an IMU sits,
-its small misalignment and its biases are constants of a chunk. Gauss-Newton on the whole chunk: the
-normal equations are banded, bordered by the constants. The size of each joint's jerk in a chunk is
-the maximum of the marginal likelihood (MacKay's fixed point), its correlation between joints goes
-towards it by expectation and maximisation; traces come from probing with random signs, variances
-from the factor's rows behind some of the knots.
+Each joint's jerk is white, so its trajectory is a cubic spline whose third differences
+are penalised (see `chunk`). Encoders enter by the edges that they cross and by their
+codes, IMUs by every accelerometer and gyro as a function of all joints before them;
+where an IMU sits, its small misalignment and its biases are constants of a chunk.
+Gauss-Newton on the whole chunk: the normal equations are banded, bordered by the
+constants. The size of each joint's jerk in a chunk is the maximum of the marginal
+likelihood (MacKay's fixed point), its correlation between joints goes towards it by
+expectation and maximisation; traces come from probing with random signs, variances from
+the factor's rows behind some of the knots.
 """
 
 from collections.abc import Iterator, Sequence
@@ -45,7 +46,9 @@ def believed(
         off = np.sum((x.y - predicted(chunk, c, x)) * x.seen, axis=0)
         mean = float(np.abs(off / np.maximum(x.seen.sum(axis=0), 1)).max())
         if share < least_seen:
-            notes.append(f"{x.name} is left out: it reads in {percent(share, 0)} of the samples")
+            notes.append(
+                f"{x.name} is left out: it reads in {percent(share, 0)} of the samples"
+            )
         elif not mean < largest_offset:
             reason = f"its mean reading is off by {mean:.3g} (limit {largest_offset:g})"
             notes.append(f"{x.name} is left out: {reason}")
@@ -54,15 +57,17 @@ def believed(
     return replace(chunk, imus=tuple(kept)), notes
 
 
-Misfit = tuple[str, float, str]  # an IMU, its share of what the encoders alone leave, and a text
+# an IMU, its share of what the encoders alone leave, and a text
+Misfit = tuple[str, float, str]
 
 
 def misfits(
     chunk: Chunk, alone: Array, together: Array, *, in_motion: float = 0.05
 ) -> Iterator[Misfit]:
     """IMUs that leave more than noise of the motion by coefficients (K, n), encoders' and all."""
-    # The RMS over the channels, m/s^2 (rad/s), that `typical` of the intervals in motion do not
-    # exceed: a jolt is over in less time than there is between coarse knots, which cannot follow.
+    # The RMS over the channels, m/s^2 (rad/s), that `typical` of the intervals in
+    # motion do not exceed: a jolt is over in less time than there is between coarse
+    # knots, which cannot follow.
     for x in chunk.imus:
         speed = np.abs(splines.mean_motion(chunk, alone[:, : x.joints])[1])
         fastest = np.maximum(speed.max(axis=1, keepdims=True), 1e-9)
@@ -73,15 +78,23 @@ def misfits(
         if noises > BEYOND_NOISE:
             before = _without_drift(x, predicted(chunk, alone, x))
             share = noises / max(_typical(before / x.spread, x.seen, own), 1e-9)
-            beyond = f"by {size:.3g}, {noises:.1f} times its noise and {percent(share, 0)}"
-            told = f"it differs from the motion {beyond} of what it differs from the encoders'"
+            beyond = (
+                f"by {size:.3g}, {noises:.1f} times its noise and {percent(share, 0)}"
+            )
+            told = (
+                f"it differs from the motion {beyond} of what it differs from the"
+                " encoders'"
+            )
             yield x.name, share, told
 
 
-def contradiction(found: Sequence[Misfit], *, unexplained: float = 0.36) -> tuple[str, list[str]]:
+def contradiction(
+    found: Sequence[Misfit], *, unexplained: float = 0.36
+) -> tuple[str, list[str]]:
     """The IMU to be left out, if any, and what is to be said of those that fit badly."""
-    # A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
-    # from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
+    # A right model leaves noise: motion that follows an IMU takes up nearly all in
+    # which it differs from the encoders' motion. Wrong geometry or an arm that bends
+    # leaves much more.
     name, share, text = max(found, key=lambda x: x[1], default=("", 0.0, ""))
     if share > unexplained:
         return name, [f"{name} is left out: {text} (limit {percent(unexplained, 0)})"]
@@ -129,10 +142,16 @@ def _placed(chunk: Chunk, x: Mounted, change: Array) -> Mounted:
 
 
 def _searched(
-    chunk: Chunk, c: Array, x: Mounted, *, search_s: float = 0.06, independent_s: float = 0.05
+    chunk: Chunk,
+    c: Array,
+    x: Mounted,
+    *,
+    search_s: float = 0.06,
+    independent_s: float = 0.05,
 ) -> Mounted:
     """The clock offset, of a grid of knots, that leaves least of the readings, all else fitted."""
-    # The encoders' motion errs over long stretches; few of the residuals are independent.
+    # The encoders' motion errs over long stretches; few of the residuals are
+    # independent.
     h, late = chunk.spacing, x.place.channels + 6
     told = predicted(chunk, c, x)
     _, noise, G, info = _design(chunk, c, x, late)
@@ -161,10 +180,14 @@ def _later(values: Array, lag: int) -> Array:
 def _cell_means(chunk: Chunk, x: Mounted, off: Array) -> Array:
     """Mean (C, K) over the readings of each cell; zero where there are none."""
     count = np.add.reduceat(x.seen.astype(float), chunk.cells)
-    return np.asarray(np.add.reduceat(off * x.seen, chunk.cells) / np.maximum(count, 1.0))
+    return np.asarray(
+        np.add.reduceat(off * x.seen, chunk.cells) / np.maximum(count, 1.0)
+    )
 
 
-def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Array, Array, Array]:
+def _design(
+    chunk: Chunk, c: Array, x: Mounted, count: int
+) -> tuple[Array, Array, Array, Array]:
     """Residuals (C, K), their noise (K,), whitened Jacobians (C, K, g), information (g, g)."""
     r = _cell_means(chunk, x, x.y - predicted(chunk, c, x))
     noise: Array = np.maximum(x.spread, gaussian_spread(r))
@@ -172,10 +195,16 @@ def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Arra
     G = by_constants[:, :, :count]
     there = np.add.reduceat(x.seen.astype(float), chunk.cells) > 0
     G = G * there[:, :, None] / noise[:, None]
-    return r, noise, G, np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
+    return (
+        r,
+        noise,
+        G,
+        np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count],
+    )
 
 
-FINE_S, COARSE_S = 1e-3, 4e-3  # between knots: no more, of the motion and for the constants
+# between knots: no more, of the motion and for the constants
+FINE_S, COARSE_S = 1e-3, 4e-3
 
 
 @dataclass(frozen=True)
@@ -196,7 +225,9 @@ class Smoothed:
         """Median variance (n, 3) at valid samples (N,); infinite for joints beyond all IMUs."""
         known = valid[self.places]
         found = np.median(self.variance[known if known.any() else slice(None)], axis=0)
-        found[1 + max((x.place.link for x in self.mounted.values()), default=-1) :] = np.inf
+        found[1 + max((x.place.link for x in self.mounted.values()), default=-1) :] = (
+            np.inf
+        )
         return np.asarray(found)
 
 
@@ -205,8 +236,8 @@ Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str], Array]
 
 def _smoothed(chunk: Chunk, size: Array) -> Part:
     """Constants on coarse knots, motion on fine ones; from the jerk's size (n,) on the coarse."""
-    # Of a chunk come motion (N, 3, n), variances at some places, its IMUs, what it says of them,
-    # and the size of the jerk.
+    # Of a chunk come motion (N, 3, n), variances at some places, its IMUs, what it says
+    # of them, and the size of the jerk.
     coarse = _on_knots(chunk, COARSE_S if chunk.dt <= FINE_S else FINE_S).gathered()
     c, jerk = solve.encoder_motion(coarse, size)
     coarse, notes = believed(coarse, c)
@@ -235,16 +266,21 @@ def _refined(chunk: Chunk, shared: solve.Solution) -> tuple[Chunk, Array, Jerk]:
     return fine, c, replace(shared.jerk, size=size, relative=shared.jerk.relative[at])
 
 
-def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[solve.Solution, list[str]]:
+def _agreed(
+    chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk
+) -> tuple[solve.Solution, list[str]]:
     """Settle the constants; IMUs whose readings no motion explains are left out one by one."""
-    # Coarse knots may not follow what an IMU feels: before it goes, fine ones have their say.
+    # Coarse knots may not follow what an IMU feels: before it goes, fine ones have
+    # their say.
     notes = []
     while True:
         shared = solve.settled(coarse, c, jerk)
         found = list(misfits(shared.chunk, c, shared.c))
         if found:
             shared = solve.settled(*_refined(chunk, shared))
-            found = list(misfits(shared.chunk, resampled(coarse, c, shared.chunk), shared.c))
+            found = list(
+                misfits(shared.chunk, resampled(coarse, c, shared.chunk), shared.c)
+            )
         name, said = contradiction(found)
         notes += said
         if not name:
@@ -271,10 +307,13 @@ def smoothed_motion(
     mostly: float = 0.95,
 ) -> Smoothed:
     """Smooth all joints of one log, by chunks of `chunk_s` s that fade into each other."""
-    # A chunk begins with the constants that the one before has found. An IMU that reads in fewer
-    # than `mostly` of the samples is named. Joints beyond believed IMUs rest on their encoders.
+    # A chunk begins with the constants that the one before has found. An IMU that reads
+    # in fewer than `mostly` of the samples is named. Joints beyond believed IMUs rest
+    # on their encoders.
     samples, rate = len(recording.q), recording.rate_hz
-    filled = np.column_stack([splines.bridged(x, np.isfinite(x)) for x in recording.q.T])
+    filled = np.column_stack(
+        [splines.bridged(x, np.isfinite(x)) for x in recording.q.T]
+    )
     step = encoder_resolution(robot)
     step = np.where(step > 0, step, encoder_step(filled))
     size = np.full(robot.n, first_jerk * np.sqrt(max(COARSE_S, 1.0 / rate) / FINE_S))
@@ -284,10 +323,13 @@ def smoothed_motion(
     at, variances, notes = [], [], []
     for own, share in _fading(samples, chunk_s * rate, int(overlap_s * rate)):
         codes = zip(recording.q[own].T, step.tolist(), strict=True)
-        views = tuple(splines.encoder_view(q, count, recording.valid[own]) for q, count in codes)
+        views = tuple(
+            splines.encoder_view(q, count, recording.valid[own]) for q, count in codes
+        )
         imus = tuple(read(x, recording, own) for x in known.values())
         live |= {x.name: live[x.name] + float(share @ x.live.any(axis=1)) for x in imus}
-        # Threads of the linear algebra only get into each other's way with matrices this narrow.
+        # Threads of the linear algebra only get into each other's way with matrices
+        # this narrow.
         with threadpool_limits(1):
             given = Chunk(robot, views, 1.0 / rate, 1, imus)
             states, places, variance, found, said, size = _smoothed(given, size)
@@ -301,10 +343,13 @@ def smoothed_motion(
     mounted = {name: x for name, x in known.items() if name in used}
     shares = {name: live[name] / max(int(recording.valid.sum()), 1) for name in mounted}
     text = "{} reads in {} of the samples"
-    notes += [text.format(name, percent(x, 0)) for name, x in shares.items() if x < mostly]
+    notes += [
+        text.format(name, percent(x, 0)) for name, x in shares.items() if x < mostly
+    ]
     q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
     known_at = np.concatenate(at), np.concatenate(variances)
-    # By the constants that explain this log best; of an IMU that was left out by its calibration.
+    # By the constants that explain this log best; of an IMU that was left out by its
+    # calibration.
     calibrated = mounted_imus(recording, robot, stage)
     witnesses = [mounted.get(x.name, x) for x in calibrated]
     every = [read(x, recording, slice(0, samples)) for x in witnesses]

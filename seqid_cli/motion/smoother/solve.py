@@ -39,7 +39,9 @@ class Solution:
         """Independent deviations (Kn, r) of the coefficients by which constants move them."""
         half = np.linalg.inv(np.linalg.cholesky(self.schur))
         size, along = np.linalg.eigh(half @ (self.border.T @ self.border) @ half.T)
-        return halved(self.factor, self.border @ (half.T @ along[:, size > felt]), transposed=True)
+        return halved(
+            self.factor, self.border @ (half.T @ along[:, size > felt]), transposed=True
+        )
 
 
 def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:
@@ -65,7 +67,9 @@ def encoder_motion(
     return c, jerk
 
 
-def _factor(band: Array, *, stiffness: tuple[float, ...] = (0.0, 1e-14, 1e-12, 1e-10)) -> Array:
+def _factor(
+    band: Array, *, stiffness: tuple[float, ...] = (0.0, 1e-14, 1e-12, 1e-10)
+) -> Array:
     """Cholesky factor of a lower band (k, K); of nearly it where a long hole tells nothing."""
     for share in stiffness:
         own = band.copy()
@@ -75,7 +79,9 @@ def _factor(band: Array, *, stiffness: tuple[float, ...] = (0.0, 1e-14, 1e-12, 1
     raise np.linalg.LinAlgError("the encoders' information is not positive definite")
 
 
-def settled(coarse: Chunk, c: Array, jerk: Jerk, *, known_axes: float = 0.002) -> Solution:
+def settled(
+    coarse: Chunk, c: Array, jerk: Jerk, *, known_axes: float = 0.002
+) -> Solution:
     """Find the IMUs' constants with the motion on coarse knots; axes that are known stay."""
     rng = np.random.default_rng(0)
     rounds: list[Constants] = ["place" if coarse.imus else "none"]
@@ -90,7 +96,9 @@ def settled(coarse: Chunk, c: Array, jerk: Jerk, *, known_axes: float = 0.002) -
     return replace(solution, chunk=coarse, jerk=jerk)
 
 
-def detailed(fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1) -> Solution:
+def detailed(
+    fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1
+) -> Solution:
     """Motion on fine knots about `c` (K, n), with the IMUs' clocks, other constants as they are."""
     rng = np.random.default_rng(0)
     linear = system.linearised(fine, c)
@@ -100,15 +108,24 @@ def detailed(fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1)
     factors = _noise_factors(first, fine, jerk, told)
     if any(np.any(np.abs(f - 1.0) > noise_tolerance) for f in factors):
         pairs = zip(fine.imus, factors, strict=True)
-        fine = replace(fine, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs))
+        fine = replace(
+            fine, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs)
+        )
     return renewed(fine, c, jerk, linear, "none", told)
 
 
 def renewed(
-    chunk: Chunk, c: Array, jerk: Jerk, linear: Linear, constants: Constants, told: Told = None
+    chunk: Chunk,
+    c: Array,
+    jerk: Jerk,
+    linear: Linear,
+    constants: Constants,
+    told: Told = None,
 ) -> Solution:
     """One step of Gauss-Newton about the coefficients `c` (K, n), constants with them."""
-    band, border, corner, gradient, pull = normal_equations(chunk, c, jerk, linear, constants, told)
+    band, border, corner, gradient, pull = normal_equations(
+        chunk, c, jerk, linear, constants, told
+    )
     factor = _factor(band)
     border = halved(factor, border)
     schur = corner - border.T @ border
@@ -153,7 +170,8 @@ def _noise_factors(
 def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     """Jerk renewed by what the solution shows of it and by what it leaves open."""
     chunk, jerk, n = solution.chunk, solution.jerk, solution.chunk.joints
-    signs = rng.choice([-1.0, 1.0], (chunk.intervals, n))  # on every jerk, over its size
+    # on every jerk, over its size
+    signs = rng.choice([-1.0, 1.0], (chunk.intervals, n))
     over = signs / (chunk.spacing**3 * jerk.size * jerk.relative)
     probe = np.zeros((chunk.intervals + 3, n))
     for a in range(4):
@@ -161,10 +179,13 @@ def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     answer = solution.inverse(probe.reshape(-1, 1)).reshape(-1, n)
     usual = jerk.size * jerk.relative
     found, seen = (jerk_of(c, chunk.spacing) / usual for c in (solution.c, answer))
-    # Expectation and maximisation for the correlations, the faster fixed point for the sizes.
+    # Expectation and maximisation for the correlations, the faster fixed point for the
+    # sizes.
     left_open = signs.T @ seen
     second = found.T @ found + 0.5 * (left_open + left_open.T)
-    return replace(_renewed_jerk(solution, seen * signs), correlation=_correlation(second))
+    return replace(
+        _renewed_jerk(solution, seen * signs), correlation=_correlation(second)
+    )
 
 
 def _correlation(second: Array, *, shrink: float = 0.02) -> Array:
@@ -192,9 +213,10 @@ def _renewed_jerk(
     relative_limits: tuple[float, float] = (0.1, 30.0),
 ) -> Jerk:
     """One step towards the most likely jerk of each joint, and towards its changes over time."""
-    # `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk that the
-    # data leave to its prior. The rest tells its size: all intervals together, those nearby how it
-    # compares there. Where they tell nothing it is taken to be as large as on the average.
+    # `left_open` (M, n) estimates, each very roughly, the share of each interval's jerk
+    # that the data leave to its prior. The rest tells its size: all intervals together,
+    # those nearby how it compares there. Where they tell nothing it is taken to be as
+    # large as on the average.
     chunk, jerk, m = solution.chunk, solution.jerk, solution.chunk.intervals
     known = np.maximum(m - left_open.sum(axis=0), least_known * m)
     found = jerk_of(solution.c, chunk.spacing)
@@ -206,7 +228,9 @@ def _renewed_jerk(
     for j, share in enumerate(known / m):
         told = np.clip(1.0 - uniform_filter1d(left_open[:, j], around), 0.0, 1.0)
         width = int(np.clip(nearby / share, least_nearby, m))
-        near = uniform_filter1d(uniform_filter1d((found[:, j] / size[j]) ** 2, width), width)
+        near = uniform_filter1d(
+            uniform_filter1d((found[:, j] / size[j]) ** 2, width), width
+        )
         average = float(np.mean(jerk.relative[:, j] ** 2 * told) / np.mean(told + 1e-9))
         average = float(np.clip(average, 1.0, most_dark))
         dark = 1.0 / (1.0 + (width * told) ** 2)
@@ -222,8 +246,11 @@ def probed_variance(
     chunk = solution.chunk
     every = max(1, int(probe_s / chunk.spacing))
     knots = np.arange(min(every, chunk.intervals) // 2, chunk.intervals, every)
-    knots = np.unique(np.minimum(-(-knots // chunk.stride) * chunk.stride, chunk.intervals - 1))
-    places, few = np.arange(len(knots)), knots[::fewer]  # of q, dq where others lie further apart
+    knots = np.unique(
+        np.minimum(-(-knots // chunk.stride) * chunk.stride, chunk.intervals - 1)
+    )
+    # of q, dq where others lie further apart
+    places, few = np.arange(len(knots)), knots[::fewer]
     found = interpolated(places, places[::fewer], _forward(solution, few, slice(0, 3)))
     found[:, :, 2] = _forward(solution, knots, slice(2, 3))[:, :, 0]
     if len(shared.schur):
@@ -232,7 +259,8 @@ def probed_variance(
         reach = shared.reach().reshape(len(shared.c), chunk.joints, -1)
         near = np.stack([reach[at + a] for a in range(4)])
         along = np.tensordot(shared.chunk.knots[0], near, (1, 0))  # (3, G, n, r)
-        found += np.moveaxis(np.sum(along**2, axis=3), 0, 2)  # constants move the motion
+        # constants move the motion
+        found += np.moveaxis(np.sum(along**2, axis=3), 0, 2)
     return _everywhere(solution, knots, found)
 
 
@@ -252,15 +280,20 @@ def _everywhere(
     places = np.unique(np.minimum(places, chunk.intervals - 1))
     spread = size[knots] - size[knots].mean(axis=0)
     follow = np.sum(spread * np.log(found[:, :, 2]), axis=0) + few
-    rise = np.exp(np.clip(follow / (np.sum(spread**2, axis=0) + few), *follows) * size)[:, :, None]
+    rise = np.exp(np.clip(follow / (np.sum(spread**2, axis=0) + few), *follows) * size)[
+        :, :, None
+    ]
     usual = found / rise[knots]
-    return places * chunk.every // chunk.stride, interpolated(places, knots, usual) * rise[places]
+    return (
+        places * chunk.every // chunk.stride,
+        interpolated(places, knots, usual) * rise[places],
+    )
 
 
 def _forward(solution: Solution, knots: Index, which: slice) -> Array:
     """Variance (G, n, d) of some derivatives at knots."""
-    # The factor's rows of a knot hold all that comes before it. What comes after the next knot is
-    # left away: it hardly tells more.
+    # The factor's rows of a knot hold all that comes before it. What comes after the
+    # next knot is left away: it hardly tells more.
     n, W = solution.chunk.joints, solution.chunk.knots[0][which]
     found = np.empty((len(knots), n, len(W)))
     for k, (start, after) in enumerate(pairwise(np.append(knots, len(solution.c)) * n)):
@@ -275,5 +308,7 @@ def _forward(solution: Solution, knots: Index, which: slice) -> Array:
 
 def interpolated(at: Index, places: Index, values: Array) -> Array:
     """Values (G, ...) at `places` (G,), interpolated linearly to others (M,)."""
-    columns = [np.interp(at, places, column) for column in values.reshape(len(places), -1).T]
+    columns = [
+        np.interp(at, places, column) for column in values.reshape(len(places), -1).T
+    ]
     return np.stack(columns, axis=1).reshape(len(at), *values.shape[1:])

@@ -7,13 +7,22 @@ import numpy as np
 
 from seqid_cli.motion.imu.sensor import link_slopes, link_state
 from seqid_cli.motion.smoother import chunk as splines
-from seqid_cli.motion.smoother.chunk import Chunk, Jerk, Mounted, jerk_of, mean_motion, sampled
+from seqid_cli.motion.smoother.chunk import (
+    Chunk,
+    Jerk,
+    Mounted,
+    jerk_of,
+    mean_motion,
+    sampled,
+)
 from seqid_cli.typing import Array, Index, Mask
 
-Constants = Literal["none", "clock", "place", "all"]  # all but the channels' axes: "place"
+# all but the channels' axes: "place"
+Constants = Literal["none", "clock", "place", "all"]
 
 
-Cells = tuple[Array, Array]  # Jacobians (C, K, 3, m) in q, dq, ddq and (C, K, g) in constants
+# Jacobians (C, K, 3, m) in q, dq, ddq and (C, K, g) in constants
+Cells = tuple[Array, Array]
 Linear = tuple[Cells, ...]  # of all IMUs
 Told = tuple[Array, ...] | None  # their expected readings (M, K), if known
 
@@ -21,15 +30,21 @@ Told = tuple[Array, ...] | None  # their expected readings (M, K), if known
 def _encoders(chunk: Chunk, c: Array) -> tuple[Array, Array]:
     """What encoders say of each joint: information (M, n, 4, 4) and gradients (4, M, n)."""
     m, every, n = chunk.intervals, chunk.every, chunk.joints
-    at_edges = splines.spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
+    at_edges = splines.spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[
+        :, 0
+    ]
     speed = sampled(c, chunk.knots[:, 1]).transpose(1, 0, 2).reshape(m * every, n)
-    weight, seen = np.zeros((2, 2, m * every, n))  # of samples, and of the edges behind them
+    # of samples, and of the edges behind them
+    weight, seen = np.zeros((2, 2, m * every, n))
     for j, view in enumerate(chunk.views):
         own = slice(chunk.samples)
         weight[:, own, j] = view.weights(speed[own, j], chunk.dt)
         seen[:, own, j] = view.q, np.nan_to_num(view.edge)
     rows = np.concatenate([chunk.knots[:, 0], at_edges])
-    w, y = (v.reshape(2, m, every, n).swapaxes(1, 2).reshape(-1, m, n) for v in (weight, seen))
+    w, y = (
+        v.reshape(2, m, every, n).swapaxes(1, 2).reshape(-1, m, n)
+        for v in (weight, seen)
+    )
     both = (rows[:, :, None] * rows[:, None]).reshape(-1, 16)
     information = np.tensordot(w, both, (0, 0)).reshape(m, n, 4, 4)
     return information, np.tensordot(rows, w * (y - sampled(c, rows)), (0, 0))
@@ -48,16 +63,25 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     seen, lever, turn = x.place.by_place(state)
     late = -np.einsum("nkdm,dmn->nk", by_motion, _rate(chunk, c[:, :head], x.fraction))
     channels = np.eye(x.place.channels)
-    own = np.einsum("kl,nka->nkla", channels, seen @ x.place.R if gains else seen[..., :0])
+    own = np.einsum(
+        "kl,nka->nkla", channels, seen @ x.place.R if gains else seen[..., :0]
+    )
     bias = np.broadcast_to(channels, (len(seen), *channels.shape))
-    parts = [bias, lever, turn @ x.place.R, late[:, :, None], own.reshape(*late.shape, -1)]
+    parts = [
+        bias,
+        lever,
+        turn @ x.place.R,
+        late[:, :, None],
+        own.reshape(*late.shape, -1),
+    ]
     return by_motion, np.concatenate(parts, axis=2)
 
 
 def _rate(chunk: Chunk, c: Array, fraction: float) -> Array:
     """Time derivatives (3, n, C) of q, dq, ddq in every cell."""
-    # Those of the spline where a cell is one interval; of a longer cell the change from the
-    # interval before to the one behind, which the noise of a first motion disturbs less.
+    # Those of the spline where a cell is one interval; of a longer cell the change from
+    # the interval before to the one behind, which the noise of a first motion disturbs
+    # less.
     m, starts = chunk.intervals, chunk.cells
     if chunk.cell == 1:
         jerk = jerk_of(c, chunk.spacing).T[None]
@@ -84,10 +108,15 @@ def normal_equations(
     pulls -= rise[:, None, None] * unlikely
     slots = list(chosen(chunk, constants)) if linear else []
     total = sum(len(taken) for _, taken, _ in slots)
-    border, corner, right = np.zeros((total, m + 3, n)), np.zeros((total, total)), np.zeros(total)
+    border, corner, right = (
+        np.zeros((total, m + 3, n)),
+        np.zeros((total, total)),
+        np.zeros(total),
+    )
     told = told or tuple(predicted(chunk, c, x) for x, *_ in slots)
     of_cells = np.arange(m) // chunk.cell
-    told_of: list[tuple[Mask, Array]] = []  # intervals (M,), cells' coefficients (C, 4n, 4n)
+    # intervals (M,), cells' coefficients (C, 4n, 4n)
+    told_of: list[tuple[Mask, Array]] = []
     for (x, taken, at), cells, expected in zip(slots, linear, told, strict=True):
         by_motion, by_constants = cells
         # Of the four coefficients of an interval, and of the constants.
@@ -98,7 +127,10 @@ def normal_equations(
         W = np.concatenate([W.reshape(count, -1, 4 * n), G], axis=2)
         there = np.add.reduceat(x.there.astype(float), chunk.cells)
         # Of each cell's intervals with readings, those in which a channel has one.
-        share = np.add.reduceat(x.seen.astype(float), chunk.cells) / np.maximum(there, 1.0)[:, None]
+        share = (
+            np.add.reduceat(x.seen.astype(float), chunk.cells)
+            / np.maximum(there, 1.0)[:, None]
+        )
         H = (W * share[:, :, None]).transpose(0, 2, 1) @ W
         told_of.append((x.there, H[:, : 4 * n, : 4 * n]))
         both = H[:, : 4 * n, 4 * n :].reshape(count, 4, n, -1).transpose(1, 3, 0, 2)
@@ -126,14 +158,17 @@ def normal_equations(
         H = H.reshape(-1, 4 * n, 4 * n)
         for seen, part in told_of:
             H += part[of_cells[now]] * seen[now, None, None]
-        for k in range(4 * n):  # LAPACK's: entry r of coefficient k is of it and of k + r
+        # LAPACK's: entry r of coefficient k is of it and of k + r
+        for k in range(4 * n):
             first = start + k // n
             band[first : first + len(H), k % n, : 4 * n - k] += H[:, k, k:]
     whole = band.reshape(c.size, -1).T, border.reshape(total, c.size).T
     return *whole, corner, gradient.ravel(), right
 
 
-def chosen(chunk: Chunk, constants: Constants) -> Iterator[tuple[Mounted, Index, slice]]:
+def chosen(
+    chunk: Chunk, constants: Constants
+) -> Iterator[tuple[Mounted, Index, slice]]:
     """Each IMU, which of its constants take part, and where they are among all that do."""
     start = 0
     for x in chunk.imus:
@@ -148,4 +183,6 @@ def chosen(chunk: Chunk, constants: Constants) -> Iterator[tuple[Mounted, Index,
 def predicted(chunk: Chunk, c: Array, x: Mounted) -> Array:
     """An IMU's readings (M, K), its bias included."""
     motion = mean_motion(chunk, c[:, : x.joints], x.fraction)
-    return np.asarray(link_state(chunk.robot, x.place.link, motion) @ x.place.matrix.T + x.bias)
+    return np.asarray(
+        link_state(chunk.robot, x.place.link, motion) @ x.place.matrix.T + x.bias
+    )

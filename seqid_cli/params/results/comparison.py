@@ -16,9 +16,9 @@ class RuleEntry(FrozenStruct, kw_only=True, frozen=True):
 class Difference(FrozenStruct, kw_only=True, frozen=True):
     """One number in both results.
 
-    `a`, `b` are null where a file does not have it; `std_error` combines those of both, and
-    `sigmas`, `relative` are the difference in units of it and of the number's size. Numbers that
-    are null do not apply. `remark` says where or what else.
+    `a`, `b` are null where a file does not have it; `std_error` combines those of both,
+    and `sigmas`, `relative` are the difference in units of it and of the number's size.
+    Numbers that are null do not apply. `remark` says where or what else.
     """
 
     stage: str

@@ -5,16 +5,29 @@ from typing import Literal
 from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import ClosedLoop, InputLog, MotionUse, OfRobot, UsedSettings, Verdict
+from seqid_cli.params.schema import (
+    ClosedLoop,
+    InputLog,
+    MotionUse,
+    OfRobot,
+    UsedSettings,
+    Verdict,
+)
 from seqid_cli.shares import percent
 
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
 DiagnosisVerdict = Literal[
-    "effect_found", "values_changed", "nothing_missing", "unexplained", "too_short", "nothing_seen"
+    "effect_found",
+    "values_changed",
+    "nothing_missing",
+    "unexplained",
+    "too_short",
+    "nothing_seen",
 ]
 _NOT_WHITE = "not white"
 _MEASURES = {"driving_load": "load times direction"}
-MORE_THAN_NOISE = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
+# times what a right model leaves; on clean simulated arms 1.0 to 1.5
+MORE_THAN_NOISE = 2.5
 
 
 class EffectParameter(Struct, kw_only=True):
@@ -29,12 +42,13 @@ class EffectParameter(Struct, kw_only=True):
 class FindingEntry(Struct, kw_only=True):
     """One effect that the model lacks; `joint` is null for an effect of the whole arm.
 
-    `confidence` is the probability that it is this effect or one of `confusable_with`, which these
-    logs do not separate from it; `name_confidence` that it is this one. `separate_by` says what to
-    record to separate them. `explains` is the share of the held-out residual variance above the
-    noise floor that the effect takes away, `gain` the share of the residual variance itself,
-    `log_gain` that in log predictive density; `rivals` were tried in its place. `parameters` is
-    empty where the logs do not determine them; the effect's torque is not linear in `settings`.
+    `confidence` is the probability that it is this effect or one of `confusable_with`,
+    which these logs do not separate from it; `name_confidence` that it is this one.
+    `separate_by` says what to record to separate them. `explains` is the share of the
+    held-out residual variance above the noise floor that the effect takes away, `gain`
+    the share of the residual variance itself, `log_gain` that in log predictive
+    density; `rivals` were tried in its place. `parameters` is empty where the logs do
+    not determine them; the effect's torque is not linear in `settings`.
     """
 
     effect: str
@@ -72,10 +86,10 @@ class ClosestEffect(Struct, kw_only=True):
 class UnexplainedPart(Struct, kw_only=True):
     """A part of a joint's residual that depends on quantities, but on no effect of the catalogue.
 
-    `depends_on` names the strongest first, out of position, velocity, direction, acceleration,
-    load, temperature, time, time_frequency, other_joint:<name>; `share` is of the residual variance
-    above the noise floor. `closest` is null where no effect comes near, and in files of before it
-    was known.
+    `depends_on` names the strongest first, out of position, velocity, direction,
+    acceleration, load, temperature, time, time_frequency, other_joint:<name>; `share`
+    is of the residual variance above the noise floor. `closest` is null where no effect
+    comes near, and in files of before it was known.
     """
 
     joint: str
@@ -91,8 +105,8 @@ class UnexplainedPart(Struct, kw_only=True):
 class ChangeCause(Struct, kw_only=True):
     """An effect that may be what has changed; `joint` is null for one of the whole arm.
 
-    `probability` is its share among the causes, `log_gain` its gain in log predictive density where
-    it is all that has changed.
+    `probability` is its share among the causes, `log_gain` its gain in log predictive
+    density where it is all that has changed.
     """
 
     effect: str
@@ -104,10 +118,11 @@ class ChangeCause(Struct, kw_only=True):
 class ChangedValues(Struct, kw_only=True):
     """A joint at which the form of the model is right and the file's values are not.
 
-    `rmse` is what the file leaves, N m (N where prismatic), `floors` the same in noise floors,
-    `rmse_refitted` what the model leaves on left-out blocks when it is fitted to the others.
-    `since` is the first log in which more than noise is left, null where it is in all. `causes`
-    compete for what has changed, the most probable first; empty where no single one is enough.
+    `rmse` is what the file leaves, N m (N where prismatic), `floors` the same in noise
+    floors, `rmse_refitted` what the model leaves on left-out blocks when it is fitted
+    to the others. `since` is the first log in which more than noise is left, null where
+    it is in all. `causes` compete for what has changed, the most probable first; empty
+    where no single one is enough.
     """
 
     joint: str
@@ -121,11 +136,11 @@ class ChangedValues(Struct, kw_only=True):
 class ResidualEntry(Struct, kw_only=True):
     """Residual of one joint, N m: with the model as it is (`rmse`) and with the findings in it.
 
-    `rmse` counts all samples that the file sees, but for those of pushes that are found.
-    `noise_floor` is the residual by torque noise and encoder alone, estimated by itself, and
-    `noise_floor_interval` its 95 % interval. Numbers are null where no sample counts, or where
-    these logs do not determine them. `white` says
-    that nothing but noise is left. `tried` is what was not taken beside the findings.
+    `rmse` counts all samples that the file sees, but for those of pushes that are
+    found. `noise_floor` is the residual by torque noise and encoder alone, estimated by
+    itself, and `noise_floor_interval` its 95 % interval. Numbers are null where no
+    sample counts, or where these logs do not determine them. `white` says that nothing
+    but noise is left. `tried` is what was not taken beside the findings.
     """
 
     rmse: float | None
@@ -160,8 +175,8 @@ class HiddenEntry(Struct, kw_only=True):
 class DiagnosisFile(OfRobot, kw_only=True):
     """The whole document; `findings` are ordered, the most certain first.
 
-    `verdicts` are poor where the logs are damaged or the model is of no arm that can be: what is
-    found then may be that.
+    `verdicts` are poor where the logs are damaged or the model is of no arm that can
+    be: what is found then may be that.
     """
 
     inputs: list[InputLog]
@@ -189,13 +204,17 @@ def nothing_found(file: DiagnosisFile) -> str:
     """Return the sentence of a diagnosis without findings."""
     if file.verdict == "nothing_seen":
         return "Nothing was seen: no sample of these logs could be looked at."
-    rest = {name: text for name, joint in file.joints.items() if (text := beyond_noise(joint))}
+    rest = {
+        name: text
+        for name, joint in file.joints.items()
+        if (text := beyond_noise(joint))
+    }
     if not rest and file.verdict != "too_short":
         return "Nothing is missing: what these logs leave of the torque is noise."
     if set(rest.values()) == {_NOT_WHITE} and file.verdict != "too_short":
         return (
-            "No effect was found. What is left is no larger than slow noise may be, but it is "
-            f"{_NOT_WHITE} ({', '.join(rest)})."
+            "No effect was found. What is left is no larger than slow noise may be,"
+            f" but it is {_NOT_WHITE} ({', '.join(rest)})."
         )
     each = "; ".join(f"{name}: {text}" for name, text in rest.items())
     if file.verdict == "too_short":
@@ -214,9 +233,10 @@ def values_at(one: ChangedValues) -> str:
     """Return the sentence of a joint at which the file's values do not hold."""
     since = f" since {one.since}" if one.since else ""
     return (
-        f"{one.joint}: the file leaves {one.floors:.3g} times the noise floor{since}, identified "
-        f"anew it would leave {one.rmse_refitted / one.rmse * one.floors:.3g} times; it may be "
-        f"{causes_in_words(one)}."
+        f"{one.joint}: the file leaves {one.floors:.3g} times the noise floor{since},"
+        " identified anew it would leave"
+        f" {one.rmse_refitted / one.rmse * one.floors:.3g} times; it may be"
+        f" {causes_in_words(one)}."
     )
 
 
@@ -231,7 +251,11 @@ def causes_in_words(one: ChangedValues) -> str:
 
 def nothing_added(loop: ClosedLoop) -> str:
     """Return why a refinement added nothing."""
-    why = "no effect predicts left-out blocks better" if loop.refused else "nothing was found"
+    why = (
+        "no effect predicts left-out blocks better"
+        if loop.refused
+        else "nothing was found"
+    )
     if loop.unconfirmed:
         why = "the held-out logs confirm nothing"
     return f"Nothing was added: {why}"

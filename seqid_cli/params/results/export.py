@@ -10,8 +10,9 @@ EXPORT_SCHEMA = "seqid/export@1"
 class ExportedParameter(Struct, kw_only=True):
     """A base parameter as it was identified and as the exported bodies have it.
 
-    `refitted` is the value that loses least of the file's torque in this form, and `std_errors`
-    says how far the bodies are from it; null where the identified one is that value.
+    `refitted` is the value that loses least of the file's torque in this form, and
+    `std_errors` says how far the bodies are from it; null where the identified one is
+    that value.
     """
 
     name: str
@@ -49,8 +50,8 @@ class ExportedLink(Struct, kw_only=True):
 class CollisionLimits(Struct, kw_only=True):
     """When a momentum observer raises an alarm at a joint, N m and rad/s.
 
-    Beyond `limit`, and slower than `slow` beyond `limit` and `stiction`; null where the error of
-    the joint's torque is not known.
+    Beyond `limit`, and slower than `slow` beyond `limit` and `stiction`; null where the
+    error of the joint's torque is not known.
     """
 
     limit: float | None
@@ -61,8 +62,9 @@ class CollisionLimits(Struct, kw_only=True):
 class ReplayedJoint(Struct, kw_only=True):
     """RMS errors of a joint on replayed logs, N m: by the parameter file, by what was written.
 
-    `loss` is what the form loses of the file's torque on these logs; null where it holds all. The
-    samples are those at which the joint slides; without any the errors are null.
+    `loss` is what the form loses of the file's torque on these logs; null where it
+    holds all. The samples are those at which the joint slides; without any the errors
+    are null.
     """
 
     file_rmse: float | None
@@ -83,10 +85,11 @@ class Replay(Struct, kw_only=True):
 class ExportFile(OfRobot, kw_only=True):
     """The whole document; `largest_deviation` is in standard errors.
 
-    `refitted` says that links and friction are those that lose least of the file's torque on the
-    motion of the logs `fitted_on` (made motions where there are none), `loss` how much that is in
-    each joint, RMS in N m: null where the joint slides in none; empty where the form holds all.
-    `replay` is null where nothing was replayed. `observer_gain` [1/s] goes with `collision`.
+    `refitted` says that links and friction are those that lose least of the file's
+    torque on the motion of the logs `fitted_on` (made motions where there are none),
+    `loss` how much that is in each joint, RMS in N m: null where the joint slides in
+    none; empty where the form holds all. `replay` is null where nothing was replayed.
+    `observer_gain` [1/s] goes with `collision`.
     """
 
     format: str

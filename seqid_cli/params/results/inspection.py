@@ -48,8 +48,8 @@ class InspectedMoves(Struct, kw_only=True):
 class InspectionFinding(FrozenStruct, kw_only=True, frozen=True):
     """One fault, or something worth knowing, and the remedy.
 
-    `log` is empty for a fault of the robot file or of all logs; `joint` (or IMU, or two joints)
-    and `channel` are named where the fault is of one.
+    `log` is empty for a fault of the robot file or of all logs; `joint` (or IMU, or two
+    joints) and `channel` are named where the fault is of one.
     """
 
     code: str
@@ -93,8 +93,8 @@ class InspectedLog(Struct, kw_only=True):
 class PlannedPart(Struct, kw_only=True):
     """What the logs hold of one move of a plan.
 
-    `status` is recorded, missing or spoiled (with the `reason`); `start` is the time in `log` at
-    which it begins, `share` how much of it is there.
+    `status` is recorded, missing or spoiled (with the `reason`); `start` is the time in
+    `log` at which it begins, `share` how much of it is there.
     """
 
     move: str

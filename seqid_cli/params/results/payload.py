@@ -27,9 +27,10 @@ class Measured(Struct, kw_only=True):
 class CarriedBodyEntry(Struct, kw_only=True):
     """The body in the axes of the last joint's frame, at its origin.
 
-    `inertia` (3, 3) kg m^2 is about the centre of mass; both matrices are empty where the logs do
-    not determine it. `distance` says by how many standard errors the least-squares estimate is from
-    the nearest body that can exist, which is the one that is given; 0 where it is one.
+    `inertia` (3, 3) kg m^2 is about the centre of mass; both matrices are empty where
+    the logs do not determine it. `distance` says by how many standard errors the
+    least-squares estimate is from the nearest body that can exist, which is the one
+    that is given; 0 where it is one.
     """
 
     frame: str
@@ -40,7 +41,10 @@ class CarriedBodyEntry(Struct, kw_only=True):
     distance: float = 0.0
 
     def __post_init__(self) -> None:
-        shapes = [[len(row) for row in each] for each in (self.inertia, self.inertia_std_errors)]
+        shapes = [
+            [len(row) for row in each]
+            for each in (self.inertia, self.inertia_std_errors)
+        ]
         if len(self.center_of_mass) != 3 or shapes not in ([[], []], [[3, 3, 3]] * 2):
             raise ValueError("a centre of mass has 3 numbers, an inertia 3 rows of 3")
 
@@ -51,14 +55,17 @@ class CarriedBodyEntry(Struct, kw_only=True):
             yield f"centre of mass {axis}", own
         for i, row in enumerate(self.inertia):
             for k in range(i, 3):
-                own = Measured(value=row[k], std_error=self.inertia_std_errors[i][k], unit="kg m^2")
+                own = Measured(
+                    value=row[k], std_error=self.inertia_std_errors[i][k], unit="kg m^2"
+                )
                 yield f"inertia {'xyz'[i]}{'xyz'[k]}", own
 
 
 class JointWithPayload(Struct, kw_only=True):
     """RMS of the torque error where the joint slides, N m, without the body and with it.
 
-    `friction_change` is the share by which its friction was found to differ from the model's.
+    `friction_change` is the share by which its friction was found to differ from the
+    model's.
     """
 
     before: float | None
@@ -71,9 +78,9 @@ class JointWithPayload(Struct, kw_only=True):
 class PayloadFile(OfRobot, kw_only=True):
     """The whole document.
 
-    `parameters` are the ten standard parameters of the body by least squares (inertia about the
-    frame's origin), those that the logs determine, with their `covariance`. `settings` holds, by
-    robot controller, the payload in its own words.
+    `parameters` are the ten standard parameters of the body by least squares (inertia
+    about the frame's origin), those that the logs determine, with their `covariance`.
+    `settings` holds, by robot controller, the payload in its own words.
     """
 
     inputs: list[InputLog]

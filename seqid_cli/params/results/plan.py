@@ -15,7 +15,8 @@ SHORTEST_S = 0.01  # of a move: from its duration follows how finely it is drawn
 class JointLimits(Struct, kw_only=True):
     """What a plan uses of a joint's limits: rad, rad/s, rad/s^2, N m (prismatic: m, N).
 
-    `torque` is null where neither robot file nor URDF tell it: torques were not checked there.
+    `torque` is null where neither robot file nor URDF tell it: torques were not checked
+    there.
     """
 
     position: list[float]
@@ -28,15 +29,19 @@ class JointLimits(Struct, kw_only=True):
         if len(self.position) != 2 or self.position[0] > self.position[1]:
             raise ValueError("position must be two numbers, the smaller one first")
         width = self.position[1] - self.position[0]
-        if any(0.0 < abs(size) < SMALLEST for size in (width, self.speed, self.torque or 0.0)):
+        if any(
+            0.0 < abs(size) < SMALLEST
+            for size in (width, self.speed, self.torque or 0.0)
+        ):
             raise ValueError(f"a limit must be 0 or at least {SMALLEST}")
 
 
 class FourierMotion(Struct, kw_only=True):
     """How one joint moves: q(t) = centre + w(t) sum_k [sine[k] sin(k W t) + cosine[k] cos(k W t)].
 
-    k counts from 1, W = 2 pi / T with T the move's duration, and w rises from 0 to 1 within T / 10
-    of the start as 10 x^3 - 15 x^4 + 6 x^5 and falls alike before the end.
+    k counts from 1, W = 2 pi / T with T the move's duration, and w rises from 0 to 1
+    within T / 10 of the start as 10 x^3 - 15 x^4 + 6 x^5 and falls alike before the
+    end.
     """
 
     centre: float
@@ -70,10 +75,11 @@ class Stroke(Struct, kw_only=True):
 class PlannedMove(Struct, kw_only=True):
     """One motion to record, from rest to rest.
 
-    `start` is where all joints stand before. Joints move by `fourier` or, one after the other way,
-    by `strokes` of the only joint in `joints`; all others stay. `torque_share` is the largest
-    torque that is expected, three standard errors added, over the joint's limit (null: not known);
-    `torque` that torque (N m) in equal parts of the time, by joint (empty: not known).
+    `start` is where all joints stand before. Joints move by `fourier` or, one after the
+    other way, by `strokes` of the only joint in `joints`; all others stay.
+    `torque_share` is the largest torque that is expected, three standard errors added,
+    over the joint's limit (null: not known); `torque` that torque (N m) in equal parts
+    of the time, by joint (empty: not known).
     """
 
     name: str
@@ -112,7 +118,8 @@ class PredictedParameter(Struct, kw_only=True):
 class PlanGrowth(Struct, kw_only=True):
     """The torque error that parameters leave after the first `moves` of a stage, over noise.
 
-    The error is the root mean square over typical all-joint moves, the noise that below 25 Hz.
+    The error is the root mean square over typical all-joint moves, the noise that below
+    25 Hz.
     """
 
     moves: int
@@ -124,13 +131,15 @@ class PlanGrowth(Struct, kw_only=True):
 class EffectSeparation(Struct, kw_only=True):
     """How well the moves tell two effects apart, as the diagnosis will ask.
 
-    `size` is the root mean square torque (N m) of the effect that is assumed. `powers` are the
-    probabilities, in the order of `between`, that the diagnosis drops the other effect where this
-    one is there, over the settings and coefficients that it may have; `imitations` the largest
-    share of its gain that the other one reaches then, which no time lowers. `power` is the smaller
-    and `imitated` the larger of both. `seconds_needed` give a power of 0.95 (null: no time does).
-    The explanations lie `distance` standard deviations of the noise apart in the middle of the
-    cases. `special_case` is the effect that the other one contains: it can be refuted, not shown.
+    `size` is the root mean square torque (N m) of the effect that is assumed. `powers`
+    are the probabilities, in the order of `between`, that the diagnosis drops the other
+    effect where this one is there, over the settings and coefficients that it may have;
+    `imitations` the largest share of its gain that the other one reaches then, which no
+    time lowers. `power` is the smaller and `imitated` the larger of both.
+    `seconds_needed` give a power of 0.95 (null: no time does). The explanations lie
+    `distance` standard deviations of the noise apart in the middle of the cases.
+    `special_case` is the effect that the other one contains: it can be refuted, not
+    shown.
     """
 
     between: list[str]
@@ -155,11 +164,12 @@ class PlanCriterion(Struct, kw_only=True):
 class PlannedStage(Struct, kw_only=True):
     """The standard errors that the moves of one stage will give.
 
-    `torque_error` is the standard deviation of the predicted torque that the parameters' errors
-    will make in typical all-joint moves, N m. `condition` is that of the regressor, rows weighted
-    by the noise and columns scaled to length 1. `criterion` is what was minimised. Of gravity,
-    `plain_condition` is Eq. 20 to the letter, cond(Phi(H_g)) in SI units without weights, and
-    `scaled_condition` the same with columns of length 1.
+    `torque_error` is the standard deviation of the predicted torque that the
+    parameters' errors will make in typical all-joint moves, N m. `condition` is that of
+    the regressor, rows weighted by the noise and columns scaled to length 1.
+    `criterion` is what was minimised. Of gravity, `plain_condition` is Eq. 20 to the
+    letter, cond(Phi(H_g)) in SI units without weights, and `scaled_condition` the same
+    with columns of length 1.
     """
 
     parameters: list[PredictedParameter] = []
@@ -197,5 +207,8 @@ class PlanFile(OfRobot, kw_only=True):
     def __post_init__(self) -> None:
         known = set(self.limits)
         for index, move in enumerate(self.moves):
-            if set(move.start) != known or not {*move.joints, *move.fourier, *move.torque} <= known:
+            if (
+                set(move.start) != known
+                or not {*move.joints, *move.fourier, *move.torque} <= known
+            ):
                 raise ValueError(f"moves[{index}] names other joints than limits")

@@ -16,8 +16,8 @@ class FileId(Struct, kw_only=True):
 class BandCoverage(Struct, kw_only=True):
     """How often the bands of a joint held: shares of samples in the 90 and the 95 % band.
 
-    The bands are 1.645 and 1.96 standard deviations to either side. `blocks` are blocks of 2 s of
-    time, about as many independent tests.
+    The bands are 1.645 and 1.96 standard deviations to either side. `blocks` are blocks
+    of 2 s of time, about as many independent tests.
     """
 
     band_90: float | None
@@ -29,8 +29,8 @@ class BandCoverage(Struct, kw_only=True):
 class JointCoverage(Struct, kw_only=True):
     """How often the bands of a joint held where it slides: over all, by speed and by load.
 
-    What is slow and what a low load is the parameter file says (`stages.inertia.bands`); without a
-    calibration there it is null.
+    What is slow and what a low load is the parameter file says
+    (`stages.inertia.bands`); without a calibration there it is null.
     """
 
     overall: BandCoverage
@@ -43,18 +43,20 @@ class JointCoverage(Struct, kw_only=True):
 class JointError(Struct, kw_only=True):
     """Error of the predicted torque of one joint, N m.
 
-    `rmse`, `relative_rmse` (to the RMS of the measured torque) and `max_abs` are over the `samples`
-    in which the joint slides. `rmse_all` is over all `samples_all` that count: at rest the model
-    says an interval, and the error is the distance to it. `share_sliding` is `samples` over
-    `samples_all`. Numbers are null where there is nothing to compute them from: a joint that never
-    slides has no `rmse` and is not judged.
+    `rmse`, `relative_rmse` (to the RMS of the measured torque) and `max_abs` are over
+    the `samples` in which the joint slides. `rmse_all` is over all `samples_all` that
+    count: at rest the model says an interval, and the error is the distance to it.
+    `share_sliding` is `samples` over `samples_all`. Numbers are null where there is
+    nothing to compute them from: a joint that never slides has no `rmse` and is not
+    judged.
 
-    The parts of both: `rmse_inside` and `rmse_outside` are of sliding samples within and beyond the
-    positions and speeds at which friction was identified, `share_outside` is the share of the
-    latter, and `rmse_rest` is over the samples that do not slide. With the parts' shares the
-    squares add up. `std` is the RMS standard deviation that the model states of its prediction
-    where the joint slides, `parameter_std` the part of it that errors of parameters and effects
-    make, `coverage` how often its bands held.
+    The parts of both: `rmse_inside` and `rmse_outside` are of sliding samples within
+    and beyond the positions and speeds at which friction was identified,
+    `share_outside` is the share of the latter, and `rmse_rest` is over the samples that
+    do not slide. With the parts' shares the squares add up. `std` is the RMS standard
+    deviation that the model states of its prediction where the joint slides,
+    `parameter_std` the part of it that errors of parameters and effects make,
+    `coverage` how often its bands held.
     """
 
     rmse: float | None

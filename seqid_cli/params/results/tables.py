@@ -25,8 +25,8 @@ _WORDS = ("text", "effect", "path", "unit")
 class Head:
     """A column's title and unit, and what it holds.
 
-    `kind` is text, effect, path, unit, count, number, share (of one), or limits, shares (both ends
-    of an interval of them); `digits` are those of its numbers.
+    `kind` is text, effect, path, unit, count, number, share (of one), or limits, shares
+    (both ends of an interval of them); `digits` are those of its numbers.
     """
 
     title: str
@@ -64,7 +64,11 @@ class Values:
                 return value  # as it is: it may be marked up
             if head.kind in ("text", "count"):
                 return str(value)
-            write = percent if head.kind.startswith("share") else lambda x: number(x, head.digits)
+            write = (
+                percent
+                if head.kind.startswith("share")
+                else lambda x: number(x, head.digits)
+            )
             ends = value if head.kind.endswith("s") else [value]
             return " to ".join(map(write, ends)) or number(None, head.digits)
 
@@ -75,8 +79,8 @@ class Values:
 def heads(titles: str, kinds: str, **names: str) -> list[Head]:
     """Return heads by their titles and units, "speed [rad/s] | RMS error [{unit}]".
 
-    `kinds` are those of `Head`, each with its digits where they are not three: "text number4".
-    `names` stand for the words in braces: whatever comes from a file.
+    `kinds` are those of `Head`, each with its digits where they are not three: "text
+    number4". `names` stand for the words in braces: whatever comes from a file.
     """
     found = []
     for title, kind in zip(titles.split(" | "), kinds.split(), strict=True):
@@ -87,12 +91,16 @@ def heads(titles: str, kinds: str, **names: str) -> list[Head]:
     return found
 
 
-def values(titles: str, kinds: str, rows: Iterable[Sequence[Any]], **names: str) -> Values:
+def values(
+    titles: str, kinds: str, rows: Iterable[Sequence[Any]], **names: str
+) -> Values:
     """Return rows under `heads`."""
     return Values(heads(titles, kinds, **names), list(rows))
 
 
-def of_joints(titles: str, kinds: str, rows: Iterable[Sequence[Any]], robot: RobotId) -> Values:
+def of_joints(
+    titles: str, kinds: str, rows: Iterable[Sequence[Any]], robot: RobotId
+) -> Values:
     """Return rows that begin with a joint's name; `{unit}` in `titles` is that of its torque.
 
     Where some joints slide and others do not, every row says its own.
@@ -143,7 +151,8 @@ def loop_errors(loop: ClosedLoop, robot: RobotId) -> Values:
         gain = loop.gain_interval.get(name, ())
         rows.append((*errors, less, gain, old.share_outside, old.rmse_outside, there))
     titles = (
-        "joint | before [{unit}] | after [{unit}] | noise floor [{unit}] | its 95 % interval | "
+        "joint | before [{unit}] | after [{unit}] | noise floor [{unit}] | its 95 %"
+        " interval | "
     )
     titles += "variance less by | 95 % interval | outside"
     titles += " | before there [{unit}] | after there [{unit}]"
@@ -169,13 +178,20 @@ def rounds(loop: ClosedLoop) -> Values:
             said += f": {why}" if why else ""
             gains = (x.training_gain, x.training_interval, x.held_out_gain, x.interval)
             rows.append((x.effect, x.joint or "whole arm", *gains, said))
-    titles = "effect | joint | gain left out | 95 % interval | gain held out | 95 % interval"
-    return values(f"{titles} | outcome", "effect text share shares share shares text", rows)
+    titles = (
+        "effect | joint | gain left out | 95 % interval | gain held out | 95 % interval"
+    )
+    return values(
+        f"{titles} | outcome", "effect text share shares share shares text", rows
+    )
 
 
 def rivals(tried: Sequence[RivalEntry], title: str = "tried") -> Values:
     """Terms that were tried, each with the reason why it was not taken."""
-    rows = [(x.effect, x.joint or "whole arm", f"{x.log_gain:.0f}", x.why_not) for x in tried]
+    rows = [
+        (x.effect, x.joint or "whole arm", f"{x.log_gain:.0f}", x.why_not)
+        for x in tried
+    ]
     titles = "{title} | joint | gain, nats | why it was not taken"
     return values(titles, "effect text count text", rows, title=title)
 
@@ -186,10 +202,14 @@ def joint_residuals(joints: Mapping[str, ResidualEntry], robot: RobotId) -> Valu
     for name, x in joints.items():
         times = x.rmse / x.noise_floor if x.rmse is not None and x.noise_floor else None
         floor = (x.noise_floor, x.noise_floor_interval)
-        rows.append((name, x.rmse, *floor, times, x.rmse_explained, "yes" if x.white else "no"))
+        rows.append(
+            (name, x.rmse, *floor, times, x.rmse_explained, "yes" if x.white else "no")
+        )
     titles = "joint | RMSE [{unit}] | noise floor [{unit}] | 95 % interval | ratio"
     titles += " | with findings [{unit}] | white"
-    return of_joints(titles, "text number number limits number number text", rows, robot)
+    return of_joints(
+        titles, "text number number limits number number text", rows, robot
+    )
 
 
 def changed_values(changed: Sequence[ChangedValues], robot: RobotId) -> Values:
@@ -205,40 +225,59 @@ def changed_values(changed: Sequence[ChangedValues], robot: RobotId) -> Values:
         )
         for one in changed
     ]
-    titles = "values do not hold at | RMSE [{unit}] | noise floors | refitted [{unit}] | since"
+    titles = (
+        "values do not hold at | RMSE [{unit}] | noise floors | refitted [{unit}] |"
+        " since"
+    )
     titles += " | may be"
     return of_joints(titles, "text number number number path text", rows, robot)
 
 
 def events(pushed: Sequence[EventEntry]) -> Values:
     """Times in which something pushed the arm."""
-    rows = [(x.log, f"{x.start:.2f}", f"{x.end:.2f}", ", ".join(x.joints)) for x in pushed]
-    return values("pushed in log | from [s] | to [s] | joints", "path count count text", rows)
+    rows = [
+        (x.log, f"{x.start:.2f}", f"{x.end:.2f}", ", ".join(x.joints)) for x in pushed
+    ]
+    return values(
+        "pushed in log | from [s] | to [s] | joints", "path count count text", rows
+    )
 
 
 def hidden(effects: Sequence[HiddenEntry]) -> Values:
     """Effects that the motions of the logs cannot show."""
     rows = [(x.effect, x.joint or "whole arm", x.visible) for x in effects]
-    return values("hidden from these motions | joint | visible", "effect text share", rows)
+    return values(
+        "hidden from these motions | joint | visible", "effect text share", rows
+    )
 
 
 def payload_joints(file: PayloadFile) -> Values:
     """Torque error of each joint without and with the load, where it slides."""
-    rows = [(n, x.before, x.after, x.relative, x.friction_change) for n, x in file.joints.items()]
-    titles = "joint | RMSE without [{unit}] | with [{unit}] | of the torque | friction differs by"
+    rows = [
+        (n, x.before, x.after, x.relative, x.friction_change)
+        for n, x in file.joints.items()
+    ]
+    titles = (
+        "joint | RMSE without [{unit}] | with [{unit}] | of the torque | friction"
+        " differs by"
+    )
     return of_joints(titles, "text number number share share", rows, file.robot)
 
 
 def moves(planned: Sequence[PlannedMove]) -> Values:
     """Moves of a plan."""
     rows = [(x.name, " ".join(x.joints), x.duration_s, x.torque_share) for x in planned]
-    return values("move | joints | seconds | of torque limit", "text text number share", rows)
+    return values(
+        "move | joints | seconds | of torque limit", "text text number share", rows
+    )
 
 
 def planned_errors(stage: PlannedStage) -> Values:
     """Standard errors that the moves of a stage will give."""
     rows = [(x.name, x.value, x.std_error, x.unit) for x in stage.parameters]
-    return values("parameter | value now | std error then | unit", "text number number text", rows)
+    return values(
+        "parameter | value now | std error then | unit", "text number number text", rows
+    )
 
 
 def changes(entries: Sequence[ChangeEntry]) -> Values:

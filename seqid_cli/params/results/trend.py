@@ -33,17 +33,19 @@ class SeriesEntry(QuantityEntry, kw_only=True):
         except (ValueError, OverflowError):
             times = []
         if not 0 < len(times) == len(self.values) == len(self.std_errors):
-            raise ValueError("dates, values and std_errors must be of one length, as dates")
+            raise ValueError(
+                "dates, values and std_errors must be of one length, as dates"
+            )
 
 
 class ChangeEntry(QuantityEntry, kw_only=True):
     """A quantity that changed.
 
-    `kind` is "step" (from one date to the next), "drift" (in proportion to time), "appeared" or
-    "gone" (an effect that some files hold); `since` is the first date after it. `before` and
-    `after` are the means on both sides of a step, or the ends of a drift; `change` has the
-    `std_error`, the errors' inflation included, and `sigmas` is their ratio. Numbers are null for
-    what appeared or is gone.
+    `kind` is "step" (from one date to the next), "drift" (in proportion to time),
+    "appeared" or "gone" (an effect that some files hold); `since` is the first date
+    after it. `before` and `after` are the means on both sides of a step, or the ends of
+    a drift; `change` has the `std_error`, the errors' inflation included, and `sigmas`
+    is their ratio. Numbers are null for what appeared or is gone.
     """
 
     kind: str
@@ -59,8 +61,9 @@ class ChangeEntry(QuantityEntry, kw_only=True):
 class TrendFile(Written, kw_only=True):
     """The whole document.
 
-    `inflation` is, by stage, the factor by which values of one date after the other scatter beyond
-    their standard errors; `limit` the sigmas from which a change is an `alarm`.
+    `inflation` is, by stage, the factor by which values of one date after the other
+    scatter beyond their standard errors; `limit` the sigmas from which a change is an
+    `alarm`.
     """
 
     files: list[FileId]

@@ -19,9 +19,19 @@ from seqid_cli.params.results.plan import EffectSeparation, PlannedMove, Planned
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
 from seqid_cli.plan.discrimination.question import Question
-from seqid_cli.plan.discrimination.separation import Separation, scenes_of, separation_of
+from seqid_cli.plan.discrimination.separation import (
+    Separation,
+    scenes_of,
+    separation_of,
+)
 from seqid_cli.plan.moves.fourier import COARSE_HZ
-from seqid_cli.plan.moves.strokes import overloads, postures_of, reachable, stroke_move, top_speed
+from seqid_cli.plan.moves.strokes import (
+    overloads,
+    postures_of,
+    reachable,
+    stroke_move,
+    top_speed,
+)
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal, Planned
 from seqid_cli.plan.stages.search import check_torque, draw_pool, within_limits
@@ -39,7 +49,10 @@ def plan_discriminate(
     scenes = scenes_of(belief, stages, pool)
     for effect in effects:
         if not effect.available(scenes, joint):
-            hint = "Give a file with friction and inertia, and a robot file with the joint's drive."
+            hint = (
+                "Give a file with friction and inertia, and a robot file with the"
+                " joint's drive."
+            )
             text = f"{effect.name} cannot be looked for with this model"
             raise ConfigError(text, where=str(belief.robot.source), hint=hint)
     question = Question.of(belief, effects, joint, scenes[:: max(1, len(scenes) // 12)])
@@ -69,27 +82,43 @@ def plan_discriminate(
     return Planned(moves, PlannedStage(separation=separation, notes=notes))
 
 
-def asked(robot: Robot, options: PlanOptions) -> tuple[tuple[Effect, Effect], int | None]:
+def asked(
+    robot: Robot, options: PlanOptions
+) -> tuple[tuple[Effect, Effect], int | None]:
     """The two effects and the joint (None where both are of the whole arm)."""
     known = catalogue_of(robot)
     for name in options.between:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
-            hint = f"Did you mean {near[0]}?" if near else "docs/effects.md lists their names."
+            hint = (
+                f"Did you mean {near[0]}?"
+                if near
+                else "docs/effects.md lists their names."
+            )
             raise UsageError(f"--between names no effect: {name!r}", hint=hint)
     if len(set(options.between)) != 2:
         hint = "As in --between load_dependent_friction,gear_efficiency."
-        raise UsageError("--between takes two effects with a comma between them", hint=hint)
+        raise UsageError(
+            "--between takes two effects with a comma between them", hint=hint
+        )
     first, second = (known[name] for name in options.between)
     for effect in (first, second):
         if not effect.by_motion:
             hint = f"Record {effect.separate_by}."
-            raise UsageError(f"no planned motion settles whether it is {effect.name}", hint=hint)
+            raise UsageError(
+                f"no planned motion settles whether it is {effect.name}", hint=hint
+            )
     if options.joint is None and all(one.arm or one.shared for one in (first, second)):
         return (first, second), None
     if options.joint not in robot.joint_names:
-        text = f"--joint names no joint: {options.joint!r}" if options.joint else "needs --joint"
-        raise UsageError(text, hint=f"The robot's joints: {', '.join(robot.joint_names)}.")
+        text = (
+            f"--joint names no joint: {options.joint!r}"
+            if options.joint
+            else "needs --joint"
+        )
+        raise UsageError(
+            text, hint=f"The robot's joints: {', '.join(robot.joint_names)}."
+        )
     return (first, second), robot.joint_names.index(options.joint)
 
 
@@ -105,8 +134,14 @@ def pool_of(
     moving = belief.limits.moving
     if joint is not None and joint not in moving:
         name = belief.robot.joint_names[joint]
-        raise UsageError(f"joint {name!r} is locked: none of its effects shows", hint="Free it.")
-    groups = [(joint,), *((joint, k) for k in moving if k != joint)] if joint is not None else []
+        raise UsageError(
+            f"joint {name!r} is locked: none of its effects shows", hint="Free it."
+        )
+    groups = (
+        [(joint,), *((joint, k) for k in moving if k != joint)]
+        if joint is not None
+        else []
+    )
     groups += [tuple(moving)] * max(1, len(groups) // 2)
     if joint is None:
         groups += list(combinations(moving, 2))
@@ -116,7 +151,9 @@ def pool_of(
     found: list[PlannedMove] = []
     for pace in paces:
         limits = belief.limits
-        slowed = replace(limits, speed=pace * limits.speed, acceleration=pace * limits.acceleration)
+        slowed = replace(
+            limits, speed=pace * limits.speed, acceleration=pace * limits.acceleration
+        )
         slower = replace(belief, limits=slowed)
         drawn, _ = draw_pool(slower, goal, shapes, groups, each, rng)
         if len(drawn):
@@ -140,11 +177,16 @@ def _strokes(
         postures, spans = reachable(belief, j, postures_of(limits, 4, rng), 1.0, 0.3)
         for posture, (low, high) in zip(postures, spans, strict=True):
             half = min(way, high - low) / 2
-            if half <= ramp * speed / 2 or overloads(belief, j, posture[None], speed)[0] > 1.0:
+            if (
+                half <= ramp * speed / 2
+                or overloads(belief, j, posture[None], speed)[0] > 1.0
+            ):
                 continue
             middle = float(np.clip(posture[j], low + half, high - half))
             ends = middle - half, middle + half
-            found.append(stroke_move(belief, "stroke", j, posture, ends, [float(speed)]))
+            found.append(
+                stroke_move(belief, "stroke", j, posture, ends, [float(speed)])
+            )
     return found
 
 

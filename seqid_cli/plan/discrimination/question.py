@@ -1,7 +1,8 @@
 """Two effects between which a motion is to decide: their columns beside those of the model.
 
-Columns of a data set: the rigid base parameters, friction of the joints that either effect touches
-(that of others tells nothing), then those of both effects at every setting.
+Columns of a data set: the rigid base parameters, friction of the joints that either
+effect touches (that of others tells nothing), then those of both effects at every
+setting.
 """
 
 from dataclasses import dataclass
@@ -38,9 +39,9 @@ class Slot:
 class Question:
     """Two effects at a joint (None: of the whole arm), each with the settings that are tried.
 
-    The first of each effect's `slots` are true in turn, `true` many; a rival may have any. `base`
-    columns stand before them, those of `friction` by joint, the rigid ones first. `prior` (K, K) is
-    what is known of them beforehand, part by part.
+    The first of each effect's `slots` are true in turn, `true` many; a rival may have
+    any. `base` columns stand before them, those of `friction` by joint, the rigid ones
+    first. `prior` (K, K) is what is known of them beforehand, part by part.
     """
 
     joint: int | None
@@ -52,7 +53,11 @@ class Question:
 
     @classmethod
     def of(
-        cls, belief: Belief, effects: tuple[Effect, Effect], joint: Joint, scenes: Scenes
+        cls,
+        belief: Belief,
+        effects: tuple[Effect, Effect],
+        joint: Joint,
+        scenes: Scenes,
     ) -> Self:
         """Take settings from the grids over some data sets, and what is reached of them."""
         slots: tuple[list[Slot], list[Slot]] = ([], [])
@@ -62,8 +67,13 @@ class Question:
             many.append(len(true))
             for setting in (*true, *reached):
                 specs = effect.coefficients(setting)
-                bounds = np.array([x.low for x in specs]), np.array([x.high for x in specs])
-                own.append(Slot(effect, setting, slice(start, start + len(specs)), *bounds))
+                bounds = (
+                    np.array([x.low for x in specs]),
+                    np.array([x.high for x in specs]),
+                )
+                own.append(
+                    Slot(effect, setting, slice(start, start + len(specs)), *bounds)
+                )
                 start += len(specs)
         first, every = scenes[0], (*slots[0], *slots[1])
         touched = {j for x in every for j in x.effect.columns(first, joint, x.setting)}
@@ -75,7 +85,14 @@ class Question:
         rigid = _known(belief.root @ belief.root.T, Goal.of(belief, 0).scale ** 2)
         parts = [rigid, *(x for x in known if len(x)), np.zeros((start, start))]
         friction = [slice(int(a), int(b)) for a, b in pairwise(ends)]
-        return cls(joint, slots, (many[0], many[1]), friction, int(ends[-1]), block_diag(*parts))
+        return cls(
+            joint,
+            slots,
+            (many[0], many[1]),
+            friction,
+            int(ends[-1]),
+            block_diag(*parts),
+        )
 
 
 def _settings(
@@ -83,28 +100,44 @@ def _settings(
 ) -> list[list[dict[str, float]]]:
     """Plausible settings, of the grid and what is reached of it; shapes are sought in white noise.
 
-    Where an effect is plausible at none, as only coefficients that agree with the settings would
-    be, all are taken.
+    Where an effect is plausible at none, as only coefficients that agree with the
+    settings would be, all are taken.
     """
     rng = np.random.default_rng(0)
     white = [rng.normal(size=scene.motion.q.shape) for scene in scenes]
     grid = list(effect.grid(scenes, joint, white))
     found = []
-    for some, most in ((grid, true), ([x for one in grid for x in effect.reached(one)], rival)):
+    for some, most in (
+        (grid, true),
+        ([x for one in grid for x in effect.reached(one)], rival),
+    ):
         ones = [np.ones(len(effect.coefficients(x))) for x in some]
-        fit = [x for x, c in zip(some, ones, strict=True) if effect.plausible(scenes, joint, x, c)]
+        fit = [
+            x
+            for x, c in zip(some, ones, strict=True)
+            if effect.plausible(scenes, joint, x, c)
+        ]
         fit, last = fit or some, len(fit or some) - 1
-        found.append([fit[k] for k in np.unique(np.linspace(0, last, most).round().astype(int))])
+        found.append(
+            [fit[k] for k in np.unique(np.linspace(0, last, most).round().astype(int))]
+        )
     return found
 
 
-def gram_of(belief: Belief, question: Question, scene: Scene) -> tuple[Array, Array, Array]:
+def gram_of(
+    belief: Belief, question: Question, scene: Scene
+) -> tuple[Array, Array, Array]:
     """Sum up squares of columns (K, K) and products with the residual (K,), weighted by the noise.
 
-    Joints count where they slide. Unweighted squares (k, k) of the effects' columns at the joint in
-    question come last.
+    Joints count where they slide. Unweighted squares (k, k) of the effects' columns at
+    the joint in question come last.
     """
-    K, b, motion, tau = len(question.prior), question.base, scene.motion, scene.motion.tau
+    K, b, motion, tau = (
+        len(question.prior),
+        question.base,
+        scene.motion,
+        scene.motion.tau,
+    )
     gram, moment, squares = np.zeros((K, K)), np.zeros(K), np.zeros((K, K))
     left = np.zeros(scene.sign.shape) if tau is None else tau - scene.modelled_filtered
     H = base_regressor(belief.robot, belief.basis, motion.q, motion.dq, motion.ddq)

@@ -1,26 +1,28 @@
 """How well moves tell two effects apart, asked as the diagnosis asks (T-optimality).
 
-The rows of a move, in units of the noise, hold the columns of the rigid base parameters and of the
-joint's friction, which are held as the parameter file says, and those of both effects at the
-settings that a search may reach. Their Gram matrices add up over moves. Let S be the Schur
-complement of both effects when the base is free, and c the coefficients of a true effect A:
+The rows of a move, in units of the noise, hold the columns of the rigid base parameters
+and of the joint's friction, which are held as the parameter file says, and those of
+both effects at the settings that a search may reach. Their Gram matrices add up over
+moves. Let S be the Schur complement of both effects when the base is free, and c the
+coefficients of a true effect A:
 
     G = c' S_aa c / 2,        T = min_b c' (S_aa - S_ab S_bb^-1 S_ba) c
 
-is the gain of A, and what the rival B leaves of it at its best plausible settings b. The diagnosis
-drops a rival that lacks more than `asked` of the gain, a small share of G (see `tempered`). It
-lacks T / 2 on average, with a standard deviation of sqrt(T), so that it is dropped with the
-probability Phi((T / 2 - asked) / sqrt(T)). No length of motion helps where T / 2 is less than that
-share: where the rival reaches 96 % of the gain.
+is the gain of A, and what the rival B leaves of it at its best plausible settings b.
+The diagnosis drops a rival that lacks more than `asked` of the gain, a small share of G
+(see `tempered`). It lacks T / 2 on average, with a standard deviation of sqrt(T), so
+that it is dropped with the probability Phi((T / 2 - asked) / sqrt(T)). No length of
+motion helps where T / 2 is less than that share: where the rival reaches 96 % of the
+gain.
 
-Settings and coefficients of the true effect are drawn: of the grid and in all directions, so that a
-mean trace does not hide the least favourable of them; and where there are logs also from what those
-show, which is what both effects share where the name was left open. The smaller chance counts: logs
-of which something else is wrong show coefficients that are not the effect's. Rows at rest do not
-count, as they do not in a diagnosis: what a joint at rest under control carries is anything within
-its friction.
-Atkinson, Fedorov, "The design of experiments for discriminating between two rival models",
-Biometrika 62(1), 1975.
+Settings and coefficients of the true effect are drawn: of the grid and in all
+directions, so that a mean trace does not hide the least favourable of them; and where
+there are logs also from what those show, which is what both effects share where the
+name was left open. The smaller chance counts: logs of which something else is wrong
+show coefficients that are not the effect's. Rows at rest do not count, as they do not
+in a diagnosis: what a joint at rest under control carries is anything within its
+friction. Atkinson, Fedorov, "The design of experiments for discriminating between two
+rival models", Biometrika 62(1), 1975.
 """
 
 from __future__ import annotations
@@ -44,7 +46,8 @@ from seqid_cli.plan.belief import NOISE_HZ, Belief
 from seqid_cli.plan.discrimination.question import Question, Slot, gram_of
 from seqid_cli.typing import Array
 
-NESTED = 0.999  # share that the rival imitates on all moves of the pool, from which it always does
+# share that the rival imitates on all moves of the pool, from which it always does
+NESTED = 0.999
 
 Reading = list[tuple[Slot, Array]]  # settings with coefficients (D, k) that may be true
 
@@ -90,8 +93,8 @@ class Told:
 class Separation:
     """Gram matrices of moves, `of` (M, K, K), columns as of the question.
 
-    `prior` (K, K) is what is known beforehand, logs with it. `true` are the readings of each
-    effect, `size` N m the root mean square torque of what may be true.
+    `prior` (K, K) is what is known beforehand, logs with it. `true` are the readings of
+    each effect, `size` N m the root mean square torque of what may be true.
     """
 
     question: Question
@@ -103,8 +106,11 @@ class Separation:
     def effects(self, total: Array, *, ridge: float = 1e-12) -> Array:
         """Gram matrix of the effects' columns with the base free, (..., k, k)."""
         G, b = total + self.prior, self.question.base
-        size = np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1)[..., :b], 1e-300))[..., None]
-        # The ridge, of columns of unit length, is for parts of the base that no move shows.
+        size = np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1)[..., :b], 1e-300))[
+            ..., None
+        ]
+        # The ridge, of columns of unit length, is for parts of the base that no move
+        # shows.
         base = G[..., :b, :b] / size / np.swapaxes(size, -1, -2) + ridge * np.eye(b)
         gain = np.linalg.solve(base, G[..., :b, b:] / size) / size
         return np.asarray(G[..., b:, b:] - np.swapaxes(G[..., :b, b:], -1, -2) @ gain)
@@ -148,7 +154,9 @@ class Separation:
         return np.asarray(np.mean([self.told(total, k).merit for k in (0, 1)], axis=0))
 
 
-def scenes_of(belief: Belief, stages: Stages, moves: Sequence[PlannedMove]) -> list[Scene]:
+def scenes_of(
+    belief: Belief, stages: Stages, moves: Sequence[PlannedMove]
+) -> list[Scene]:
     """Planned moves as the effects see logs: motion as it is planned, the model's own torque."""
     model = TorqueModel.from_stages(stages, belief.robot)
     width = sign_widths(model, belief.limits.speed)
@@ -162,7 +170,9 @@ def scenes_of(belief: Belief, stages: Stages, moves: Sequence[PlannedMove]) -> l
             t, q, dq, ddq, None, np.abs(dq) > 1e-6, every, every, RATE_HZ,
             Lowpass(NOISE_HZ, RATE_HZ), cutoff,
         )  # fmt: skip
-        blank = Scene(belief.robot, motion, model, width, log=number, period=1.0 / RATE_HZ)
+        blank = Scene(
+            belief.robot, motion, model, width, log=number, period=1.0 / RATE_HZ
+        )
         scenes.append(replace(blank, motion=replace(motion, tau=blank.modelled)))
     return scenes
 
@@ -172,10 +182,13 @@ def separation_of(
 ) -> Separation:
     """Gram matrices of all moves, of which logs that there are already count as known.
 
-    True effects have a root mean square torque of `size` N m, or what the logs say of it.
+    True effects have a root mean square torque of `size` N m, or what the logs say of
+    it.
     """
     every, count = (*scenes, *have), len(scenes)
-    grams, moments, each = zip(*(gram_of(belief, question, x) for x in every), strict=True)
+    grams, moments, each = zip(
+        *(gram_of(belief, question, x) for x in every), strict=True
+    )
     squares = np.sum(each, axis=0) / sum(x.samples for x in every)
     known = np.sum([question.prior, *grams[count:]], axis=0)
     readings: tuple[list[Reading], list[Reading]] = ([], [])
@@ -196,18 +209,24 @@ def separation_of(
     return replace(found, size=size)
 
 
-def _seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) -> Reading:
+def _seen(
+    slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64
+) -> Reading:
     """Settings as likely as logs make them, with coefficients (D, k) of their errors.
 
-    `E` (k, k) are the products of the effects' columns, base eliminated, `moment` (k,) those with
-    the residual. Likelihoods are tempered as those of names are, as the law is not exactly right.
+    `E` (k, k) are the products of the effects' columns, base eliminated, `moment` (k,)
+    those with the residual. Likelihoods are tempered as those of names are, as the law
+    is not exactly right.
     """
     rng = np.random.default_rng(0)
     fits, gains = [], np.zeros(len(slots))
     for k, one in enumerate(slots):
         S = E[one.at, one.at]
-        values, vectors = np.linalg.eigh(S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12)
-        root = vectors / np.sqrt(np.maximum(values, 1e-300))  # of the coefficients' covariance
+        values, vectors = np.linalg.eigh(
+            S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12
+        )
+        # of the coefficients' covariance
+        root = vectors / np.sqrt(np.maximum(values, 1e-300))
         white = root.T @ moment[one.at]
         fits.append((root @ white, root))
         gains[k] = white @ white / 2.0 if one.fits(root @ white) else 0.0
@@ -225,10 +244,16 @@ def _seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) ->
 def _drawn(slot: Slot, square: Array, size: float, *, draws: int = 24) -> Array:
     """Coefficients (D, k) of this root mean square torque, every one of as much beforehand."""
     k = len(square)
-    drawn = np.random.default_rng(0).normal(size=(draws, k)) if k > 1 else np.array([[1.0], [-1.0]])
+    drawn = (
+        np.random.default_rng(0).normal(size=(draws, k))
+        if k > 1
+        else np.array([[1.0], [-1.0]])
+    )
     c = np.unique(np.where(slot.low >= 0.0, np.abs(drawn), drawn), axis=0)
     c /= np.sqrt(np.maximum(np.diag(square), 1e-300))
-    return np.asarray(size * c / np.sqrt(np.maximum(square_of(square, c), 1e-300))[:, None])
+    return np.asarray(
+        size * c / np.sqrt(np.maximum(square_of(square, c), 1e-300))[:, None]
+    )
 
 
 def square_of(S: Array, c: Array) -> Array:

@@ -1,17 +1,18 @@
 """The floor: the plane through the base frame's origin, across gravity; no point goes below it.
 
-With u = -g / |g| the way up and x_i(q) the points of the links, each with a ball of radius r_i
-around it, the arm keeps above its base plane where
+With u = -g / |g| the way up and x_i(q) the points of the links, each with a ball of
+radius r_i around it, the arm keeps above its base plane where
 
     h(q) = min_i u' x_i(q) - r_i >= clearance.
 
-Points are corners of the collision shapes where a URDF has them: a hull lies above a plane where
-all its corners do. Without shapes they are the origins of the joints and of the URDF's frames (a
-flange, a tool), and links count as the lines between them.
+Points are corners of the collision shapes where a URDF has them: a hull lies above a
+plane where all its corners do. Without shapes they are the origins of the joints and of
+the URDF's frames (a flange, a tool), and links count as the lines between them.
 
-A point that no joint lifts, such as the first joint's origin, is no part of it. Nor is a corner
-that no posture lifts far enough, as of the shape around a low shoulder; but a link of which no
-corner can be above hangs below its base, and such an arm has no plan with a floor.
+A point that no joint lifts, such as the first joint's origin, is no part of it. Nor is
+a corner that no posture lifts far enough, as of the shape around a low shoulder; but a
+link of which no corner can be above hangs below its base, and such an arm has no plan
+with a floor.
 """
 
 from dataclasses import dataclass
@@ -70,8 +71,8 @@ class Floor:
     def height_along(self, joint: Index, postures: Array, places: Array) -> Array:
         """Return the heights (M, P) m of the lowest points while one joint of each posture moves.
 
-        A point's height is a cos q + b sin q + c in the angle of a joint, linear in a slide: three
-        places of each posture tell all others.
+        A point's height is a cos q + b sin q + c in the angle of a joint, linear in a
+        slide: three places of each posture tell all others.
 
         Parameters
         ----------
@@ -103,9 +104,9 @@ class Floor:
         """Say what was assumed."""
         about = "collision shapes" if self.shapes else "origins of joints and frames"
         text = (
-            f"floor: every point of the arm ({about}) stays {100 * self.clearance_m:g} cm above"
-            " the base plane, the plane across gravity through the base frame's origin;"
-            f" {NO_FLOOR}"
+            f"floor: every point of the arm ({about}) stays {100 * self.clearance_m:g}"
+            " cm above the base plane, the plane across gravity through the base"
+            f" frame's origin; {NO_FLOOR}"
         )
         if self.ignored:
             text += (
@@ -135,8 +136,8 @@ def floor_of(
     geometry : Geometry, optional
         Collision shapes, where the URDF has them.
     clearance_m : float
-        Height that is kept above the plane [m]: between the samples that are checked a point may
-        be lower by a millimetre or two, and a controller overshoots.
+        Height that is kept above the plane [m]: between the samples that are checked a
+        point may be lower by a millimetre or two, and a controller overshoots.
     still_m : float
         Points whose height changes by less are lifted by no joint [m].
 
@@ -154,7 +155,8 @@ def floor_of(
     lifted = np.ptp(heights, axis=0) > still_m
     reached = heights.max(axis=0) >= clearance_m
 
-    # A link none of whose points can be above: the arm is not made to stand on this plane.
+    # A link none of whose points can be above: the arm is not made to stand on this
+    # plane.
     for j in np.unique(points.link[lifted]):
         if not reached[lifted & (points.link == j)].any():
             _refuse(robot, int(j))
@@ -192,10 +194,13 @@ def _refuse(robot: Robot, link: int | None) -> None:
         if link is None
         else f"the link behind joint {robot.joint_names[link]!r}"
     )
-    message = f"{what} is below the base plane (across gravity) in all postures that were drawn"
+    message = (
+        f"{what} is below the base plane (across gravity) in all postures that were"
+        " drawn"
+    )
     hint = (
-        "If the arm hangs on a wall or a ceiling, plan with --no-floor; else correct gravity or"
-        " position_limits in the robot file."
+        "If the arm hangs on a wall or a ceiling, plan with --no-floor; else correct"
+        " gravity or position_limits in the robot file."
     )
     raise ConfigError(message, where=str(robot.source), hint=hint)
 

@@ -20,13 +20,18 @@ Ends = tuple[float, float]  # of one joint's way, rad; m where prismatic
 def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> float:
     """Largest speed that joint j can keep over `steady` of `span`: ramps take pi v^2 / (2 a)."""
     ramps = (1.0 - steady) * span
-    return float(min(limits.speed[j], np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi)))
+    return float(
+        min(limits.speed[j], np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi))
+    )
 
 
 def gentler(belief: Belief, *, max_halvings: int = 4) -> list[Belief]:
     """The same with accelerations halved, again and again, for loads that leave no more."""
     fastest = belief.limits.acceleration
-    eased = (replace(belief.limits, acceleration=fastest / 2.0**k) for k in range(max_halvings + 1))
+    eased = (
+        replace(belief.limits, acceleration=fastest / 2.0**k)
+        for k in range(max_halvings + 1)
+    )
     return [replace(belief, limits=own) for own in eased]
 
 
@@ -35,7 +40,8 @@ def lifted(
 ) -> tuple[Belief, float, Array]:
     """The largest accelerations with which joint j can sweep over `span` in `needed` postures.
 
-    With them come the speed of the sweep and its largest torques over their limits (P,).
+    With them come the speed of the sweep and its largest torques over their limits
+    (P,).
     """
     for reduced in gentler(belief):
         speed = top_speed(reduced.limits, j, span)
@@ -51,7 +57,12 @@ def seconds_of(strokes: Sequence[Stroke]) -> float:
 
 
 def stroke_move(
-    belief: Belief, name: str, j: int, posture: Array, ends: Ends, speeds: Sequence[float]
+    belief: Belief,
+    name: str,
+    j: int,
+    posture: Array,
+    ends: Ends,
+    speeds: Sequence[float],
 ) -> PlannedMove:
     """A move of joint j there and back between two ends at each speed, all others at `posture`."""
     names = belief.robot.joint_names
@@ -78,7 +89,8 @@ def reachable(
 ) -> tuple[Array, Array]:
     """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad.
 
-    It sweeps the longest part of its range that touches nothing, within a `share` of the range.
+    It sweeps the longest part of its range that touches nothing, within a `share` of
+    the range.
     """
     limits = belief.limits
     low, high = limits.lower[j], limits.upper[j]
@@ -89,8 +101,8 @@ def reachable(
         name = belief.robot.joint_names[j]
         message = f"joint {name!r} touches something in all of {len(postures)} postures"
         hint = (
-            "Narrow position_limits, widen --workspace and --keep-out, or, where the base stands"
-            " on no floor, plan with --no-floor."
+            "Narrow position_limits, widen --workspace and --keep-out, or, where the"
+            " base stands on no floor, plan with --no-floor."
         )
         raise ConfigError(message, where=str(belief.robot.source), hint=hint)
     kept = width >= widest * width.max()
@@ -109,7 +121,8 @@ def free_ends(
     postures : (P, n) float
         Where the other joints are locked [rad; m where prismatic].
     span : Ends
-        Where the way has to stay; its ends are equal where all of that touches something.
+        Where the way has to stay; its ends are equal where all of that touches
+        something.
     points : int
         Places of the way that are looked at.
     """
@@ -129,7 +142,9 @@ def free_ends(
         q[:, :, j] = places
         free[free] = ~belief.geometry.collides(q[free])
     for end, own in zip(ends, free, strict=True):
-        first, stop = max(runs(own, points), key=lambda run: run[1] - run[0], default=(0, 1))
+        first, stop = max(
+            runs(own, points), key=lambda run: run[1] - run[0], default=(0, 1)
+        )
         end[:] = places[first], places[stop - 1]
     return ends
 
@@ -146,15 +161,22 @@ def sweeps(
 ) -> Moves:
     """Joint j at `points` positions in each of `postures` (P, n), both ways.
 
-    Between `ends` (P, 2), by default of its range; their information is that of `seconds` of it.
+    Between `ends` (P, 2), by default of its range; their information is that of
+    `seconds` of it.
     """
     limits = belief.limits
-    low, high = (limits.lower[j], limits.upper[j]) if ends is None else (ends[:, :1], ends[:, 1:])
+    low, high = (
+        (limits.lower[j], limits.upper[j])
+        if ends is None
+        else (ends[:, :1], ends[:, 1:])
+    )
     q = np.repeat(postures[:, None], 2 * points, axis=1)
     q[:, :, j] = low + np.tile(np.linspace(0.0, 1.0, points), 2) * (high - low)
     dq = np.zeros_like(q)
     dq[:, :, j] = np.repeat([speed, -speed], points)
-    return Moves(np.arange(2 * points) * seconds / (2 * points), q, dq, np.zeros_like(q))
+    return Moves(
+        np.arange(2 * points) * seconds / (2 * points), q, dq, np.zeros_like(q)
+    )
 
 
 def overloads(belief: Belief, j: int, postures: Array, speed: float) -> Array:

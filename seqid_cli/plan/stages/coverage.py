@@ -1,9 +1,9 @@
 """Where friction is known: the positions and speeds of each joint that gravity's sweeps may use.
 
-The gravity stage leaves slices out at which a joint's friction surface was not identified. So a
-sweep counts within the ranges of the surfaces that are given, or, before friction is recorded,
-within what the planned friction moves will reach: the ends of a way less its ramps, and the speeds
-of its strokes.
+The gravity stage leaves slices out at which a joint's friction surface was not
+identified. So a sweep counts within the ranges of the surfaces that are given, or,
+before friction is recorded, within what the planned friction moves will reach: the ends
+of a way less its ramps, and the speeds of its strokes.
 """
 
 from collections.abc import Sequence

@@ -1,10 +1,11 @@
 """The goal of a plan: a small torque error; and the results that a set of moves will give.
 
-The goal is tr(W C): C the covariance of the base parameters, W the mean of H' D H over typical
-all-joint moves with D the noise information, so that it is the mean square of the predicted
-torque's error in units of the noise (A-optimality in the sense of the torque). Parameters are
-scaled by the diagonal of W; a vague prior of `VAGUE` times the noise keeps C finite. Pukelsheim,
-Optimal Design of Experiments, SIAM 2006, ch. 6 and 9 (A-optimality, linear criteria).
+The goal is tr(W C): C the covariance of the base parameters, W the mean of H' D H over
+typical all-joint moves with D the noise information, so that it is the mean square of
+the predicted torque's error in units of the noise (A-optimality in the sense of the
+torque). Parameters are scaled by the diagonal of W; a vague prior of `VAGUE` times the
+noise keeps C finite. Pukelsheim, Optimal Design of Experiments, SIAM 2006, ch. 6 and 9
+(A-optimality, linear criteria).
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,8 @@ from seqid_cli.params.results.plan import (
 from seqid_cli.plan.belief import NOISE_HZ, Belief, typical
 from seqid_cli.typing import Array, Mask
 
-VAGUE = 1e3  # torque error, in noise, that a parameter of which nothing is known could make
+# torque error, in noise, that a parameter of which nothing is known could make
+VAGUE = 1e3
 OPEN_SHARE = 0.1  # of the vague prior, from which an error leaves a parameter open
 
 
@@ -83,7 +85,9 @@ class Goal:
         N = information + self.prior
         size = np.sqrt(np.diagonal(N, axis1=-2, axis2=-1))
         values = np.linalg.eigvalsh(N / (size[..., :, None] * size[..., None, :]))
-        return np.asarray(np.log(values[..., -1] / np.maximum(values[..., 0], 1e-15)) / 2.0)
+        return np.asarray(
+            np.log(values[..., -1] / np.maximum(values[..., 0], 1e-15)) / 2.0
+        )
 
     def covariance(self, information: Array) -> Array:
         """Covariance (b, b) of the parameters in their own units, prior included."""
@@ -111,9 +115,9 @@ def predicted_stage(
 ) -> PlannedStage:
     """Describe what moves of `seconds` add to what there is.
 
-    `have` (b, b) and `each` (M, b, b) are scaled information. `parameters` are the first of the b
-    unknowns with their errors, `wanted` (b,) those that the stage is about: of these the ones stay
-    that are not left open.
+    `have` (b, b) and `each` (M, b, b) are scaled information. `parameters` are the
+    first of the b unknowns with their errors, `wanted` (b,) those that the stage is
+    about: of these the ones stay that are not left open.
     """
     total = have + each.sum(axis=0)
     rank, condition = rank_and_condition((total + goal.known)[np.ix_(wanted, wanted)])
@@ -125,7 +129,9 @@ def predicted_stage(
         grown = grown + information
         error = float(np.sqrt(goal.errors(grown) / len(goal.shared)))
         reached, _ = rank_and_condition(grown + goal.known)
-        growth.append(PlanGrowth(moves=k, duration_s=k * seconds, rank=reached, error=error))
+        growth.append(
+            PlanGrowth(moves=k, duration_s=k * seconds, rank=reached, error=error)
+        )
     return PlannedStage(
         parameters=[parameters[k] for k in about if not vague[k]],
         rank=rank,

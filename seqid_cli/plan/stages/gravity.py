@@ -1,24 +1,27 @@
 """Plan the gravity stage: slow sweeps of one joint at a time, the others locked in postures.
 
-Phi(H_g) stacks the rows of the joint that moves, at even times of its steady way. What the postures
-of the locked joints are chosen by is Eq. 20 within the limits of Eq. 21, in two forms at once:
+Phi(H_g) stacks the rows of the joint that moves, at even times of its steady way. What
+the postures of the locked joints are chosen by is Eq. 20 within the limits of Eq. 21,
+in two forms at once:
 
     J = cond(Phi) cond(Phi S),
 
-the condition to the letter (SI units, no weights), and that with columns of length 1 (S diagonal),
-which is free of the units. Each by itself leaves the other far from its best, since many postures
-are as good for the one; their product brings both to within a few per cent of their own optima
-(tests/studies/planned/gravity.py compares).
+the condition to the letter (SI units, no weights), and that with columns of length 1 (S
+diagonal), which is free of the units. Each by itself leaves the other far from its
+best, since many postures are as good for the one; their product brings both to within a
+few per cent of their own optima (tests/studies/planned/gravity.py compares).
 
-J has kinks where singular values meet, as they do at its optimum, and a search that changes one
-sweep at a time stops at the first of them. So the search goes by a smooth J_p, in which the largest
-singular value is a p-norm of all, (sum s^2p)^(1/2p), and the least one that of their inverses; J_p
-falls to J as p grows. From several random sets sweeps are exchanged for others of the same joint
-out of a pool; then all postures change at once by L-BFGS-B with p growing; then each is exchanged
-for postures near its own, which needs no gradient: there a sweep counts only where it touches
-nothing and keeps the torque limits.
+J has kinks where singular values meet, as they do at its optimum, and a search that
+changes one sweep at a time stops at the first of them. So the search goes by a smooth
+J_p, in which the largest singular value is a p-norm of all, (sum s^2p)^(1/2p), and the
+least one that of their inverses; J_p falls to J as p grows. From several random sets
+sweeps are exchanged for others of the same joint out of a pool; then all postures
+change at once by L-BFGS-B with p growing; then each is exchanged for postures near its
+own, which needs no gradient: there a sweep counts only where it touches nothing and
+keeps the torque limits.
 
-Rows count where the gravity stage will count them: within the friction that is known (`Coverage`).
+Rows count where the gravity stage will count them: within the friction that is known
+(`Coverage`).
 """
 
 from dataclasses import dataclass, replace
@@ -97,8 +100,9 @@ class Sweeps:
 class SweepSpace:
     """What sweeps are drawn from: postures within the limits, ways within what is known.
 
-    `speed` (n,) is that of each joint's sweeps, `span` (n, 2) where their ends may be, `steady`
-    (n, 2) the positions that count, `least_width` (n,) the shortest steady way that is taken.
+    `speed` (n,) is that of each joint's sweeps, `span` (n, 2) where their ends may be,
+    `steady` (n, 2) the positions that count, `least_width` (n,) the shortest steady way
+    that is taken.
     """
 
     belief: Belief
@@ -131,8 +135,8 @@ class SweepSpace:
         count, n = postures.shape
         every = np.arange(count)
 
-        # Gravity's torque at a joint is a cos q + b sin q + c in its own angle, constant in its own
-        # slide: three places tell all others.
+        # Gravity's torque at a joint is a cos q + b sin q + c in its own angle,
+        # constant in its own slide: three places tell all others.
         nodes = np.linspace(0.0, 4.0 * np.pi / 3.0, 3)
         q = np.repeat(postures[:, None], 3, axis=1)
         q[every, :, joint] = nodes
@@ -174,8 +178,8 @@ class SweepSpace:
 def _middles(ends: Array, parts: int) -> Array:
     """Return the middles (M, parts) of equal parts of ways between ends (M, 2).
 
-    A sum over them is the integral over the way; one that counts the ends like all other places
-    makes conditions look better by a tenth.
+    A sum over them is the integral over the way; one that counts the ends like all
+    other places makes conditions look better by a tenth.
     """
     share = (np.arange(parts) + 0.5) / parts
     return np.asarray(ends[:, :1] + share * np.diff(ends, axis=1))
@@ -208,8 +212,8 @@ def plan_gravity(
     per_joint : int
         Sweeps of each joint that gravity loads.
     worth : float
-        Share by which the torque's error has to fall for friction trials over a wider range to be
-        worth their time.
+        Share by which the torque's error has to fall for friction trials over a wider
+        range to be worth their time.
     """
     wanted = belief.basis.gravity
     if not wanted.any():
@@ -231,8 +235,8 @@ def plan_gravity(
     if not given:
         ranges = "; ".join(coverage.text(fresh, j) for j in space.joints)
         planned.stage.notes.append(
-            "friction has to be known first where these sweeps go, seqid plan friction (or all)"
-            f" covers it: {ranges}"
+            "friction has to be known first where these sweeps go, seqid plan friction"
+            f" (or all) covers it: {ranges}"
         )
         return GravityPlan(planned)
     more = _wider_friction(
@@ -244,7 +248,8 @@ def plan_gravity(
 def conditions(information: Array, rank: int) -> tuple[Array, Array]:
     """Return the plain and the scaled condition (...) of Phi from Phi' Phi (..., g, g).
 
-    `rank` is the most that any set of sweeps reaches: the condition is that of so many directions.
+    `rank` is the most that any set of sweeps reaches: the condition is that of so many
+    directions.
     """
     return _condition(information, rank), _condition(_scaled(information), rank)
 
@@ -282,10 +287,13 @@ def _drawn(
         if pool and all(np.sum(pool.joint == j) >= enough for j in joints):
             break
     if pool is None:
-        message = "no sweep of a joint that gravity loads keeps the limits within known friction"
+        message = (
+            "no sweep of a joint that gravity loads keeps the limits within known"
+            " friction"
+        )
         hint = (
-            "Correct effort in the URDF, give a friction file that covers more, or, where the base"
-            " stands on no floor, plan with --no-floor."
+            "Correct effort in the URDF, give a friction file that covers more, or,"
+            " where the base stands on no floor, plan with --no-floor."
         )
         raise ConfigError(message, where=str(belief.robot.source), hint=hint)
     return space, pool
@@ -543,7 +551,8 @@ def _refined(
     for _ in range(rounds):
         before = best
         for place in range(len(sweeps.joint)):
-            # Steps of all sizes at once: which one helps depends on how far the search has come.
+            # Steps of all sizes at once: which one helps depends on how far the search
+            # has come.
             size = 10.0 ** rng.uniform(-2.5, -0.3, (near, 1))
             steps = size * rng.normal(size=(near, len(limits.range))) * limits.range
             # Some joints at a time: most do not matter to one sweep.
@@ -625,7 +634,8 @@ def _rows(
     H = np.zeros((len(every), 2 * points, n, belief.basis.size))
     H[..., belief.basis.gravity] = belief.regressor(moves)[..., belief.basis.gravity]
 
-    # What one way of a sweep tells: by what friction's surface leaves of it, else by the noise.
+    # What one way of a sweep tells: by what friction's surface leaves of it, else by
+    # the noise.
     seconds = np.diff(steady)[:, 0] / speed
     by_noise = belief.density[chosen.joint] * seconds
     measured = belief.sweep_variance[chosen.joint]
@@ -648,9 +658,9 @@ def _wider_friction(
 ) -> Planned | None:
     """Return friction trials over the whole ranges, where sweeps over these would pay.
 
-    The plan with the friction that is given is compared with one that knew it everywhere, both
-    without the errors of the surfaces. A joint is tried again where its sweeps cover less than a
-    `narrow` share of what they could.
+    The plan with the friction that is given is compared with one that knew it
+    everywhere, both without the errors of the surfaces. A joint is tried again where
+    its sweeps cover less than a `narrow` share of what they could.
     """
     bare = replace(fresh, surfaces=[None] * fresh.robot.n)
     wide, pool = _drawn(bare, Coverage.everywhere(bare), options)
@@ -677,21 +687,24 @@ def _wider_friction(
     ranges = "; ".join(coverage.text(belief, j) for j in lacking if coverage.known[j])
     if ranges:
         planned.stage.notes.append(
-            f"sweeps keep to the friction that is given, rows outside would be lost: {ranges}"
+            "sweeps keep to the friction that is given, rows outside would be lost:"
+            f" {ranges}"
         )
     unknown = [
         name for name, j in zip(names, lacking, strict=True) if not coverage.known[j]
     ]
     if unknown:
         planned.stage.notes.append(
-            f"no friction is given for {', '.join(unknown)}: their sweeps would be left out"
+            f"no friction is given for {', '.join(unknown)}: their sweeps would be"
+            " left out"
         )
     if gain < worth and not missing_rank:
         return None
     planned.stage.notes.append(
-        f"more range would pay: with friction known over the whole range of {', '.join(names)} the"
-        f" torque's error would fall by {percent(gain, 0)}; friction trials for it are planned as"
-        " well, record them, run seqid friction with all, and plan gravity again"
+        "more range would pay: with friction known over the whole range of"
+        f" {', '.join(names)} the torque's error would fall by {percent(gain, 0)};"
+        " friction trials for it are planned as well, record them, run seqid friction"
+        " with all, and plan gravity again"
     )
     trials = plan_friction(belief, options)
     moves = [move for move in trials.moves if move.joints[0] in names]

@@ -16,7 +16,12 @@ from seqid_cli.plan.moves.fourier import COARSE_HZ, Moves
 from seqid_cli.plan.nuisance import NuisanceInformation, Terms, move_terms
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal, Planned, predicted_stage, with_criterion
-from seqid_cli.plan.stages.search import check_torque, draw_pool, optimised, within_limits
+from seqid_cli.plan.stages.search import (
+    check_torque,
+    draw_pool,
+    optimised,
+    within_limits,
+)
 from seqid_cli.typing import Array, Mask
 
 
@@ -41,9 +46,13 @@ def plan_validation(
     goal = Goal.of(belief, own.seed)
     shapes = Shapes.over(own.length_s, COARSE_HZ)
     rng = np.random.default_rng(own.seed)
-    drawn, _ = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng)
+    drawn, _ = draw_pool(
+        belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng
+    )
     check_torque(belief, drawn, own)
-    return Planned(within_limits(belief, drawn[:count], own, "validation")[0], PlannedStage())
+    return Planned(
+        within_limits(belief, drawn[:count], own, "validation")[0], PlannedStage()
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,11 +156,13 @@ def torque_errors(belief: Belief, covariance: Array) -> dict[str, float]:
     return {names[j]: float(sizes[j]) for j in belief.limits.moving}
 
 
-def spread_of(belief: Belief, goal: Goal, stages: Stages, rows: StageRows, total: Array) -> Array:
+def spread_of(
+    belief: Belief, goal: Goal, stages: Stages, rows: StageRows, total: Array
+) -> Array:
     """Covariance (b, b) after moves with the scaled information `total`, friction's errors in it.
 
-    Friction was subtracted: an error d of a surface's coefficients moves the parameters by
-    -C (H' D F) d, and by what it moved gravity's parameters through their prior.
+    Friction was subtracted: an error d of a surface's coefficients moves the parameters
+    by -C (H' D F) d, and by what it moved gravity's parameters through their prior.
     """
     C = goal.covariance(total)
     whole = C.copy()

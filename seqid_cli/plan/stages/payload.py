@@ -1,8 +1,9 @@
 """Plan the logs that `seqid payload` needs: the body at the flange, told from changed friction.
 
-The unknowns are the body's ten standard parameters phi (the columns H E_n of the last link) and the
-two changes of each joint's friction that the payload stage frees. What the model's own parameters
-are uncertain by is passed on: phi is what their torque leaves.
+The unknowns are the body's ten standard parameters phi (the columns H E_n of the last
+link) and the two changes of each joint's friction that the payload stage frees. What
+the model's own parameters are uncertain by is passed on: phi is what their torque
+leaves.
 """
 
 from dataclasses import dataclass, replace
@@ -43,10 +44,15 @@ class LoadedBelief(Belief):
         for j, surface in enumerate(self.surfaces):
             if surface is None:
                 continue
-            own, states = PER_LINK + FRICTION_TERMS * j, (moves.q[..., j], moves.dq[..., j])
+            own, states = (
+                PER_LINK + FRICTION_TERMS * j,
+                (moves.q[..., j], moves.dq[..., j]),
+            )
             torque = surface.torque(*(x.ravel() for x in states)).reshape(M, N)
             found[:, :, j, own] = torque
-            found[:, :, j, own + 1] = torque * np.abs(moves.dq[..., j]) / self.limits.speed[j]
+            found[:, :, j, own + 1] = (
+                torque * np.abs(moves.dq[..., j]) / self.limits.speed[j]
+            )
         return found
 
     def information(self, moves: Moves, H: Array) -> Array:
@@ -56,7 +62,8 @@ class LoadedBelief(Belief):
 
 def loaded(belief: Belief, mass: float, *, lever: float = 0.1) -> LoadedBelief:
     """Put a body of `mass` kg at the flange, its centre within some `lever` m of the last joint."""
-    known = 0.0, 1.0 / PayloadOptions.friction_change**2  # of the body, of changes of friction
+    # of the body, of changes of friction
+    known = 0.0, 1.0 / PayloadOptions.friction_change**2
     prior = np.repeat(known, [PER_LINK, FRICTION_TERMS * belief.robot.n])
     found = LoadedBelief(**{**vars(belief), "prior": np.diag(prior)})
     if belief.theta is None or mass == 0.0:

@@ -1,11 +1,11 @@
 """Search moves for a goal: drawn at random, chosen greedily, refined one after the other.
 
-Refinement is by L-BFGS-B on the Fourier coefficients. What is minimised is the product of the goal,
-tr(W C), and the condition of the information: of sets with nearly the same error of the torque the
-one in which no parameter is left far behind is taken. The limits hold for every value of the
-variables, so that bounds are all the constraints; torque limits and the floor enter as penalties,
-and a move that breaks them is not taken. The gradient is by differences, all steps in one batch of
-regressors.
+Refinement is by L-BFGS-B on the Fourier coefficients. What is minimised is the product
+of the goal, tr(W C), and the condition of the information: of sets with nearly the same
+error of the torque the one in which no parameter is left far behind is taken. The
+limits hold for every value of the variables, so that bounds are all the constraints;
+torque limits and the floor enter as penalties, and a move that breaks them is not
+taken. The gradient is by differences, all steps in one batch of regressors.
 """
 
 from collections.abc import Sequence
@@ -32,8 +32,9 @@ def optimised(
 ) -> tuple[list[PlannedMove], Moves, Array]:
     """Draw, choose and refine moves for a goal; with them come their samples and information.
 
-    Samples are dense: errors of friction cancel over a move, which few samples do not show. The
-    information (M, b, b) is scaled, as is `known` (b, b), which is there already.
+    Samples are dense: errors of friction cancel over a move, which few samples do not
+    show. The information (M, b, b) is scaled, as is `known` (b, b), which is there
+    already.
     """
     shapes = Shapes.over(options.length_s, COARSE_HZ)
     count = max(1, int(options.duration_s / options.length_s))
@@ -75,9 +76,9 @@ def draw_pool(
 ) -> tuple[Array, Array]:
     """Draw moves of each group in turn; with them comes their scaled information (M, b, b).
 
-    Moves of too much torque are made smaller `max_times` at most; those that still need too much
-    or that collide are left out. Harmonics have equal speed, which leaves room for wide positions,
-    where gravity shows.
+    Moves of too much torque are made smaller `max_times` at most; those that still need
+    too much or that collide are left out. Harmonics have equal speed, which leaves room
+    for wide positions, where gravity shows.
     """
     n, b = belief.robot.n, len(goal.W)
     drawn = np.zeros((size, n, COEFFICIENTS + 2))
@@ -99,7 +100,9 @@ def draw_pool(
             drawn[where, :, EXTENT] *= REDUCTION
     kept = overload <= 1.0
     if belief.bounded:
-        kept &= ~_out_of_reach(belief, shapes, drawn, information, goal, max_times=max_times)
+        kept &= ~_out_of_reach(
+            belief, shapes, drawn, information, goal, max_times=max_times
+        )
     return drawn[kept], information[kept]
 
 
@@ -123,7 +126,9 @@ def _out_of_reach(
         if attempt == max_times or not len(where):
             break
         drawn[where, :, EXTENT] *= REDUCTION
-        information[where] = assess(belief, goal, placed(shapes, drawn[where], belief.limits))[0]
+        information[where] = assess(
+            belief, goal, placed(shapes, drawn[where], belief.limits)
+        )[0]
     touching = np.zeros(len(drawn), dtype=bool)
     touching[where] = True
     return touching
@@ -139,17 +144,22 @@ def check_torque(belief: Belief, drawn: Array, options: PlanOptions) -> None:
     load = belief.torque(still, belief.regressor(still)) / belief.limits.torque
     where = str(belief.robot.source)
     if load.max(axis=(1, 2)).min() <= 1.0 and belief.bounded:
-        message = f"no move of {options.pool} keeps the arm off itself, the boxes and the floor"
+        message = (
+            f"no move of {options.pool} keeps the arm off itself, the boxes and the"
+            " floor"
+        )
         hint = (
-            "Narrow position_limits, widen --workspace and --keep-out, or, where the base stands"
-            " on no floor, plan with --no-floor."
+            "Narrow position_limits, widen --workspace and --keep-out, or, where the"
+            " base stands on no floor, plan with --no-floor."
         )
         raise ConfigError(message, where=where, hint=hint)
     j = int(np.argmax(load.min(axis=(0, 1))))
     joint, torque = belief.robot.joints[j], belief.limits.torque[j]
     limit = f"torque limit of joint {joint.name!r}: {torque:.4g} {joint.unit('N m')}"
     hint = "Correct effort in the URDF, or lower speeds with a longer --ramp."
-    raise ConfigError(f"no move of {options.pool} keeps the {limit}", where=where, hint=hint)
+    raise ConfigError(
+        f"no move of {options.pool} keeps the {limit}", where=where, hint=hint
+    )
 
 
 def choose(goal: Goal, information: Array, count: int, have: Array) -> list[int]:
@@ -165,7 +175,13 @@ def choose(goal: Goal, information: Array, count: int, have: Array) -> list[int]
 
 
 def refine(
-    belief: Belief, goal: Goal, shapes: Shapes, chosen: Array, have: Array, *, sweeps: int
+    belief: Belief,
+    goal: Goal,
+    shapes: Shapes,
+    chosen: Array,
+    have: Array,
+    *,
+    sweeps: int,
 ) -> Array:
     """Improve each of the `chosen` moves with the others held, `sweeps` times; `have` is scaled."""
     drawn = chosen.copy()
@@ -175,7 +191,9 @@ def refine(
         for k in range(len(drawn)):
             rest = total - information[k]
             drawn[k] = _improved(belief, goal, shapes, rest, drawn[k])
-            information[k] = assess(belief, goal, placed(shapes, drawn[[k]], belief.limits))[0][0]
+            information[k] = assess(
+                belief, goal, placed(shapes, drawn[[k]], belief.limits)
+            )[0][0]
             total = rest + information[k]
     return drawn
 
@@ -194,8 +212,8 @@ def _improved(
 ) -> Array:
     """A better move (n, 2 K + 2) of the same joints, or the `start` where there is none near.
 
-    Its variables are the coefficients of the joints that move and the places of all; `rest` (b, b)
-    is the information of all other moves.
+    Its variables are the coefficients of the joints that move and the places of all;
+    `rest` (b, b) is the information of all other moves.
     """
     moving, n = np.flatnonzero(start[:, :COEFFICIENTS].any(axis=1)), len(start)
 
@@ -224,7 +242,12 @@ def _improved(
     x = np.append(start[moving, :COEFFICIENTS].ravel(), start[:, PLACE])
     box = Bounds(np.append(np.full(len(x) - n, -1.0), np.zeros(n)), np.ones(len(x)))
     found = minimize(
-        with_gradient, x, jac=True, method="L-BFGS-B", bounds=box, options={"maxiter": iterations}
+        with_gradient,
+        x,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=box,
+        options={"maxiter": iterations},
     )
     better, moves = moves_of(np.asarray(found.x)[None])
     worse = found.fun >= values(x[None])[0]
@@ -243,8 +266,8 @@ def within_limits(
 ) -> tuple[list[PlannedMove], Moves]:
     """Make moves smaller until torques hold on dense samples and nothing is touched.
 
-    Those that touch something even when they are small are left out; the others are described, and
-    sampled.
+    Those that touch something even when they are small are left out; the others are
+    described, and sampled.
     """
     shapes, drawn = Shapes.over(options.length_s, dense_hz), drawn.copy()
     where = np.arange(len(drawn))
@@ -265,7 +288,9 @@ def within_limits(
         y = coefficients @ shapes.y
         centre = float(moves.q[k, 0, j])  # the window is zero at the ends
         own = float(y @ (moves.q[k, :, j] - centre) / (y @ y)) * coefficients
-        return FourierMotion(centre=centre, sine=own[0::2].tolist(), cosine=own[1::2].tolist())
+        return FourierMotion(
+            centre=centre, sine=own[0::2].tolist(), cosine=own[1::2].tolist()
+        )
 
     found = []
     for number, k in enumerate(kept.tolist(), start=1):
@@ -273,11 +298,15 @@ def within_limits(
         joints = [names[j] for j in moving]
         found.append(
             PlannedMove(
-                name=f"{stage}_{number:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
+                name=(
+                    f"{stage}_{number:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}"
+                ),
                 stage="",
                 joints=joints,
                 duration_s=options.length_s,
-                start={name: float(x) for name, x in zip(names, moves.q[k, 0], strict=True)},
+                start={
+                    name: float(x) for name, x in zip(names, moves.q[k, 0], strict=True)
+                },
                 fourier={names[j]: fourier(k, j) for j in moving},
             )
         )

@@ -25,9 +25,10 @@ def friction(collection: Collection) -> views.Section:
         text = "No friction stage is in the files given."
         return views.lacking("friction", "Friction", text, _CALL)
     lead = (
-        "Friction torque as a function of position and velocity (Eq. 7-11). Nothing is known "
-        "between the slowest recorded speeds of both directions, where the sign turns; outside the "
-        "recorded range Coulomb and viscous friction goes on, at its mean over position."
+        "Friction torque as a function of position and velocity (Eq. 7-11). Nothing is"
+        " known between the slowest recorded speeds of both directions, where the sign"
+        " turns; outside the recorded range Coulomb and viscous friction goes on, at"
+        " its mean over position."
     )
     groups = [_joint(collection, stage, name) for name in stage.joints]
     notes = list(stage.notes)
@@ -46,16 +47,23 @@ def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Gro
         ("RMS error of the fit", f"{number(joint.rmse)} {place.unit}"),
     ]
     if joint.held_out_rmse is not None:
-        facts.append(("at left-out speeds", f"{number(joint.held_out_rmse)} {place.unit}"))
+        facts.append(
+            ("at left-out speeds", f"{number(joint.held_out_rmse)} {place.unit}")
+        )
     if joint.criterion_met is not None:
         facts.append(("largest error (Eq. 11)", percent(joint.max_error)))
     if joint.max_error_of_noise is not None:
         facts.append(("noise alone makes", percent(joint.max_error_of_noise)))
     if joint.asymmetry is not None:
         facts.append(("depends on direction", percent(joint.asymmetry)))
-    terms = [views.value_row(x.name, x.value, x.std_error, x.unit) for x in joint.parameters]
+    terms = [
+        views.value_row(x.name, x.value, x.std_error, x.unit) for x in joint.parameters
+    ]
     titles = "speed [{length}/s] | moves forward | backward | RMS error [{unit}]"
-    kinds, units = "number count count number", {"unit": place.unit, "length": place.length}
+    kinds, units = (
+        "number count count number",
+        {"unit": place.unit, "length": place.length},
+    )
     speeds = [(x.speed, x.forward, x.backward, x.rmse) for x in joint.speeds]
     return views.Group(
         f"friction-{collection.robot.joints.index(name) + 1}",
@@ -68,16 +76,24 @@ def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Gro
         absent=[] if figures else [fault],
         tables=[
             views.table(f"Recorded speeds of {name}", titles, kinds, speeds, **units),
-            views.Table(f"Friction parameters of {name}", Values(views.VALUE_HEADS, terms)),
+            views.Table(
+                f"Friction parameters of {name}", Values(views.VALUE_HEADS, terms)
+            ),
         ],
     )
 
 
 def friction_figures(joint: FrictionJoint, place: Place) -> list[views.Figure]:
     """Draw a joint's friction: none unless values and errors are finite all over its range."""
-    q, v = (np.linspace(low, high, 5) for low, high in (joint.position_range, joint.speed_range))
+    q, v = (
+        np.linspace(low, high, 5)
+        for low, high in (joint.position_range, joint.speed_range)
+    )
     with np.errstate(all="ignore"):
-        surface, grid = FrictionSurface.from_stage(joint), (np.repeat(q, 5), np.tile(v, 5))
+        surface, grid = (
+            FrictionSurface.from_stage(joint),
+            (np.repeat(q, 5), np.tile(v, 5)),
+        )
         torque, error = surface.torque(*grid), surface.stated_error(*grid)
         if not (np.isfinite([torque, error]).all() and np.ptp(torque) < np.inf):
             return []
@@ -88,7 +104,9 @@ def friction_figures(joint: FrictionJoint, place: Place) -> list[views.Figure]:
 def _map(joint: FrictionJoint, surface: FrictionSurface, place: Place) -> views.Figure:
     """Draw friction over position and velocity (Fig. 1 and 10); about rest nothing is known."""
     q = np.linspace(joint.position_range[0], joint.position_range[1], _CELLS[0] + 1)
-    speed = np.linspace(max(joint.speed_range[0], 0.0), joint.speed_range[1], _CELLS[1] + 1)
+    speed = np.linspace(
+        max(joint.speed_range[0], 0.0), joint.speed_range[1], _CELLS[1] + 1
+    )
     halves = (-speed[::-1], speed)
     grids = [(np.repeat(q, len(v)), np.tile(v, len(q))) for v in halves]
     torques = [surface.torque(*grid).reshape(len(q), -1) for grid in grids]
@@ -97,27 +115,37 @@ def _map(joint: FrictionJoint, surface: FrictionSurface, place: Place) -> views.
     x, y_title = ("position", place.length), f"velocity, {place.length}/s"
     panel = small_panel(x, x_range, y_title, y_range, height=_HEIGHT, hover="")
     for v, torque in zip(halves, torques, strict=True):
-        middle = 0.25 * (torque[1:, 1:] + torque[1:, :-1] + torque[:-1, 1:] + torque[:-1, :-1])
+        middle = 0.25 * (
+            torque[1:, 1:] + torque[1:, :-1] + torque[:-1, 1:] + torque[:-1, :-1]
+        )
         share = (middle - low) / ((high - low) or 1.0)
         shades = np.minimum((share * _COLOURS).astype(int), _COLOURS - 1)
         for (i, k), shade in np.ndenumerate(shades):
             panel.band(q[i : i + 2], v[[k, k]], v[[k + 1, k + 1]], f"heat h{shade}")
     title = f"Friction of {place.joint} over position and velocity"
     text = f"Map of friction torque from {number(low)} to {number(high)} {place.unit}."
-    marks = [(k, low + k / (_COLOURS - 1) * (high - low)) for k in (0, 4, 7, _COLOURS - 1)]
+    marks = [
+        (k, low + k / (_COLOURS - 1) * (high - low)) for k in (0, 4, 7, _COLOURS - 1)
+    ]
     legend = {f"heat h{k}": f"{number(at, 2)} {place.unit}" for k, at in marks}
     heads = [Head("velocity", "number", f"{place.length}/s")]
-    heads += [Head(f"at {number(at)}", "number", place.length) for at in q[:: _CELLS[0] // 2]]
+    heads += [
+        Head(f"at {number(at)}", "number", place.length) for at in q[:: _CELLS[0] // 2]
+    ]
     rows = [
         (float(v[k]), *torque[:: _CELLS[0] // 2, k].tolist())
         for v, torque in zip(halves, torques, strict=True)
         for k in (0, _CELLS[1] // 2, _CELLS[1])
     ]
     values = views.Table(f"{title}, {place.unit}", Values(heads, rows))
-    return figure([panel], title, text, legend, values, name="Over position and velocity")
+    return figure(
+        [panel], title, text, legend, values, name="Over position and velocity"
+    )
 
 
-def _cuts(joint: FrictionJoint, surface: FrictionSurface, place: Place, over: str) -> views.Figure:
+def _cuts(
+    joint: FrictionJoint, surface: FrictionSurface, place: Place, over: str
+) -> views.Figure:
     """Draw three cuts with 95 % intervals, in the pieces and at the speeds that were recorded."""
     (low, high), (slow, fast) = joint.position_range, joint.speed_range
     x_unit, cut_unit = place.length, f"{place.length}/s"
@@ -130,7 +158,9 @@ def _cuts(joint: FrictionJoint, surface: FrictionSurface, place: Place, over: st
     for k, at in enumerate(cuts):
         for x in pieces:
             q, v = (np.full(len(x), at), x) if along else (x, np.full(len(x), at))
-            curves.append((k, x, surface.torque(q, v), Z95 * surface.stated_error(q, v)))
+            curves.append(
+                (k, x, surface.torque(q, v), Z95 * surface.stated_error(q, v))
+            )
     every = np.concatenate([np.concatenate([y - e, y + e]) for *_, y, e in curves])
     x_range, y_title = padded(np.concatenate(pieces), 0.02), f"friction, {place.unit}"
     panel = small_panel((over, x_unit), x_range, y_title, padded(every), height=_HEIGHT)
@@ -139,9 +169,14 @@ def _cuts(joint: FrictionJoint, surface: FrictionSurface, place: Place, over: st
         panel.band(x, y - e, y + e, f"cut{k}")
     for k, x, y, _ in curves:
         panel.line(x, y, f"cut{k}", name=names[k], unit=place.unit)
-    bottom, speeds = panel.box.bottom, [item.speed for item in joint.speeds] if along else []
+    bottom, speeds = (
+        panel.box.bottom,
+        [item.speed for item in joint.speeds] if along else [],
+    )
     for speed in (*speeds, *(-speed for speed in speeds)):
-        panel.marks.append(line("rug", panel.x(speed), bottom, panel.x(speed), bottom - 6))
+        panel.marks.append(
+            line("rug", panel.x(speed), bottom, panel.x(speed), bottom - 6)
+        )
     rows = [
         (float(cuts[k]), float(x[i]), float(y[i]), float(e[i]))
         for k, x, y, e in curves
@@ -149,7 +184,10 @@ def _cuts(joint: FrictionJoint, surface: FrictionSurface, place: Place, over: st
     ]
     title = f"Friction of {place.joint} over {over}"
     titles = "cut at [{cut}] | {over} [{unit}] | friction | 95 % half-width"
-    kinds, own = "number number number number2", {"cut": cut_unit, "over": over, "unit": x_unit}
+    kinds, own = (
+        "number number number number2",
+        {"cut": cut_unit, "over": over, "unit": x_unit},
+    )
     return figure(
         [panel],
         title,

@@ -18,17 +18,23 @@ def imu(collection: Collection) -> Section:
         text = "No IMU stage is in the files given; robots without IMUs have none."
         return lacking("imu", title, text, _CALL)
     lead = (
-        "The rotation turns vectors from IMU coordinates into those of the link that carries the "
-        "IMU (Eq. 38). The gain compares the joint's acceleration with the one that the IMU sees "
-        "about the joint's axis: 1 if both agree (Eq. 31)."
+        "The rotation turns vectors from IMU coordinates into those of the link that"
+        " carries the IMU (Eq. 38). The gain compares the joint's acceleration with the"
+        " one that the IMU sees about the joint's axis: 1 if both agree (Eq. 31)."
     )
-    groups = [_group(k, name, stages.imu) for k, name in enumerate(stages.imu.imus, start=1)]
+    groups = [
+        _group(k, name, stages.imu) for k, name in enumerate(stages.imu.imus, start=1)
+    ]
     uses = stages.inertia.motion_use if stages.inertia else []
-    skipped: dict[str, list[str]] = {}  # remarks on IMUs that took no part, with their logs
+    # remarks on IMUs that took no part, with their logs
+    skipped: dict[str, list[str]] = {}
     for use in uses:
         for warning in use.warnings:
             skipped.setdefault(warning, []).append(short_path(use.log))
-    notes = [*stages.imu.notes, *(f"{text} ({', '.join(logs)})" for text, logs in skipped.items())]
+    notes = [
+        *stages.imu.notes,
+        *(f"{text} ({', '.join(logs)})" for text, logs in skipped.items()),
+    ]
     motion = [_motion(uses, collection.robot)]
     return Section("imu", title, lead, groups, tables=motion, notes=notes)
 
@@ -44,14 +50,25 @@ def _group(place: int, name: str, stage: ImuStage) -> Group:
     if item.time_offset_s:
         facts.append(("clock offset", f"{number(1e3 * item.time_offset_s)} ms"))
     references = [
-        (joint, *with_error(x.gain, x.gain_std_error), *_fixed((x.axis + [0.0] * 3)[:3]))
+        (
+            joint,
+            *with_error(x.gain, x.gain_std_error),
+            *_fixed((x.axis + [0.0] * 3)[:3]),
+        )
         for joint, x in item.references.items()
     ]
-    errors = item.std_errors_deg if len(item.std_errors_deg) == 3 else [item.std_error_deg] * 3
+    errors = (
+        item.std_errors_deg
+        if len(item.std_errors_deg) == 3
+        else [item.std_error_deg] * 3
+    )
     axes = zip("xyz", item.rotation, errors, strict=True)
     rows = [(axis, *_fixed(row), error) for axis, row, error in axes]
     titles = "link axis | IMU x | IMU y | IMU z | std error [\u00b0]"
-    gains, counts = "joint | gain | std error | axis x | y | z", "text count count count count"
+    gains, counts = (
+        "joint | gain | std error | axis x | y | z",
+        "text count count count count",
+    )
     return Group(
         f"imu-{place}",
         name,
@@ -59,8 +76,12 @@ def _group(place: int, name: str, stage: ImuStage) -> Group:
         badge=badge(verdicts),
         facts=facts,
         tables=[
-            table(f"Rotation of {name}", titles, "text count count count number2", rows),
-            table(f"Joint axes as {name} sees them", gains, f"{counts} count", references),
+            table(
+                f"Rotation of {name}", titles, "text count count count number2", rows
+            ),
+            table(
+                f"Joint axes as {name} sees them", gains, f"{counts} count", references
+            ),
         ],
         notes=[f"Not determined: {what}" for what in item.not_determined],
     )
@@ -75,9 +96,13 @@ def _motion(uses: Sequence[MotionUse], robot: RobotId) -> Table:
     for use in uses:
         log, imus = short_path(use.log), ", ".join(use.imus)
         for joint, error in use.acceleration_error.items():
-            rows.append((log, use.source, imus, joint, error, use.encoder_error.get(joint)))
+            rows.append(
+                (log, use.source, imus, joint, error, use.encoder_error.get(joint))
+            )
     titles = "log | motion from | IMUs | joint | std error of acceleration [{unit}]"
     titles += " | by encoders alone [{unit}]"
     unit = robot.unit("rad/s^2", *(row[3] for row in rows))
     kinds = "text text text text number2 number2"
-    return table("Where the motion of the inertia logs came from", titles, kinds, rows, unit=unit)
+    return table(
+        "Where the motion of the inertia logs came from", titles, kinds, rows, unit=unit
+    )

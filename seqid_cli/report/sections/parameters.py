@@ -19,10 +19,11 @@ _MADE_BY = {
     "inertia": "seqid inertia LOG... -r robot.toml -p imu.json -o inertia.json",
 }
 _LEAD = (
-    "Base parameters are all that joint torque can tell of the links: each stands for the sum of "
-    "standard link parameters beside it. Index i is the link that joint i moves; m is its mass, "
-    "mx, my, mz its first moment, Ixx to Izz its inertia about the origin of its joint frame, Ia "
-    "the rotor inertia of its drive on the motor side. Intervals are 95 %."
+    "Base parameters are all that joint torque can tell of the links: each stands for"
+    " the sum of standard link parameters beside it. Index i is the link that joint i"
+    " moves; m is its mass, mx, my, mz its first moment, Ixx to Izz its inertia about"
+    " the origin of its joint frame, Ia the rotor inertia of its drive on the motor"
+    " side. Intervals are 95 %."
 )
 
 
@@ -56,13 +57,22 @@ def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
     title, own, facts, state = _TITLES[name], stage.verdicts, [], ""
     if stage.parameters:
         whole = f" of {stage.structural_rank}" if stage.structural_rank else ""
-        facts = [("rank", f"{stage.rank}{whole}"), ("condition", words.number(stage.condition))]
+        facts = [
+            ("rank", f"{stage.rank}{whole}"),
+            ("condition", words.number(stage.condition)),
+        ]
         facts.append(("method", stage.method))
-        facts += [("cut-off", f"{words.number(stage.cutoff_hz)} Hz")] if stage.cutoff_hz else []
+        facts += (
+            [("cut-off", f"{words.number(stage.cutoff_hz)} Hz")]
+            if stage.cutoff_hz
+            else []
+        )
         state = views.badge(own)
     notes = list(stage.notes)
     if stage.not_excited:
-        notes.insert(0, f"Not determined by these logs: {words.listed(stage.not_excited, 40)}.")
+        notes.insert(
+            0, f"Not determined by these logs: {words.listed(stage.not_excited, 40)}."
+        )
     reasons = {v.joint: v.reason for v in own}
     rows = [(n, x, reasons.get(n, "")) for n, x in stage.rmse.items()]
     titles = "joint | RMS error [{unit}] | verdict"
@@ -89,8 +99,12 @@ def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
     for model in others:
         theirs = getattr(model.stages, name)
         known = {item.name: item for item in theirs.parameters} if theirs else {}
-        if any(mine.get(item.name, item.value) != item.value for item in known.values()):
-            earlier.append({n: words.with_error(x.value, x.std_error)[0] for n, x in known.items()})
+        if any(
+            mine.get(item.name, item.value) != item.value for item in known.values()
+        ):
+            earlier.append(
+                {n: words.with_error(x.value, x.std_error)[0] for n, x in known.items()}
+            )
             columns.append(Head(f"in {words.short_path(model.path)}", "number"))
     rows = []
     for item in stage.parameters:
@@ -99,7 +113,9 @@ def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
         formula = Markup('<span class="formula">{}</span>').format(sum_of)
         beside = (values.get(item.name) for values in earlier)
         rows.append((words.symbol(item.name), *estimate, formula, *beside))
-    unclear = [p.name for p in stage.parameters if abs(p.value) < words.Z95 * p.std_error]
+    unclear = [
+        p.name for p in stage.parameters if abs(p.value) < words.Z95 * p.std_error
+    ]
     note = ""
     if unclear:
         hold = "holds" if len(unclear) == 1 else "hold"

@@ -32,17 +32,25 @@ def overview(collection: Collection, judgement: Judgement) -> Section:
         error, entry = errors[name], collection.residual(used, name)
         share, unit = error.relative_rmse, collection.place(name).unit
         floor = None if entry is None else entry.noise_floor
-        state = badge([verdict for verdict in used.content.verdicts if verdict.joint == name])
+        state = badge(
+            [verdict for verdict in used.content.verdicts if verdict.joint == name]
+        )
         width = 100.0 * min((share or 0.0) / largest, 1.0)
         bar = element("rect", class_=f"bar {state}", y=2, width=width, height=8)
         named = (element("title", f"Error of {name}"), element("desc", percent(share)))
         link = Markup('<a href="#torque-{}">{}</a>').format(k, name)
-        drawn = element("svg", *named, bar, class_="glyph", viewBox="0 0 100 12", role="img")
-        rmse, noise = (None if x is None else f"{number(x)} {unit}" for x in (error.rmse, floor))
+        drawn = element(
+            "svg", *named, bar, class_="glyph", viewBox="0 0 100 12", role="img"
+        )
+        rmse, noise = (
+            None if x is None else f"{number(x)} {unit}" for x in (error.rmse, floor)
+        )
         told = Markup('<span class="badge {}">{}</span>')
         verdict = told.format(state or "none", state or "not judged")
         rows.append((link, rmse, share, drawn, noise, verdict))
-    caption = f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
+    caption = (
+        f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
+    )
     titles = "joint | RMS error | of RMS torque | drawn | noise floor | verdict"
     kinds = "text number share text number text"
     glance = Table(caption, values(titles, kinds, rows), style="glance")
@@ -56,9 +64,14 @@ def pipeline(collection: Collection) -> Section:
     return Section(
         "pipeline",
         "Pipeline and files",
-        lead="Each step builds on the one before. Hashes are SHA-256; two files with the same hash "
-        "are the same to the last bit.",
-        tables=[table("The files of this report", titles, kinds, rows), _logs(collection)],
+        lead=(
+            "Each step builds on the one before. Hashes are SHA-256; two files with the"
+            " same hash are the same to the last bit."
+        ),
+        tables=[
+            table("The files of this report", titles, kinds, rows),
+            _logs(collection),
+        ],
     )
 
 
@@ -76,7 +89,15 @@ def _file(item: Source[Document]) -> Sequence[str]:
         used = [f"of {file_name(x.path)} {x.sha256[:12]}" for x in models_of(content)]
         command, holds = WRITTEN_BY[type(content)], ", ".join(used)
     tool = f"{content.tool.name} {content.tool.version}"
-    return item.path, f"seqid {command}", reads, holds, content.created, tool, item.sha256
+    return (
+        item.path,
+        f"seqid {command}",
+        reads,
+        holds,
+        content.created,
+        tool,
+        item.sha256,
+    )
 
 
 def _logs(collection: Collection) -> Table:
@@ -90,7 +111,9 @@ def _logs(collection: Collection) -> Table:
         if isinstance(content, ParameterFile) and content.closed_loop is not None:
             for log in content.closed_loop.held_out:
                 found.setdefault(("refine, held out", log.sha256, log.path), log)
-    rows = [(by, x.path, _thousands(x.samples), x.sha256) for (by, *_), x in found.items()]
+    rows = [
+        (by, x.path, _thousands(x.samples), x.sha256) for (by, *_), x in found.items()
+    ]
     note = f"and {len(rows) - _MOST_LOGS} more" if len(rows) > _MOST_LOGS else ""
     titles, kinds = "read by | log | samples | SHA-256", "text text count text"
     return Table("The logs behind them", values(titles, kinds, rows[:_MOST_LOGS]), note)

@@ -19,12 +19,18 @@ def payload(collection: Collection) -> views.Section | None:
     if not collection.payloads:
         return None
     lead = (
-        "The body that the logs carry beyond the model, by the torque that the model leaves. Its "
-        "frame is that of the last joint; its inertia is about the centre of mass."
+        "The body that the logs carry beyond the model, by the torque that the model"
+        " leaves. Its frame is that of the last joint; its inertia is about the centre"
+        " of mass."
     )
     groups = []
-    for place, file in enumerate((item.content for item in collection.payloads), start=1):
-        body = [views.value_row(n, x.value, x.std_error, x.unit) for n, x in file.payload.numbers()]
+    for place, file in enumerate(
+        (item.content for item in collection.payloads), start=1
+    ):
+        body = [
+            views.value_row(n, x.value, x.std_error, x.unit)
+            for n, x in file.payload.numbers()
+        ]
         told = tables.values("for | setting", "text text", file.settings.items())
         group = views.Group(
             f"payload-{place}",
@@ -34,7 +40,9 @@ def payload(collection: Collection) -> views.Section | None:
             tables=[
                 views.Table("The body", Values(views.VALUE_HEADS, body)),
                 views.Table("As controllers take it", told),
-                views.Table("Torque error where joints slide", tables.payload_joints(file)),
+                views.Table(
+                    "Torque error where joints slide", tables.payload_joints(file)
+                ),
             ],
             notes=file.notes,
             unfolded=True,
@@ -52,7 +60,9 @@ def plan(collection: Collection) -> views.Section | None:
         for place, item in enumerate(collection.plans)
         for name, stage in item.content.stages.items()
     ]
-    lead = "Moves to record, and the standard errors that parameters will have after them."
+    lead = (
+        "Moves to record, and the standard errors that parameters will have after them."
+    )
     return views.Section("plan", "What to record next", lead, groups)
 
 
@@ -65,8 +75,13 @@ def _planned(key: str, name: str, file: PlanFile, stage: PlannedStage) -> views.
     told, moves = stage.separation, [move for move in file.moves if move.stage == name]
     if told is not None:
         facts.append(("to tell apart", " and ".join(told.between)))
-        facts += [("power", percent(told.power)), ("imitated at most", percent(told.imitated))]
-    errors = views.Table("Standard errors that it will give", tables.planned_errors(stage))
+        facts += [
+            ("power", percent(told.power)),
+            ("imitated at most", percent(told.imitated)),
+        ]
+    errors = views.Table(
+        "Standard errors that it will give", tables.planned_errors(stage)
+    )
     return views.Group(
         key,
         name,
@@ -84,12 +99,20 @@ def move_figures(move: PlannedMove, file: PlanFile) -> list[views.Figure]:
     low, high = np.array([limit.position for limit in limits]).T
     speed = [limit.speed or 1.0 for limit in limits]
     shown = [
-        ("position in its range", 0.0, t, (q - low) / np.where(high > low, high - low, 1.0), names),
+        (
+            "position in its range",
+            0.0,
+            t,
+            (q - low) / np.where(high > low, high - low, 1.0),
+            names,
+        ),
         ("speed over its limit", -1.0, t, dq / speed, names),
     ]
     known = [name for name in names if name in move.torque and file.limits[name].torque]
     if known:
-        torque = np.array([np.divide(move.torque[n], file.limits[n].torque or 1.0) for n in known])
+        torque = np.array(
+            [np.divide(move.torque[n], file.limits[n].torque or 1.0) for n in known]
+        )
         times = (np.arange(torque.shape[1]) + 0.5) * move.duration_s / torque.shape[1]
         shown.append(("torque over its limit", 0.0, times, torque.T, known))
     text = f"{len(move.joints)} joints move for {move.duration_s:.3g} s."
@@ -97,7 +120,9 @@ def move_figures(move: PlannedMove, file: PlanFile) -> list[views.Figure]:
     for what, least, x, values, joints in shown:
         room = 0.08 * (1.0 - least)
         y_range, title = (least - room, 1.0 + room), f"{move.name}: {what}"
-        panel = small_panel(("t", "s"), (0.0, float(x[-1])), what, y_range, height=110.0)
+        panel = small_panel(
+            ("t", "s"), (0.0, float(x[-1])), what, y_range, height=110.0
+        )
         for name, column in zip(joints, values.T, strict=True):
             panel.line(x, column, "predicted", name=name)
         figures.append(figure([panel], title, text, legend, None))

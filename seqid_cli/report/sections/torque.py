@@ -24,7 +24,10 @@ _ROOM = 0.06  # above and below what is drawn, of its range
 
 
 def over_time(
-    models: Mapping[str, Series], place: Place, events: Sequence[tuple[float, float]], columns: int
+    models: Mapping[str, Series],
+    place: Place,
+    events: Sequence[tuple[float, float]],
+    columns: int,
 ) -> Figure:
     """Draw measured and predicted torque of one log above the residual, events shaded.
 
@@ -39,11 +42,15 @@ def over_time(
         for start, stop in events:
             panel.span(start, stop, "event", f"pushed from {start:.2f} to {stop:.2f} s")
         for part in pieces(t, ~series.used, max_gap=np.inf)[:_MOST_SPANS]:
-            panel.span(float(t[part.start]), float(t[min(part.stop, len(t) - 1)]), "unused")
+            panel.span(
+                float(t[part.start]), float(t[min(part.stop, len(t) - 1)]), "unused"
+            )
     rests = good & np.isfinite(series.low) & np.isfinite(series.high)
     for piece in pieces(t, rests):
         low, high = series.low[piece], series.high[piece]
-        kept = np.union1d(*(extremes(t[piece], bound, columns) for bound in (low, high)))
+        kept = np.union1d(
+            *(extremes(t[piece], bound, columns) for bound in (low, high))
+        )
         torque.band(t[piece][kept], low[kept], high[kept], "faint")
     banded = _draw_band(series, residual, good, columns)
     legend = _draw(models, torque, residual, unit, columns)
@@ -55,10 +62,15 @@ def over_time(
     if np.any(shown):
         rms = float(np.sqrt(np.mean(np.square(series.residual[shown]))))
         most = float(np.abs(series.residual[shown]).max())
-        text = f"The residual has an RMS of {number(rms)} {unit} and reaches {number(most)} {unit}."
+        text = (
+            f"The residual has an RMS of {number(rms)} {unit} and reaches"
+            f" {number(most)} {unit}."
+        )
     title = f"Torque of {place.joint}, {name}"
     rows = _time_table(series, good, unit, title)
-    return figure([torque, residual], f"{title} over time", text, legend, rows, name=name)
+    return figure(
+        [torque, residual], f"{title} over time", text, legend, rows, name=name
+    )
 
 
 def _draw_band(series: Series, residual: Panel, good: Mask, columns: int) -> bool:
@@ -75,7 +87,11 @@ def _draw_band(series: Series, residual: Panel, good: Mask, columns: int) -> boo
 
 
 def _draw(
-    models: Mapping[str, Series], torque: Panel, residual: Panel, unit: str, columns: int
+    models: Mapping[str, Series],
+    torque: Panel,
+    residual: Panel,
+    unit: str,
+    columns: int,
 ) -> dict[str, str]:
     """Draw the lines of all models, the best above the others; return their legend."""
     series, legend = next(iter(models.values())), {"measured": "measured"}
@@ -85,17 +101,24 @@ def _draw(
         text = name if len(models) > 1 else "predicted"
         legend[style] = text
         left = (style, f"residual, {text}") if k else ("residual", "residual")
-        curves += [(residual, own, own.residual, *left), (torque, own, own.predicted, style, text)]
+        curves += [
+            (residual, own, own.residual, *left),
+            (torque, own, own.predicted, style, text),
+        ]
     curves.append((torque, series, series.torque, "measured", "measured"))
     for panel, own, values, style, text in reversed(curves):
         at = own.t - own.t[0]
         for piece in pieces(at, _known(own)):
             kept = extremes(at[piece], values[piece], columns)
-            panel.line(at[piece][kept], values[piece][kept], style, name=text, unit=unit)
+            panel.line(
+                at[piece][kept], values[piece][kept], style, name=text, unit=unit
+            )
     return {**legend, "residual": "residual"}
 
 
-def _panels(models: Mapping[str, Series], shown: Mask, unit: str) -> tuple[Panel, Panel]:
+def _panels(
+    models: Mapping[str, Series], shown: Mask, unit: str
+) -> tuple[Panel, Panel]:
     """Return the frames for the torque and, below, for the residual of the `shown` samples."""
     series = next(iter(models.values()))
     both, left = [series.low, series.high], [series.residual[shown]]
@@ -112,7 +135,11 @@ def _panels(models: Mapping[str, Series], shown: Mask, unit: str) -> tuple[Panel
 
 
 def _known(series: Series) -> Mask:
-    return np.isfinite(series.torque) & np.isfinite(series.predicted) & np.isfinite(series.residual)
+    return (
+        np.isfinite(series.torque)
+        & np.isfinite(series.predicted)
+        & np.isfinite(series.residual)
+    )
 
 
 def _time_table(series: Series, good: Mask, unit: str, title: str) -> Table:
@@ -122,16 +149,27 @@ def _time_table(series: Series, good: Mask, unit: str, title: str) -> Table:
     for at, part in zip(edges, parts, strict=True):
         keep = part[good[part]]
         if len(keep):
-            ends = [f(x[keep]) for x in (series.torque, series.predicted) for f in (np.min, np.max)]
+            ends = [
+                f(x[keep])
+                for x in (series.torque, series.predicted)
+                for f in (np.min, np.max)
+            ]
             left = series.residual[keep]
             sizes = (np.sqrt(np.mean(left**2)), np.abs(left).max())
             rows.append((f"{at:.2f}", *map(float, (*ends, *sizes))))
-    heads = "from [s] | measured, least [{u}] | most [{u}] | predicted, least [{u}] | most [{u}]"
+    heads = (
+        "from [s] | measured, least [{u}] | most [{u}] | predicted, least [{u}] | most"
+        " [{u}]"
+    )
     heads += " | residual RMS [{u}] | largest [{u}]"
-    return table(title, heads, "count number number number number number number", rows, u=unit)
+    return table(
+        title, heads, "count number number number number number number", rows, u=unit
+    )
 
 
-def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str) -> Figure | None:
+def over_quantity(
+    logs: Sequence[Series], place: Place, quantity: str, unit: str
+) -> Figure | None:
     """Draw the spread of the residual over position or velocity; None where it is not known."""
     kept = [np.zeros((2, 0))]
     for one in logs:
@@ -160,15 +198,22 @@ def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str
     panel.line(centre, middle, "residual", name="median", unit=place.unit)
     title = f"Residual of {place.joint} over {quantity}"
     text = (
-        f"Median, 90 % range and extremes of the residual in {plural(len(bins), 'bin')} of "
-        f"{quantity}. The median lies between {number(min(middle))} and "
-        f"{number(max(middle))} {place.unit}."
+        f"Median, 90 % range and extremes of the residual in {plural(len(bins), 'bin')}"
+        f" of {quantity}. The median lies between {number(min(middle))} and"
+        f" {number(max(middle))} {place.unit}."
     )
     legend = {"residual": "median", "band-residual": "90 %", "faint": "extremes"}
-    heads = "{over} [{x}] | least [{y}] | 5 % [{y}] | median [{y}] | 95 % [{y}] | most [{y}]"
+    heads = (
+        "{over} [{x}] | least [{y}] | 5 % [{y}] | median [{y}] | 95 % [{y}] | most"
+        " [{y}]"
+    )
     own = {"over": quantity, "x": unit, "y": place.unit}
-    values = table(title, heads, "number number number number number number", bins, **own)
-    return figure([panel], title, text, legend, values, name=f"Residual over {quantity}")
+    values = table(
+        title, heads, "number number number number number number", bins, **own
+    )
+    return figure(
+        [panel], title, text, legend, values, name=f"Residual over {quantity}"
+    )
 
 
 def spectrum(
@@ -195,7 +240,10 @@ def spectrum(
     if len(f) < 2:
         return None
     unit, title = f"{place.unit}/\u221aHz", f"Spectrum of the residual of {place.joint}"
-    decades = 10 ** np.floor(np.log10(density.min())), 10 ** np.ceil(np.log10(density.max()))
+    decades = (
+        10 ** np.floor(np.log10(density.min())),
+        10 ** np.ceil(np.log10(density.max())),
+    )
     x, x_range = ("frequency", "Hz"), (0.0, float(top))
     panel = small_panel(x, x_range, f"residual, {unit}", decades, y_log=True)
     if cutoff_hz is not None and cutoff_hz < top:
@@ -208,15 +256,18 @@ def spectrum(
     heads = "frequency [Hz] | density [{unit}]"
     values = table(f"{title}, its peaks", heads, "number4 number", rows, unit=unit)
     text = f"Strongest at {f[np.argmax(density)]:.2f} Hz."
-    legend, name = {"residual": "density", "line-mark": "cut-off"}, "Spectrum of the residual"
+    legend, name = (
+        {"residual": "density", "line-mark": "cut-off"},
+        "Spectrum of the residual",
+    )
     return figure([panel], title, text, legend, values, name=name, note=text)
 
 
 def extremes(x: Array, y: Array, columns: int) -> Index:
     """Return the indices of the smallest and largest y in each of `columns` equal parts of x.
 
-    x (N,) does not fall, y (N,) is finite. The indices, 2 columns + 2 at most, rise; the first and
-    the last sample are always among them.
+    x (N,) does not fall, y (N,) is finite. The indices, 2 columns + 2 at most, rise;
+    the first and the last sample are always among them.
     """
     if len(x) <= 2 * columns + 2:
         return np.arange(len(x))
@@ -227,7 +278,9 @@ def extremes(x: Array, y: Array, columns: int) -> Index:
     sizes, found = np.diff(np.append(starts, len(x))), [np.array([0, len(x) - 1])]
     for extreme in (np.minimum, np.maximum):  # the first sample that reaches it
         reached = y == np.repeat(extreme.reduceat(y, starts), sizes)
-        found.append(np.minimum.reduceat(np.where(reached, np.arange(len(x)), len(x)), starts))
+        found.append(
+            np.minimum.reduceat(np.where(reached, np.arange(len(x)), len(x)), starts)
+        )
     return np.unique(np.concatenate(found))
 
 
@@ -252,18 +305,30 @@ def torque(
         lacking.append("How large the errors are is not known without a prediction.")
     if not tables:
         lacking.append("The torques over time are not in the files given.")
-    known = {name for file in files for name in file.joints}.union(*(x.joints for x in tables))
+    known = {name for file in files for name in file.joints}.union(
+        *(x.joints for x in tables)
+    )
     groups = [_side_by_side(collection)] if len(files) > 1 else []
-    groups += [_joint(collection, tables, x) for x in collection.robot.joints if x in known]
+    groups += [
+        _joint(collection, tables, x) for x in collection.robot.joints if x in known
+    ]
     lead = (
-        "Measured torque against what the model predicts, both low-passed alike. Errors are over "
-        "samples in which the joint slides. At rest friction holds whatever balances, within an "
-        "interval; there the residual that is drawn is the distance to it."
+        "Measured torque against what the model predicts, both low-passed alike. Errors"
+        " are over samples in which the joint slides. At rest friction holds whatever"
+        " balances, within an interval; there the residual that is drawn is the"
+        " distance to it."
     )
     logs = [log.path for file in files[:1] for log in file.logs]
-    notes = [f"{short_path(x.path)}: {note}" for f in files for x in f.logs for note in x.notes]
+    notes = [
+        f"{short_path(x.path)}: {note}"
+        for f in files
+        for x in f.logs
+        for note in x.notes
+    ]
     notes += [note for file in files for note in file.notes]
-    call = collection.call("predict", *(logs if len(logs) <= 4 else ()), output="prediction.json")
+    call = collection.call(
+        "predict", *(logs if len(logs) <= 4 else ()), output="prediction.json"
+    )
     return Section(
         "torque",
         "Torque, joint by joint",
@@ -276,7 +341,9 @@ def torque(
 
 def _side_by_side(collection: Collection) -> Group:
     """Errors of the models on the logs that all of them predict."""
-    logs = [frozenset(log.sha256 for log in p.content.logs) for p in collection.predictions]
+    logs = [
+        frozenset(log.sha256 for log in p.content.logs) for p in collection.predictions
+    ]
     common = frozenset.intersection(*logs)
     columns = heads("joint | unit", "text text")
     columns += [Head(collection.label(p), "number") for p in collection.predictions]
@@ -284,27 +351,47 @@ def _side_by_side(collection: Collection) -> Group:
     for name in collection.robot.joints:
         errors = (_error_on(item, name, common) for item in collection.predictions)
         rows.append((name, collection.place(name).unit, *errors))
-    note = f"RMS error, and its share of the RMS torque, on the {plural(len(common), 'log')} that "
-    shown = Table("Error of each model", Values(columns, rows), f"{note}all of them predict.")
+    note = (
+        "RMS error, and its share of the RMS torque, on the"
+        f" {plural(len(common), 'log')} that "
+    )
+    shown = Table(
+        "Error of each model", Values(columns, rows), f"{note}all of them predict."
+    )
     return Group("torque-models", "Models side by side", tables=[shown], unfolded=True)
 
 
 def _error_on(item: Prediction, name: str, logs: frozenset[str]) -> str | None:
     errors = [log.joints[name] for log in item.content.logs if log.sha256 in logs]
-    known = [(e.samples, e.rmse, e.relative_rmse) for e in errors if e.rmse and e.relative_rmse]
+    known = [
+        (e.samples, e.rmse, e.relative_rmse)
+        for e in errors
+        if e.rmse and e.relative_rmse
+    ]
     if not known:
         return None
-    error = math.sqrt(sum(n * rmse**2 for n, rmse, _ in known) / sum(n for n, *_ in known))
-    size = math.sqrt(sum(n * (rmse / x) ** 2 for n, rmse, x in known) / sum(n for n, *_ in known))
+    error = math.sqrt(
+        sum(n * rmse**2 for n, rmse, _ in known) / sum(n for n, *_ in known)
+    )
+    size = math.sqrt(
+        sum(n * (rmse / x) ** 2 for n, rmse, x in known) / sum(n for n, *_ in known)
+    )
     return f"{number(error)} ({percent(error / size)})"
 
 
 def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str) -> Group:
     place = collection.place(name)
     series, drawn = over_logs(collection, tables, name, _COLUMNS)
-    cutoffs = [log.cutoff_hz for item in collection.predictions for log in item.content.logs]
-    verdicts = [v for p in collection.judged for v in p.content.verdicts if v.joint == name]
-    state, bad = badge(verdicts), [verdict.reason for verdict in verdicts if not verdict.good]
+    cutoffs = [
+        log.cutoff_hz for item in collection.predictions for log in item.content.logs
+    ]
+    verdicts = [
+        v for p in collection.judged for v in p.content.verdicts if v.joint == name
+    ]
+    state, bad = (
+        badge(verdicts),
+        [verdict.reason for verdict in verdicts if not verdict.good],
+    )
     few = f"Shown: the {len(drawn)} of {len(series)} logs with the largest errors."
     return Group(
         f"torque-{collection.robot.joints.index(name) + 1}",
@@ -332,12 +419,15 @@ def over_logs(
     """
     models = {}
     for own in [own for own in tables if name in own.joints]:
-        label = collection.label(own.prediction) if own.prediction else short_path(own.path)
+        label = (
+            collection.label(own.prediction) if own.prediction else short_path(own.path)
+        )
         models[label] = {series.log: series for series in own.series(name)}
     series = list(next(iter(models.values()), {}).values())
     errors = {
         log.path: error.relative_rmse or 0.0
-        for item in collection.predictions[::-1]  # the best model's errors last, which stay
+        # the best model's errors last, which stay
+        for item in collection.predictions[::-1]
         for log in item.content.logs
         if (error := log.joints.get(name)) is not None
     }
@@ -356,10 +446,18 @@ def _errors(collection: Collection, place: Place) -> Table:
     for item in collection.predictions:
         for log in item.content.logs:
             if (x := log.joints.get(place.joint)) is not None:
-                errors = (x.rmse, x.relative_rmse, x.max_abs, x.samples, x.share_sliding)
+                errors = (
+                    x.rmse,
+                    x.relative_rmse,
+                    x.max_abs,
+                    x.samples,
+                    x.share_sliding,
+                )
                 names = (short_path(log.path), collection.label(item))
                 rows.append((*names, *errors, x.rmse_all, log.cutoff_hz))
-    titles = "log | model | RMS error [{unit}] | of RMS torque | largest [{unit}] | samples"
+    titles = (
+        "log | model | RMS error [{unit}] | of RMS torque | largest [{unit}] | samples"
+    )
     titles += " | slides in | with rests [{unit}] | cut-off [Hz]"
     kinds = "text text number share number count share number number"
     caption = f"Errors of {place.joint}, {plural(len(rows), 'log')}"

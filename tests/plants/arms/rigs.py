@@ -1,4 +1,6 @@
-"""The simulated robots: the paper's one- and two-joint rigs and an arm of a UR5e's size."""
+"""The simulated robots: the paper's one- and two-joint rigs and an arm of a UR5e's
+size.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -29,20 +31,32 @@ Three = tuple[float, float, float]
 
 
 def mounting(x: float, z: float, x2: float) -> Array:
-    """Rotate a link's frame by angles in rad about x, z and x again: R_link_from_imu (3, 3)."""
+    """Rotate a link's frame by angles in rad about x, z and x again: R_link_from_imu
+    (3, 3).
+    """
     return np.asarray(rot_x(x) @ rot_z(np.array(z)) @ rot_x(x2))
 
 
 def array_on(
-    name: str, after: int, turn: Three, lever: Three, *, size: float = 0.05, bias: float = 0.0
+    name: str,
+    after: int,
+    turn: Three,
+    lever: Three,
+    *,
+    size: float = 0.05,
+    bias: float = 0.0,
 ) -> AccelerometerArray:
-    """Twelve accelerometers over `size` m on the link after a joint, mounted as `mounting` says."""
+    """Twelve accelerometers over `size` m on the link after a joint, mounted as
+    `mounting` says.
+    """
     place = mounting(*turn), np.array(lever)
     return AccelerometerArray(name, after, *tetrahedral_array(size), *place, bias=bias)
 
 
 def _light_link(izz: float, mx: float, mass: float) -> Array:
-    """Standard parameters (10,) of a flat bar along x with `izz` about the joint's axis."""
+    """Standard parameters (10,) of a flat bar along x with `izz` about the joint's
+    axis.
+    """
     return np.array([mass, mx, 0.0, 0.0, 0.02 * izz, 0.0, izz, 0.0, 0.0, izz])
 
 
@@ -53,7 +67,12 @@ def off_nominal(arm: Arm, share: float) -> Arm:
 
 
 def _paper_rig(
-    dh: Array, phi: Array, friction: SurfaceFriction, inertia: Array, counts: int, **own: Any
+    dh: Array,
+    phi: Array,
+    friction: SurfaceFriction,
+    inertia: Array,
+    counts: int,
+    **own: Any,
 ) -> Plant:
     n = len(dh)
     arm = Arm(NAMES[:n], dh, phi, DOWN, np.full(n, GEAR), np.full(n, ROTOR))
@@ -72,7 +91,9 @@ def _paper_rig(
 
 
 def one_joint(*, quadrature_factor: int = 1) -> Plant:
-    """Sec. 4.1: one link on an axis 30 degrees off gravity, 600 encoder counts per joint turn."""
+    """Sec. 4.1: one link on an axis 30 degrees off gravity, 600 encoder counts per
+    joint turn.
+    """
     friction = SurfaceFriction(
         coulomb=np.array([0.027]),
         viscous=np.array([6e-4]),
@@ -96,7 +117,9 @@ def one_joint(*, quadrature_factor: int = 1) -> Plant:
 
 
 def two_joint() -> Plant:
-    """Sec. 4.2: planar, axes along gravity, base parameters of Eq. 44 as in Table IV (CAD)."""
+    """Sec. 4.2: planar, axes along gravity, base parameters of Eq. 44 as in Table IV
+    (CAD).
+    """
     inner = PI_1 - GEAR**2 * ROTOR - LINK_MASS * UPPER_LENGTH**2
     links = _light_link(inner, 0.12, 0.62), _light_link(LINK_INERTIA, MOMENT, LINK_MASS)
     friction = SurfaceFriction(
@@ -161,11 +184,15 @@ def standard_parameters(
 
 def plain(friction: SurfaceFriction) -> SurfaceFriction:
     """Coulomb and viscous friction alone."""
-    return replace(friction, stribeck=0 * friction.stribeck, amplitude=0 * friction.amplitude)
+    return replace(
+        friction, stribeck=0 * friction.stribeck, amplitude=0 * friction.amplitude
+    )
 
 
 def geared(arm: Arm, friction: SurfaceFriction, inertia: Array, **own: Any) -> Plant:
-    """An industrial arm: stiff controller for links of `inertia` (n,), 1/f in a tenth of noise."""
+    """An industrial arm: stiff controller for links of `inertia` (n,), 1/f in a tenth
+    of noise.
+    """
     return Plant(
         arm=arm,
         nominal=off_nominal(arm, 0.12),
@@ -184,7 +211,9 @@ def six_joint(*, simple_friction: bool = False) -> Plant:
         standard_parameters(*body, mounting(0.05 * (i + 1), 0.06 - 0.02 * i, 0.04))
         for i, body in enumerate(UR5E_BODIES)
     ]
-    arm = Arm(UR5E_NAMES, UR5E_DH, np.array(bodies), DOWN, np.full(6, 101.0), UR5E_ROTORS)
+    arm = Arm(
+        UR5E_NAMES, UR5E_DH, np.array(bodies), DOWN, np.full(6, 101.0), UR5E_ROTORS
+    )
     waves = (0.08 + 0.015 * np.sin(k), 0.05 + 0.01 * np.cos(k), np.full(6, 0.02))
     friction = SurfaceFriction(
         coulomb=UR5E_COULOMB,
@@ -206,7 +235,14 @@ def six_joint(*, simple_friction: bool = False) -> Plant:
         encoder_step=np.full(6, 2.0**-15),
         current_noise=np.array([0.075, 0.075, 0.06, 0.022, 0.022, 0.022]),
         position_limits=np.array(
-            [[-2.8, 2.8], [-2.7, 0.3], [-2.4, 2.4], [-2.9, 2.9], [-2.8, 2.8], [-2.8, 2.8]]
+            [
+                [-2.8, 2.8],
+                [-2.7, 0.3],
+                [-2.4, 2.4],
+                [-2.9, 2.9],
+                [-2.8, 2.8],
+                [-2.8, 2.8],
+            ]
         ),
         velocity_limits=np.array([2.2, 2.2, 2.6, 3.1, 3.1, 3.1]),
         acceleration_limits=np.array([9.0, 9.0, 12.0, 22.0, 22.0, 25.0]),

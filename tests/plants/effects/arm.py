@@ -7,19 +7,30 @@ import pinocchio as pin
 
 from tests import Array
 from tests.plants.arms.rigs import GRAVITY, standard_parameters
-from tests.plants.effects.friction import at, clear, on_joint, place_of, rated_torque, source_on
+from tests.plants.effects.friction import (
+    at,
+    clear,
+    on_joint,
+    place_of,
+    rated_torque,
+    source_on,
+)
 from tests.plants.mechanics.hidden import Run, TorqueSource
 from tests.plants.mechanics.rigid import build_model, rot_x, rot_z
 from tests.plants.simulate import Plant
 
 
 def tool_point(plant: Plant) -> Array:
-    """Where the last link is pushed or loaded: twice as far out as its centre of mass, (3,) m."""
+    """Where the last link is pushed or loaded: twice as far out as its centre of mass,
+    (3,) m.
+    """
     return np.asarray(2.0 * plant.arm.phi[-1, 1:4] / plant.arm.phi[-1, 0])
 
 
 def reach(plant: Plant) -> float:
-    """Largest lever arm of the tool point about any joint's axis in 400 random postures, m."""
+    """Largest lever arm of the tool point about any joint's axis in 400 random
+    postures, m.
+    """
     rng, model = np.random.default_rng(1), build_model(plant.arm)
     data, last, most = model.createData(), plant.arm.n, 0.0
     for _ in range(400):
@@ -34,7 +45,9 @@ def reach(plant: Plant) -> float:
 def payload(plant: Plant, joint: int, size: float) -> Plant:
     """Body at the tool point whose weight is a clear torque for the strongest joint."""
     mass = 0.05 * size * float(rated_torque(plant).max()) / (GRAVITY * reach(plant))
-    body = standard_parameters(mass, tuple(tool_point(plant)), (0.05, 0.05, 0.05), np.eye(3))
+    body = standard_parameters(
+        mass, tuple(tool_point(plant)), (0.05, 0.05, 0.05), np.eye(3)
+    )
     phi = plant.arm.phi.copy()
     phi[-1] += body
     return replace(plant, arm=replace(plant.arm, phi=phi))
@@ -42,7 +55,11 @@ def payload(plant: Plant, joint: int, size: float) -> Plant:
 
 def base_tilt(plant: Plant, joint: int, size: float) -> Plant:
     """The base leans by 5 degrees times size about a level axis 60 degrees from its x."""
-    turn = rot_z(np.array(np.pi / 3)) @ rot_x(np.deg2rad(5.0) * size) @ rot_z(np.array(-np.pi / 3))
+    turn = (
+        rot_z(np.array(np.pi / 3))
+        @ rot_x(np.deg2rad(5.0) * size)
+        @ rot_z(np.array(-np.pi / 3))
+    )
     return replace(plant, arm=replace(plant.arm, gravity=turn @ plant.arm.gravity))
 
 
@@ -53,7 +70,9 @@ def rotor_inertia(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def contact(plant: Plant, joint: int, size: float) -> Plant:
-    """Half-sine pushes of the last link, 10 % of rated times size for the strongest joint."""
+    """Half-sine pushes of the last link, 10 % of rated times size for the strongest
+    joint.
+    """
     mean = 0.10 * size * float(rated_torque(plant).max()) / reach(plant)
     arm, point = plant.arm, tool_point(plant)
 
@@ -73,9 +92,13 @@ def contact(plant: Plant, joint: int, size: float) -> Plant:
                 if first < t < first + length:
                     force = most * np.sin(np.pi * ((t - first) / length))
                     pin.computeJointJacobians(model, data, q)
-                    jac = pin.getJointJacobian(model, data, arm.n, pin.LOCAL_WORLD_ALIGNED)
+                    jac = pin.getJointJacobian(
+                        model, data, arm.n, pin.LOCAL_WORLD_ALIGNED
+                    )
                     lever = data.oMi[arm.n].rotation @ point
-                    return np.asarray(jac[:3].T @ force + jac[3:].T @ np.cross(lever, force))
+                    return np.asarray(
+                        jac[:3].T @ force + jac[3:].T @ np.cross(lever, force)
+                    )
             return np.zeros_like(q)
 
         return source
@@ -106,12 +129,19 @@ def other_speed(plant: Plant, joint: int, size: float) -> Plant:
 def two_positions(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(3 q_j) cos(2 q_k + 0.5) of this joint and the one before."""
     most, j, k = clear(plant, joint, size), joint, other(joint)
-    return on_joint(plant, j, lambda q, dq: -most * (np.sin(3 * q[j]) * np.cos(2 * q[k] + 0.5)))
+    return on_joint(
+        plant, j, lambda q, dq: -most * (np.sin(3 * q[j]) * np.cos(2 * q[k] + 0.5))
+    )
 
 
 def acceleration_cube(plant: Plant, joint: int, size: float) -> Plant:
-    """Torque over the cube of the acceleration, up to where it is clear: 70 % of its limit."""
-    top, torque = 0.7 * float(plant.acceleration_limits[joint]), clear(plant, joint, size)
+    """Torque over the cube of the acceleration, up to where it is clear: 70 % of its
+    limit.
+    """
+    top, torque = (
+        0.7 * float(plant.acceleration_limits[joint]),
+        clear(plant, joint, size),
+    )
 
     def begin(run: Run) -> TorqueSource:
         before = np.nan

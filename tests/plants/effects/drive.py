@@ -13,24 +13,37 @@ from tests.plants.simulate import Plant
 
 
 def ripple(plant: Plant, joint: int, size: float) -> Plant:
-    """Order 2 of the motor (strain wave), also without current: sin(2 gear angle + 0.7)."""
-    torque, pace = at(plant, joint, clear(plant, joint, size)), 2.0 * float(plant.arm.gear[joint])
+    """Order 2 of the motor (strain wave), also without current: sin(2 gear angle +
+    0.7).
+    """
+    torque, pace = (
+        at(plant, joint, clear(plant, joint, size)),
+        2.0 * float(plant.arm.gear[joint]),
+    )
     return plant.hiding(
-        drives=lambda run: lambda t, tau, angle: tau + torque * np.sin(pace * angle + 0.7)
+        drives=lambda run: (
+            lambda t, tau, angle: tau + torque * np.sin(pace * angle + 0.7)
+        )
     )
 
 
 def elastic(plant: Plant, joint: int, size: float) -> Plant:
-    """Joint that bends by 20 mrad times size at rated torque, damping ratio 3 %; 5 to 16 Hz."""
+    """Joint that bends by 20 mrad times size at rated torque, damping ratio 3 %; 5 to
+    16 Hz.
+    """
     return _spring(plant, joint, 0.020 * size, 0.03)
 
 
 def backlash(plant: Plant, joint: int, size: float) -> Plant:
-    """Gap of 4 mrad times size in all, between teeth that bend by 1 mrad at rated torque."""
+    """Gap of 4 mrad times size in all, between teeth that bend by 1 mrad at rated
+    torque.
+    """
     return _spring(plant, joint, 0.001, 0.2, 0.004 * size)
 
 
-def _spring(plant: Plant, joint: int, bend: float, ratio: float, gap: float = 0.0) -> Plant:
+def _spring(
+    plant: Plant, joint: int, bend: float, ratio: float, gap: float = 0.0
+) -> Plant:
     stiffness = float(rated_torque(plant)[joint]) / bend
     inertia = swung(Rigid(plant.arm), joint, plant.position_limits.mean(axis=1))
     damping = float(2.0 * ratio * np.sqrt(stiffness * inertia))
@@ -38,7 +51,9 @@ def _spring(plant: Plant, joint: int, bend: float, ratio: float, gap: float = 0.
 
 
 def coupling(plant: Plant, joint: int, size: float) -> Plant:
-    """Drive of this joint also turns with the one before: rate = dq_j + 0.2 size dq_(j-1)."""
+    """Drive of this joint also turns with the one before: rate = dq_j + 0.2 size
+    dq_(j-1).
+    """
     a = np.eye(plant.arm.n)
     a[joint, joint - 1] = 0.2 * size
     return replace(plant, hidden=replace(plant.hidden, coupling=a))
@@ -70,7 +85,9 @@ def saturation(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def lag(plant: Plant, joint: int, size: float) -> Plant:
-    """Log holds the command; this motor's torque follows with 4 ms times size, first order."""
+    """Log holds the command; this motor's torque follows with 4 ms times size, first
+    order.
+    """
     time = at(plant, joint, 0.004 * size)
 
     def begin(run: Run) -> Stage:
@@ -97,7 +114,9 @@ def skew_all(plant: Plant, joint: int, size: float) -> Plant:
 
 def _amperes(plant: Plant, joint: int, size: float) -> Array:
     """A clear torque at the joint as current, (n,) A."""
-    return at(plant, joint, clear(plant, joint, size) / float(plant.torque_per_ampere[joint]))
+    return at(
+        plant, joint, clear(plant, joint, size) / float(plant.torque_per_ampere[joint])
+    )
 
 
 def bias(plant: Plant, joint: int, size: float) -> Plant:
@@ -112,8 +131,12 @@ def drift(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def mains(plant: Plant, joint: int, size: float) -> Plant:
-    """Hum of 50 Hz in the current reading, 2 % of rated times size, of one phase all the time."""
+    """Hum of 50 Hz in the current reading, 2 % of rated times size, of one phase all
+    the time.
+    """
     amplitude, pace = 0.4 * _amperes(plant, joint, size), 2.0 * np.pi * 50.0
     return plant.hiding(
-        currents=lambda t, current: current + amplitude * np.sin(pace * t + 1.1)[:, None]
+        currents=lambda t, current: (
+            current + amplitude * np.sin(pace * t + 1.1)[:, None]
+        )
     )

@@ -1,7 +1,8 @@
 """Undeclared friction and springs of one joint, sized by the joint's rated torque.
 
-Every function takes (plant, joint, size) and returns the plant that has the effect as well. Size 1
-is clear, about 5 % of rated torque (`CLEAR`) where the docstring says nothing else.
+Every function takes (plant, joint, size) and returns the plant that has the effect as
+well. Size 1 is clear, about 5 % of rated torque (`CLEAR`) where the docstring says
+nothing else.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,8 @@ from tests.plants.mechanics.rigid import Rigid
 from tests.plants.simulate import Plant
 
 CLEAR = 0.05  # share of rated torque at size 1
-BUSY = 0.6  # share of the limits of speed and acceleration that busy motion uses at once
+# share of the limits of speed and acceleration that busy motion uses at once
+BUSY = 0.6
 WARMING = 20.0  # K, after hours of usual work, with a time constant of 300 s
 
 
@@ -38,7 +40,9 @@ def rated_torque(plant: Plant) -> Array:
 def dry_level(plant: Plant, joint: int) -> float:
     """Smaller dry level of a joint at a third of its top speed, N m."""
     dq = plant.velocity_limits / 3.0
-    dry = plant.friction.begin()(0.0, plant.position_limits.mean(axis=1), dq, np.zeros_like(dq))
+    dry = plant.friction.begin()(
+        0.0, plant.position_limits.mean(axis=1), dq, np.zeros_like(dq)
+    )
     return float(min(dry.forward[joint], dry.backward[joint]))
 
 
@@ -51,15 +55,21 @@ def _add(plant: Plant, joint: int, curve: Curve) -> Plant:
     return replace(plant, friction=Extra(plant.friction, joint, curve))
 
 
-def _level(plant: Plant, joint: int, most: float, share: Callable[[float, float], float]) -> Plant:
+def _level(
+    plant: Plant, joint: int, most: float, share: Callable[[float, float], float]
+) -> Plant:
     """`most` N m more dry friction both ways, times a share that depends on q and v."""
-    return _add(plant, joint, lambda q, v, load: (most * share(q, v), most * share(q, v), 0.0))
+    return _add(
+        plant, joint, lambda q, v, load: (most * share(q, v), most * share(q, v), 0.0)
+    )
 
 
 def stribeck(plant: Plant, joint: int, size: float) -> Plant:
     """Stribeck hump; its speed is 6 % of the top speed."""
     speed = 0.06 * float(plant.velocity_limits[joint])
-    return _level(plant, joint, clear(plant, joint, size), lambda q, v: exp(-((v / speed) ** 2)))
+    return _level(
+        plant, joint, clear(plant, joint, size), lambda q, v: exp(-((v / speed) ** 2))
+    )
 
 
 def asymmetric(plant: Plant, joint: int, size: float) -> Plant:
@@ -74,11 +84,15 @@ def load_dependent(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def gear_efficiency(plant: Plant, joint: int, size: float) -> Plant:
-    """15 % of the transmitted torque is lost when driving, 3 % when back-driven, times size."""
+    """15 % of the transmitted torque is lost when driving, 3 % when back-driven, times
+    size.
+    """
     return _add(plant, joint, MeshLoss(0.15 * size, 0.03 * size))
 
 
-def _power(plant: Plant, joint: int, size: float, share: float, exponent: float) -> Plant:
+def _power(
+    plant: Plant, joint: int, size: float, share: float, exponent: float
+) -> Plant:
     """Viscous friction factor |v|^exponent sign(v), clear at a share of the top speed.
 
     Below an exponent of 1 it counts as dry, so that it is not stiff at rest.
@@ -124,7 +138,8 @@ def level_wave(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def thermal(plant: Plant, joint: int, size: float) -> Plant:
-    """Warm gears turn more easily: 20 K take a clear torque off the viscous one at top speed.
+    """Warm gears turn more easily: 20 K take a clear torque off the viscous one at top
+    speed.
 
     They warm up at 30 % of that speed.
     """
@@ -148,7 +163,9 @@ def at(plant: Plant, joint: int, value: float) -> Array:
 
 
 def place_of(plant: Plant, joint: int, share: float = 0.0) -> tuple[float, float]:
-    """A place at a share of the way from the middle of a joint's range, half of that range, rad."""
+    """A place at a share of the way from the middle of a joint's range, half of that
+    range, rad.
+    """
     low, high = plant.position_limits[joint]
     half = float(0.5 * (high - low))
     return float(0.5 * (low + high)) + share * half, half
@@ -178,20 +195,28 @@ class LinearSpring:
     rest: float
 
     def __call__(self, run: Run) -> TorqueSource:
-        return source_on(self.joint, lambda q, dq: -self.stiffness * (q[self.joint] - self.rest))
+        return source_on(
+            self.joint, lambda q, dq: -self.stiffness * (q[self.joint] - self.rest)
+        )
 
 
 def spring(plant: Plant, joint: int, size: float) -> Plant:
-    """Linear spring; clear at 60 % of the way from its rest, near the middle, to the end."""
+    """Linear spring; clear at 60 % of the way from its rest, near the middle, to the
+    end.
+    """
     rest, half = place_of(plant, joint, 0.1)
-    return plant.hiding(torques=LinearSpring(joint, clear(plant, joint, size) / (0.6 * half), rest))
+    return plant.hiding(
+        torques=LinearSpring(joint, clear(plant, joint, size) / (0.6 * half), rest)
+    )
 
 
 def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
-    """Coil spring between a point of either link, always in tension; at most four times clear.
+    """Coil spring between a point of either link, always in tension; at most four times
+    clear.
 
-    Distances are in that of the point on the base from the axis: `arm` that of the other, `slack`
-    the spring's length without tension. Its torque is minus the slope of its energy.
+    Distances are in that of the point on the base from the axis: `arm` that of the
+    other, `slack` the spring's length without tension. Its torque is minus the slope of
+    its energy.
     """
     arm, slack = 0.3, 0.5
     middle, half = place_of(plant, joint)
@@ -202,6 +227,8 @@ def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
         pull = stiffness * max(length - slack, 0.0)
         return -pull * arm * float(np.sin(angle)) / length
 
-    most = max(abs(torque(q, 1.0)) for q in np.linspace(middle - half, middle + half, 200))
+    most = max(
+        abs(torque(q, 1.0)) for q in np.linspace(middle - half, middle + half, 200)
+    )
     stiffness = 4.0 * clear(plant, joint, size) / most
     return on_joint(plant, joint, lambda q, dq: torque(float(q[joint]), stiffness))

@@ -1,4 +1,6 @@
-"""The registry of undeclared effects: what a study puts into a plant, and the right answer."""
+"""The registry of undeclared effects: what a study puts into a plant, and the right
+answer.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -32,7 +34,9 @@ REGISTRY: Mapping[str, Entry] = {
     # the catalogue, each by its own name
     "stribeck": Entry("stribeck", friction.stribeck),
     "asymmetric_friction": Entry("asymmetric_friction", friction.asymmetric),
-    "load_dependent_friction": Entry("load_dependent_friction", friction.load_dependent),
+    "load_dependent_friction": Entry(
+        "load_dependent_friction", friction.load_dependent
+    ),
     "gear_efficiency": Entry("gear_efficiency", friction.gear_efficiency),
     "thermal_friction": Entry("thermal_friction", friction.thermal),
     "quadratic_drag": Entry("quadratic_drag", friction.quadratic_drag),
@@ -55,26 +59,36 @@ REGISTRY: Mapping[str, Entry] = {
     "periodic_disturbance": Entry("periodic_disturbance", drive.mains),
     "drift": Entry("drift", drive.drift),
     "external_contact": Entry("external_contact", arm.contact, "arm"),
-    "position_dependent_friction": Entry("position_dependent_friction", friction.level_wave),
+    "position_dependent_friction": Entry(
+        "position_dependent_friction", friction.level_wave
+    ),
     # the same effects by another law
     "nonlinear_viscous.root": Entry("nonlinear_viscous", friction.root_viscous),
     "spring.counterbalance": Entry("spring", friction.counterbalance),
     # outside the catalogue
     "outside.bump": Entry(None, arm.bump, depends_on=("position",)),
     "outside.other_speed": Entry(None, arm.other_speed, depends_on=("other_joint",)),
-    "outside.acceleration_cube": Entry(None, arm.acceleration_cube, depends_on=("acceleration",)),
-    "outside.two_positions": Entry(None, arm.two_positions, depends_on=("position", "other_joint")),
+    "outside.acceleration_cube": Entry(
+        None, arm.acceleration_cube, depends_on=("acceleration",)
+    ),
+    "outside.two_positions": Entry(
+        None, arm.two_positions, depends_on=("position", "other_joint")
+    ),
 }
 CATALOGUE = tuple(name for name, entry in REGISTRY.items() if entry.kind == name)
 OUTSIDE = tuple(name for name, entry in REGISTRY.items() if entry.kind is None)
 
 
 def inject(name: str, plant: Plant, joint: int, size: float = 1.0) -> Injection:
-    """Put one effect of `REGISTRY` into a plant, which may have undeclared effects already."""
+    """Put one effect of `REGISTRY` into a plant, which may have undeclared effects
+    already.
+    """
     entry = REGISTRY[name]
     if not entry.first <= joint < plant.arm.n:
         raise ValueError(f"{name} cannot be on joint {joint} of {plant.arm.n}")
     partner = plant.arm.names[arm.other(joint)] if plant.arm.n > 1 else ""
-    depends = tuple(f"{x}:{partner}" if x == "other_joint" else x for x in entry.depends_on)
+    depends = tuple(
+        f"{x}:{partner}" if x == "other_joint" else x for x in entry.depends_on
+    )
     at = joint if entry.place == "joint" else None
     return Injection(entry.kind, at, depends, plant, entry.make(plant, joint, size))

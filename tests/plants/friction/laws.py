@@ -1,4 +1,6 @@
-"""Friction of one joint beyond the plant's own: curves, bristles that bend, gears that warm up."""
+"""Friction of one joint beyond the plant's own: curves, bristles that bend, gears that
+warm up.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,7 +39,9 @@ class Extra:
 
 @dataclass(frozen=True)
 class MeshLoss:
-    """|load| sign(v), times `driving` where the drive moves the load, else `back_driving`."""
+    """|load| sign(v), times `driving` where the drive moves the load, else
+    `back_driving`.
+    """
 
     driving: float
     back_driving: float
@@ -53,9 +57,10 @@ class MeshLoss:
 class Bristles:
     """Replaces the dry friction of one joint by bristles that bend before they slip.
 
-    z' = v - |v| z / z_ss with z_ss = level(v)/stiffness, torque = stiffness z + damping z' + the
-    smooth part; level is the dry level of `base` in the direction of motion, so that the torque
-    at constant speed is that of `base`. `stiffness` N m/rad, `damping` N m s/rad, at the joint.
+    z' = v - |v| z / z_ss with z_ss = level(v)/stiffness, torque = stiffness z + damping
+    z' + the smooth part; level is the dry level of `base` in the direction of motion,
+    so that the torque at constant speed is that of `base`. `stiffness` N m/rad,
+    `damping` N m s/rad, at the joint.
     """
 
     base: FrictionModel
@@ -72,9 +77,13 @@ class Bristles:
             here, rate = float(q[i]), float(dq[i])
             way = 0.0 if np.isnan(before) else here - before
             before = here
-            limit = max(float(forward[i] if way >= 0 else backward[i]), 1e-12) / self.stiffness
+            limit = (
+                max(float(forward[i] if way >= 0 else backward[i]), 1e-12)
+                / self.stiffness
+            )
             goal = limit if way >= 0 else -limit
-            bend = float(goal + (bend - goal) * np.exp(-abs(way) / limit))  # exact for any way
+            # exact for any way
+            bend = float(goal + (bend - goal) * np.exp(-abs(way) / limit))
             bending = rate - abs(rate) * bend / limit
             smooth[i] += self.stiffness * bend + self.damping * bending
             forward[i] = backward[i] = 0.0
@@ -87,8 +96,8 @@ class Bristles:
 class Heat:
     """C dT/dt = P - G (T - ambient) per joint, all (n,); degC, J/K, W/K, W.
 
-    Between the logs the arm works on, at the mean friction power `usual`, from power-on at ambient
-    temperature; so a log that starts later starts warmer.
+    Between the logs the arm works on, at the mean friction power `usual`, from power-on
+    at ambient temperature; so a log that starts later starts warmer.
     """
 
     capacity: Array
@@ -111,18 +120,24 @@ class Heat:
         return np.asarray(goal + (degrees - goal) * np.exp(-dt / self.time_constant))
 
     def trace(self, start: float, power: Array, dt: float) -> Array:
-        """Temperatures (N, n) degC at the rows of power (N, n) W, the first at `start` s."""
+        """Temperatures (N, n) degC at the rows of power (N, n) W, the first at `start`
+        s.
+        """
         first, out = self.at(start), np.empty_like(power)
         for i, pole in enumerate(np.exp(-dt / self.time_constant)):
             goal = power[:, i] / self.loss[i]
-            drive = np.concatenate([[first[i] - self.ambient], (1.0 - pole) * goal[:-1]])
+            drive = np.concatenate(
+                [[first[i] - self.ambient], (1.0 - pole) * goal[:-1]]
+            )
             out[:, i] = self.ambient + lfilter([1.0], [1.0, -pole], drive)
         return out
 
 
 @dataclass(frozen=True)
 class Warming:
-    """Friction whose smooth part falls as exp(-thinning (T - ambient)), thinning (n,) 1/K."""
+    """Friction whose smooth part falls as exp(-thinning (T - ambient)), thinning (n,)
+    1/K.
+    """
 
     base: FrictionModel
     heat: Heat
@@ -136,7 +151,10 @@ class Warming:
             nonlocal degrees, then
             if degrees is None:
                 degrees, then = heat.at(t), t
-            cold, thinner = base(t, q, dq, load), np.exp(-self.thinning * (degrees - heat.ambient))
+            cold, thinner = (
+                base(t, q, dq, load),
+                np.exp(-self.thinning * (degrees - heat.ambient)),
+            )
             felt = cold._replace(smooth=cold.smooth * thinner)
             if t > then:
                 degrees = heat.advance(degrees, np.abs(felt.sliding(dq) * dq), t - then)

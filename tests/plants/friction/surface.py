@@ -10,7 +10,9 @@ from tests import Array
 
 
 class Friction(NamedTuple):
-    """Friction of n joints, N m: dry level for dq > 0 and for dq < 0 (both >= 0), smooth torque."""
+    """Friction of n joints, N m: dry level for dq > 0 and for dq < 0 (both >= 0),
+    smooth torque.
+    """
 
     forward: Array
     backward: Array
@@ -20,7 +22,8 @@ class Friction(NamedTuple):
         return np.where(dq > 0, self.forward, -self.backward) + self.smooth
 
 
-Law = Callable[[float, Array, Array, Array], Friction]  # (t [s], q, dq, load [N m]) -> Friction
+# (t [s], q, dq, load [N m]) -> Friction
+Law = Callable[[float, Array, Array, Array], Friction]
 
 
 class FrictionModel(Protocol):
@@ -31,10 +34,12 @@ class FrictionModel(Protocol):
 
 @dataclass(frozen=True)
 class SurfaceFriction:
-    """Dry friction that depends on position, with a Stribeck hump, and viscous friction.
+    """Dry friction that depends on position, with a Stribeck hump, and viscous
+    friction.
 
-    level = coulomb [1 + sum_k amplitude_k sin(k q + phase_k)] + stribeck exp(-(dq/v_s)^2)
-    smooth = viscous dq, v_s = stribeck_speed. All (n,), harmonics (n, K); N m, rad/s, N m s/rad.
+    level = coulomb [1 + sum_k amplitude_k sin(k q + phase_k)] + stribeck
+    exp(-(dq/v_s)^2) smooth = viscous dq, v_s = stribeck_speed. All (n,), harmonics (n,
+    K); N m, rad/s, N m s/rad.
     """
 
     coulomb: Array
@@ -66,13 +71,14 @@ class Frictionless:
 def stick_slip(
     mass: Array, force: Array, velocity: Array, dt: float, dry: Friction, sign: Array
 ) -> tuple[Array, Array, Array]:
-    """Acceleration and dry friction of one step, with joints at rest held where friction can.
+    """Acceleration and dry friction of one step, with joints at rest held where
+    friction can.
 
-    Sticking is exact: a reversal passes through stiction without a regularised sign. `mass` (n, n)
-    kg m^2, `force` (n,) N m of everything but dry friction, `velocity` (n,) rad/s before the step
-    of `dt` s, levels of `dry` friction, and a first guess of the direction of slip after the step,
-    `sign` (n,), 0 where stuck. Returns ddq (n,) rad/s^2, the torque of dry friction (n,) N m and
-    the sign (n,).
+    Sticking is exact: a reversal passes through stiction without a regularised sign.
+    `mass` (n, n) kg m^2, `force` (n,) N m of everything but dry friction, `velocity`
+    (n,) rad/s before the step of `dt` s, levels of `dry` friction, and a first guess of
+    the direction of slip after the step, `sign` (n,), 0 where stuck. Returns ddq (n,)
+    rad/s^2, the torque of dry friction (n,) N m and the sign (n,).
     """
     stop = -velocity / dt
     if sign.all():  # most steps: everything slips on
@@ -81,7 +87,9 @@ def stick_slip(
         if ((velocity + dt * ddq) * sign).min() >= 0:
             return np.asarray(ddq), np.asarray(friction), sign
     for _ in range(12):
-        friction = np.where(sign > 0, dry.forward, np.where(sign < 0, -dry.backward, 0.0))
+        friction = np.where(
+            sign > 0, dry.forward, np.where(sign < 0, -dry.backward, 0.0)
+        )
         stuck = sign == 0
         matrix, right = mass, force - friction
         if stuck.any():

@@ -1,4 +1,6 @@
-"""What a plant has and its robot file does not say: drives, transmissions, torques, instruments."""
+"""What a plant has and its robot file does not say: drives, transmissions, torques,
+instruments.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,10 @@ import numpy as np
 
 from tests import Array
 
-TorqueSource = Callable[[float, Array, Array], Array]  # (t, q, dq) -> (n,) N m acting on the joints
-Stage = Callable[[float, Array, Array], Array]  # (t, torque, drive angle) -> torque, (n,) N m
+# (t, q, dq) -> (n,) N m acting on the joints
+TorqueSource = Callable[[float, Array, Array], Array]
+# (t, torque, drive angle) -> torque, (n,) N m
+Stage = Callable[[float, Array, Array], Array]
 
 
 class Run(NamedTuple):
@@ -25,10 +29,11 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True)
 class Spring:
-    """Stiff element between drive and link of one joint; angles at the joint, odd in the wind.
+    """Stiff element between drive and link of one joint; angles at the joint, odd in
+    the wind.
 
-    No torque within +-gap/2 (backlash), `stiffness` N m/rad after it; `damping` N m s/rad while in
-    contact, which never pulls across a gap.
+    No torque within +-gap/2 (backlash), `stiffness` N m/rad after it; `damping` N m
+    s/rad while in contact, which never pulls across a gap.
     """
 
     joint: int
@@ -54,10 +59,15 @@ class Spring:
 class Hidden:
     """Everything undeclared; the empty one leaves the plant as its robot file says."""
 
-    torques: tuple[Callable[[Run], TorqueSource], ...] = ()  # on the links, begun anew in each run
-    drives: tuple[Callable[[Run], Stage], ...] = ()  # what the motor makes of the current's torque
-    springs: tuple[Spring, ...] = ()  # the drives' angles are what controller and log read
-    encoders: tuple[Callable[[Array], Array], ...] = ()  # true angle (..., n) rad -> error to add
+    # on the links, begun anew in each run
+    torques: tuple[Callable[[Run], TorqueSource], ...] = ()
+    # what the motor makes of the current's torque
+    drives: tuple[Callable[[Run], Stage], ...] = ()
+    # the drives' angles are what controller and log read
+    springs: tuple[Spring, ...] = ()
+    # true angle (..., n) rad -> error to add
+    encoders: tuple[Callable[[Array], Array], ...] = ()
     # (t (N,) s since power-on, current (N, n) A) -> what the log says of it, (N, n) A
     currents: tuple[Callable[[Array, Array], Array], ...] = ()
-    coupling: Array | None = None  # A (n, n): drive rates = A dq; friction maps back with A^T
+    # A (n, n): drive rates = A dq; friction maps back with A^T
+    coupling: Array | None = None

@@ -1,4 +1,6 @@
-"""One control period of an arm, rigid (leapfrog) or with springs in its joints (substeps)."""
+"""One control period of an arm, rigid (leapfrog) or with springs in its joints
+(substeps).
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -14,7 +16,9 @@ FINEST = 0.5  # rad of the fastest vibration per substep
 
 
 class Row(NamedTuple):
-    """Truth at one instant: link motion, friction at the drive, angle that the log sees, (n,)."""
+    """Truth at one instant: link motion, friction at the drive, angle that the log
+    sees, (n,).
+    """
 
     q: Array
     dq: Array
@@ -37,7 +41,9 @@ class _Joints:
 
 @dataclass
 class RigidJoints(_Joints):
-    """Drives and links move as one; friction may act on combinations of the joints' rates."""
+    """Drives and links move as one; friction may act on combinations of the joints'
+    rates.
+    """
 
     def __post_init__(self) -> None:
         self._a, self._reflected = self.hidden.coupling, self.rigid.arm.reflected
@@ -50,7 +56,9 @@ class RigidJoints(_Joints):
         return self._q
 
     def step(self, t: float, tau: Array) -> Row:
-        """Advance by one period with the drives' torque (n,) N m; `t` is the row's instant."""
+        """Advance by one period with the drives' torque (n,) N m; `t` is the row's
+        instant.
+        """
         dt, q = self.dt, self._q
         dq = self._half + 0.5 * dt * self._ddq
         mass, bias = self.rigid.terms(q, dq)
@@ -66,52 +74,72 @@ class RigidJoints(_Joints):
         self._q = q + dt * self._half
         return row
 
-    def _slip(self, t: float, q: Array, dq: Array, mass: Array, push: Array) -> tuple[Array, Array]:
+    def _slip(
+        self, t: float, q: Array, dq: Array, mass: Array, push: Array
+    ) -> tuple[Array, Array]:
         """Acceleration and friction torque at the joints, (n,) each."""
         if self._a is None or self._back is None:
             dry = self.law(t, q, dq, self._load)
             force = push - dry.smooth
-            ddq, rub, self._sign = stick_slip(mass, force, self._half, self.dt, dry, self._sign)
+            ddq, rub, self._sign = stick_slip(
+                mass, force, self._half, self.dt, dry, self._sign
+            )
             return ddq, rub + dry.smooth
         a, back = self._a, self._back
         dry = self.law(t, a @ q, a @ dq, self._load)
         turned, force = back.T @ mass @ back, back.T @ push - dry.smooth
         rates = a @ self._half
-        spin, rub, self._sign = stick_slip(turned, force, rates, self.dt, dry, self._sign)
+        spin, rub, self._sign = stick_slip(
+            turned, force, rates, self.dt, dry, self._sign
+        )
         return back @ spin, a.T @ (rub + dry.smooth)
 
 
 @dataclass
 class ElasticJoints(_Joints):
-    """Some drives turn apart from their links; drives' own coordinates come after the links'.
+    """Some drives turn apart from their links; drives' own coordinates come after the
+    links'.
 
-    One period runs from half a period before the row's instant to half a period after it, so that
-    position, torque and acceleration of one row belong together, as in the rigid arm. The
-    controller has read the encoders at the period's begin. Friction of a joint with a spring acts
-    on its drive.
+    One period runs from half a period before the row's instant to half a period after
+    it, so that position, torque and acceleration of one row belong together, as in the
+    rigid arm. The controller has read the encoders at the period's begin. Friction of a
+    joint with a spring acts on its drive.
     """
 
     def __post_init__(self) -> None:
-        start, hidden, self._reflected = self.start, self.hidden, self.rigid.arm.reflected
+        start, hidden, self._reflected = (
+            self.start,
+            self.hidden,
+            self.rigid.arm.reflected,
+        )
         if hidden.coupling is not None:
-            raise ValueError("a plant with springs cannot have coupled transmissions as well")
+            raise ValueError(
+                "a plant with springs cannot have coupled transmissions as well"
+            )
         self._springs = hidden.springs
         self._joints = np.array([spring.joint for spring in hidden.springs])
         self._n = n = len(start)
-        self._drive = np.arange(n)  # which coordinate a joint's friction and motor act on
+        # which coordinate a joint's friction and motor act on
+        self._drive = np.arange(n)
         self._drive[self._joints] = n + np.arange(len(self._joints))
-        stiff = [s.stiffness / swung(self.rigid, s.joint, start) for s in hidden.springs]
+        stiff = [
+            s.stiffness / swung(self.rigid, s.joint, start) for s in hidden.springs
+        ]
         parts = int(np.ceil(np.sqrt(max(stiff)) * self.dt / FINEST))
         self._parts = max(2, parts + parts % 2)  # even
         self._x, self._load = self._at_rest(start), np.zeros(n)
         self._v, self._a, self._sign = np.zeros((3, len(self._x)))
 
     def _at_rest(self, start: Array) -> Array:
-        """Coordinates at rest with the drives at `start` and the springs carrying gravity."""
+        """Coordinates at rest with the drives at `start` and the springs carrying
+        gravity.
+        """
         q, drive = start.copy(), start[self._joints]
         for _ in range(20):
             load = self.rigid.gravity_torque(q)
-            wind = np.array([spring.wind_at(float(load[spring.joint])) for spring in self._springs])
+            wind = np.array(
+                [spring.wind_at(float(load[spring.joint])) for spring in self._springs]
+            )
             q[self._joints] = drive - wind
         return np.concatenate([q, drive])
 

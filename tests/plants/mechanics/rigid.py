@@ -12,7 +12,9 @@ PHI_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
 @dataclass(frozen=True)
 class Arm:
-    """Constants of the arm; geometry is modified DH (Craig), the axis is the link frame's z."""
+    """Constants of the arm; geometry is modified DH (Craig), the axis is the link
+    frame's z.
+    """
 
     names: tuple[str, ...]
     dh: Array  # (n, 4) alpha [rad], a [m], d [m], theta0 [rad]
@@ -20,7 +22,8 @@ class Arm:
     gravity: Array  # (3,) m/s^2 in the base frame
     gear: Array  # (n,)
     rotor_inertia: Array  # (n,) kg m^2, motor side
-    rotor_coupling: bool = False  # rotors, on the link before their joint, react on that link
+    # rotors, on the link before their joint, react on that link
+    rotor_coupling: bool = False
 
     @property
     def n(self) -> int:
@@ -40,7 +43,13 @@ def rot_x(angle: float) -> Array:  # rad
 def rot_z(angle: Array) -> Array:
     """Rotations about z by `angle` (N,) rad, (N, 3, 3)."""
     (c, s), out = (np.cos(angle), np.sin(angle)), np.zeros((*angle.shape, 3, 3))
-    out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1], out[..., 2, 2] = c, -s, s, c, 1
+    out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1], out[..., 2, 2] = (
+        c,
+        -s,
+        s,
+        c,
+        1,
+    )
     return out
 
 
@@ -48,7 +57,9 @@ def placement(row: Array) -> tuple[Array, Array]:
     """Rotation (3, 3) and origin (3,) m of a link frame in the one before it, at q = 0."""
     alpha, a, d, theta0 = (float(x) for x in row)
     tilt = rot_x(alpha)
-    return tilt @ rot_z(np.array(theta0)), np.array([a, 0.0, 0.0]) + tilt @ np.array([0.0, 0.0, d])
+    return tilt @ rot_z(np.array(theta0)), np.array([a, 0.0, 0.0]) + tilt @ np.array(
+        [0.0, 0.0, d]
+    )
 
 
 def build_model(arm: Arm) -> pin.Model:
@@ -57,7 +68,9 @@ def build_model(arm: Arm) -> pin.Model:
     parent = 0
     for name, row, phi in zip(arm.names, arm.dh, arm.phi, strict=True):
         rotation, origin = placement(row)
-        parent = model.addJoint(parent, pin.JointModelRZ(), pin.SE3(rotation, origin), name)
+        parent = model.addJoint(
+            parent, pin.JointModelRZ(), pin.SE3(rotation, origin), name
+        )
         inertia = pin.Inertia.FromDynamicParameters(phi)
         model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
     return model
@@ -101,7 +114,9 @@ class Rigid:
         return float(0.5 * dq @ mass @ dq) + float(potential)
 
     def _rotor_terms(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Reaction of spin I_m N dq_i z_i on the link before joint i, and of that link on it."""
+        """Reaction of spin I_m N dq_i z_i on the link before joint i, and of that link
+        on it.
+        """
         model, data, arm = self._model, self._data, self.arm
         pin.computeJointJacobians(model, data, q)
         pin.forwardKinematics(model, data, q, dq, np.zeros(arm.n))
@@ -129,17 +144,23 @@ class LinkMotion:
 
 
 def link_motion(arm: Arm, link: int, q: Array, dq: Array, ddq: Array) -> LinkMotion:
-    """Move along the chain to `link` (0-based), vectorised over the N samples of q, dq, ddq."""
+    """Move along the chain to `link` (0-based), vectorised over the N samples of q, dq,
+    ddq.
+    """
     count = len(q)
     rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
     omega, alpha = np.zeros((count, 3)), np.zeros((count, 3))
     force = np.broadcast_to(-arm.gravity, (count, 3))
     for i in range(link + 1):
         fixed, origin = placement(arm.dh[i])
-        force = force + np.cross(alpha, origin) + np.cross(omega, np.cross(omega, origin))
+        force = (
+            force + np.cross(alpha, origin) + np.cross(omega, np.cross(omega, origin))
+        )
         turn = fixed @ rot_z(q[:, i])
         back = np.swapaxes(turn, 1, 2)
-        omega, alpha, force = (np.einsum("nij,nj->ni", back, x) for x in (omega, alpha, force))
+        omega, alpha, force = (
+            np.einsum("nij,nj->ni", back, x) for x in (omega, alpha, force)
+        )
         rate = np.zeros((count, 3))
         rate[:, 2] = dq[:, i]
         alpha = alpha + np.cross(omega, rate)

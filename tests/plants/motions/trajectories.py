@@ -1,4 +1,6 @@
-"""Reference motions at the control rate: trapezoids, joint pairs, Fourier series, postures."""
+"""Reference motions at the control rate: trapezoids, joint pairs, Fourier series,
+postures.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +24,8 @@ class Reference:
         return len(self.q) / self.rate_hz
 
 
-Profile = tuple[Array, Array, Array]  # position, velocity, acceleration of one joint, (N,) each
+# position, velocity, acceleration of one joint, (N,) each
+Profile = tuple[Array, Array, Array]
 
 
 def join(parts: Sequence[Reference]) -> Reference:
@@ -35,8 +38,12 @@ def hold(q: Array, seconds: float, rate_hz: float) -> Reference:
     return Reference(np.tile(q, (count, 1)), *np.zeros((2, count, len(q))), rate_hz)
 
 
-def trapezoid(start: float, end: float, speed: float, accel: float, rate_hz: float) -> Profile:
-    """Trapezoidal velocity from rest to rest; a triangle where the way is too short for `speed`."""
+def trapezoid(
+    start: float, end: float, speed: float, accel: float, rate_hz: float
+) -> Profile:
+    """Trapezoidal velocity from rest to rest; a triangle where the way is too short for
+    `speed`.
+    """
     way = abs(end - start)
     top = min(speed, np.sqrt(way * accel))
     if way == 0.0:
@@ -53,8 +60,12 @@ def trapezoid(start: float, end: float, speed: float, accel: float, rate_hz: flo
     return start + sign * moved, sign * speed_now, sign * push
 
 
-def trapezoids(here: Array, there: Array, speed: Array, accel: Array, rate_hz: float) -> Reference:
-    """All joints from one posture to the next, every one by its own trapezoid, all (n,)."""
+def trapezoids(
+    here: Array, there: Array, speed: Array, accel: Array, rate_hz: float
+) -> Reference:
+    """All joints from one posture to the next, every one by its own trapezoid, all
+    (n,).
+    """
     moves = np.column_stack([here, there, speed, accel]).tolist()
     return side_by_side([trapezoid(*move, rate_hz) for move in moves], rate_hz)
 
@@ -69,14 +80,19 @@ def sweeps(
     rate_hz: float,
     dwell: float = 0.25,
 ) -> Reference:
-    """Forward and backward over `span` rad at each of `speeds` rad/s, `dwell` s of rest between."""
+    """Forward and backward over `span` rad at each of `speeds` rad/s, `dwell` s of rest
+    between.
+    """
     start, end = home.copy(), home.copy()
     start[joint], end[joint] = span
     parts = [hold(start, 2 * dwell, rate_hz)]
     for speed in speeds:
         for way, rest in ((span, end), (span[::-1], start)):
             profile = trapezoid(*way, speed, accel, rate_hz)
-            parts += [together(home, {joint: profile}, rate_hz), hold(rest, dwell, rate_hz)]
+            parts += [
+                together(home, {joint: profile}, rate_hz),
+                hold(rest, dwell, rate_hz),
+            ]
     return join(parts)
 
 
@@ -88,7 +104,9 @@ def zigzag(
     seconds: float,
     rate_hz: float,
 ) -> Profile:
-    """Trapezoids of varied length, speed and acceleration between points drawn from `span`."""
+    """Trapezoids of varied length, speed and acceleration between points drawn from
+    `span`.
+    """
     low, high = span
     here, count, parts = 0.5 * (low + high), 0, list[Profile]()
     while count < seconds * rate_hz:
@@ -118,7 +136,11 @@ def side_by_side(profiles: Sequence[Profile], rate_hz: float) -> Reference:
 
 
 def point_to_point(
-    rng: np.random.Generator, *limits: Array, points: int, rate_hz: float, dwell: float = 0.3
+    rng: np.random.Generator,
+    *limits: Array,
+    points: int,
+    rate_hz: float,
+    dwell: float = 0.3,
 ) -> Reference:
     """Straight joint moves between random postures; limits as in `fourier`."""
     low, high, speed, accel = limits
@@ -126,23 +148,32 @@ def point_to_point(
     parts = [hold(here, dwell, rate_hz)]
     for _ in range(points):
         before, here = here, rng.uniform(low, high)
-        parts += [trapezoids(before, here, speed, accel, rate_hz), hold(here, dwell, rate_hz)]
+        parts += [
+            trapezoids(before, here, speed, accel, rate_hz),
+            hold(here, dwell, rate_hz),
+        ]
     return join(parts)
 
 
 def fourier(
-    rng: np.random.Generator, *limits: Array, seconds: float, harmonics: int, rate_hz: float
+    rng: np.random.Generator,
+    *limits: Array,
+    seconds: float,
+    harmonics: int,
+    rate_hz: float,
 ) -> Reference:
     """Random Fourier series that starts and ends at rest and stays inside the limits.
 
-    `limits` (n,) are the lowest and the highest position, speed, acceleration; each joint is scaled
-    until it reaches the first of them.
+    `limits` (n,) are the lowest and the highest position, speed, acceleration; each
+    joint is scaled until it reaches the first of them.
     """
     t, k = np.arange(round(seconds * rate_hz)) / rate_hz, np.arange(1, harmonics + 1)
     base = 2.0 * np.pi / seconds
     weight = rng.standard_normal((2, harmonics, len(limits[0]))) / k[None, :, None]
     q, dq, ddq = _series(weight, base * np.outer(t, k), (base * k)[:, None])
-    return _scaled(_windowed(t, seconds, (q - q.mean(axis=0), dq, ddq)), limits, rate_hz)
+    return _scaled(
+        _windowed(t, seconds, (q - q.mean(axis=0), dq, ddq)), limits, rate_hz
+    )
 
 
 def periodic(
@@ -154,23 +185,30 @@ def periodic(
     rate_hz: float,
     fade: float = 1.0,
 ) -> Reference:
-    """Random Fourier series over whole periods between fades of `fade` s from and to rest.
+    """Random Fourier series over whole periods between fades of `fade` s from and to
+    rest.
 
-    `period` s is a whole number of samples; limits as in `fourier`. The periods begin `fade` s
-    after the first row and repeat to the last bit.
+    `period` s is a whole number of samples; limits as in `fourier`. The periods begin
+    `fade` s after the first row and repeat to the last bit.
     """
     count, edge = round(period * rate_hz), round(fade * rate_hz)
     k = np.arange(1, harmonics + 1)
-    weight = rng.standard_normal((2, harmonics, len(limits[0]))) / k[None, :, None] ** 1.5
+    weight = (
+        rng.standard_normal((2, harmonics, len(limits[0]))) / k[None, :, None] ** 1.5
+    )
     angle = 2.0 * np.pi / count * np.outer(np.arange(count), k)
     q, dq, ddq = _series(weight, angle, (2.0 * np.pi / period * k)[:, None])
     rows = np.arange(-edge, periods * count + edge) % count
     t, total = np.arange(len(rows)) / rate_hz, periods * period + 2.0 * fade
-    return _scaled(_windowed(t, total, (q[rows], dq[rows], ddq[rows]), fade), limits, rate_hz)
+    return _scaled(
+        _windowed(t, total, (q[rows], dq[rows], ddq[rows]), fade), limits, rate_hz
+    )
 
 
 def _series(weight: Array, angle: Array, rate: Array) -> Profile:
-    """Sines and cosines of weights (2, K, n) at angles (N, K), K rates rad/s; and derivatives."""
+    """Sines and cosines of weights (2, K, n) at angles (N, K), K rates rad/s; and
+    derivatives.
+    """
     sine, cosine = np.sin(angle), np.cos(angle)
     return (
         sine @ weight[0] + cosine @ weight[1],
@@ -189,7 +227,9 @@ def _scaled(motion: Profile, limits: Sequence[Array], rate_hz: float) -> Referen
 
 
 def _windowed(t: Array, seconds: float, motion: Profile, fade: float = 1.0) -> Profile:
-    """Fade in and out over `fade` s with a smooth step, derivatives by the product rule."""
+    """Fade in and out over `fade` s with a smooth step, derivatives by the product
+    rule.
+    """
     q, dq, ddq = motion
     fade = min(fade, 0.25 * seconds)
     s = np.clip(np.minimum(t, seconds - t) / fade, 0.0, 1.0)

@@ -22,7 +22,8 @@ SEED_STRIDE = 1000
 class Drill:
     """One log to record.
 
-    Where the motion repeats, its periods of `period` s begin `FADE` s after the first row.
+    Where the motion repeats, its periods of `period` s begin `FADE` s after the first
+    row.
     """
 
     name: str
@@ -39,7 +40,12 @@ def _bounds(plant: Plant, share: float) -> tuple[Array, ...]:
 
 
 def waves(
-    plant: Plant, rng: np.random.Generator, *, period: float, share: float, seconds: float = 20.0
+    plant: Plant,
+    rng: np.random.Generator,
+    *,
+    period: float,
+    share: float,
+    seconds: float = 20.0,
 ) -> Reference:
     """Fourier series of all joints over whole periods, three of them in 20 s."""
     return line.periodic(
@@ -75,7 +81,9 @@ def zigzags(
     length = max(seconds - 2.0 * REST - 3.0, 0.5)
     profiles = {
         joint: line.zigzag(rng, (a, b), top, push, length, RATE_HZ)
-        for joint, (a, b, top, push) in enumerate(np.array([low, high, speed, accel]).T.tolist())
+        for joint, (a, b, top, push) in enumerate(
+            np.array([low, high, speed, accel]).T.tolist()
+        )
     }
     return _rested(line.together(0.5 * (low + high), profiles, RATE_HZ))
 
@@ -86,7 +94,9 @@ def _rested(motion: Reference) -> Reference:
 
 
 def drills(plant: Plant, seed: int, *, seconds: float = 20.0) -> tuple[Drill, ...]:
-    """Five training and two held-out logs of about `seconds` s, in the order of their starts."""
+    """Five training and two held-out logs of about `seconds` s, in the order of their
+    starts.
+    """
     rng = np.random.default_rng([seed, 5])
     one, two, three = (float(x) for x in rng.permutation(PERIODS))
     plan = (

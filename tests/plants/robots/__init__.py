@@ -1,1 +1,3 @@
-"""Arms as the package reads them, for tests; the simulators beside do without the package."""
+"""Arms as the package reads them, for tests; the simulators beside do without the
+package.
+"""

@@ -37,21 +37,34 @@ def before_inertia(logs: Logs, robot: Robot) -> Stages:
     return Stages(
         friction=result.friction,
         gravity=result.gravity,
-        imu=calibrate_imus(logs["imu"], robot, options=MotionOptions()) if "imu" in logs else None,
+        imu=(
+            calibrate_imus(logs["imu"], robot, options=MotionOptions())
+            if "imu" in logs
+            else None
+        ),
     )
 
 
-def with_inertia(logs: Logs, robot: Robot, stages: Stages, options: InertiaOptions) -> Stages:
+def with_inertia(
+    logs: Logs, robot: Robot, stages: Stages, options: InertiaOptions
+) -> Stages:
     result = identify_inertia(logs["inertia"], robot, stages, options=options)
     return replace(stages, inertia=result.inertia, friction=result.friction)
 
 
 def simultaneous(
-    recordings: Sequence[Recording], robot: Robot, imu: ImuStage | None = None, **own: Any
+    recordings: Sequence[Recording],
+    robot: Robot,
+    imu: ImuStage | None = None,
+    **own: Any,
 ) -> Stages:
-    """Everything in one least squares, with Coulomb and viscous friction alone (Eq. 5-6)."""
+    """Everything in one least squares, with Coulomb and viscous friction alone (Eq.
+    5-6).
+    """
     options = MotionOptions(**own)
-    friction, inertia = identify_simultaneous(recordings, robot, options=options, offset=False)
+    friction, inertia = identify_simultaneous(
+        recordings, robot, options=options, offset=False
+    )
     return Stages(friction=friction, imu=imu, inertia=inertia)
 
 
@@ -66,9 +79,14 @@ class HeldOut:
 
 
 def held_out(
-    recordings: Sequence[Recording], robot: Robot, stages: Stages, options: InertiaOptions
+    recordings: Sequence[Recording],
+    robot: Robot,
+    stages: Stages,
+    options: InertiaOptions,
 ) -> HeldOut:
-    """RMSE over the samples of all logs; at rest of the distance to friction's interval."""
+    """RMSE over the samples of all logs; at rest of the distance to friction's
+    interval.
+    """
     predictions = list(predict(recordings, robot, stages, options=options))
     used = sum(int(p.used.sum()) for p in predictions)
     slid = np.sum([p.sliding.sum(axis=0) for p in predictions], axis=0)
@@ -82,8 +100,12 @@ def held_out(
     )
 
 
-def noise_floor(experiment: Experiment, stage: str, cutoff_hz: Sequence[float]) -> Array:
-    """RMS (n,) N m that the current's noise leaves after the two low-passes of the residual."""
+def noise_floor(
+    experiment: Experiment, stage: str, cutoff_hz: Sequence[float]
+) -> Array:
+    """RMS (n,) N m that the current's noise leaves after the two low-passes of the
+    residual.
+    """
     squares, samples = np.zeros(experiment.plant.arm.n), 0
     drive = experiment.plant.torque_per_ampere
     for log, hz in zip(experiment.logs[stage], cutoff_hz, strict=True):

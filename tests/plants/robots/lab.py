@@ -1,4 +1,6 @@
-"""From a simulated plant to the recordings that the stages read, without files in between."""
+"""From a simulated plant to the recordings that the stages read, without files in
+between.
+"""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -19,7 +21,8 @@ from tests.plants.robots.made import made_recording
 from tests.plants.simulate import Log, Plant, simulate
 from tests.unit.logs.writers import write_parquet
 
-SEED_STRIDE = 1000  # seeds of one repetition's logs: stride * repetition + number of the log
+# seeds of one repetition's logs: stride * repetition + number of the log
+SEED_STRIDE = 1000
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,9 @@ def robot_of(name: str, plant: Plant) -> Robot:
 
 
 def recording_of(plant: Plant, name: str, log: Log) -> Recording:
-    """What a reader makes of the log: joint torque from the current, nothing of the truth."""
+    """What a reader makes of the log: joint torque from the current, nothing of the
+    truth.
+    """
     return made_recording(
         log.q,
         log.current * plant.torque_per_ampere,
@@ -64,7 +69,10 @@ def run(
     name: str, plant: Plant, trials: Sequence[Trial], repetition: int, *, every: int = 1
 ) -> Experiment:
     """Simulate all trials anew, with the noise seeds of this repetition."""
-    recordings, logs = defaultdict[str, list[Recording]](list), defaultdict[str, list[Log]](list)
+    recordings, logs = (
+        defaultdict[str, list[Recording]](list),
+        defaultdict[str, list[Log]](list),
+    )
     for seed, trial in enumerate(trials, start=SEED_STRIDE * (repetition + 1)):
         log = simulate(plant, trial.reference, seed, every=every, imus=trial.imus)
         label = f"{trial.stage}/{trial.name}"
@@ -74,14 +82,22 @@ def run(
 
 
 def true_standard(plant: Plant) -> dict[str, float]:
-    """Standard parameters of all links and rotor inertias, by the names of the parameter file."""
-    names = [f"{symbol}_{link + 1}" for link in range(plant.arm.n) for symbol in PHI_NAMES]
+    """Standard parameters of all links and rotor inertias, by the names of the
+    parameter file.
+    """
+    names = [
+        f"{symbol}_{link + 1}" for link in range(plant.arm.n) for symbol in PHI_NAMES
+    ]
     links = dict(zip(names, plant.arm.phi.ravel().tolist(), strict=True))
-    return links | {f"Ia_{i + 1}": float(x) for i, x in enumerate(plant.arm.rotor_inertia)}
+    return links | {
+        f"Ia_{i + 1}": float(x) for i, x in enumerate(plant.arm.rotor_inertia)
+    }
 
 
 def true_value(terms: Mapping[str, float], standard: Mapping[str, float]) -> float:
-    """Value that a base parameter, given as factors of standard parameters, has in the plant."""
+    """Value that a base parameter, given as factors of standard parameters, has in the
+    plant.
+    """
     return sum(factor * standard[name] for name, factor in terms.items())
 
 
@@ -90,4 +106,6 @@ def true_friction(plant: Plant, joint: int, q: Array, v: Array) -> Array:
     position, velocity = np.zeros((2, len(q), plant.arm.n))
     position[:, joint], velocity[:, joint] = q, v
     law = plant.friction.begin()
-    return law(0.0, position, velocity, np.zeros_like(position)).sliding(velocity)[:, joint]
+    return law(0.0, position, velocity, np.zeros_like(position)).sliding(velocity)[
+        :, joint
+    ]

@@ -15,9 +15,16 @@ from tests import Array
 
 
 def made_recording(
-    q: Array, tau: Array | None = None, *, rate_hz: float, path: str = "log.parquet", **further: Any
+    q: Array,
+    tau: Array | None = None,
+    *,
+    rate_hz: float,
+    path: str = "log.parquet",
+    **further: Any,
 ) -> Recording:
-    """Wrap samples (N, n) at an even rate as a log, all of them valid unless `further` says."""
+    """Wrap samples (N, n) at an even rate as a log, all of them valid unless `further`
+    says.
+    """
     usual = {
         "sha256": "0" * 64,
         "format": "simulated",
@@ -28,7 +35,9 @@ def made_recording(
     return Recording(path=Path(path), q=q, tau=tau, **(usual | further))
 
 
-def made_motion(q: Array, dq: Array, ddq: Array, lowpass: Lowpass, **further: Any) -> Motion:
+def made_motion(
+    q: Array, dq: Array, ddq: Array, lowpass: Lowpass, **further: Any
+) -> Motion:
     """Wrap what joints did (N, n) at the low-pass's rate, usable unless `further` says."""
     zeros, every = np.zeros(q.shape[1]), np.ones(len(q), dtype=bool)
     usual = {
@@ -40,11 +49,17 @@ def made_motion(q: Array, dq: Array, ddq: Array, lowpass: Lowpass, **further: An
         "cutoff": Cutoff(lowpass.cutoff_hz, zeros, zeros),
     }
     given = usual | further
-    return Motion(q=q, dq=dq, ddq=ddq, rate_hz=lowpass.rate_hz, lowpass=lowpass, **given)
+    return Motion(
+        q=q, dq=dq, ddq=ddq, rate_hz=lowpass.rate_hz, lowpass=lowpass, **given
+    )
 
 
-def made_prediction(path: str, tau: Array, predicted: Array, **further: Any) -> LogPrediction:
-    """Wrap torques (N, n) as a log's prediction, used and sliding unless `further` says."""
+def made_prediction(
+    path: str, tau: Array, predicted: Array, **further: Any
+) -> LogPrediction:
+    """Wrap torques (N, n) as a log's prediction, used and sliding unless `further`
+    says.
+    """
     usual = {
         "sha256": path.ljust(64, "0"),
         "samples": len(tau),
@@ -59,11 +74,17 @@ def made_prediction(path: str, tau: Array, predicted: Array, **further: Any) -> 
         "parameter_std": np.zeros(tau.shape),
         **dict.fromkeys(("q", "dq", "ddq"), np.full(tau.shape, np.nan)),
     }
-    return LogPrediction(path=Path(path), tau=tau, predicted=predicted, **(usual | further))
+    return LogPrediction(
+        path=Path(path), tau=tau, predicted=predicted, **(usual | further)
+    )
 
 
-def friction_joint(positive: Any, negative: Any = None, **further: Any) -> FrictionJoint:
-    """Friction of a joint; the coefficients of forward motion are those of both unless given."""
+def friction_joint(
+    positive: Any, negative: Any = None, **further: Any
+) -> FrictionJoint:
+    """Friction of a joint; the coefficients of forward motion are those of both unless
+    given.
+    """
     forward = np.asarray(positive, dtype=np.float64)
     count = forward.size * (1 + bool(further.get("directional")))
     usual = {

@@ -21,7 +21,13 @@ from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import FrictionStage, ImuStage, Parameter, RigidStage, Stages
+from seqid_cli.params.schema import (
+    FrictionStage,
+    ImuStage,
+    Parameter,
+    RigidStage,
+    Stages,
+)
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT, Array
@@ -72,7 +78,9 @@ class Rig:
 
     @cached_property
     def friction(self) -> FrictionStage:
-        return identify_friction(self.logs("friction"), self.robot, options=FrictionOptions())
+        return identify_friction(
+            self.logs("friction"), self.robot, options=FrictionOptions()
+        )
 
     @cached_property
     def gravity_result(self) -> GravityResult:
@@ -102,9 +110,13 @@ class Rig:
         """The inertia stage from some of the logs, or with another source of motion."""
         return self.inertia_result(logs, source).inertia
 
-    def inertia_result(self, logs: list[Recording], source: str = "auto") -> InertiaResult:
+    def inertia_result(
+        self, logs: list[Recording], source: str = "auto"
+    ) -> InertiaResult:
         """The inertia stage, and friction with what its logs show of the drives."""
-        return identify_inertia(logs, self.robot, self.known, options=InertiaOptions(source=source))
+        return identify_inertia(
+            logs, self.robot, self.known, options=InertiaOptions(source=source)
+        )
 
     @cached_property
     def stages(self) -> Stages:
@@ -118,10 +130,16 @@ class Rig:
         return Stages(friction=friction, inertia=inertia)
 
     def predictions(self, stages: Stages) -> list[LogPrediction]:
-        return list(predict(self.logs("validation"), self.robot, stages, options=InertiaOptions()))
+        return list(
+            predict(
+                self.logs("validation"), self.robot, stages, options=InertiaOptions()
+            )
+        )
 
     def true_value(self, parameter: Parameter) -> float:
-        return sum(factor * self.standard[name] for name, factor in parameter.terms.items())
+        return sum(
+            factor * self.standard[name] for name, factor in parameter.terms.items()
+        )
 
 
 def rmse(predictions: list[LogPrediction]) -> Array:

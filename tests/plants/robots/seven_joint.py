@@ -23,8 +23,17 @@ GROUP = 131_072
 TORQUE_NOISE = 0.3
 COULOMB, VISCOUS, FASTEST, SIGN_WIDTH = 2.0, 1.5, 6.0, 0.02
 
-# Where each joint sits in the frame of the one before: xyz [m] and quarters of a roll; axes are z.
-PLACES = ("0 0 0.333", "0 0 0", "0 -0.316 0", "0.0825 0 0", "-0.0825 0.384 0", "0 0 0", "0.088 0 0")
+# Where each joint sits in the frame of the one before: xyz [m] and quarters of a roll;
+# axes are z.
+PLACES = (
+    "0 0 0.333",
+    "0 0 0",
+    "0 -0.316 0",
+    "0.0825 0 0",
+    "-0.0825 0.384 0",
+    "0 0 0",
+    "0.088 0 0",
+)
 ROLLS = (0, -1, 1, 1, -1, 1, 1)
 JOINTS = tuple(f"joint_{i + 1}" for i in range(N))
 
@@ -34,9 +43,10 @@ def write_arm(folder: Path) -> Path:
     for i, (xyz, roll) in enumerate(zip(PLACES, ROLLS, strict=True)):
         mass, size = 4.0 - 0.45 * i, 0.05 - 0.006 * i
         links.append(
-            f'<link name="link_{i}"><inertial><origin xyz="0.01 {0.02 * (-1) ** i} 0.04"/>'
-            f'<mass value="{mass}"/><inertia ixx="{size}" iyy="{0.9 * size}" izz="{0.6 * size}" '
-            f'ixy="{0.05 * size}" ixz="{-0.04 * size}" iyz="{0.03 * size}"/></inertial></link>'
+            f'<link name="link_{i}"><inertial><origin xyz="0.01 {0.02 * (-1) ** i}'
+            f' 0.04"/><mass value="{mass}"/><inertia ixx="{size}" iyy="{0.9 * size}"'
+            f' izz="{0.6 * size}" ixy="{0.05 * size}" ixz="{-0.04 * size}"'
+            f' iyz="{0.03 * size}"/></inertial></link>'
         )
         parent = "base" if i == 0 else f"link_{i - 1}"
         links.append(
@@ -45,7 +55,10 @@ def write_arm(folder: Path) -> Path:
             f'rpy="{roll * np.pi / 2} 0 0"/><axis xyz="0 0 1"/>'
             '<limit lower="-3" upper="3" velocity="5" effort="100"/></joint>'
         )
-    extra = f"gear_ratio = 100.0\nrotor_inertia = 0.0\nencoder_resolution = {RESOLUTION!r}\n"
+    extra = (
+        "gear_ratio = 100.0\nrotor_inertia = 0.0\nencoder_resolution ="
+        f" {RESOLUTION!r}\n"
+    )
     save_robot(folder, urdf(*links), JOINTS, joint_extra=extra)
     return folder / "robot.toml"
 
@@ -53,9 +66,14 @@ def write_arm(folder: Path) -> Path:
 def known_friction() -> Stages:
     """The friction of the logs, as a stage of orders (0, 1)."""
     ahead, back = surface_entries(FASTEST, 2)
-    values, covariance = np.array([COULOMB, VISCOUS]), ahead @ np.diag([1e-4, 1e-4]) @ ahead.T
+    values, covariance = (
+        np.array([COULOMB, VISCOUS]),
+        ahead @ np.diag([1e-4, 1e-4]) @ ahead.T,
+    )
     own = {"speed_range": [0.0, FASTEST], "sign_width": SIGN_WIDTH}
-    joint = friction_joint([ahead @ values], [back @ values], covariance=covariance.tolist(), **own)
+    joint = friction_joint(
+        [ahead @ values], [back @ values], covariance=covariance.tolist(), **own
+    )
     return Stages(friction=FrictionStage(joints=dict.fromkeys(JOINTS, joint)))
 
 
@@ -64,7 +82,9 @@ def known_model(robot: Robot, share: float = 1.0) -> Stages:
     values = np.concatenate([share * robot.nominal.ravel(), np.zeros(robot.n)])
     names = standard_names(robot.n)
     representative = dict(zip(names, values.tolist(), strict=True))
-    inertia = RigidStage(parameters=[], condition=1.0, rank=1, representative=representative)
+    inertia = RigidStage(
+        parameters=[], condition=1.0, rank=1, representative=representative
+    )
     return Stages(friction=known_friction().friction, inertia=inertia)
 
 
@@ -73,11 +93,14 @@ def motion(t: Array) -> tuple[Array, Array, Array]:
     w = 2 * np.pi * np.arange(1, 9) / 10.0
     size = np.random.default_rng(5).normal(size=(2, len(w), N)) * 0.15
     sine, cosine = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
-    # Every period is a little different, so that a long log is not one period many times.
+    # Every period is a little different, so that a long log is not one period many
+    # times.
     slow = 1 + 0.2 * np.sin(2 * np.pi * t[:, None] / 313.0)
     q = slow * (sine @ size[0] + cosine @ size[1])
     dq = slow * (cosine @ (w[:, None] * size[0]) - sine @ (w[:, None] * size[1]))
-    ddq = -slow * (sine @ (w[:, None] ** 2 * size[0]) + cosine @ (w[:, None] ** 2 * size[1]))
+    ddq = -slow * (
+        sine @ (w[:, None] ** 2 * size[0]) + cosine @ (w[:, None] ** 2 * size[1])
+    )
     rate = 0.2 * 2 * np.pi / 313.0 * np.cos(2 * np.pi * t[:, None] / 313.0)
     return q, dq + rate * q / slow, ddq + 2 * rate * dq / slow
 
@@ -93,7 +116,11 @@ def write_log(path: Path, robot: Robot, rows: int) -> Path:
         tau += (COULOMB + VISCOUS * np.abs(dq)) * np.tanh(dq / SIGN_WIDTH)
         tau += TORQUE_NOISE * rng.normal(size=tau.shape)
         channels = {"position": RESOLUTION * np.round(q / RESOLUTION), "torque": tau}
-        columns = {f"{x}.{k}": v[:, j] for k, v in channels.items() for j, x in enumerate(JOINTS)}
+        columns = {
+            f"{x}.{k}": v[:, j]
+            for k, v in channels.items()
+            for j, x in enumerate(JOINTS)
+        }
         table = pa.table({"t": t} | columns)
         writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")
         writer.write_table(table)

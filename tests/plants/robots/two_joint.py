@@ -18,7 +18,9 @@ COULOMB, VISCOUS = (4.0, 1.5), (2.0, 0.8)  # N m, N m s/rad
 
 
 def two_joint_robot(*, prismatic: bool = False, drives: bool = True) -> Robot:
-    """Return a vertical arm, its second joint skew; a slide instead of the second on request."""
+    """Return a vertical arm, its second joint skew; a slide instead of the second on
+    request.
+    """
     chain = chain_from_dh([(0.0, 0.0, 0.0, 0.0), (0.4, 0.3, 0.1, 0.0)])
     chain = replace(chain, prismatic=np.array([False, prismatic]))
     robot = robot_from_chain(chain, gravity=np.array([0.0, -9.81, 0.0]))
@@ -34,9 +36,16 @@ def two_joint_robot(*, prismatic: bool = False, drives: bool = True) -> Robot:
 
 
 def friction_surface(
-    coulomb: float, viscous: float, top: float = 4.0, *, order: int = 1, variance: float = 1.0
+    coulomb: float,
+    viscous: float,
+    top: float = 4.0,
+    *,
+    order: int = 1,
+    variance: float = 1.0,
 ) -> FrictionSurface:
-    """Coulomb [N m] and viscous [N m s/rad] friction up to `top` rad/s, of some order in speed."""
+    """Coulomb [N m] and viscous [N m s/rad] friction up to `top` rad/s, of some order
+    in speed.
+    """
     half = 0.5 * viscous * top
     entries = [coulomb + half, half, *np.zeros(order - 1)]
     own = {"speed_range": [0.0, top], "sign_width": SIGN_WIDTH}

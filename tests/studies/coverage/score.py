@@ -32,11 +32,14 @@ STAGES = {
 }
 POINTS = 10  # of each friction surface
 POINT_STREAM = 95
-VAGUE_DEG = 20.0  # a mounting's angle with a larger stated error is not known, and no estimate
+# a mounting's angle with a larger stated error is not known, and no estimate
+VAGUE_DEG = 20.0
 
 
 def score(case: Case) -> Result:
-    """Record the case's logs, run friction, gravity, imu-calib and inertia, compare with truth."""
+    """Record the case's logs, run friction, gravity, imu-calib and inertia, compare
+    with truth.
+    """
     drawn = draw(case)
     result: Result = {**asdict(case), "traits": drawn.traits, "rows": []}
     with TemporaryDirectory(prefix="seqid-coverage-") as name:
@@ -47,10 +50,15 @@ def score(case: Case) -> Result:
         result["cpu_s"] = round(time.process_time() - start, 2)
     result |= {"failed": problem} if problem else {}
     result["rows"] = compare(case, drawn.plant, stages)
-    found = {name: stage.verdicts for name in STAGES if (stage := getattr(stages, name))}
+    found = {
+        name: stage.verdicts for name in STAGES if (stage := getattr(stages, name))
+    }
     result["verdicts"] = {name: all(v.good for v in own) for name, own in found.items()}
     if inertia := stages.inertia:
-        result |= {"rotor_coupling": inertia.rotor_coupling, "notes": list(inertia.notes)}
+        result |= {
+            "rotor_coupling": inertia.rotor_coupling,
+            "notes": list(inertia.notes),
+        }
     return result
 
 
@@ -63,7 +71,10 @@ def identified(folder: Path) -> tuple[Stages, str]:
         try:
             with warnings.catch_warnings(action="ignore", category=SeqidWarning):
                 if logs:
-                    stages, known = identify_it(logs, robot, *known, output=out).stages, [out]
+                    stages, known = (
+                        identify_it(logs, robot, *known, output=out).stages,
+                        [out],
+                    )
         except SeqidError as error:
             return stages, f"{name}: {error.message}"
     return stages, ""
@@ -77,7 +88,9 @@ def compare(case: Case, plant: Plant, stages: Stages) -> list[Row]:
     standard = true_standard(plant)
     for name in ("gravity", "inertia"):
         for p in getattr(getattr(stages, name), "parameters", ()):
-            rows.append(row(name, p.name, p.value, p.std_error, true_value(p.terms, standard)))
+            rows.append(
+                row(name, p.name, p.value, p.std_error, true_value(p.terms, standard))
+            )
     return rows + ([] if stages.imu is None else imu_rows(plant, stages.imu))
 
 
@@ -86,8 +99,12 @@ def row(group: str, name: str, *numbers: float) -> Row:
     return {"group": group, "name": name, **dict(kinds)}
 
 
-def friction_rows(plant: Plant, stage: FrictionStage, rng: np.random.Generator) -> list[Row]:
-    """Surfaces at random positions and speeds of the range that each is identified over."""
+def friction_rows(
+    plant: Plant, stage: FrictionStage, rng: np.random.Generator
+) -> list[Row]:
+    """Surfaces at random positions and speeds of the range that each is identified
+    over.
+    """
     rows = []
     for j, name in enumerate(plant.arm.names):
         if not (found := stage.joints.get(name)):
@@ -99,7 +116,9 @@ def friction_rows(plant: Plant, stage: FrictionStage, rng: np.random.Generator) 
         variance = np.einsum("nk,kl,nl->n", columns, surface.covariance, columns)
         error = np.sqrt(np.maximum(variance, 0.0))
         truth = true_friction(plant, j, q, v)
-        rows += [row("friction", name, *one) for one in zip(value, error, truth, strict=True)]
+        rows += [
+            row("friction", name, *one) for one in zip(value, error, truth, strict=True)
+        ]
     return rows
 
 
@@ -107,14 +126,18 @@ def imu_rows(plant: Plant, stage: ImuStage) -> list[Row]:
     """Mountings as small rotations about the link's axes, deg; the truth is none."""
     rows = []
     for imu in (imu for imu in plant.imus if imu.name in stage.imus):
-        for axis, angle, error in zip("xyz", *turned(imu, stage.imus[imu.name]), strict=True):
+        for axis, angle, error in zip(
+            "xyz", *turned(imu, stage.imus[imu.name]), strict=True
+        ):
             if error < VAGUE_DEG:
                 rows.append(row("imu", f"{imu.name} {axis}", angle, error, 0.0))
     return rows
 
 
 def turned(imu: AccelerometerArray, found: ImuCalibration) -> tuple[Array, Array]:
-    """Error of a mounting about the link's axes (3,) deg, and the stated standard error."""
+    """Error of a mounting about the link's axes (3,) deg, and the stated standard
+    error.
+    """
     off = Rotation.from_matrix(np.array(found.rotation) @ imu.rotation.T).as_rotvec()
     return np.degrees(off), np.array(found.std_errors_deg, dtype=np.float64)
 

@@ -1,4 +1,7 @@
-"""Do the stated errors hold? Estimates, stated standard errors and truth over many drawn arms."""
+"""Do the stated errors hold?
+
+Estimates, stated standard errors and truth over many drawn arms.
+"""
 
 from argparse import Namespace
 from collections import Counter, defaultdict
@@ -31,12 +34,22 @@ def study(chosen: Namespace) -> str:
             raise SystemExit(f"coverage has no rig {rig!r}, only {', '.join(NAMES)}")
         cases = {case.label: case for case in (case_of(rig, seed) for seed in seeds)}
         path = chosen.cache / "coverage" / f"{rig}.jsonl"
-        how = {"sources": program, "run": not chosen.tables, "processes": chosen.processes}
-        if found := list(results(cases, score, Result, path, told=_told, **how).values()):
-            made, cpu = sorted(r["seed"] for r in found), np.mean([r["cpu_s"] for r in found])
+        how = {
+            "sources": program,
+            "run": not chosen.tables,
+            "processes": chosen.processes,
+        }
+        if found := list(
+            results(cases, score, Result, path, told=_told, **how).values()
+        ):
+            made, cpu = (
+                sorted(r["seed"] for r in found),
+                np.mean([r["cpu_s"] for r in found]),
+            )
             parts.append(
-                f"### {NAMES[rig]}\n\n{len(made)} {kind_of(made)} seeds, {made[0]} to {made[-1]}; "
-                f"{cpu:.1f} s of CPU each; package {program[:12]}.\n\n{tables_of(found)}"
+                f"### {NAMES[rig]}\n\n{len(made)} {kind_of(made)} seeds, {made[0]} to"
+                f" {made[-1]}; {cpu:.1f} s of CPU each; package"
+                f" {program[:12]}.\n\n{tables_of(found)}"
             )
     return "\n\n".join(parts)
 
@@ -60,7 +73,8 @@ def kind_of(seeds: Sequence[int]) -> str:
 
 
 INSIDE = 1.96  # standard errors: the 95 % interval
-OPEN = ("do not tell whether rotors", "neither 0 nor 1")  # notes of an undecided coupling
+# notes of an undecided coupling
+OPEN = ("do not tell whether rotors", "neither 0 nor 1")
 GROUPS = ("friction", "gravity", "inertia", "imu")
 HEADER = ["seeds", "values", "rms z", "inside 95 %", "interval", "largest z", "mean z"]
 
@@ -89,7 +103,9 @@ def coverage(by_seed: Sequence[Array]) -> Coverage:
     inside = [(np.abs(own) <= INSIDE).astype(float) for own in kept]
     share = float(np.mean(np.concatenate(inside)))
     interval, largest = wilson(share, independent(inside)), float(np.abs(z).max())
-    return Coverage(len(kept), len(z), rms(z), share, *interval, largest, float(z.mean()))
+    return Coverage(
+        len(kept), len(z), rms(z), share, *interval, largest, float(z.mean())
+    )
 
 
 def independent(by_seed: Sequence[Array]) -> float:
@@ -159,7 +175,9 @@ def relative(rows: Sequence[Row]) -> str:
 
 
 def coupling_table(results: Sequence[Result]) -> str:
-    """What was decided about the coupling of the rotors, or that the stage left it open."""
+    """What was decided about the coupling of the rotors, or that the stage left it
+    open.
+    """
     if not any("rotor_coupling" in r["traits"] for r in results):
         return ""
     found = Counter[tuple[bool, str]]()
@@ -169,7 +187,10 @@ def coupling_table(results: Sequence[Result]) -> str:
         found[result["traits"]["rotor_coupling"], decision] += 1
     decided = sorted({decision for _, decision in found})
     names = {False: "rotors not coupled", True: "rotors coupled"}
-    rows = [[name, *(str(found[truth, x]) for x in decided)] for truth, name in names.items()]
+    rows = [
+        [name, *(str(found[truth, x]) for x in decided)]
+        for truth, name in names.items()
+    ]
     return table(["truth; decided:", *decided], rows)
 
 

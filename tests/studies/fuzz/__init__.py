@@ -1,1 +1,3 @@
-"""Damaged and hostile files for every reader and parser, through the program's own front door."""
+"""Damaged and hostile files for every reader and parser, through the program's own
+front door.
+"""

@@ -1,9 +1,10 @@
-"""Fuzz every reader and parser: `python -m tests.studies.fuzz [--count N | --seconds S]`.
+"""Fuzz every reader and parser: `python -m tests.studies.fuzz [--count N | --seconds
+S]`.
 
-Damages sound files of every kind at random and gives them to the commands that read them. Every
-one must end with a result or a message: no traceback, no exit code 70, no warning of a library, at
-most 10 s of CPU time and 1 GiB. What is not answered so is kept in the folder of --keep. With
---write the table goes into docs/trust.md.
+Damages sound files of every kind at random and gives them to the commands that read
+them. Every one must end with a result or a message: no traceback, no exit code 70, no
+warning of a library, at most 10 s of CPU time and 1 GiB. What is not answered so is
+kept in the folder of --keep. With --write the table goes into docs/trust.md.
 """
 
 import argparse
@@ -18,18 +19,35 @@ from tests.studies.fuzz.run import Tally, fuzz
 from tests.studies.fuzz.targets import targets
 from tests.studies.tables import show, table
 
-HEADER = ("file", "inputs", "read", "refused", "answers", "not well", "slowest, s", "peak, MiB")
+HEADER = (
+    "file",
+    "inputs",
+    "read",
+    "refused",
+    "answers",
+    "not well",
+    "slowest, s",
+    "peak, MiB",
+)
 ROUND = 250  # inputs of a target before the next has its turn
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.fuzz", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.studies.fuzz", description=__doc__
+    )
     parser.add_argument("--count", type=int, default=10**9, help="inputs of each kind")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="of CPU time, in all")
+    parser.add_argument(
+        "--seconds", type=float, default=float("inf"), help="of CPU time, in all"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="kinds with this in their name")
-    parser.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for finds")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")
+    parser.add_argument(
+        "--keep", type=Path, default=Path("out/fuzz"), help="folder for finds"
+    )
+    parser.add_argument(
+        "--write", action="store_true", help="put the table into docs/trust.md"
+    )
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         made = [target for target in targets(Path(name)) if chosen.only in target.name]
@@ -56,7 +74,9 @@ def _kept(tallies: Mapping[str, Tally], folder: Path) -> int:
         stem = f"{name.replace(' ', '_')}_{hashlib.sha256(find.data).hexdigest()[:8]}"
         (folder / stem).write_bytes(find.data)
         report = f"{find.why}\n{' '.join(find.line)}\n{find.damage}\n{find.said}\n"
-        (folder / f"{stem}.txt").write_text(report, encoding="utf-8", errors="backslashreplace")
+        (folder / f"{stem}.txt").write_text(
+            report, encoding="utf-8", errors="backslashreplace"
+        )
         sys.stderr.write(f"{folder / stem}: {find.why}\n")
     return len(finds)
 

@@ -22,7 +22,9 @@ def _hang(number: int, frame: object) -> None:
 
 
 def answer(arguments: Sequence[str], cpu_s: float = CPU_S) -> tuple[int, str, str]:
-    """Run a command line; returns its exit code, what it said, and what is wrong with that."""
+    """Run a command line; returns its exit code, what it said, and what is wrong with
+    that.
+    """
     code, why = -1, ""
     with _screens() as (out, err), warnings.catch_warnings():
         warnings.simplefilter("always")
@@ -37,7 +39,11 @@ def answer(arguments: Sequence[str], cpu_s: float = CPU_S) -> tuple[int, str, st
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
     said = err.getvalue().decode(errors="replace")
-    return code, said, why or _unwell(code, out.getvalue().decode(errors="replace"), said)
+    return (
+        code,
+        said,
+        why or _unwell(code, out.getvalue().decode(errors="replace"), said),
+    )
 
 
 def _unwell(code: int, out: str, said: str) -> str:

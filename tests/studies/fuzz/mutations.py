@@ -14,8 +14,13 @@ _STRINGS = [b"", b" ", b"\\u001b]0;x\\u0007", b"\xff", b"../x", b"1", b"x" * 300
 _STRINGS += ["\u202e\ufeff".encode()]
 _ANY = b'nan -inf 1e999 NaN true null "" [] {} [[]] {"a":1} [1,2] 0x7fffffff 1_0 .5'.split()
 _ANY += [b"", b"\x1b[31m", b"9" * 400, b"[" * 300, b"\0"]
-_WORDS = [struct.pack(f"<{f}", v) for f, v in (("Q", 2**64 - 1), ("q", -1), ("I", 2**31), ("B", 0))]
-_WORDS += [struct.pack("<d", v) for v in (1e300, 5e-324, float("nan"), float("inf"), -1.0)]
+_WORDS = [
+    struct.pack(f"<{f}", v)
+    for f, v in (("Q", 2**64 - 1), ("q", -1), ("I", 2**31), ("B", 0))
+]
+_WORDS += [
+    struct.pack("<d", v) for v in (1e300, 5e-324, float("nan"), float("inf"), -1.0)
+]
 _WORDS += [struct.pack("<Q", 1 << k) for k in (0, 16, 31, 33, 40, 62)]
 
 
@@ -77,7 +82,9 @@ def token(data: bytearray, rng: np.random.Generator) -> None:
 def swap(data: bytearray, rng: np.random.Generator) -> None:
     found = list(_TOKEN.finditer(data))
     if len(found) > 1:
-        one, other = (found[k] for k in sorted(rng.choice(len(found), 2, replace=False)))
+        one, other = (
+            found[k] for k in sorted(rng.choice(len(found), 2, replace=False))
+        )
         left, right = bytes(one[0]), bytes(other[0])
         data[other.start() : other.end()] = left
         data[one.start() : one.end()] = right
@@ -93,7 +100,17 @@ def lines(data: bytearray, rng: np.random.Generator) -> None:
 
 BYTES: tuple[Damage, ...] = (flip, cut, lose, zero, junk)
 BINARY: tuple[Damage, ...] = (*BYTES, word, word, copy)
-TEXT: tuple[Damage, ...] = (flip, cut, lose, junk, copy, *([token] * 12), swap, lines, lines)
+TEXT: tuple[Damage, ...] = (
+    flip,
+    cut,
+    lose,
+    junk,
+    copy,
+    *([token] * 12),
+    swap,
+    lines,
+    lines,
+)
 
 
 def mutated(

@@ -1,4 +1,6 @@
-"""Run command lines on damaged files in one process, and say what was not answered well."""
+"""Run command lines on damaged files in one process, and say what was not answered
+well.
+"""
 
 import multiprocessing
 import re
@@ -18,14 +20,17 @@ from tests.studies.fuzz.mutations import mutated
 from tests.studies.fuzz.targets import Target
 
 WALL_S, PEAK_KIB, SLICE = 600, 1 << 20, 250
-ANSWERS, LONGEST = 2000, 200_000  # answers of one kind, bytes of an input that is damaged further
+# answers of one kind, bytes of an input that is damaged further
+ANSWERS, LONGEST = 2000, 200_000
 _DETAIL = re.compile(r"[0-9]\S*|'[^']*'|\"[^\"]*\"|\\\S*|/\S*")
 Answer = tuple[int, str]  # exit code, and the words of its message
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one input: `why` it is not well answered; CPU s, peak KiB of the process."""
+    """What came of one input: `why` it is not well answered; CPU s, peak KiB of the
+    process.
+    """
 
     why: str
     answer: Answer = (-1, "")
@@ -55,7 +60,9 @@ class Tally:
 
     @property
     def fresh(self) -> list[bytes]:
-        return [o.data for o in self.outcomes if not o.why and 0 < len(o.data) < LONGEST]
+        return [
+            o.data for o in self.outcomes if not o.why and 0 < len(o.data) < LONGEST
+        ]
 
 
 def fuzz(target: Target, folder: Path, count: int, seed: int, tally: Tally) -> None:
@@ -81,8 +88,9 @@ def filled(line: Sequence[str], target: Target, folder: Path) -> list[str]:
 def _in_child(target: Target, folder: Path, *job: Any) -> list[Outcome]:
     """Return what `_slice` says; of a silent process, the input that it had last.
 
-    A fork of the caller would start with the caller's memory, and a slice would answer for
-    what it did not allocate: a server that holds nothing but this module is forked instead.
+    A fork of the caller would start with the caller's memory, and a slice would answer
+    for what it did not allocate: a server that holds nothing but this module is forked
+    instead.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__])
@@ -106,7 +114,12 @@ def _in_child(target: Target, folder: Path, *job: Any) -> list[Outcome]:
 
 
 def _slice(
-    sender: Connection, target: Target, folder: Path, count: int, seed: Sequence[int], known: Tally
+    sender: Connection,
+    target: Target,
+    folder: Path,
+    count: int,
+    seed: Sequence[int],
+    known: Tally,
 ) -> None:
     rng, answers, fresh = np.random.default_rng(seed), known.answers, known.fresh
     outcomes: list[Outcome] = []

@@ -1,4 +1,6 @@
-"""Ways to damage what a sound container holds: its trees, records, tables and rows of values."""
+"""Ways to damage what a sound container holds: its trees, records, tables and rows of
+values.
+"""
 
 import copy
 import functools
@@ -27,13 +29,35 @@ _KEPT = (Schema, Channel, Message)
 _MAGIC = b"\x89MCAP0\r\n"
 _PACKERS = {"": bytes, "lz4": lz4.frame.compress, "zstd": zstandard.compress}
 _TYPES = (
-    *(pa.string(), pa.large_string(), pa.float16(), pa.float32(), pa.int8(), pa.int64()),
-    *(pa.uint64(), pa.bool_(), pa.decimal128(38, 10), pa.timestamp("ns", "UTC"), pa.timestamp("s")),
-    *(pa.date32(), pa.time64("ns"), pa.duration("us"), pa.dictionary(pa.int8(), pa.float64())),
+    *(
+        pa.string(),
+        pa.large_string(),
+        pa.float16(),
+        pa.float32(),
+        pa.int8(),
+        pa.int64(),
+    ),
+    *(
+        pa.uint64(),
+        pa.bool_(),
+        pa.decimal128(38, 10),
+        pa.timestamp("ns", "UTC"),
+        pa.timestamp("s"),
+    ),
+    *(
+        pa.date32(),
+        pa.time64("ns"),
+        pa.duration("us"),
+        pa.dictionary(pa.int8(), pa.float64()),
+    ),
 )
 _WRAPPERS: tuple[Callable[[Any], Any], ...] = (
     *(lambda value: None, lambda value: [value], lambda value: [[value], []]),
-    *(lambda value: {"a": value}, lambda value: repr(value).encode(), lambda value: "x"),
+    *(
+        lambda value: {"a": value},
+        lambda value: repr(value).encode(),
+        lambda value: "x",
+    ),
 )
 
 
@@ -58,7 +82,8 @@ def _inside(damage: Callable[[bytes, np.random.Generator], bytes]) -> Damage:
             try:
                 data[:] = damage(bytes(data), rng)
                 return
-            except Exception:  # whatever a library says of such a file, or of such a value
+            # whatever a library says of such a file, or of such a value
+            except Exception:
                 continue
 
     return careful
@@ -84,7 +109,9 @@ def value(data: bytes, rng: np.random.Generator) -> bytes:
         case 1:
             holder[key] = json.loads(json.dumps(other[from_key]))
         case 2 if isinstance(one, list):
-            holder[key] = one * int(rng.choice([2, 300])) if rng.random() < 0.5 else one[:-1]
+            holder[key] = (
+                one * int(rng.choice([2, 300])) if rng.random() < 0.5 else one[:-1]
+            )
         case 2 if isinstance(one, dict) and one:
             one[_of(_STRINGS, rng)] = one.pop(_of(list(one), rng))
         case _:
@@ -94,7 +121,9 @@ def value(data: bytes, rng: np.random.Generator) -> bytes:
 
 @_inside
 def record(data: bytes, rng: np.random.Generator) -> bytes:
-    """A schema, channel or message of an MCAP file is another; chunk and checksum are right."""
+    """A schema, channel or message of an MCAP file is another; chunk and checksum are
+    right.
+    """
     kept = [r for r in StreamReader(io.BytesIO(data)).records if isinstance(r, _KEPT)]
     kind = _of(_KEPT, rng)
     one = _of([r for r in kept if isinstance(r, kind)], rng)
@@ -111,7 +140,11 @@ def record(data: bytes, rng: np.random.Generator) -> bytes:
         uncompressed_crc=0,
         uncompressed_size=len(content),
     )
-    return _MAGIC + _written(Header("", "fuzz"), chunk, DataEnd(0), Footer(0, 0, 0)) + _MAGIC
+    return (
+        _MAGIC
+        + _written(Header("", "fuzz"), chunk, DataEnd(0), Footer(0, 0, 0))
+        + _MAGIC
+    )
 
 
 def _written(*records: Any) -> bytes:
@@ -129,25 +162,37 @@ def column(data: bytes, rng: np.random.Generator) -> bytes:
     field, values = table.schema.field(at), table.column(at)
     match int(rng.integers(6)):
         case 0:
-            table = table.remove_column(at) if rng.random() < 0.5 else table[: rng.integers(3)]
+            table = (
+                table.remove_column(at)
+                if rng.random() < 0.5
+                else table[: rng.integers(3)]
+            )
         case 1:
             names = table.column_names
             names[at] = _of((*_STRINGS, *names), rng)
             table = table.rename_columns(names)
         case 2:
-            table = table.set_column(at, field.name, values.cast(_of(_TYPES, rng), safe=False))
+            table = table.set_column(
+                at, field.name, values.cast(_of(_TYPES, rng), safe=False)
+            )
         case 3:
             some = list(map(_of(_WRAPPERS, rng), values.to_pylist()))
             table = table.set_column(at, field.name, pa.array(some))
         case _:
-            table = table.set_column(at, field.name, pa.array(_spoilt(values.to_pylist(), rng)))
+            table = table.set_column(
+                at, field.name, pa.array(_spoilt(values.to_pylist(), rng))
+            )
     out = io.BytesIO()
-    pq.write_table(table, out, compression=_of(("none", "snappy"), rng), row_group_size=16)
+    pq.write_table(
+        table, out, compression=_of(("none", "snappy"), rng), row_group_size=16
+    )
     return out.getvalue()
 
 
 def _spoilt(values: list[Any], rng: np.random.Generator) -> list[Any]:
-    """Some values, or all, are holes or numbers that nobody measured; or the order is another."""
+    """Some values, or all, are holes or numbers that nobody measured; or the order is
+    another.
+    """
     if rng.random() < 0.2:
         return values[::-1]
     odd = _of((*_NUMBERS, None, float("nan"), float("-inf")), rng)
@@ -161,24 +206,35 @@ def row(data: bytes, rng: np.random.Generator) -> bytes:
     """A value in an SQLite file is another."""
     base = sqlite3.connect(":memory:")
     base.deserialize(data)
-    table = _of([name for (name,) in base.execute("SELECT name FROM sqlite_schema")], rng)
+    table = _of(
+        [name for (name,) in base.execute("SELECT name FROM sqlite_schema")], rng
+    )
     name = _of([each[1] for each in base.execute(f"PRAGMA table_info('{table}')")], rng)
     ids = [number for (number,) in base.execute(f"SELECT rowid FROM '{table}'")]
     where = (_of(ids, rng),)
-    (old,) = base.execute(f"SELECT {name} FROM '{table}' WHERE rowid = ?", where).fetchone()
-    base.execute(f"UPDATE '{table}' SET {name} = ? WHERE rowid = ?", (_odd(old, rng), *where))
+    (old,) = base.execute(
+        f"SELECT {name} FROM '{table}' WHERE rowid = ?", where
+    ).fetchone()
+    base.execute(
+        f"UPDATE '{table}' SET {name} = ? WHERE rowid = ?", (_odd(old, rng), *where)
+    )
     base.commit()
     return base.serialize()
 
 
 @_inside
 def element(data: bytes, rng: np.random.Generator) -> bytes:
-    """An element of an XML document is lost, comes again elsewhere, or says something else."""
+    """An element of an XML document is lost, comes again elsewhere, or says something
+    else.
+    """
     root = ET.fromstring(data)
     every = list(root.iter())
     one, other = _of(every, rng), _of(every, rng)
     if one.attrib and rng.random() < 0.8:
-        name, texts = _of(list(one.attrib), rng), one.attrib[_of(list(one.attrib), rng)].split()
+        name, texts = (
+            _of(list(one.attrib), rng),
+            one.attrib[_of(list(one.attrib), rng)].split(),
+        )
         texts[int(rng.integers(len(texts)))] = str(_odd(0.0, rng))
         one.attrib[name] = " ".join(texts)
     elif rng.random() < 0.5:

@@ -20,14 +20,31 @@ from tests.unit.logs import format_writers as formats
 from tests.unit.logs.samples import grid, make_motion
 from tests.unit.logs.writers import rewrite, write_mcap
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file
-from tests.unit.report.pages import payload_file, plan_file, prediction_file, write_torques
+from tests.unit.report.pages import (
+    payload_file,
+    plan_file,
+    prediction_file,
+    write_torques,
+)
 
-MCAP, PARQUET, BAG = (*BINARY, *[record] * 8), (*BINARY, *[column] * 16), (*BINARY, *[word] * 16)
-SQLITE, JSON, XML = (*BINARY, *[row] * 16), (*TEXT, *[value] * 20), (*TEXT, *[element] * 20)
-_ARM = 'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n{more}\n' + "".join(
-    f'[[joint]]\nname = "{name}"\n{{dh}}torque_constant = 0.1\ngear_ratio = {ratio}\n'
-    "encoder_resolution = 1e-5\nposition_limits = [-2.8, 2.8]\nvelocity_limit = 2.0\n"
-    for name, ratio in zip(JOINTS, (101.0, -50.0), strict=True)
+MCAP, PARQUET, BAG = (
+    (*BINARY, *[record] * 8),
+    (*BINARY, *[column] * 16),
+    (*BINARY, *[word] * 16),
+)
+SQLITE, JSON, XML = (
+    (*BINARY, *[row] * 16),
+    (*TEXT, *[value] * 20),
+    (*TEXT, *[element] * 20),
+)
+_ARM = (
+    'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n{more}\n'
+    + "".join(
+        f'[[joint]]\nname = "{name}"\n{{dh}}torque_constant = 0.1\ngear_ratio ='
+        f" {ratio}\nencoder_resolution = 1e-5\nposition_limits = [-2.8,"
+        " 2.8]\nvelocity_limit = 2.0\n"
+        for name, ratio in zip(JOINTS, (101.0, -50.0), strict=True)
+    )
 )
 _DH = "dh = { alpha = 0.5, a = 0.3, d = 0.0, theta0 = 0.0 }\n"
 _MORE = """
@@ -98,22 +115,37 @@ _BOTH = _lines("report {} -o {@}/out.html --torques {@}/torques.parquet")
 
 @dataclass(frozen=True)
 class Target:
-    """A kind of file: the name it gets, sound ones, ways to damage them, and who reads it."""
+    """A kind of file: the name it gets, sound ones, ways to damage them, and who reads
+    it.
+    """
 
     name: str
     file: str
     seeds: Sequence[bytes]
     damages: Sequence[Damage]
     lines: Sequence[Line]
-    beside: Mapping[str, bytes] = field(default_factory=dict)  # what else is in the folder
+    # what else is in the folder
+    beside: Mapping[str, bytes] = field(default_factory=dict)
 
 
 def targets(work: Path) -> list[Target]:
     arm = _arm(work)
-    dh, by_urdf = arm["robot.toml"], _ARM.format(more='urdf = "arm.urdf"', dh="").encode()
+    dh, by_urdf = (
+        arm["robot.toml"],
+        _ARM.format(more='urdf = "arm.urdf"', dh="").encode(),
+    )
     robots = [
-        Target("robot.toml", "robot.toml", [dh, dh + _MORE.encode(), by_urdf], TEXT, _ROBOT),
-        Target("URDF", "arm.urdf", [arm["arm.urdf"]], XML, _DRAWING, {"robot.toml": by_urdf}),
+        Target(
+            "robot.toml", "robot.toml", [dh, dh + _MORE.encode(), by_urdf], TEXT, _ROBOT
+        ),
+        Target(
+            "URDF",
+            "arm.urdf",
+            [arm["arm.urdf"]],
+            XML,
+            _DRAWING,
+            {"robot.toml": by_urdf},
+        ),
     ]
     every = [*_logs(work), *robots, *_documents(work, arm["model.json"])]
     return [replace(target, beside={**arm, **target.beside}) for target in every]
@@ -121,14 +153,20 @@ def targets(work: Path) -> list[Target]:
 
 def _data(rows: int = 60) -> formats.Data:
     motion = make_motion(grid(rows), n=2)
-    return formats.Data(motion.t, tuple(JOINTS), motion.q, motion.dq, motion.tau, motion.tau)
+    return formats.Data(
+        motion.t, tuple(JOINTS), motion.q, motion.dq, motion.tau, motion.tau
+    )
 
 
 def _arm(work: Path, rows: int = 300) -> dict[str, bytes]:
-    """An arm of two joints: its robot file, a log, and a model that was identified from it."""
+    """An arm of two joints: its robot file, a log, and a model that was identified from
+    it.
+    """
     robot, log = work / "robot.toml", formats.csv_own(work / "log.csv", _data(rows))
     robot.write_text(_ARM.format(more="", dh=_DH))
-    code, said, _ = answer(["simultaneous", str(log), "-r", str(robot), "-o", f"{work}/model.json"])
+    code, said, _ = answer(
+        ["simultaneous", str(log), "-r", str(robot), "-o", f"{work}/model.json"]
+    )
     if code not in (0, 1):
         raise RuntimeError(said)
     short = formats.csv_own(work / "short.csv", _data()).read_bytes()
@@ -148,22 +186,37 @@ def _logs(work: Path) -> list[Target]:
         folder = work / name
         folder.mkdir()
         paths = [write(folder / str(k), _data()) for k, write in enumerate(writers)]
-        return [(next(p.glob("*.db3")) if p.is_dir() else p).read_bytes() for p in paths]
+        return [
+            (next(p.glob("*.db3")) if p.is_dir() else p).read_bytes() for p in paths
+        ]
 
     cdr = made("mcap_cdr", formats.mcap_cdr, formats.mcap_dynamic, _with_imus)
-    json = made("mcap_json", formats.mcap_json, formats.mcap_foxglove_json, formats.mcap_json_bare)
+    json = made(
+        "mcap_json",
+        formats.mcap_json,
+        formats.mcap_foxglove_json,
+        formats.mcap_json_bare,
+    )
     bag = made("rosbag2", formats.rosbag2_sqlite)
     logs: dict[str, tuple[list[bytes], Sequence[Damage]]] = {
         "MCAP, CDR": (cdr + _rewritten(work, cdr), MCAP),
         "MCAP, JSON": (json + _rewritten(work, json), MCAP),
         "MCAP, protobuf": (made("protobuf", formats.mcap_foxglove_protobuf), MCAP),
         "Parquet": (made("parquet", formats.parquet, _plain), PARQUET),
-        "Parquet, LeRobot episodes": (made("lerobot", formats.lerobot, _episodes), PARQUET),
-        "CSV": (made("csv", formats.csv_own, formats.csv_rtde, formats.csv_franka), TEXT),
+        "Parquet, LeRobot episodes": (
+            made("lerobot", formats.lerobot, _episodes),
+            PARQUET,
+        ),
+        "CSV": (
+            made("csv", formats.csv_own, formats.csv_rtde, formats.csv_franka),
+            TEXT,
+        ),
         "ROS 1 bag": (made("rosbag1", formats.rosbag1), BAG),
         "ROS 2 bag: SQLite": (bag, SQLITE),
     }
-    found = [Target(name, "log", seeds, how, _LOG) for name, (seeds, how) in logs.items()]
+    found = [
+        Target(name, "log", seeds, how, _LOG) for name, (seeds, how) in logs.items()
+    ]
     yaml = [(work / "rosbag2" / "0" / "metadata.yaml").read_bytes()]
     lines, name = _lines(_READ.replace("{}", "{@}/bag")), "ROS 2 bag: metadata.yaml"
     beside = {"bag/0.db3": bag[0]}
@@ -193,7 +246,10 @@ def _rewritten(work: Path, logs: Sequence[bytes]) -> list[bytes]:
 
 
 def _plain(path: Path, data: formats.Data) -> Path:
-    source, plain = formats.parquet(path, data), {"compression": "none", "use_dictionary": False}
+    source, plain = (
+        formats.parquet(path, data),
+        {"compression": "none", "use_dictionary": False},
+    )
     pq.write_table(pq.read_table(source), source, row_group_size=16, **plain)
     return source
 
@@ -215,14 +271,21 @@ def _documents(work: Path, model: bytes) -> list[Target]:
         "parameters": ([full, model], _PARAMETERS, {"sound.json": full}),
         "prediction": ([prediction], [*_REPORT, *_BOTH], more),
     }
-    others = {"diagnosis": diagnosis_file(), "payload": payload_file(used), "plan": plan_file()}
+    others = {
+        "diagnosis": diagnosis_file(),
+        "payload": payload_file(used),
+        "plan": plan_file(),
+    }
     for name, content in (others | {"trend": _trend(used)}).items():
         documents[name] = [encode(content).encode()], _REPORT, {}
     found = [
         Target(name, "file.json", seeds, JSON, lines, beside)
         for name, (seeds, lines, beside) in documents.items()
     ]
-    return [*found, Target("torques", "torques.parquet", [torques], PARQUET, _TORQUES, more)]
+    return [
+        *found,
+        Target("torques", "torques.parquet", [torques], PARQUET, _TORQUES, more),
+    ]
 
 
 def _trend(used: FileId) -> TrendFile:

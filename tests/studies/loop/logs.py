@@ -1,25 +1,38 @@
-"""Arms with an undeclared effect in all of their logs, whose friction trials reach less far."""
+"""Arms with an undeclared effect in all of their logs, whose friction trials reach less
+far.
+"""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from tests.plants.motions.experiments import friction_trials, gravity_trials, inertia_trials
+from tests.plants.motions.experiments import (
+    friction_trials,
+    gravity_trials,
+    inertia_trials,
+)
 from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import moves, waves
 from tests.plants.samples import SIX_POSTURES
 from tests.studies.undeclared.cases import Condition, built, declared
 from tests.studies.undeclared.logs import TWO_POSTURES, Logs, in_turn, robot_for
 
-KINDS = ("load_dependent_friction", "gear_efficiency", "thermal_friction", "torque_ripple")
+KINDS = (
+    "load_dependent_friction",
+    "gear_efficiency",
+    "thermal_friction",
+    "torque_ripple",
+)
 KINDS += ("spring",)
 TRAVEL, SPEED = 0.85, 0.75  # of what the other logs use, in the sequential experiments
-SPEEDS, SLOWEST = 6, 0.2  # of the friction trials; the slowest as a share of the fastest
+# of the friction trials; the slowest as a share of the fastest
+SPEEDS, SLOWEST = 6, 0.2
 PERIODS = (5.626, 6.126, 6.374)  # s, of the Fourier series
 TRIAL_EVERY, EVERY = 4, 2  # control periods per row
 HELD_OUT_S = 14.0  # of a held-out log, about
-SLOW = 0.12  # of the top speed: what a motor does in each turn is below the low-pass there
+# of the top speed: what a motor does in each turn is below the low-pass there
+SLOW = 0.12
 PAUSE = 60.0  # s between logs
 
 
@@ -30,7 +43,9 @@ def case_of(rig: str, kind: str, seed: int) -> Condition:
 
 
 def references(case: Condition) -> list[tuple[str, Reference, int]]:
-    """Stage or part, motion, and control periods per row of every log, in the order of time."""
+    """Stage or part, motion, and control periods per row of every log, in the order of
+    time.
+    """
     plant, rng = declared(case), np.random.default_rng([case.seed, 11])
     middle = plant.position_limits.mean(axis=1, keepdims=True)
     small = replace(
@@ -51,10 +66,18 @@ def references(case: Condition) -> list[tuple[str, Reference, int]]:
         ("training", waves(plant, rng, period=one, share=0.9), EVERY),
         ("training", moves(plant, rng, share=0.6), EVERY),
         ("training", waves(plant, rng, period=two, share=0.45), EVERY),
-        ("held_out", waves(plant, rng, period=three, share=0.9, seconds=HELD_OUT_S), EVERY),
+        (
+            "held_out",
+            waves(plant, rng, period=three, share=0.9, seconds=HELD_OUT_S),
+            EVERY,
+        ),
         ("held_out", moves(plant, rng, share=0.7, seconds=HELD_OUT_S), EVERY),
         ("training", waves(plant, rng, period=one, share=SLOW), EVERY),
-        ("held_out", waves(plant, rng, period=three, share=SLOW, seconds=HELD_OUT_S), EVERY),
+        (
+            "held_out",
+            waves(plant, rng, period=three, share=SLOW, seconds=HELD_OUT_S),
+            EVERY,
+        ),
     ]
 
 

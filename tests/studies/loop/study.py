@@ -1,4 +1,6 @@
-"""The loop closed where the effect was in all logs: refined against told, inside and outside."""
+"""The loop closed where the effect was in all logs: refined against told, inside and
+outside.
+"""
 
 import time
 from argparse import Namespace
@@ -47,7 +49,9 @@ class Result:
 
     @property
     def closed(self) -> bool:
-        """Whether the right effect was added, confirmed, and the model is as good as told."""
+        """Whether the right effect was added, confirmed, and the model is as good as
+        told.
+        """
         right = self.kind in {name.partition("@")[0] for name in self.added}
         return right and all(self.confirmed) and self.ratio <= NEAR
 
@@ -85,9 +89,14 @@ def run_case(case: Condition, cache: Path) -> Result:
 
 
 def study(arguments: Namespace) -> str:
-    every = [case_of(rig, k, seed) for rig in SEEDS for seed in SEEDS[rig] for k in KINDS]
+    every = [
+        case_of(rig, k, seed) for rig in SEEDS for seed in SEEDS[rig] for k in KINDS
+    ]
     cases = {case.key: case for case in every[: 1 if arguments.quick else None]}
-    work, path = partial(run_case, cache=arguments.cache), arguments.cache / "closed_loop.jsonl"
+    work, path = (
+        partial(run_case, cache=arguments.cache),
+        arguments.cache / "closed_loop.jsonl",
+    )
     found = results(cases, work, Result, path, run=not arguments.tables, told=_told)
     return rendered(list(found.values()))
 
@@ -100,7 +109,10 @@ def rendered(found: Sequence[Result]) -> str:
     groups: dict[str, list[Result]] = {}
     for rig in SEEDS:
         mine = [r for r in found if r.rig == rig]
-        groups |= {f"{kind}, {rig} joints": [r for r in mine if r.kind == kind] for kind in KINDS}
+        groups |= {
+            f"{kind}, {rig} joints": [r for r in mine if r.kind == kind]
+            for kind in KINDS
+        }
         groups[f"all, {rig} joints"] = mine
 
     def middle(name: str) -> Callable[[Sequence[Result]], str]:
@@ -111,8 +123,14 @@ def rendered(found: Sequence[Result]) -> str:
         **{name: middle(name) for name in ("before", "after", "told")},
         "after over told, worst": lambda own: number(max(r.ratio for r in own), 3),
         **{name: middle(name) for name in ("inside", "outside")},
-        "share outside": lambda own: f"{100 * median(r.share or 0.0 for r in own):.0f} %",
-        f"confirmed and within {NEAR}": lambda own: f"{sum(r.closed for r in own)} of {len(own)}",
-        "also added": lambda own: str(sum(not x.startswith(r.kind) for r in own for x in r.added)),
+        "share outside": lambda own: (
+            f"{100 * median(r.share or 0.0 for r in own):.0f} %"
+        ),
+        f"confirmed and within {NEAR}": lambda own: (
+            f"{sum(r.closed for r in own)} of {len(own)}"
+        ),
+        "also added": lambda own: str(
+            sum(not x.startswith(r.kind) for r in own for x in r.added)
+        ),
     }
     return grouped("effect in all logs", groups, columns)

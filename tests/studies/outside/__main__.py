@@ -1,4 +1,6 @@
-"""Run cases: `python -m tests.studies.outside --set tuning --seeds A:B [--cache FOLDER]`."""
+"""Run cases: `python -m tests.studies.outside --set tuning --seeds A:B [--cache
+FOLDER]`.
+"""
 
 import argparse
 from collections.abc import Sequence
@@ -14,25 +16,44 @@ from tests.studies.tables import show
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.outside", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.studies.outside", description=__doc__
+    )
     parser.add_argument("--set", choices=("tuning", "reserved"), default="tuning")
     parser.add_argument("--seeds", type=seeds_of, default="0:80", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
-    parser.add_argument("--coarser", type=float, default=1.0, help="counts of the encoders, times")
-    parser.add_argument("--whole", action="store_true", help="published arms, all their joints")
-    parser.add_argument("--write", action="store_true", help="write the tables into the document")
+    parser.add_argument(
+        "--coarser", type=float, default=1.0, help="counts of the encoders, times"
+    )
+    parser.add_argument(
+        "--whole", action="store_true", help="published arms, all their joints"
+    )
+    parser.add_argument(
+        "--write", action="store_true", help="write the tables into the document"
+    )
     chosen = parser.parse_args()
     if any((seed >= RESERVED) != (chosen.set == "reserved") for seed in chosen.seeds):
         parser.error(f"tuning seeds are below {RESERVED}, reserved ones are not")
-    rows = answers(chosen.seeds, chosen.cache, coarser=chosen.coarser, whole=chosen.whole)
+    rows = answers(
+        chosen.seeds, chosen.cache, coarser=chosen.coarser, whole=chosen.whole
+    )
     name = f"outside_{chosen.set}" + "_whole" * chosen.whole
     show("outside.md", name, tables(rows), kept=chosen.write)
 
 
 def answers(seeds: Sequence[int], cache: Path, **drawing: Any) -> list[dict[str, Any]]:
-    """Answers of the seeds' cases, drawn as `drawn` is told, from the cache where they are kept."""
-    work, cases = partial(answered, cache=cache, **drawing), {str(seed): seed for seed in seeds}
-    return [*results(cases, work, dict[str, Any], cache / "outside.jsonl", told=_told).values()]
+    """Answers of the seeds' cases, drawn as `drawn` is told, from the cache where they
+    are kept.
+    """
+    work, cases = (
+        partial(answered, cache=cache, **drawing),
+        {str(seed): seed for seed in seeds},
+    )
+    return [
+        *results(
+            cases, work, dict[str, Any], cache / "outside.jsonl", told=_told
+        ).values()
+    ]
 
 
 def _told(row: dict[str, Any]) -> str:

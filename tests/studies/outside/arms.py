@@ -47,7 +47,9 @@ class Drive:
 
 @dataclass(frozen=True)
 class Imu:
-    """A triad with a gyro, or four triads at the corners of a tetrahedron, on a moving link."""
+    """A triad with a gyro, or four triads at the corners of a tetrahedron, on a moving
+    link.
+    """
 
     link: int
     place: Array  # (3,) m
@@ -117,14 +119,20 @@ def drawn_links(rng: np.random.Generator, n: int) -> tuple[Link, ...]:
         radius = 0.15 * length
         across = mass * (3.0 * radius**2 + length**2) / 12.0
         skew = 0.05 * across * rng.normal(size=3)
-        off = np.array([[0, skew[0], skew[1]], [skew[0], 0, skew[2]], [skew[1], skew[2], 0]])
+        off = np.array(
+            [[0, skew[0], skew[1]], [skew[0], 0, skew[2]], [skew[1], skew[2], 0]]
+        )
         links.append(
             Link(
-                place=np.array([0.0, 0.0, 0.2 if k == 0 else 0.6 * size * 0.8 ** (k - 1)]),
+                place=np.array(
+                    [0.0, 0.0, 0.2 if k == 0 else 0.6 * size * 0.8 ** (k - 1)]
+                ),
                 turn=np.array([0.0, 0.0, rng.uniform(-0.5, 0.5) if k else 0.0]),
                 axis=axes[k],
                 mass=mass,
-                centre=np.array([*rng.normal(0, 0.05 * length, 2), rng.uniform(0.4, 0.6) * length]),
+                centre=np.array(
+                    [*rng.normal(0, 0.05 * length, 2), rng.uniform(0.4, 0.6) * length]
+                ),
                 inertia=np.diag([across, across, 0.5 * mass * radius**2]) + 0.3 * off,
                 speed=float(rng.uniform(1.5, 4.0)),
             )
@@ -142,7 +150,9 @@ def _sizes(links: tuple[Link, ...], joint: int) -> tuple[float, float]:
     return weight, inertia
 
 
-def drawn_drives(rng: np.random.Generator, links: tuple[Link, ...], n: int) -> tuple[Drive, ...]:
+def drawn_drives(
+    rng: np.random.Generator, links: tuple[Link, ...], n: int
+) -> tuple[Drive, ...]:
     """Motors and gears for the first n joints; friction varies over the positions."""
     drives = []
     for k in range(n):

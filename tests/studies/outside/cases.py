@@ -1,4 +1,6 @@
-"""A case as a user meets it: logs and files on disk, every command's own function, an answer."""
+"""A case as a user meets it: logs and files on disk, every command's own function, an
+answer.
+"""
 
 import tempfile
 import time
@@ -34,7 +36,11 @@ class AstrayError(ArithmeticError):
 
 def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
     own: dict[str, Any] = {"accelerometers": log.accelerometers, "gyros": log.gyros}
-    effort = log.torque / (arm.of("ratio") * arm.of("constant")) if arm.currents else log.torque
+    effort = (
+        log.torque / (arm.of("ratio") * arm.of("constant"))
+        if arm.currents
+        else log.torque
+    )
     if path.suffix == ".mcap":
         own |= {"effort": effort, "encoding": "cdr", "t0_ns": int(t[0]) * 10**9}
         write_mcap(path, t - int(t[0]), arm.names, log.q, **own)
@@ -56,25 +62,43 @@ class Recorder:
 
     def record(self, motion: Array, effects: Sequence[Effect]) -> Path:
         case, self.count = self.case, self.count + 1
-        log = simulate(case.arm, motion, 100 * case.outline.seed + self.count, effects, self.clock)
+        log = simulate(
+            case.arm, motion, 100 * case.outline.seed + self.count, effects, self.clock
+        )
         asked = motion[:: round(len(motion) / len(log.q))][: len(log.q)]
         if np.max(np.abs(log.q[: len(asked)] - asked)) > ASTRAY:
             raise AstrayError("the arm has left its motion")
         start, self.clock = self.clock, self.clock + len(motion) * 1e-3 + 5.0
         suffix = "mcap" if case.outline.mcap else "parquet"
         path = self.folder / f"log_{self.count:02}.{suffix}"
-        write(path, case.arm, log, log.t + EPOCH_S if case.outline.clock else log.t - start)
+        write(
+            path,
+            case.arm,
+            log,
+            log.t + EPOCH_S if case.outline.clock else log.t - start,
+        )
         return path
 
-    def moves(self, count: int, seconds: float, effects: Sequence[Effect]) -> list[Path]:
+    def moves(
+        self, count: int, seconds: float, effects: Sequence[Effect]
+    ) -> list[Path]:
         """Motions of all joints, of drawn sorts."""
-        sorts = [motions.MOTIONS[x] for x in self.rng.permutation(list(motions.MOTIONS))[:count]]
-        return [self.record(sort(self.case.arm, self.rng, seconds), effects) for sort in sorts]
+        sorts = [
+            motions.MOTIONS[x]
+            for x in self.rng.permutation(list(motions.MOTIONS))[:count]
+        ]
+        return [
+            self.record(sort(self.case.arm, self.rng, seconds), effects)
+            for sort in sorts
+        ]
 
     def trials(self, speeds: Array, effects: Sequence[Effect]) -> list[Path]:
         arm = self.case.arm
         posture = self.rng.uniform(-0.6, 0.6, arm.n)
-        return [self.record(motions.trial(arm, j, posture, speeds), effects) for j in range(arm.n)]
+        return [
+            self.record(motions.trial(arm, j, posture, speeds), effects)
+            for j in range(arm.n)
+        ]
 
     def one_step(self, logs: list[Path]) -> Path:
         """Identify everything from the same logs; returns the parameter file."""
@@ -160,7 +184,10 @@ def poor(file: Path) -> str:
 
 
 def told(found: DiagnosisFile) -> dict[str, Any]:
-    rows = {joint: (e.rmse, e.noise_floor, e.rmse_explained) for joint, e in found.joints.items()}
+    rows = {
+        joint: (e.rmse, e.noise_floor, e.rmse_explained)
+        for joint, e in found.joints.items()
+    }
     kept = ("effect", "confidence", "name_confidence")
     findings = [
         {name: getattr(item, name) for name in kept}

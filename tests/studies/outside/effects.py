@@ -28,7 +28,9 @@ def stribeck(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     slow = float(rng.uniform(0.03, 0.12)) * arm.links[j].speed
     power, size = float(rng.uniform(0.8, 2.0)), 0.8 * arm.drives[j].coulomb
     return Effect(
-        j, dry=lambda c, base, now: c * size * np.exp(-((abs(now.dq[j]) / slow) ** power)), most=4.0
+        j,
+        dry=lambda c, base, now: c * size * np.exp(-((abs(now.dq[j]) / slow) ** power)),
+        most=4.0,
     )
 
 
@@ -66,7 +68,9 @@ def payload(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 
 def load_dependent_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Dry friction that grows with the torque that the gear carries."""
-    return Effect(j, dry=lambda scale, base, now: 0.08 * scale * abs(now.load[j]), most=3.0)
+    return Effect(
+        j, dry=lambda scale, base, now: 0.08 * scale * abs(now.load[j]), most=3.0
+    )
 
 
 def torque_ripple(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
@@ -75,7 +79,9 @@ def torque_ripple(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     phase, law = float(rng.uniform(0.0, 6.3)), rng.choice(["constant", "torque"])
 
     def push(scale: float, state: State) -> float:
-        size = 0.3 * arm.drives[j].coulomb if law == "constant" else 0.05 * state.load[j]
+        size = (
+            0.3 * arm.drives[j].coulomb if law == "constant" else 0.05 * state.load[j]
+        )
         return size * (scale * np.sin(order * state.q[j] + phase))
 
     return Effect(j, push=push)
@@ -84,7 +90,9 @@ def torque_ripple(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 def time_skew(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Torques that are logged late, or early, against the positions."""
     joint, side = j if rng.random() < 0.5 else None, float(rng.choice([-1.0, 1.0]))
-    return Effect(joint, told=lambda c, tau, t: np.interp(t - side * 0.003 * c, t, tau), most=8.0)
+    return Effect(
+        joint, told=lambda c, tau, t: np.interp(t - side * 0.003 * c, t, tau), most=8.0
+    )
 
 
 def friction_change(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
@@ -98,18 +106,22 @@ def friction_change(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     )
 
 
-def _geared(root: ET.Element, arm: Arm, j: int, hertz: float) -> tuple[ET.Element, float]:
+def _geared(
+    root: ET.Element, arm: Arm, j: int, hertz: float
+) -> tuple[ET.Element, float]:
     """Give a joint's motor a body of its own; its gear is the tendon that is returned.
 
-    The gear is as stiff as lets the rotor ring at a frequency against a held link; the damping that
-    goes with that is returned as well.
+    The gear is as stiff as lets the rotor ring at a frequency against a held link; the
+    damping that goes with that is returned as well.
     """
     joint = joint_of(root, arm, j)
     body = next(b for b in root.iter("body") if joint in list(b))
     parent = next(p for p in root.iter() if body in list(p))
     place = {"pos": body.get("pos", "0 0 0"), "euler": body.get("euler", "0 0 0")}
     motor = ET.SubElement(parent, "body", place)
-    ET.SubElement(motor, "inertial", pos="0 0 0", mass="1e-6", diaginertia="1e-9 1e-9 1e-9")
+    ET.SubElement(
+        motor, "inertial", pos="0 0 0", mass="1e-6", diaginertia="1e-9 1e-9 1e-9"
+    )
     ET.SubElement(motor, "joint", {**joint.attrib, "name": f"{arm.names[j]}_motor"})
     joint.attrib.update(armature="0", damping="0", frictionloss="0")
     rotor = arm.drives[j].rotor
@@ -146,7 +158,9 @@ def nonlinear_viscous(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 def torque_constant(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """More amperes per newton metre than before."""
     side = float(rng.choice([-1.0, 1.0]))
-    return Effect(j, told=lambda scale, tau, t: (1.0 + 0.05 * side * scale) * tau, most=6.0)
+    return Effect(
+        j, told=lambda scale, tau, t: (1.0 + 0.05 * side * scale) * tau, most=6.0
+    )
 
 
 def external_contact(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
@@ -207,17 +221,23 @@ def backlash(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     def xml(scale: float, root: ET.Element) -> None:
         tendon, damping = _geared(root, arm, j, 50.0)
         half = 0.5 * 0.003 * scale
-        tendon.attrib.update(damping=repr(0.3 * damping), springlength=f"{-half!r} {half!r}")
+        tendon.attrib.update(
+            damping=repr(0.3 * damping), springlength=f"{-half!r} {half!r}"
+        )
 
     return Effect(j, xml=xml, most=5.0)
 
 
 def encoder_eccentricity(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
-    """A disc off centre, on the joint's own shaft or the motor's: the controller believes it."""
+    """A disc off centre, on the joint's own shaft or the motor's: the controller
+    believes it.
+    """
     slow = rng.random() < 0.6
     order = float(rng.choice([1.0, 2.0])) if slow else arm.drives[j].ratio
     size, phase = (0.01 if slow else 0.02 / order), float(rng.uniform(0.0, 6.3))
-    return Effect(j, angle=lambda scale, q: scale * size * np.sin(order * q + phase), most=5.0)
+    return Effect(
+        j, angle=lambda scale, q: scale * size * np.sin(order * q + phase), most=5.0
+    )
 
 
 def presliding_hysteresis(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
@@ -230,7 +250,11 @@ def presliding_hysteresis(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     def push(scale: float, state: State) -> float:
         x, way = state.memory.get("bristle", 0.0), state.dq[j] * STEP_S
         side = np.sign(way)
-        bent = side + (x - side) * np.exp(-abs(way) / (settle * max(scale, 1.0))) if way else x
+        bent = (
+            side + (x - side) * np.exp(-abs(way) / (settle * max(scale, 1.0)))
+            if way
+            else x
+        )
         state.memory["bristle"] = bent
         return -part(scale) * bent
 
@@ -238,27 +262,38 @@ def presliding_hysteresis(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 
 
 def transmission_coupling(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
-    """A part of a joint's drive turns with the joint before it as well: a tendon over both."""
+    """A part of a joint's drive turns with the joint before it as well: a tendon over
+    both.
+    """
     other = j - 1 if j else 1
     turns, drive = float(rng.choice([-1.0, 1.0])), arm.drives[j]
 
     def xml(scale: float, root: ET.Element) -> None:
         part = min(scale, 1.0)
         joint_of(root, arm, j).set("damping", repr((1.0 - part) * drive.viscous))
-        losses = {"damping": repr(part * drive.viscous), "frictionloss": repr(part * drive.coulomb)}
+        losses = {
+            "damping": repr(part * drive.viscous),
+            "frictionloss": repr(part * drive.coulomb),
+        }
         tendon = ET.SubElement(found(root, "tendon"), "fixed", losses | FRICTION)
         ET.SubElement(tendon, "joint", joint=arm.names[j], coef="1")
         ET.SubElement(tendon, "joint", joint=arm.names[other], coef=repr(turns))
 
     return Effect(
-        j, xml=xml, dry=lambda c, base, now: -(min(c, 1.0) * base), partner=other, most=1.0
+        j,
+        xml=xml,
+        dry=lambda c, base, now: -(min(c, 1.0) * base),
+        partner=other,
+        most=1.0,
     )
 
 
 def torque_saturation(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Iron that saturates: more and more amperes for the last newton metres."""
     rated = 10.0 * arm.drives[j].coulomb
-    return Effect(j, told=lambda c, tau, t: tau * (1.0 + 0.05 * c * (tau / rated) ** 2), most=6.0)
+    return Effect(
+        j, told=lambda c, tau, t: tau * (1.0 + 0.05 * c * (tau / rated) ** 2), most=6.0
+    )
 
 
 def quadratic_drag(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
@@ -278,9 +313,14 @@ def rotor_inertia(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 
 def periodic_disturbance(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A pump, a fan or the mains in the current sensor."""
-    hertz, phase = float(rng.choice([3.7, 8.3, 14.6, 29.5, 50.0])), float(rng.uniform(0.0, 6.3))
+    hertz, phase = (
+        float(rng.choice([3.7, 8.3, 14.6, 29.5, 50.0])),
+        float(rng.uniform(0.0, 6.3)),
+    )
     level, pace = arm.drives[j].coulomb, 2.0 * np.pi * hertz
-    return Effect(j, told=lambda c, tau, t: tau + 0.3 * c * level * np.sin(pace * t + phase))
+    return Effect(
+        j, told=lambda c, tau, t: tau + 0.3 * c * level * np.sin(pace * t + phase)
+    )
 
 
 def thermal_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
@@ -292,7 +332,9 @@ def thermal_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     def push(scale: float, state: State) -> float:
         return -arm.drives[j].viscous * less(scale, state) * state.dq[j]
 
-    return Effect(j, dry=lambda c, base, now: 0.5 * base * less(c, now), push=push, most=5.0)
+    return Effect(
+        j, dry=lambda c, base, now: 0.5 * base * less(c, now), push=push, most=5.0
+    )
 
 
 def actuator_lag(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
@@ -313,7 +355,9 @@ def position_dependent_friction(arm: Arm, j: int, rng: np.random.Generator) -> E
     waves, phase = float(rng.choice([1.0, 2.0, 3.0, 5.0])), float(rng.uniform(0.0, 6.3))
     return Effect(
         j,
-        dry=lambda c, base, now: min(0.4 * c, 0.95) * base * np.sin(waves * now.q[j] + phase),
+        dry=lambda c, base, now: (
+            min(0.4 * c, 0.95) * base * np.sin(waves * now.q[j] + phase)
+        ),
         most=2.3,
     )
 

@@ -33,13 +33,20 @@ def fitted(arm: Arm, unit: Array) -> Array:
 
 
 def trial(arm: Arm, joint: int, posture: Array, speeds: Array) -> Array:
-    """One joint to and fro at constant speeds (shares of its limit), the others held: (N, n)."""
+    """One joint to and fro at constant speeds (shares of its limit), the others held:
+    (N, n).
+    """
     link = arm.links[joint]
     moments = np.cumsum([0.0, *np.repeat(2.0 / (speeds * link.speed / link.reach), 2)])
     knots = np.where(np.arange(len(moments)) % 2, 1.0, -1.0)
     line = _rounded(np.interp(_times(moments[-1]), moments, knots), 301)
-    middles, reaches = (np.array([getattr(x, k) for x in arm.links]) for k in ("middle", "reach"))
-    q = np.tile((middles + reaches * np.resize(posture, len(arm.links)))[: arm.n], (len(line), 1))
+    middles, reaches = (
+        np.array([getattr(x, k) for x in arm.links]) for k in ("middle", "reach")
+    )
+    q = np.tile(
+        (middles + reaches * np.resize(posture, len(arm.links)))[: arm.n],
+        (len(line), 1),
+    )
     q[:, joint] = link.middle + link.reach * line
     return q
 
@@ -48,7 +55,9 @@ def multisine(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
     """Harmonics of a tenth of a hertz with drawn phases, faded in and out."""
     t, k = _times(seconds), np.arange(1, 9)
     size = rng.uniform(0.3, 1.0, (arm.n, 8)) / np.sqrt(k)
-    wave = np.sin(2 * np.pi * (k * 0.1)[:, None] * t + rng.uniform(0, 6.3, (arm.n, 8, 1)))
+    wave = np.sin(
+        2 * np.pi * (k * 0.1)[:, None] * t + rng.uniform(0, 6.3, (arm.n, 8, 1))
+    )
     q = np.einsum("jk,jkt->tj", size, wave)
     fade = np.clip(np.minimum(t, t[-1] - t) / 1.5, 0.0, 1.0)
     fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
@@ -65,17 +74,23 @@ def points(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
 
 
 def spline(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
-    """A cubic spline through drawn points at uneven times, as a program of via points gives."""
+    """A cubic spline through drawn points at uneven times, as a program of via points
+    gives.
+    """
     moments = np.cumsum([0.0, *rng.uniform(0.5, 1.3, int(1.2 * seconds))])
     moments = moments[moments <= seconds]
     knots = rng.uniform(-0.7, 0.7, (len(moments), arm.n))
     knots[[0, -1]] = 0.0
-    line = np.asarray(CubicSpline(moments, knots, bc_type="clamped")(_times(moments[-1])))
+    line = np.asarray(
+        CubicSpline(moments, knots, bc_type="clamped")(_times(moments[-1]))
+    )
     return fitted(arm, line / np.maximum(1.0, np.abs(line).max(axis=0)))
 
 
 def hand(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
-    """Tugs of a hand: one or two joints at a time, uneven, with a tremor, and rests between."""
+    """Tugs of a hand: one or two joints at a time, uneven, with a tremor, and rests
+    between.
+    """
     t = _times(seconds)
     q, at, clock = np.zeros((len(t), arm.n)), np.zeros(arm.n), 0.0
     while clock < seconds:
@@ -84,7 +99,11 @@ def hand(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
         moved = rng.permutation(arm.n)[: int(rng.integers(1, 3))]
         goal[moved] = rng.uniform(-0.9, 0.9, len(moved))
         way = np.clip((t - clock) / lasts, 0.0, 1.0) ** float(rng.uniform(0.8, 1.6))
-        tremor = 0.01 * np.sin(2 * np.pi * float(rng.uniform(6, 9)) * t) * np.sin(np.pi * way)
+        tremor = (
+            0.01
+            * np.sin(2 * np.pi * float(rng.uniform(6, 9)) * t)
+            * np.sin(np.pi * way)
+        )
         now = t >= clock
         q[now] = (at + np.outer(way, goal - at) + np.outer(tremor, goal != at))[now]
         at, clock = goal, clock + lasts + rests

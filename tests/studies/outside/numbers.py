@@ -1,6 +1,8 @@
-"""What +-30 % of the numbers of discovery does: `python -m tests.studies.outside.numbers`.
+"""What +-30 % of the numbers of discovery does: `python -m
+tests.studies.outside.numbers`.
 
-Every case is recorded and identified once, and diagnosed again with each number changed.
+Every case is recorded and identified once, and diagnosed again with each number
+changed.
 """
 
 import argparse
@@ -36,9 +38,13 @@ FACTORS = (0.7, 1.3)
 
 
 def numbers() -> dict[str, tuple[str, str]]:
-    """Name and file of every number in the page's table of discovery that can be changed."""
+    """Name and file of every number in the page's table of discovery that can be
+    changed.
+    """
     part = PAGE.read_text(encoding="utf-8").split("## Discovery\n")[1].split("<!-- ")[0]
-    rows = [line.split("|")[1:5] for line in part.splitlines() if line.startswith("| `")]
+    rows = [
+        line.split("|")[1:5] for line in part.splitlines() if line.startswith("| `")
+    ]
     return {
         name.strip(): (name.strip().strip("`"), where.strip(" `"))
         for name, default, _, where in rows
@@ -48,7 +54,9 @@ def numbers() -> dict[str, tuple[str, str]]:
 
 @contextmanager
 def changed(name: str, where: str, factor: float) -> Iterator[None]:
-    module = importlib.import_module(f"seqid_cli.{where.removesuffix('.py').replace('/', '.')}")
+    module = importlib.import_module(
+        f"seqid_cli.{where.removesuffix('.py').replace('/', '.')}"
+    )
     undo = list[tuple[Any, str, Any]]()
 
     def put(owner: Any, key: str, value: Any) -> None:
@@ -59,12 +67,18 @@ def changed(name: str, where: str, factor: float) -> Iterator[None]:
         if " of " in name:
             argument, owner = name.replace("`", "").split(" of ")
             places = [module, *(x for x in vars(module).values() if inspect.isclass(x))]
-            function = next(vars(x)[owner] for x in places if callable(vars(x).get(owner)))
+            function = next(
+                vars(x)[owner] for x in places if callable(vars(x).get(owner))
+            )
             known = function.__kwdefaults__
-            put(function, "__kwdefaults__", known | {argument: known[argument] * factor})
+            put(
+                function, "__kwdefaults__", known | {argument: known[argument] * factor}
+            )
         elif name.startswith("Options."):
             value = getattr(Options, name.removeprefix("Options."))
-            same = [key for key in Options.__annotations__ if getattr(Options, key) == value]
+            same = [
+                key for key in Options.__annotations__ if getattr(Options, key) == value
+            ]
             for key in same:
                 put(Options, key, value * factor)
             defaults = tuple(getattr(Options, key) for key in Options.__annotations__)
@@ -90,13 +104,24 @@ def answered(seed: int) -> dict[str, Any]:
         logs = [read_recording(path, robot) for path in ready.logs]
         stages = read_parameters(ready.file).stages
         options = DiscoverOptions()
-        filtering = replace(options.motion.motion, kept={})  # one motion for all of them
+        # one motion for all of them
+        filtering = replace(options.motion.motion, kept={})
         options = replace(options, motion=replace(options.motion, motion=filtering))
 
         def row() -> dict[str, Any]:
             found = told(diagnose(logs, robot, stages, options=options))
-            hidden = {"kinds": [x.name for x in case.effects], "flow": case.outline.flow}
-            whole = found | hidden | {"joints": [" ".join(x) for x in case.joints], "error": ""}
+            hidden = {
+                "kinds": [x.name for x in case.effects],
+                "flow": case.outline.flow,
+            }
+            whole = (
+                found
+                | hidden
+                | {
+                    "joints": [" ".join(x) for x in case.joints],
+                    "error": "",
+                }
+            )
             labels = [label(whole, i) for i in range(len(case.effects))]
             names = sorted(f"{x['effect']} {x['joint']}" for x in found["findings"])
             right = sum(x in ("right", "alike") for x in labels)
@@ -111,7 +136,9 @@ def answered(seed: int) -> dict[str, Any]:
 
 
 def tabulated(kept: Sequence[dict[str, Any]]) -> str:
-    """For each number: cases with other names, effects named right, cases with a wrong name."""
+    """For each number: cases with other names, effects named right, cases with a wrong
+    name.
+    """
     every = [one["rows"] for one in kept]
     usual = [rows["as it is"] for rows in every]
     right, wrong = (sum(row[key] for row in usual) for key in ("right", "wrong"))
@@ -128,7 +155,10 @@ def tabulated(kept: Sequence[dict[str, Any]]) -> str:
             less, more = (cells(f"{title} x {factor}") for factor in FACTORS)
             lines.append([title, *less, *more])
     head = ["number", "-30 %: other names", "right", "wrong", "+30 %: other names"]
-    first = f"{len(every)} cases, {right} effects named right, a wrong name above 0.8 in {wrong}."
+    first = (
+        f"{len(every)} cases, {right} effects named right, a wrong name above 0.8 in"
+        f" {wrong}."
+    )
     return first + "\n\n" + table([*head, "right ", "wrong "], lines)
 
 
@@ -136,10 +166,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside.numbers")
     parser.add_argument("--seeds", type=seeds_of, default="1000:1200", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
-    parser.add_argument("--write", action="store_true", help="write the table into the document")
+    parser.add_argument(
+        "--write", action="store_true", help="write the table into the document"
+    )
     chosen = parser.parse_args()
     cases = {str(seed): seed for seed in chosen.seeds}
-    kept = results(cases, answered, dict[str, Any], chosen.cache / "numbers.jsonl", processes=2)
+    kept = results(
+        cases, answered, dict[str, Any], chosen.cache / "numbers.jsonl", processes=2
+    )
     show(PAGE.name, "numbers", tabulated(list(kept.values())), kept=chosen.write)
 
 

@@ -1,4 +1,6 @@
-"""What a seed stands for: an arm, what it lacks, when that came, and how it is recorded."""
+"""What a seed stands for: an arm, what it lacks, when that came, and how it is
+recorded.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,9 +18,23 @@ RESERVED = 10_000  # seeds from here on judge, and are not looked at before
 LEAST, MOST = 0.02, 0.2  # of the joint's torque, RMS, that an effect is drawn to make
 
 # Nothing is missing of a model that was identified with these inside.
-COMES_LATER = {"payload", "base_tilt", "friction_change", "rotor_inertia", "torque_constant"}
+COMES_LATER = {
+    "payload",
+    "base_tilt",
+    "friction_change",
+    "rotor_inertia",
+    "torque_constant",
+}
 COMES_LATER |= {"external_contact"}
-FLOWS: tuple[Flow, ...] = ("late", "early", "late", "step_late", "early", "step_early", "single")
+FLOWS: tuple[Flow, ...] = (
+    "late",
+    "early",
+    "late",
+    "step_late",
+    "early",
+    "step_early",
+    "single",
+)
 MANY = 5  # joints; more would take minutes a case, and with IMUs even these do
 PUBLISHED = ("ur5", "panda", "so101", "ur10", "jaco", "xarm7", "z1")
 
@@ -39,7 +55,9 @@ class Outline:
 
 @dataclass(frozen=True)
 class Case:
-    """One case; `shares` are the effects' parts of the torque's RMS where they act most."""
+    """One case; `shares` are the effects' parts of the torque's RMS where they act
+    most.
+    """
 
     outline: Outline
     arm: Arm
@@ -70,14 +88,19 @@ def kinds_of(seed: int) -> tuple[str, ...]:
 
 
 def outlined(seed: int, whole: bool = False) -> Outline:
-    """Which sort of case a seed is; `whole` ones are published arms of which all joints move."""
+    """Which sort of case a seed is; `whole` ones are published arms of which all joints
+    move.
+    """
     rng, kinds = np.random.default_rng([seed, 77]), kinds_of(seed)
     flow = FLOWS[int(rng.integers(len(FLOWS)))]
     if COMES_LATER & set(kinds):
         flow = "step_late" if flow.startswith("s") else "late"
     label, n = "drawn", int(rng.choice([1, 2, 2, 2, 2, 3]))
     if seed % 6 == 1:
-        label, n = PUBLISHED[(seed // 6) % len(PUBLISHED)], int(rng.choice([2, 3, 3, MANY]))
+        label, n = (
+            PUBLISHED[(seed // 6) % len(PUBLISHED)],
+            int(rng.choice([2, 3, 3, MANY])),
+        )
     if whole:
         n = len(published_links(label := PUBLISHED[seed % len(PUBLISHED)]))
     if "transmission_coupling" in kinds:
@@ -93,9 +116,12 @@ def drawn(seed: int, coarser: float = 1.0, whole: bool = False) -> Case:
     coarse = (replace(drive, count=coarser * drive.count) for drive in arm.drives)
     arm = replace(arm, drives=tuple(coarse))
     found = [
-        sized(arm, KINDS[kind](arm, int(rng.integers(arm.n)), rng), rng) for kind in outline.kinds
+        sized(arm, KINDS[kind](arm, int(rng.integers(arm.n)), rng), rng)
+        for kind in outline.kinds
     ]
-    return Case(outline, arm, tuple(e for e, _ in found), tuple(share for _, share in found))
+    return Case(
+        outline, arm, tuple(e for e, _ in found), tuple(share for _, share in found)
+    )
 
 
 def sized(arm: Arm, effect: Effect, rng: np.random.Generator) -> tuple[Effect, float]:

@@ -27,7 +27,12 @@ from tests.studies.undeclared.refine import NEAR, told_model
 def refined_case(seed: int, folder: Path) -> dict[str, Any]:
     case = drawn(seed)
     (effect,), (joints,) = case.effects, case.joints
-    row = {"seed": seed, "kind": effect.name, "joints": joints, "flow": case.outline.flow}
+    row = {
+        "seed": seed,
+        "kind": effect.name,
+        "joints": joints,
+        "flow": case.outline.flow,
+    }
     ready = prepared(case, folder)
     held_out = ready.recorder.moves(2, 18.0, case.effects)
     clock = time.process_time()
@@ -43,7 +48,9 @@ def refined_case(seed: int, folder: Path) -> dict[str, Any]:
     truth = Truth(effect.name, effect.name, tuple(joints) or (None,), ())
     # It came later, or was there all along; in the only log it cannot have come later.
     accounts = (False,) if case.outline.flow == "single" else (False, True)
-    models = [told_model(material, file.stages, [truth], late=late) for late in accounts]
+    models = [
+        told_model(material, file.stages, [truth], late=late) for late in accounts
+    ]
     logs = [read_recording(path, robot) for path in held_out]
     refined, *told = [
         held_out_error(logs, robot, model, options=options.motion).rmse()
@@ -60,7 +67,10 @@ def refined_case(seed: int, folder: Path) -> dict[str, Any]:
     at = joints[0] if joints and joints[0] in before else worst
     k = robot.joint_names.index(at)
     row |= {"at": at, "before": before[at], "floor": closed.noise_floor[at]}
-    return row | {"after": float(refined[k]), "told": None if best is None else float(best[k])}
+    return row | {
+        "after": float(refined[k]),
+        "told": None if best is None else float(best[k]),
+    }
 
 
 def answered(seed: int) -> dict[str, Any]:
@@ -78,14 +88,19 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
     chosen = parser.parse_args()
     cases = {str(seed): seed for seed in chosen.seeds if len(drawn(seed).effects) == 1}
-    kept = results(cases, answered, dict[str, Any], chosen.cache / "refined.jsonl", told=str)
-    right = [r for r in kept.values() if r["kind"] in {added[0] for added in r["added"]}]
+    kept = results(
+        cases, answered, dict[str, Any], chosen.cache / "refined.jsonl", told=str
+    )
+    right = [
+        r for r in kept.values() if r["kind"] in {added[0] for added in r["added"]}
+    ]
     sure = [r for r in right if all(added[2] for added in r["added"])]
     asked = [r for r in right if r["told"]]
     near = [r for r in asked if r["after"] <= NEAR * r["told"]]
     sys.stdout.write(
-        f"{len(kept)} cases, {len(right)} with the right name added, {len(sure)} of them with "
-        f"nothing unconfirmed; {len(near)} of {len(asked)} within {NEAR} of a model that is told\n"
+        f"{len(kept)} cases, {len(right)} with the right name added, {len(sure)} of"
+        f" them with nothing unconfirmed; {len(near)} of {len(asked)} within {NEAR} of"
+        " a model that is told\n"
     )
 
 

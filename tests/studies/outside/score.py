@@ -1,10 +1,14 @@
-"""How an answer is judged against what was hidden: names, families, quantities, certainty."""
+"""How an answer is judged against what was hidden: names, families, quantities,
+certainty.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 Row = Mapping[str, Any]
-Label = Literal["right", "alike", "family", "quantity", "other", "little left", "silent"]
+Label = Literal[
+    "right", "alike", "family", "quantity", "other", "little left", "silent"
+]
 SURE = 0.9  # confidence from which a wrong name is stated with certainty
 LITTLE = 1.25  # noise floors: less is left at a joint where nothing is to be found
 
@@ -25,8 +29,15 @@ _GROUPS = (
     "external_contact drift",
 )
 FAMILIES = [set(names.split()) for names in _GROUPS]
-_DEPENDS = (  # what an unexplained residual may rightly be said to depend on, for which effects
-    ("position", "spring base_tilt torque_ripple encoder_eccentricity position_dependent_friction"),
+# what an unexplained residual may rightly be said to depend on, for which effects
+_DEPENDS = (
+    (
+        "position",
+        (
+            "spring base_tilt torque_ripple encoder_eccentricity"
+            " position_dependent_friction"
+        ),
+    ),
     ("velocity", "quadratic_drag nonlinear_viscous"),
     ("velocity direction", "stribeck presliding_hysteresis friction_change"),
     ("direction", "asymmetric_friction"),
@@ -39,7 +50,9 @@ _DEPENDS = (  # what an unexplained residual may rightly be said to depend on, f
     ("time", "external_contact torque_bias drift"),
     ("time_frequency time", "periodic_disturbance"),
 )
-QUANTITIES = {kind: set(asked.split()) for asked, kinds in _DEPENDS for kind in kinds.split()}
+QUANTITIES = {
+    kind: set(asked.split()) for asked, kinds in _DEPENDS for kind in kinds.split()
+}
 
 
 def one_step(row: Row) -> bool:
@@ -52,7 +65,9 @@ def related(name: str, kind: str) -> bool:
 
 
 def _here(told: str, hidden: str) -> bool:
-    """Whether a joint that is told is the hidden one, or one of two; empty is the whole arm."""
+    """Whether a joint that is told is the hidden one, or one of two; empty is the whole
+    arm.
+    """
     return not told or not hidden or told in hidden.split()
 
 
@@ -63,7 +78,9 @@ def _hidden(row: Row) -> list[tuple[str, str]]:
 def finding_is(
     row: Row, finding: Mapping[str, Any]
 ) -> Literal["right", "alike", "family", "wrong"]:
-    """What one finding is worth: its name, a name told as like it, or its family at the joint."""
+    """What one finding is worth: its name, a name told as like it, or its family at the
+    joint.
+    """
     kinds = [kind for kind, joint in _hidden(row) if _here(finding["joint"], joint)]
     if one_step(row):
         kinds.append("position_dependent_friction")
@@ -71,11 +88,15 @@ def finding_is(
         return "right"
     if set(finding["alike"]) & set(kinds):
         return "alike"
-    return "family" if any(related(finding["effect"], kind) for kind in kinds) else "wrong"
+    return (
+        "family" if any(related(finding["effect"], kind) for kind in kinds) else "wrong"
+    )
 
 
 def surely_wrong(row: Row, sure: float = SURE) -> bool:
-    loud = (finding for finding in row.get("findings", ()) if finding["confidence"] >= sure)
+    loud = (
+        finding for finding in row.get("findings", ()) if finding["confidence"] >= sure
+    )
     return any(finding_is(row, finding) == "wrong" for finding in loud)
 
 
@@ -85,7 +106,9 @@ def _of_position(row: Row, depends_on: Sequence[str]) -> bool:
 
 
 def silent(row: Row) -> bool:
-    """Whether nothing is told beyond the friction over position that a one-step model lacks."""
+    """Whether nothing is told beyond the friction over position that a one-step model
+    lacks.
+    """
     told = [entry for entry in row["unexplained"] if not _of_position(row, entry[1])]
     more = [item for item in row["findings"] if finding_is(row, item) == "wrong"]
     return not more and not told and not row["events"]
@@ -100,8 +123,12 @@ def label(row: Row, number: int) -> Label:
         item
         for item in row["findings"]
         if _here(item["joint"], joint)
-        and not any(item["effect"] == name and _here(item["joint"], at) for name, at in rest)
-        and not (one_step(row) and kind != item["effect"] == "position_dependent_friction")
+        and not any(
+            item["effect"] == name and _here(item["joint"], at) for name, at in rest
+        )
+        and not (
+            one_step(row) and kind != item["effect"] == "position_dependent_friction"
+        )
     ]
     names = {item["effect"] for item in near}
     if kind in names or (kind == "external_contact" and row["events"]):
@@ -114,7 +141,10 @@ def label(row: Row, number: int) -> Label:
     if kind != "position_dependent_friction":
         unexplained = [each for each in unexplained if not _of_position(row, each)]
     asked = QUANTITIES[kind]
-    if any(asked & {quantity.partition(":")[0] for quantity in each} for each in unexplained):
+    if any(
+        asked & {quantity.partition(":")[0] for quantity in each}
+        for each in unexplained
+    ):
         return "quantity"
     if near or unexplained:
         return "other"
@@ -124,5 +154,9 @@ def label(row: Row, number: int) -> Label:
 def _left(row: Row, joint: str) -> float:
     """RMSE in noise floors, at a joint or at the worst of all."""
     chosen = [entry for name, entry in row["residuals"].items() if _here(name, joint)]
-    left = [min(rmse, more) / floor for rmse, floor, more in chosen if rmse and floor and more]
+    left = [
+        min(rmse, more) / floor
+        for rmse, floor, more in chosen
+        if rmse and floor and more
+    ]
     return max(left, default=0.0)

@@ -1,4 +1,6 @@
-"""One log of an arm in MuJoCo: a controller follows a motion, and sensors say what they see."""
+"""One log of an arm in MuJoCo: a controller follows a motion, and sensors say what they
+see.
+"""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
@@ -16,7 +18,9 @@ DAMPING = 0.8  # of the position loop
 
 @dataclass
 class State:
-    """An arm at a moment: t (s, of the session) and (n,) per joint; `memory` belongs to effects."""
+    """An arm at a moment: t (s, of the session) and (n,) per joint; `memory` belongs to
+    effects.
+    """
 
     t: float
     q: Array  # rad
@@ -28,14 +32,16 @@ class State:
 
 @dataclass(frozen=True)
 class Effect:
-    """One thing that the model lacks; every part that is given acts, by the scale that comes first.
+    """One thing that the model lacks; every part that is given acts, by the scale that
+    comes first.
 
-    `xml` edits the arm in MuJoCo. At every step `dry` gives the joint's dry friction beyond what it
-    would be, `push` a torque more at the joint, `flange` a force (3,) at the last body, and `drive`
-    makes of the torques that are told (n,) those that act. `told` makes of a logged torque (N,) at
-    times (N,) another one, of the joint or else of all; `angle` gives what the joint's encoder says
-    beyond its angle. `joint` is None for an effect of the whole arm, `partner` is the other joint
-    of a pair: either may give the name.
+    `xml` edits the arm in MuJoCo. At every step `dry` gives the joint's dry friction
+    beyond what it would be, `push` a torque more at the joint, `flange` a force (3,) at
+    the last body, and `drive` makes of the torques that are told (n,) those that act.
+    `told` makes of a logged torque (N,) at times (N,) another one, of the joint or else
+    of all; `angle` gives what the joint's encoder says beyond its angle. `joint` is
+    None for an effect of the whole arm, `partner` is the other joint of a pair: either
+    may give the name.
     """
 
     joint: int | None
@@ -103,9 +109,15 @@ def controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
 
 
 def simulate(
-    arm: Arm, reference: Array, seed: int, effects: Sequence[Effect] = (), start: float = 0.0
+    arm: Arm,
+    reference: Array,
+    seed: int,
+    effects: Sequence[Effect] = (),
+    start: float = 0.0,
 ) -> Log:
-    """Follow a motion (N, n) at 1 kHz: PD, with most of the rigid arm's torque fed forward."""
+    """Follow a motion (N, n) at 1 kHz: PD, with most of the rigid arm's torque fed
+    forward.
+    """
     data = mujoco.MjData(model := built(arm, effects))
     motor, link = _motors(arm, model)
     for dofs in (motor, link):
@@ -119,7 +131,9 @@ def simulate(
     coulomb, waviness, phase = (arm.of(k) for k in ("coulomb", "waviness", "phase"))
     q, tau = np.empty_like(reference), np.empty_like(reference)
     sensed = np.empty((len(reference), model.nsensordata))
-    state = State(start, reference[0], np.zeros(arm.n), data.qfrc_bias[link].copy(), warmth[0])
+    state = State(
+        start, reference[0], np.zeros(arm.n), data.qfrc_bias[link].copy(), warmth[0]
+    )
     pushed = next((e for e in effects if e.flange), None)
     for k in range(len(reference)):
         state.t, state.warmth = times[k], warmth[k]
@@ -145,7 +159,8 @@ def simulate(
         mujoco.mj_step(model, data)
         sensed[k] = data.sensordata
         passed = data.qfrc_applied + data.qfrc_constraint + data.qfrc_passive
-        state.load = (passed - model.dof_armature * data.qacc)[motor]  # what the gears pass on
+        # what the gears pass on
+        state.load = (passed - model.dof_armature * data.qacc)[motor]
     return logged(arm, times, (q, tau, warmth, sensed), seed, effects)
 
 

@@ -1,4 +1,6 @@
-"""The tables of `docs/outside.md`: answers by group and by effect, and stated confidences."""
+"""The tables of `docs/outside.md`: answers by group and by effect, and stated
+confidences.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -7,7 +9,14 @@ import numpy as np
 
 from seqid_cli.shares import percent
 from tests.studies.outside.effects import KINDS
-from tests.studies.outside.score import Row, finding_is, label, one_step, silent, surely_wrong
+from tests.studies.outside.score import (
+    Row,
+    finding_is,
+    label,
+    one_step,
+    silent,
+    surely_wrong,
+)
 from tests.studies.tables import counted, grouped, table
 
 LABELS = {
@@ -21,7 +30,9 @@ LABELS = {
 }
 GROUPS: Mapping[str, Callable[[Row], bool]] = {
     "one effect, later": lambda row: len(row["kinds"]) == 1 and row["flow"] == "late",
-    "one effect, from the start": lambda row: len(row["kinds"]) == 1 and row["flow"] == "early",
+    "one effect, from the start": lambda row: (
+        len(row["kinds"]) == 1 and row["flow"] == "early"
+    ),
     "two effects": lambda row: len(row["kinds"]) == 2,
     "one-step file": one_step,
     "one log of 20 s": lambda row: row["flow"] == "single",
@@ -30,8 +41,15 @@ GROUPS: Mapping[str, Callable[[Row], bool]] = {
     "without IMUs": lambda row: not row["imu"],
     "all": lambda row: True,
 }
-BINS = ((0.0, 0.8), (0.8, 0.9), (0.9, 0.97), (0.97, 0.99), (0.99, np.nextafter(1.0, 2.0)))
-LOUD = np.nextafter(0.8, 1.0)  # confidence from which a wrong name is counted: above 0.8
+BINS = (
+    (0.0, 0.8),
+    (0.8, 0.9),
+    (0.9, 0.97),
+    (0.97, 0.99),
+    (0.99, np.nextafter(1.0, 2.0)),
+)
+# confidence from which a wrong name is counted: above 0.8
+LOUD = np.nextafter(0.8, 1.0)
 NAMED = {"right", "alike"}
 Rows = Sequence[Row]
 
@@ -74,14 +92,18 @@ def asked_table(rows: Rows) -> str:
         "two effects, whether or not they show: both": [own <= NAMED for own in pairs],
         f"a wrong name above {LOUD:g}": loud,
     }
-    lines = [[what, str(len(own)), str(sum(own)), _share(own)] for what, own in asked.items()]
+    lines = [
+        [what, str(len(own)), str(sum(own)), _share(own)] for what, own in asked.items()
+    ]
     return table(["of all", "cases", "so many", "share"], lines)
 
 
 def clean_table(rows: Rows) -> str:
     clean = [row for row in rows if not row["kinds"]]
     names = {"clean, sequential": False, "clean, one-step": True}
-    groups = {name: [row for row in clean if one_step(row) is x] for name, x in names.items()}
+    groups = {
+        name: [row for row in clean if one_step(row) is x] for name, x in names.items()
+    }
     columns = {
         "cases": counted,
         "silent": lambda own: _share([silent(row) for row in _well(own)]),
@@ -98,12 +120,16 @@ def group_table(rows: Rows) -> str:
         hits = [x == key for found in _found(own) for x in found]
         return _share(hits) if any(hits) else ""
 
-    groups = {name: [row for row in hidden if chosen(row)] for name, chosen in GROUPS.items()}
+    groups = {
+        name: [row for row in hidden if chosen(row)] for name, chosen in GROUPS.items()
+    }
     columns = {
         "cases": counted,
         "effects": lambda own: str(sum(map(len, _found(own)))),
         **{name: partial(share_of, key) for key, name in LABELS.items()},
-        "a wrong name, surely": lambda own: _share([surely_wrong(row) for row in _well(own)]),
+        "a wrong name, surely": lambda own: _share(
+            [surely_wrong(row) for row in _well(own)]
+        ),
         "failed": _failed,
     }
     return grouped("group", groups, columns)
@@ -115,21 +141,36 @@ def effect_table(rows: Rows) -> str:
     def count_of(key: str, own: Sequence[tuple[Row, int]]) -> str:
         return str(sum(label(row, k) == key for row, k in own) or "")
 
-    groups = {kind: [(row, k) for row, k in every if row["kinds"][k] == kind] for kind in KINDS}
+    groups = {
+        kind: [(row, k) for row, k in every if row["kinds"][k] == kind]
+        for kind in KINDS
+    }
     columns = {
         "times": counted,
-        "size": lambda own: percent(float(np.median([r["shares"][k] for r, k in own])), 1),
+        "size": lambda own: percent(
+            float(np.median([r["shares"][k] for r, k in own])), 1
+        ),
         **{name: partial(count_of, key) for key, name in LABELS.items()},
     }
     return grouped("effect", groups, columns)
 
 
 def confidence_table(rows: Rows) -> str:
-    findings = [(item, finding_is(row, item)) for row in _well(rows) for item in row["findings"]]
+    findings = [
+        (item, finding_is(row, item)) for row in _well(rows) for item in row["findings"]
+    ]
     lines = []
     for low, high in BINS:
-        own = [(f["confidence"], worth) for f, worth in findings if low <= f["confidence"] < high]
-        named = [worth for f, worth in findings if low <= (f["name_confidence"] or 0.0) < high]
+        own = [
+            (f["confidence"], worth)
+            for f, worth in findings
+            if low <= f["confidence"] < high
+        ]
+        named = [
+            worth
+            for f, worth in findings
+            if low <= (f["name_confidence"] or 0.0) < high
+        ]
         cells = [
             percent(float(np.mean([stated for stated, _ in own])), 0) if own else "-",
             _share([worth in NAMED for _, worth in own]),

@@ -1,4 +1,6 @@
-"""Predicted standard errors against those obtained afterwards, on six-joint plants built anew."""
+"""Predicted standard errors against those obtained afterwards, on six-joint plants
+built anew.
+"""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -30,9 +32,14 @@ OPTIONS = PlanOptions(duration_s=150.0, ramp_s=0.2)
 
 
 def study(chosen: Namespace) -> str:
-    """Ratios of obtained to predicted errors of every arm; there is no quick way to them."""
+    """Ratios of obtained to predicted errors of every arm; there is no quick way to
+    them.
+    """
     rows = [row for arm in range(ARMS) for row in compared(arm, DRAWS)]
-    return table(["arm", "parameters", "within 25 %", "median ratio", "smallest", "largest"], rows)
+    return table(
+        ["arm", "parameters", "within 25 %", "median ratio", "smallest", "largest"],
+        rows,
+    )
 
 
 def compared(arm: int, draws: int) -> list[list[str]]:
@@ -40,13 +47,18 @@ def compared(arm: int, draws: int) -> list[list[str]]:
     slow = gravity_trials(plant, list(SIX_POSTURES[:5]), speeds=(0.3,))
     trials = [*friction_trials(plant, SIX_POSTURES[0], lowest=0.08), *slow]
     experiment = run("six_joint", plant, trials, arm, every=EVERY)
-    robot, before = experiment.robot, before_inertia(experiment.recordings, experiment.robot)
+    robot, before = (
+        experiment.robot,
+        before_inertia(experiment.recordings, experiment.robot),
+    )
 
     def inertia(logs: Sequence[Recording]) -> Stages:
         return with_inertia({"inertia": logs}, robot, before, InertiaOptions())
 
     belief = belief_of(robot, before, limits_of(robot, ramp_s=FIRST.ramp_s))
-    first = recorded(plant, plan_inertia(belief, before, FIRST).moves, 900 + arm, every=EVERY)
+    first = recorded(
+        plant, plan_inertia(belief, before, FIRST).moves, 900 + arm, every=EVERY
+    )
     stages = inertia(first)
     belief = belief_of(robot, stages, limits_of(robot, ramp_s=OPTIONS.ramp_s))
     rows = []

@@ -1,4 +1,6 @@
-"""Planned gravity: predicted errors against stated ones, and Eq. 20 against a long search."""
+"""Planned gravity: predicted errors against stated ones, and Eq. 20 against a long
+search.
+"""
 
 from argparse import Namespace
 from dataclasses import dataclass
@@ -37,9 +39,9 @@ OPTIONS = PlanOptions(ramp_s=0.2, floor=False)
 class Obtained:
     """What following a plan gave.
 
-    `ratios` (p,) are stated standard errors, RMS over the draws, over the predicted ones; `lost` is
-    the share of steady slices that
-    lie outside the friction that was given.
+    `ratios` (p,) are stated standard errors, RMS over the draws, over the predicted
+    ones; `lost` is the share of steady slices that lie outside the friction that was
+    given.
     """
 
     ratios: Array
@@ -68,7 +70,9 @@ def study(chosen: Namespace) -> str:
 
 
 def followed(arm: int, draws: int) -> Obtained:
-    """Record what a gravity plan for a friction file asks for, and identify gravity with it."""
+    """Record what a gravity plan for a friction file asks for, and identify gravity
+    with it.
+    """
     plant = another(six_joint(), np.random.default_rng([SEED, arm]))
     trials = friction_trials(plant, SIX_POSTURES[0], lowest=0.08)
     experiment = run("six_joint", plant, trials, arm, every=EVERY)
@@ -115,7 +119,8 @@ def share_outside(logs: list[Recording], robot: Robot, stages: Stages) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class LongSearch:
-    """A search for the least condition of Phi(H_g) that shares nothing with the plan's own.
+    """A search for the least condition of Phi(H_g) that shares nothing with the plan's
+    own.
 
     Parameters
     ----------
@@ -148,7 +153,9 @@ class LongSearch:
         return min(found)
 
     def normal(self, x: Array, *, points: int = 9) -> Array:
-        """Return Phi' Phi (M, g, g) of sweeps with joints locked at shares x (M, n) of ranges."""
+        """Return Phi' Phi (M, g, g) of sweeps with joints locked at shares x (M, n) of
+        ranges.
+        """
         every = np.arange(len(self.joints))
         locked = self.lower + x * (self.upper - self.lower)
         q = np.repeat(locked[:, None], points, axis=1)
@@ -191,7 +198,9 @@ class LongSearch:
 
 
 def _condition(normal: Array, scaled: bool) -> Array:
-    """Return the condition (...) of Phi by Phi' Phi (..., g, g), columns of length 1 if scaled."""
+    """Return the condition (...) of Phi by Phi' Phi (..., g, g), columns of length 1 if
+    scaled.
+    """
     if scaled:
         size = np.sqrt(np.diagonal(normal, axis1=-2, axis2=-1))
         normal = normal / (size[..., :, None] * size[..., None, :])

@@ -1,4 +1,7 @@
-"""Does `plan discriminate` separate what a log at hand does not tell apart? On two joints."""
+"""Does `plan discriminate` separate what a log at hand does not tell apart?
+
+On two joints.
+"""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -28,7 +31,10 @@ LOGS = ("fast", "moves", "slow")  # tried in turn, until one leaves the rival op
 
 # Seed of motions and noise, number of the joint, sizes that are tried in turn.
 Drawn = tuple[int, int, tuple[float, ...]]
-DRAWN: Mapping[str, Drawn] = {"Tuned on": (0, 1, (1.0, 0.4)), "Judged on": (43, 0, (0.7, 0.3))}
+DRAWN: Mapping[str, Drawn] = {
+    "Tuned on": (0, 1, (1.0, 0.4)),
+    "Judged on": (43, 0, (0.7, 0.3)),
+}
 PAIRS = (
     ("asymmetric_friction", "torque_bias"),
     ("torque_bias", "asymmetric_friction"),
@@ -48,7 +54,8 @@ PAIRS = (
     ("joint_elasticity", "time_skew"),
     ("torque_ripple", "encoder_eccentricity"),
 )
-# By whether the pair is separated, and whether the plan says beforehand that it may not be.
+# By whether the pair is separated, and whether the plan says beforehand that it may not
+# be.
 ANSWERS = {
     (True, True): "separated, though not promised",
     (True, False): "separated",
@@ -59,7 +66,9 @@ ANSWERS = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """One case: the names before and after, and what the plan said; no log where none is open."""
+    """One case: the names before and after, and what the plan said; no log where none
+    is open.
+    """
 
     effect: str
     rival: str
@@ -73,7 +82,9 @@ class Outcome:
 
     @property
     def separated(self) -> bool:
-        """Whether the effect is found afterwards, and no longer confused with the rival."""
+        """Whether the effect is found afterwards, and no longer confused with the
+        rival.
+        """
         return self.effect in self.after and self.rival not in self.after
 
     @property
@@ -97,7 +108,13 @@ def _table(found: Sequence[Outcome]) -> str:
     open_ = [o for o in found if o.log]
     right = sum(o.separated or o.told for o in open_)
     parted, promised = sum(o.separated for o in open_), [o for o in open_ if not o.told]
-    head = ["effect", "log, size", "names before", "planned against", "it reaches up to"]
+    head = [
+        "effect",
+        "log, size",
+        "names before",
+        "planned against",
+        "it reaches up to",
+    ]
     head += ["plan: dropped with", "names after", "answer"]
     rows = [
         [o.effect, f"{o.log}, {o.size:g}", ", ".join(o.before), o.rival, f"{o.imitated:.1%}",
@@ -106,15 +123,18 @@ def _table(found: Sequence[Outcome]) -> str:
     ]  # fmt: skip
     closed = ", ".join(f"{o.effect} against {o.rival}" for o in found if not o.log)
     return (
-        f"of {len(open_)} pairs that a log leaves open {parted} are separated, {right} separated or"
-        f" told beforehand; of {len(promised)} that the plan promises"
-        f" {sum(o.separated for o in promised)} are separated.\n\n{table(head, rows)}\n\n"
-        f"Not open on any of these logs: {closed or 'none'}."
+        f"of {len(open_)} pairs that a log leaves open {parted} are separated, {right}"
+        f" separated or told beforehand; of {len(promised)} that the plan promises"
+        f" {sum(o.separated for o in promised)} are"
+        f" separated.\n\n{table(head, rows)}\n\nNot open on any of these logs:"
+        f" {closed or 'none'}."
     )
 
 
 def outcome(pair: tuple[str, str], drawn: Drawn, cache: Path) -> Outcome:
-    """One pair: the first log that leaves the rival open, and what the plan makes of it."""
+    """One pair: the first log that leaves the rival open, and what the plan makes of
+    it.
+    """
     (effect, rival), (seed, joint, sizes) = pair, drawn
     clean = Condition("clean", "two", seed + EARLIER)
     robot, stages = robot_for(clean), stages_of(clean, cache)
@@ -127,19 +147,34 @@ def outcome(pair: tuple[str, str], drawn: Drawn, cache: Path) -> Outcome:
         return next((own for own in every if set(pair) & set(own)), [])
 
     for size in sizes:
-        case = Condition("catalogue", "two", seed, ((effect, joint, size),), seconds=LOG_S)
+        case = Condition(
+            "catalogue", "two", seed, ((effect, joint, size),), seconds=LOG_S
+        )
         plant, _ = built(case)
         plan = drills(declared(case), seed, seconds=LOG_S)
         for drill in (drill for drill in plan if drill.name in LOGS):
             what = f"{case.effects}|{drill.name}"
-            log = stored(cache, what, plant, drill.reference, seed, every=2, start=drill.start)
+            log = stored(
+                cache, what, plant, drill.reference, seed, every=2, start=drill.start
+            )
             if rival in (before := names([log])):
                 belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.4))
-                wanted = {"duration_s": SECONDS, "move_s": MOVE_S, "between": pair, "joint": at}
+                wanted = {
+                    "duration_s": SECONDS,
+                    "move_s": MOVE_S,
+                    "between": pair,
+                    "joint": at,
+                }
                 options = PlanOptions(**wanted, seed=seed)
                 planned = plan_discriminate(belief, stages, options, [log])
                 told = planned.stage.separation
-                power, imitated = (told.powers[0], told.imitations[0]) if told else (0.0, 1.0)
-                after = names([log, *recorded(plant, planned.moves, seed, start=LATER_S)])
-                return Outcome(effect, rival, at, drill.name, size, before, power, imitated, after)
+                power, imitated = (
+                    (told.powers[0], told.imitations[0]) if told else (0.0, 1.0)
+                )
+                after = names(
+                    [log, *recorded(plant, planned.moves, seed, start=LATER_S)]
+                )
+                return Outcome(
+                    effect, rival, at, drill.name, size, before, power, imitated, after
+                )
     return Outcome(effect, rival, at)

@@ -1,4 +1,6 @@
-"""One rig built anew, what its stages predict of held-out logs, and what repetitions say."""
+"""One rig built anew, what its stages predict of held-out logs, and what repetitions
+say.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,15 +28,24 @@ class Estimate:
     std_error: float
 
 
-Torque = Mapping[str, tuple[Array, Array]]  # RMSE (n,) N m of all samples, of sliding ones
+# RMSE (n,) N m of all samples, of sliding ones
+Torque = Mapping[str, tuple[Array, Array]]
 
 
 def predicted(experiment: Experiment, stages: Stages) -> Torque:
-    """Predict held-out logs: with the stages, with the classical fit of the same logs, noise."""
+    """Predict held-out logs: with the stages, with the classical fit of the same logs,
+    noise.
+    """
     logs, robot, options = experiment.recordings, experiment.robot, InertiaOptions()
-    training = [log for stage in ("friction", "gravity", "inertia") for log in logs.get(stage, ())]
+    training = [
+        log
+        for stage in ("friction", "gravity", "inertia")
+        for log in logs.get(stage, ())
+    ]
     classical = simultaneous(training, robot, stages.imu)
-    own, other = (held_out(logs["validation"], robot, x, options) for x in (stages, classical))
+    own, other = (
+        held_out(logs["validation"], robot, x, options) for x in (stages, classical)
+    )
     floor = noise_floor(experiment, "validation", own.cutoff_hz)
     found = ((own.every, own.sliding), (other.every, other.sliding), (floor, floor))
     return dict(zip(METHODS, found, strict=True))
@@ -43,7 +54,10 @@ def predicted(experiment: Experiment, stages: Stages) -> Torque:
 def another(plant: Plant, rng: np.random.Generator) -> Plant:
     """Draw the friction's phases and the arrays' mountings; everything else stays."""
     friction = surface_of(plant)
-    imus = tuple(replace(imu, rotation=mounting(*rng.uniform(-1.2, 1.2, 3))) for imu in plant.imus)
+    imus = tuple(
+        replace(imu, rotation=mounting(*rng.uniform(-1.2, 1.2, 3)))
+        for imu in plant.imus
+    )
     phase = rng.uniform(-np.pi, np.pi, friction.phase.shape)
     return replace(plant, friction=replace(friction, phase=phase), imus=imus)
 
@@ -62,5 +76,13 @@ def error_table(rows: Mapping[str, tuple[Sequence[Estimate], str]]) -> str:
         sizes = np.median(np.abs(errors)), np.abs(errors).max(), errors.mean(), z
         lines.append([label, *map(number, sizes), paper])
     return table(
-        ["parameter", "median error %", "worst %", "mean (signed) %", "rms z", "paper %"], lines
+        [
+            "parameter",
+            "median error %",
+            "worst %",
+            "mean (signed) %",
+            "rms z",
+            "paper %",
+        ],
+        lines,
     )

@@ -1,4 +1,6 @@
-"""An arm of a UR5e's size: held-out torque, honesty of the standard errors, IMU mountings."""
+"""An arm of a UR5e's size: held-out torque, honesty of the standard errors, IMU
+mountings.
+"""
 
 from argparse import Namespace
 from typing import NamedTuple
@@ -20,21 +22,28 @@ EVERY = 4  # control periods per recorded row: 250 Hz
 
 class Repetition(NamedTuple):
     torque: Torque
-    z: dict[str, list[float]]  # errors over standard errors of every base parameter, by stage
+    # errors over standard errors of every base parameter, by stage
+    z: dict[str, list[float]]
     rank: str
-    imus: dict[str, tuple[Array, Array]]  # error of the mounting (3,) deg, and the reported one
+    # error of the mounting (3,) deg, and the reported one
+    imus: dict[str, tuple[Array, Array]]
 
 
 def repetition(number_of: int) -> Repetition:
     rng = np.random.default_rng([SEED, number_of])
     plant, seed = another(six_joint(), rng), SEED + number_of
-    experiment = run("six_joint", plant, six_joint_trials(plant, rng), seed, every=EVERY)
+    experiment = run(
+        "six_joint", plant, six_joint_trials(plant, rng), seed, every=EVERY
+    )
     stages = sequential(experiment.recordings, experiment.robot)
     standard, mounted = true_standard(plant), stages.imu.imus
     return Repetition(
         torque=predicted(experiment, stages),
         z={
-            name: [(p.value - true_value(p.terms, standard)) / p.std_error for p in own.parameters]
+            name: [
+                (p.value - true_value(p.terms, standard)) / p.std_error
+                for p in own.parameters
+            ]
             for name, own in (("gravity", stages.gravity), ("inertia", stages.inertia))
         },
         rank=f"{stages.inertia.rank} of {stages.inertia.structural_rank}",
@@ -58,9 +67,13 @@ def study(chosen: Namespace) -> str:
         honesty.append([stage, str(len(every)), *shares, number(rms(z))])
     imus = []
     for name in found[0].imus:
-        error, told = (np.array(x) for x in zip(*(r.imus[name] for r in found), strict=True))
+        error, told = (
+            np.array(x) for x in zip(*(r.imus[name] for r in found), strict=True)
+        )
         worst = float(np.linalg.norm(error, axis=1).max())
-        imus.append([name, *map(number, (rms(error), rms(told), worst, rms(error / told)))])
+        imus.append(
+            [name, *map(number, (rms(error), rms(told), worst, rms(error / told)))]
+        )
     base = ["base parameters", "count", "within 2 standard errors", "within 3", "rms z"]
     header = ["IMU mounting", "rms error per axis, deg", "reported std error, deg"]
     header += ["largest error angle, deg", "rms z"]

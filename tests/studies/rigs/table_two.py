@@ -1,4 +1,6 @@
-"""The paper's Table II on a twin of its rig: the link's inertia by four sources of motion."""
+"""The paper's Table II on a twin of its rig: the link's inertia by four sources of
+motion.
+"""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -36,19 +38,29 @@ PAPER = {"differenced": "79", "imu": "16"}
 
 
 def rig(factor: int, seed: int, rng: np.random.Generator) -> Plant:
-    """The rig with `factor` counts per line of its encoder, and a cheap accelerometer's errors."""
+    """The rig with `factor` counts per line of its encoder, and a cheap accelerometer's
+    errors.
+    """
     plant = another(one_joint(quadrature_factor=factor), rng)
-    faults = Faults(seed=seed, bias=0.2, turn_on=0.02, scale=0.005, tilt=0.005, delay=0.002)
-    return replace(plant, imus=tuple(replace(x, bias=0.0, faults=faults) for x in plant.imus))
+    faults = Faults(
+        seed=seed, bias=0.2, turn_on=0.02, scale=0.005, tilt=0.005, delay=0.002
+    )
+    return replace(
+        plant, imus=tuple(replace(x, bias=0.0, faults=faults) for x in plant.imus)
+    )
 
 
-def trials(plant: Plant, rng: np.random.Generator, *, short: bool = False) -> list[Trial]:
+def trials(
+    plant: Plant, rng: np.random.Generator, *, short: bool = False
+) -> list[Trial]:
     """The logs of one rig; `short` ones only show that everything runs."""
     home = [np.zeros(1)]
     speeds, lowest, seconds = (5, 0.2, 4.0) if short else (8, 0.08, 12.0)
     return [
         *experiments.friction_trials(plant, home[0], speeds=speeds, lowest=lowest),
-        *experiments.gravity_trials(plant, home, speeds=(0.2, 0.3) if short else (0.1, 0.2)),
+        *experiments.gravity_trials(
+            plant, home, speeds=(0.2, 0.3) if short else (0.1, 0.2)
+        ),
         *experiments.imu_trials(plant, home),
         *experiments.inertia_trials(plant, home, rng, seconds=seconds),
     ]
@@ -104,15 +116,25 @@ def table_of(results: Mapping[int, Sequence[Mapping[str, float]]]) -> str:
         for way, row in rows.items():
             values = [one[way] for one in found]
             low, high = np.quantile(values, [0.025, 0.975])
-            row += [number(np.median(np.abs(values))), f"{number(low)} to {number(high)}"]
-    return table([*header, "paper"], [[*row, PAPER.get(way, "")] for way, row in rows.items()])
+            row += [
+                number(np.median(np.abs(values))),
+                f"{number(low)} to {number(high)}",
+            ]
+    return table(
+        [*header, "paper"], [[*row, PAPER.get(way, "")] for way, row in rows.items()]
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rigs", type=int, default=50, help="per encoder, for table_two")
+    parser.add_argument(
+        "--rigs", type=int, default=50, help="per encoder, for table_two"
+    )
 
 
 def study(chosen: argparse.Namespace) -> str:
     seeds = 1 if chosen.quick else chosen.rigs
-    results = {f: [errors(f, seed, short=chosen.quick) for seed in range(seeds)] for f in FACTORS}
+    results = {
+        f: [errors(f, seed, short=chosen.quick) for seed in range(seeds)]
+        for f in FACTORS
+    }
     return f"{seeds} rigs per encoder.\n\n{table_of(results)}"

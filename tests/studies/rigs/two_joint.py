@@ -14,7 +14,14 @@ from tests.plants.robots.identified import sequential
 from tests.plants.robots.lab import run, true_friction, true_standard, true_value
 from tests.plants.samples import two_joint_trials
 from tests.plants.simulate import Plant
-from tests.studies.rigs.repetition import METHODS, Estimate, Torque, another, error_table, predicted
+from tests.studies.rigs.repetition import (
+    METHODS,
+    Estimate,
+    Torque,
+    another,
+    error_table,
+    predicted,
+)
 from tests.studies.tables import number, rms, table
 
 SEED, REPETITIONS = 42, 6
@@ -31,7 +38,9 @@ ORDERS = {
 
 
 class SurfaceError(NamedTuple):
-    """Identified friction against the true one inside the identified range, share of its RMS."""
+    """Identified friction against the true one inside the identified range, share of
+    its RMS.
+    """
 
     rms: float
     worst: float
@@ -55,14 +64,18 @@ def repetition(number_of: int) -> Repetition:
         fitted = identify_friction(logs["friction"], robot, options=orders)
         for j, joint in enumerate(plant.arm.names):
             surfaces[f"{joint}, {label}"] = surface_error(plant, fitted, j)
-    return Repetition(table_iv(plant, stages.inertia), surfaces, predicted(experiment, stages))
+    return Repetition(
+        table_iv(plant, stages.inertia), surfaces, predicted(experiment, stages)
+    )
 
 
 def table_iv(plant: Plant, stage: RigidStage) -> dict[str, Estimate]:
     """Errors of Eq. 44's parameters; the known rotor of joint 1 belongs to pi_1."""
     standard = true_standard(plant)
     scale = standard | {"my_2": standard["mx_2"]}
-    scale["Izz_1"] = true_value({"Izz_1": 1.0, "m_2": float(plant.arm.dh[1, 1]) ** 2}, standard)
+    scale["Izz_1"] = true_value(
+        {"Izz_1": 1.0, "m_2": float(plant.arm.dh[1, 1]) ** 2}, standard
+    )
     scale["Izz_1"] += float(plant.arm.reflected[0])
     found = {}
     for p in stage.parameters:
@@ -72,7 +85,9 @@ def table_iv(plant: Plant, stage: RigidStage) -> dict[str, Estimate]:
 
 
 def surface_error(plant: Plant, stage: FrictionStage, joint: int) -> SurfaceError:
-    """Compare on a grid over the identified range of positions and speeds, both directions."""
+    """Compare on a grid over the identified range of positions and speeds, both
+    directions.
+    """
     found = stage.joints[plant.arm.names[joint]]
     places = np.linspace(*found.position_range, 61)
     position, speed = np.meshgrid(places, np.geomspace(*found.speed_range, 41))
@@ -100,8 +115,14 @@ def study(chosen: Namespace) -> str:
         values = 1e3 * np.array([r.torque[method][0] for r in found])
         cells = [*np.median(values, axis=0), *values.max(axis=0)]
         torques.append([method, *(number(float(x), 3) for x in cells)])
-    joints = [f"{what} {joint}" for what in ("median", "worst") for joint in two_joint().arm.names]
+    joints = [
+        f"{what} {joint}"
+        for what in ("median", "worst")
+        for joint in two_joint().arm.names
+    ]
     surface = ["friction surface", "median of RMS error %", "largest error %", "m, l"]
     torque = table(["held-out torque RMSE, mN m", *joints], torques)
     made = f"{len(found)} rigs; errors in % of the true value."
-    return "\n\n".join([made, error_table(parameters), table(surface, surfaces), torque])
+    return "\n\n".join(
+        [made, error_table(parameters), table(surface, surfaces), torque]
+    )

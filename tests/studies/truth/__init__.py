@@ -1,1 +1,3 @@
-"""Does `good` mean good: arms with imperfections, what the stages say, and what is true."""
+"""Does `good` mean good: arms with imperfections, what the stages say, and what is
+true.
+"""

@@ -1,4 +1,6 @@
-"""Run arms: `python -m tests.studies.truth --set tuning --seeds A:B [--only delay,offset]`."""
+"""Run arms: `python -m tests.studies.truth --set tuning --seeds A:B [--only
+delay,offset]`.
+"""
 
 import argparse
 from collections.abc import Sequence

@@ -1,4 +1,6 @@
-"""One two-joint arm with a fine encoder, one imperfection at a time, of the same sizes always."""
+"""One two-joint arm with a fine encoder, one imperfection at a time, of the same sizes
+always.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace

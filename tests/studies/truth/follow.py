@@ -1,7 +1,7 @@
 """An arm in MuJoCo that follows a motion, its imperfections of the mechanics inside.
 
-The same arms, controller and step as of `tests.studies.outside.simulate`, with effects of drives
-only, in plain floats: a step of a two-joint arm takes some ten microseconds.
+The same arms, controller and step as of `tests.studies.outside.simulate`, with effects
+of drives only, in plain floats: a step of a two-joint arm takes some ten microseconds.
 """
 
 import xml.etree.ElementTree as ET
@@ -18,12 +18,15 @@ from tests.studies.outside.robotfiles import STEP_S, mjcf, row
 from tests.studies.outside.simulate import DAMPING, controller
 from tests.studies.truth.plan import Case
 
-BRAKE_NM = 1e3  # of a joint that stands: without its brake it would sag by 10 mrad in this loop
+# of a joint that stands: without its brake it would sag by 10 mrad in this loop
+BRAKE_NM = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Followed:
-    """What happened, at 1 kHz: (N,) s, (N, n) rad, N m and K, and what IMUs feel (N, s)."""
+    """What happened, at 1 kHz: (N,) s, (N, n) rad, N m and K, and what IMUs feel (N,
+    s).
+    """
 
     t: Array
     q: Array
@@ -64,12 +67,14 @@ def heat_of(case: Case, warmth: Array) -> Array:
 
 
 class Instants:
-    """Makes of an integrator's steps motion, torque and readings of one and the same instant.
+    """Makes of an integrator's steps motion, torque and readings of one and the same
+    instant.
 
-    MuJoCo's step has its positions, its velocities and its damping at times that are half a step
-    apart, and the acceleration that it states is the one before joint damping acts implicitly. An
-    IMU 0.1 m off an axis shows that as an error of up to 3 mm in its place, and viscous friction of
-    1 N m s/rad as 0.0005 kg m^2 of inertia. Here all of it is of the time of the positions.
+    MuJoCo's step has its positions, its velocities and its damping at times that are
+    half a step apart, and the acceleration that it states is the one before joint
+    damping acts implicitly. An IMU 0.1 m off an axis shows that as an error of up to 3
+    mm in its place, and viscous friction of 1 N m s/rad as 0.0005 kg m^2 of inertia.
+    Here all of it is of the time of the positions.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -78,9 +83,11 @@ class Instants:
         self._bias = np.zeros(model.nv)
 
     def step(self, acting: Array) -> tuple[Array, Array]:
-        """Make a step; return the torque (n,) that belongs to it, and what IMUs feel (s,).
+        """Make a step; return the torque (n,) that belongs to it, and what IMUs feel
+        (s,).
 
-        `acting` (n,) N m is what drives it. All is of the instant at which the step began.
+        `acting` (n,) N m is what drives it. All is of the instant at which the step
+        began.
         """
         model, data = self.model, self.data
         dq_before = data.qvel.copy()

@@ -1,4 +1,5 @@
-"""What a seed stands for: an arm, its imperfections with their sizes, and how it is logged.
+"""What a seed stands for: an arm, its imperfections with their sizes, and how it is
+logged.
 
 Sizes are SI units; angles are rad, shares are relative.
 """
@@ -23,7 +24,9 @@ COARSE_COUNTS = (2000, 4096, 8192)
 
 @dataclass(frozen=True)
 class Imperfection:
-    """One thing that is not as the model has it; `declared` says that the robot file names it."""
+    """One thing that is not as the model has it; `declared` says that the robot file
+    names it.
+    """
 
     kind: str
     sizes: Sizes = field(default_factory=dict)
@@ -73,7 +76,9 @@ def _unit(rng: Generator) -> list[float]:
 
 
 def delay(arm: Arm, rng: Generator) -> Sizes:
-    """Torque that is logged late (or 1 ms early), all joints alike but for a small own part."""
+    """Torque that is logged late (or 1 ms early), all joints alike but for a small own
+    part.
+    """
     common = -1e-3 if rng.random() < 0.2 else float(rng.uniform(0.5e-3, 4e-3))
     return {"seconds": [common + float(x) for x in rng.normal(0.0, 0.2e-3, arm.n)]}
 
@@ -102,7 +107,9 @@ def asymmetry(arm: Arm, rng: Generator) -> Sizes:
 
 
 def warmth(arm: Arm, rng: Generator) -> Sizes:
-    """Friction that falls with the temperature, while the joints warm up during the session."""
+    """Friction that falls with the temperature, while the joints warm up during the
+    session.
+    """
     per_kelvin = [-float(x) for x in rng.uniform(0.01, 0.03, arm.n)]
     rise = [float(x) for x in rng.uniform(6.0, 12.0, arm.n)]
     return {"per_kelvin": per_kelvin, "rise": rise, "logged": bool(rng.random() < 0.5)}
@@ -140,7 +147,9 @@ def constant(arm: Arm, rng: Generator) -> Sizes:
 
 
 def hunting(arm: Arm, rng: Generator) -> Sizes:
-    """A coarse encoder's joint that goes back and forth about its motion while that is slow."""
+    """A coarse encoder's joint that goes back and forth about its motion while that is
+    slow.
+    """
     counts, hertz = float(rng.uniform(1.0, 2.0)), float(rng.uniform(1.5, 4.0))
     return {"joint": _joint(arm, rng), "counts": counts, "hertz": hertz}
 
@@ -156,7 +165,9 @@ def second_publisher(arm: Arm, rng: Generator) -> Sizes:
 
 
 def left_out(arm: Arm, rng: Generator) -> Sizes:
-    """A joint of the chain that the robot file lacks: it stands somewhere, or moves as well."""
+    """A joint of the chain that the robot file lacks: it stands somewhere, or moves as
+    well.
+    """
     moves = bool(rng.random() < 0.5)
     angle = 0.0 if moves else _side(rng) * float(rng.uniform(0.3, 1.0))
     return {"joint": _joint(arm, rng), "moves": moves, "radians": angle}
@@ -196,7 +207,8 @@ CLEAN = "clean"  # stands for no imperfection among the kinds that a user names
 def kinds_of(
     seed: int, kinds: Sequence[str] = (), *, alone: bool = False
 ) -> tuple[str, ...]:
-    """Return a seed's imperfections: of ten seeds three are clean, three have one, four three.
+    """Return a seed's imperfections: of ten seeds three are clean, three have one, four
+    three.
 
     Parameters
     ----------
@@ -214,7 +226,8 @@ def kinds_of(
     rng = np.random.default_rng([STREAM, seed, 1])
     pool = [kind for kind in pool if kind != CLEAN]
     count = min((0, 1, 3, 0, 3, 1, 3, 0, 1, 3)[seed % 10], len(pool))
-    # Every seed that has any begins with the next kind, so that all of them come equally often.
+    # Every seed that has any begins with the next kind, so that all of them come
+    # equally often.
     turn = seed - 3 * (seed // 10)
     first = pool[turn % len(pool)] if pool else CLEAN
     rest = [str(x) for x in rng.permutation([kind for kind in pool if kind != first])]
@@ -222,7 +235,9 @@ def kinds_of(
 
 
 def drawn(seed: int, kinds: Sequence[str] = (), *, alone: bool = False) -> Case:
-    """Draw a case: the arm of a seed is the same with any imperfections of those it can have."""
+    """Draw a case: the arm of a seed is the same with any imperfections of those it can
+    have.
+    """
     chosen = kinds_of(seed, kinds, alone=alone)
     rng = np.random.default_rng([STREAM, seed, 2])
     n = 6 if seed % 12 == 11 else int(rng.choice([1, 2, 2, 2, 3]))
@@ -259,10 +274,12 @@ LEAST_ROTOR = 0.002  # of the heaviest rotor's inertia at its joint
 
 
 def rubbing(arm: Arm, times: float) -> Arm:
-    """Return the arm with more friction: strain wave gears rub by a quarter of the weight.
+    """Return the arm with more friction: strain wave gears rub by a quarter of the
+    weight.
 
-    The other study scales friction and rotors by the weight that a joint carries, which is nothing
-    at a last joint whose link is balanced. No gear is without friction, and no motor without rotor.
+    The other study scales friction and rotors by the weight that a joint carries, which
+    is nothing at a last joint whose link is balanced. No gear is without friction, and
+    no motor without rotor.
     """
     most_coulomb, most_viscous, most_rotor = (
         float(arm.of(name).max()) for name in ("coulomb", "viscous", "rotor")

@@ -1,7 +1,8 @@
-"""The paper's own rigs with the paper's encoders, at default settings, beside the truth.
+"""The paper's own rigs with the paper's encoders, at default settings, beside the
+truth.
 
-Errors are shares of the true value; those of `my` are shares of `mx`, as the paper has them, and
-that of joint 1 of the planar rig is of the whole of Eq. 44's pi_1.
+Errors are shares of the true value; those of `my` are shares of `mx`, as the paper has
+them, and that of joint 1 of the planar rig is of the whole of Eq. 44's pi_1.
 """
 
 import tempfile
@@ -99,7 +100,9 @@ def rig_row(rig: str, counts: int, seed: int) -> Row:
 def _recorded(
     plant: Plant, trials: Sequence[Trial], folder: Path, seed: int
 ) -> dict[Path, Log]:
-    """Write all logs as a user has them; return those of the inertia stage with their truth."""
+    """Write all logs as a user has them; return those of the inertia stage with their
+    truth.
+    """
     (folder / "robot.toml").write_text(robot_toml("rig", plant), encoding="ascii")
     kept = {}
     for number_of, trial in enumerate(trials):
@@ -154,7 +157,9 @@ def _levels(stages: Stages) -> dict[str, str]:
 def _accelerations(
     folder: Path, stages: Stages, logs: Mapping[Path, Log]
 ) -> dict[str, list[float]]:
-    """RMS errors (n,) rad/s^2 of encoder's and fused acceleration at the stage's cut-off."""
+    """RMS errors (n,) rad/s^2 of encoder's and fused acceleration at the stage's
+    cut-off.
+    """
     robot = load_robot(folder / "robot.toml")
     assert stages.inertia is not None
     options = MotionOptions(cutoff_hz=stages.inertia.cutoff_hz)

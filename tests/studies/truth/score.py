@@ -66,7 +66,9 @@ def scored(case: Case, cache: Path) -> Row:
 
 
 class _Stages:
-    """The stages in a user's order, each with its file; what fails is a part of the answer."""
+    """The stages in a user's order, each with its file; what fails is a part of the
+    answer.
+    """
 
     def __init__(self, case: Case, session: Session, folder: Path, row: Row) -> None:
         self.case, self.session, self.folder, self.row = case, session, folder, row
@@ -182,7 +184,8 @@ class _Stages:
 
 
 def verdict_row(verdicts: Sequence[Verdict], folder: Path) -> Row:
-    """Return the worst level of some verdicts, and the reasons of all that are not good.
+    """Return the worst level of some verdicts, and the reasons of all that are not
+    good.
 
     Logs are named without their `folder`, which says nothing about them.
     """
@@ -201,9 +204,9 @@ def friction_rows(
 ) -> list[Row]:
     """Compare surfaces at random places of the identified range, both ways.
 
-    `z` counts a logged offset as part of the friction, `z_without` does not. The truth is at the
-    temperature that the file states, or else at the mean of the stage's own logs: `warmth` (n,) K
-    above the cold arm.
+    `z` counts a logged offset as part of the friction, `z_without` does not. The truth
+    is at the temperature that the file states, or else at the mean of the stage's own
+    logs: `warmth` (n,) K above the cold arm.
     """
     rows = []
     names = case.arm.names
@@ -286,7 +289,9 @@ def _z(error: Array, std_error: Array) -> list[float]:
 
 
 def bands(table: Any, joint: str) -> dict[str, float]:
-    """Return the shares of sliding samples inside predicted bands; nothing where there are none."""
+    """Return the shares of sliding samples inside predicted bands; nothing where there
+    are none.
+    """
     if f"{joint}.std" not in table.column_names:
         return {}
     residual, std = (

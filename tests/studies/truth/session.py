@@ -42,9 +42,9 @@ SLOW = 0.3  # of the joint's limit, below which a coarse encoder's joint hunts
 class Session:
     """Files of one case.
 
-    `logs` are by stage; `warmth` (n,) is each joint's mean temperature above the cold arm during
-    its own friction trial, K, `warmth_of_moves` (n,) that during the inertia logs; `noise` (n,) the
-    standard deviation of a torque sample, N m.
+    `logs` are by stage; `warmth` (n,) is each joint's mean temperature above the cold
+    arm during its own friction trial, K, `warmth_of_moves` (n,) that during the inertia
+    logs; `noise` (n,) the standard deviation of a torque sample, N m.
     """
 
     folder: Path
@@ -130,7 +130,9 @@ def record(case: Case, folder: Path) -> None:
 
 
 def lively(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
-    """Harmonics of a quarter of a hertz that reach the joints' speeds, faded in and out."""
+    """Harmonics of a quarter of a hertz that reach the joints' speeds, faded in and
+    out.
+    """
     t = np.arange(0.0, seconds, STEP_S)
     order = np.arange(1, 7)
     phases = rng.uniform(0.0, 2.0 * np.pi, (arm.n, len(order), 1))
@@ -184,7 +186,9 @@ class _Recorder:
     def add(
         self, motion: Array, *, with_tool: bool = False, all_joints: bool = False
     ) -> tuple[Path, Followed]:
-        """Record a motion (N, n) rad; a left-out joint moves in motions of all joints alone."""
+        """Record a motion (N, n) rad; a left-out joint moves in motions of all joints
+        alone.
+        """
         case = self.case
         motion = _as_it_goes(case, motion, all_joints=all_joints)
         followed = follow(case, motion, self.clock, with_tool=with_tool)
@@ -210,7 +214,8 @@ def _as_it_goes(case: Case, motion: Array, *, all_joints: bool) -> Array:
         slow = (speed > 1e-3) & (speed < SLOW * case.arm.links[j].speed)
         t = np.arange(len(motion)) * STEP_S
         size = hunts["counts"] * case.arm.drives[j].count
-        # It comes and goes within a tenth of a second, so that the reference has no steps.
+        # It comes and goes within a tenth of a second, so that the reference has no
+        # steps.
         window = np.hanning(201) / np.hanning(201).sum()
         motion[:, j] += (
             size

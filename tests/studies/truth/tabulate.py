@@ -19,7 +19,9 @@ LEVELS = ("poor", "usable", "good")
 
 @dataclass(frozen=True, kw_only=True)
 class Value:
-    """One parameter, or one joint's friction: its errors over stated ones (a surface has many)."""
+    """One parameter, or one joint's friction: its errors over stated ones (a surface
+    has many).
+    """
 
     stage: str
     name: str
@@ -67,9 +69,11 @@ def _inside(rows: Sequence[Row], level: str, *stages: str) -> str:
 
 
 def level_of(row: Row) -> str:
-    """Return the worst level of friction, gravity and inertia; poor where a stage failed.
+    """Return the worst level of friction, gravity and inertia; poor where a stage
+    failed.
 
-    Where an IMU sits on its link is told by few motions only, and no fault of the model.
+    Where an IMU sits on its link is told by few motions only, and no fault of the
+    model.
     """
     if row["failed"]:
         return "poor"
@@ -83,14 +87,17 @@ def _levels(rows: Sequence[Row]) -> str:
 
 
 def shows(row: Row) -> bool:
-    """Whether every imperfection of a row shows in its stage's own logs, or is declared."""
+    """Whether every imperfection of a row shows in its stage's own logs, or is
+    declared.
+    """
     return all(_shows(x) for x in row["imperfections"])
 
 
 def _shows(imperfection: Row) -> bool:
     kind = imperfection["kind"]
     if kind == "warmth":
-        # Without a temperature, a trial that warms up looks like friction that falls with speed.
+        # Without a temperature, a trial that warms up looks like friction that falls
+        # with speed.
         return bool(imperfection["sizes"]["logged"])
     return imperfection["declared"] or kind not in TOLERANCES
 
@@ -147,7 +154,8 @@ NUISANCES = ("delay", "offset", "asymmetry", "viscous_asymmetry", "thermal")
 
 
 def nuisances(rows: Sequence[Row]) -> str:
-    """A row per nuisance that a stage states: how many of its intervals hold, and how wrong.
+    """A row per nuisance that a stage states: how many of its intervals hold, and how
+    wrong.
 
     Arms with a filter are left out: it is no pure delay.
     """

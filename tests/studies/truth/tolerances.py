@@ -1,4 +1,6 @@
-"""Entries of the robot file by which a user declares what no log shows: their only place here."""
+"""Entries of the robot file by which a user declares what no log shows: their only
+place here.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,7 +8,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Tolerance:
-    """An entry that declares one kind of imperfection, with one standard error of its sizes.
+    """An entry that declares one kind of imperfection, with one standard error of its
+    sizes.
 
     `of_joint` says that it stands in every joint's table.
     """

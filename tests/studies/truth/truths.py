@@ -14,7 +14,9 @@ from tests.studies.truth.plan import Case
 
 @dataclass(frozen=True)
 class Body:
-    """Mass kg, first moment (3,) kg m and inertia (3, 3) kg m^2 about the frame's origin."""
+    """Mass kg, first moment (3,) kg m and inertia (3, 3) kg m^2 about the frame's
+    origin.
+    """
 
     mass: float
     moment: Array
@@ -54,10 +56,11 @@ def body_of(link: Link) -> Body:
 
 
 def true_standard(case: Case) -> dict[str, float]:
-    """Return standard parameters by name, of the links that the robot file's joints move.
+    """Return standard parameters by name, of the links that the robot file's joints
+    move.
 
-    A joint that the robot file lacks counts as locked where it stood (at zero where it moves), as
-    links beyond the drives do; its rotor belongs to no parameter.
+    A joint that the robot file lacks counts as locked where it stood (at zero where it
+    moves), as links beyond the drives do; its rotor belongs to no parameter.
     """
     arm, joints = case.arm, case.joints
     bodies = [body_of(link) for link in arm.links]
@@ -82,7 +85,8 @@ def _placed(link: Link, angle: float) -> Array:
 
 
 def true_friction(case: Case, joint: int, q: Array, v: Array, warmth: float) -> Array:
-    """Return the friction (N,) N m of a joint that slides at v (N,), at a temperature above cold.
+    """Return the friction (N,) N m of a joint that slides at v (N,), at a temperature
+    above cold.
 
     `q` (N,) are the encoder's angles.
     """
@@ -105,11 +109,12 @@ def true_offset(case: Case, joint: int) -> float:
 
 
 def true_nuisances(case: Case, joint: int) -> dict[str, float]:
-    """Return what a joint's drive adds to its torque, by the names of the parameter file.
+    """Return what a joint's drive adds to its torque, by the names of the parameter
+    file.
 
-    `delay` s: a filter counts as the delay of what is slow. `offset` N m. `asymmetry` and
-    `viscous_asymmetry`: shares of the mean of both directions that are added on the way up.
-    `thermal` 1/K: share by which friction changes.
+    `delay` s: a filter counts as the delay of what is slow. `offset` N m. `asymmetry`
+    and `viscous_asymmetry`: shares of the mean of both directions that are added on the
+    way up. `thermal` 1/K: share by which friction changes.
     """
     seconds = case.sizes("delay")
     delay = float(seconds["seconds"][joint]) if seconds else 0.0

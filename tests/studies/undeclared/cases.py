@@ -1,4 +1,6 @@
-"""What the study of undeclared effects runs: every case, and what the right answer to it is."""
+"""What the study of undeclared effects runs: every case, and what the right answer to
+it is.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,26 @@ JOINTS: Mapping[str, int] = {"two": 2, "six": 6}
 SEEDS = range(5)
 SIZES = (1.0, 0.4)
 WEAR = "friction_change"
-CHANGES = ("payload", "base_tilt", "torque_constant", "torque_bias", "thermal_friction", WEAR)
+CHANGES = (
+    "payload",
+    "base_tilt",
+    "torque_constant",
+    "torque_bias",
+    "thermal_friction",
+    WEAR,
+)
 CHANGES += ("rotor_inertia", "time_skew", "spring.counterbalance")
-QUICK = ("stribeck", "load_dependent_friction", "quadratic_drag", "presliding_hysteresis")
+QUICK = (
+    "stribeck",
+    "load_dependent_friction",
+    "quadratic_drag",
+    "presliding_hysteresis",
+)
 QUICK += ("torque_ripple", "joint_elasticity", "spring", "torque_bias", "time_skew")
 QUICK += ("external_contact",)
 PAIRS = 44
-SPRUNG = {"joint_elasticity", "backlash"}  # a joint has one spring between drive and link
+# a joint has one spring between drive and link
+SPRUNG = {"joint_elasticity", "backlash"}
 CLEAN_SEED = 100
 SEEDS_APART = 100  # of the kinds of clean controls
 CLEAN_RUNS = 8  # of each kind, per rig
@@ -40,7 +55,9 @@ PAIR_SEED = 2000
 
 @dataclass(frozen=True)
 class Sensors:
-    """Instruments other than usual: factors of noise and encoder step, control periods per row."""
+    """Instruments other than usual: factors of noise and encoder step, control periods
+    per row.
+    """
 
     noise: float = 1.0
     coloured: float = 0.0
@@ -64,14 +81,16 @@ SENSORS: Mapping[str, Sensors] = {
 
 @dataclass(frozen=True)
 class Condition:
-    """One run of the study: its seed decides motions and noise, `start` the file it starts from.
+    """One run of the study: its seed decides motions and noise, `start` the file it
+    starts from.
 
     simultaneous: classical least squares on the training logs, which have the effects.
     sequential: friction, gravity and inertia from experiments without the effects.
     sequential_with: the same with them.
     before: classical least squares on other logs, recorded before the effects came.
 
-    The sequential ways are for a plant whose friction has Stribeck humps and waves over position.
+    The sequential ways are for a plant whose friction has Stribeck humps and waves over
+    position.
     """
 
     group: Group
@@ -96,7 +115,9 @@ class Condition:
 
     @property
     def key(self) -> str:
-        effects = "+".join(f"{name}@{joint}x{size:g}" for name, joint, size in self.effects)
+        effects = "+".join(
+            f"{name}@{joint}x{size:g}" for name, joint, size in self.effects
+        )
         parts = (self.group, self.rig, effects or "none", f"seed {self.seed}")
         return "/".join((*parts, self.start, self.sensors))
 
@@ -115,7 +136,9 @@ class Record:
 
 @dataclass(frozen=True)
 class Truth:
-    """One undeclared effect: its name in the catalogue, if any, and which joints are right."""
+    """One undeclared effect: its name in the catalogue, if any, and which joints are
+    right.
+    """
 
     name: str
     kind: str | None
@@ -160,7 +183,9 @@ def built(condition: Condition) -> tuple[Plant, tuple[Truth, ...]]:
             truths.append(Truth(WEAR, WEAR, (names[joint],), ("direction", "velocity")))
             continue
         found = inject(name, plant, joint, size)
-        places: tuple[str | None, ...] = (None if found.joint is None else names[found.joint],)
+        places: tuple[str | None, ...] = (
+            None if found.joint is None else names[found.joint],
+        )
         if found.kind == "transmission_coupling":
             places = (names[joint], names[joint - 1])
         depends = found.depends_on or QUANTITIES.get(found.kind or "", ())
@@ -178,8 +203,12 @@ def worn(plant: Plant, joint: int, size: float) -> Plant:
     return replace(plant, friction=replace(friction, coulomb=more * friction.coulomb))
 
 
-def _single(group: Group, rig: str, name: str, seed: int, size: float, *start: Start) -> Condition:
-    """A case of one effect, at a joint that varies with the seed among those that can have it."""
+def _single(
+    group: Group, rig: str, name: str, seed: int, size: float, *start: Start
+) -> Condition:
+    """A case of one effect, at a joint that varies with the seed among those that can
+    have it.
+    """
     first = 0 if name == WEAR else REGISTRY[name].first
     joint = first + (seed + sum(map(ord, name))) % (JOINTS[rig] - first)
     return Condition(group, rig, seed, ((name, joint, size),), *start)
@@ -214,7 +243,9 @@ def pairs() -> Iterator[Condition]:
             here, there = (int(x) for x in rng.choice(JOINTS[rig], 2, replace=False))
             joints = (here, here if number % 4 < 2 else there)
             sprung = {one, two} == SPRUNG and joints[0] == joints[1]
-            fits = all(j >= REGISTRY[x].first for x, j in zip((one, two), joints, strict=True))
+            fits = all(
+                j >= REGISTRY[x].first for x, j in zip((one, two), joints, strict=True)
+            )
             if fits and not sprung:
                 break
         effects = ((one, joints[0], 1.0), (two, joints[1], 1.0))
@@ -235,7 +266,9 @@ def matrix() -> tuple[Condition, ...]:
 
 
 def in_the_model(condition: Condition, name: str) -> bool:
-    """Whether the file of a case has the effect already: a body of logs with it is a link's."""
+    """Whether the file of a case has the effect already: a body of logs with it is a
+    link's.
+    """
     return name == "payload" and condition.start in ("simultaneous", "sequential_with")
 
 

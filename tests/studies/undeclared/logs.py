@@ -1,4 +1,6 @@
-"""Logs of the study's cases, simulated once, and the parameter files that they start from."""
+"""Logs of the study's cases, simulated once, and the parameter files that they start
+from.
+"""
 
 import hashlib
 import os
@@ -15,7 +17,12 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests import Array, plants
-from tests.plants.motions.experiments import Trial, friction_trials, gravity_trials, inertia_trials
+from tests.plants.motions.experiments import (
+    Trial,
+    friction_trials,
+    gravity_trials,
+    inertia_trials,
+)
 from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import SEED_STRIDE, drills
 from tests.plants.robots.identified import sequential, simultaneous
@@ -31,12 +38,16 @@ TRIAL_SEED = 7000
 TRIAL_EVERY = 4  # control periods per row of the sequential experiments
 FIRST_START = 20.0  # s since power-on
 PAUSE = 10.0  # s between the sequential experiments
-TWO_POSTURES = np.array([[0.0, 0.3], [0.7, -1.0], [-0.9, 1.3], [1.5, 0.8], [-1.8, -1.6]])
+TWO_POSTURES = np.array(
+    [[0.0, 0.3], [0.7, -1.0], [-0.9, 1.3], [1.5, 0.8], [-1.8, -1.6]]
+)
 
 
 @dataclass(frozen=True)
 class Logs:
-    """What one case records, and its robot file; `earlier` are experiments of stages, by stage."""
+    """What one case records, and its robot file; `earlier` are experiments of stages,
+    by stage.
+    """
 
     robot: Robot
     training: Sequence[Recording]
@@ -49,8 +60,15 @@ def logs_of(condition: Condition, cache: Path) -> Logs:
     found: dict[bool, list[Recording]] = {False: [], True: []}
     plan = drills(declared(condition), condition.seed, seconds=condition.seconds)
     for seed, drill in enumerate(plan, start=SEED_STRIDE * condition.seed):
-        if sensors.keep == "all" or (sensors.keep == "periodic") == (drill.period is not None):
-            own = f"{_plant_label(condition)}|{drill.name}", plant, drill.reference, seed
+        if sensors.keep == "all" or (sensors.keep == "periodic") == (
+            drill.period is not None
+        ):
+            own = (
+                f"{_plant_label(condition)}|{drill.name}",
+                plant,
+                drill.reference,
+                seed,
+            )
             log = stored(cache, *own, every=sensors.every, start=drill.start)
             found[drill.held_out].append(log)
     return Logs(robot_for(condition), found[False], found[True])
@@ -69,7 +87,9 @@ def _plant_label(condition: Condition) -> str:
 def stored(
     cache: Path, what: str, plant: Plant, reference: Reference, seed: int, **how: Any
 ) -> Recording:
-    """Simulate a log, or read from the cache what the stages read of it; it has no IMUs."""
+    """Simulate a log, or read from the cache what the stages read of it; it has no
+    IMUs.
+    """
     motion = hashlib.sha256(np.ascontiguousarray(reference.q).tobytes()).hexdigest()
     key = f"{what}|{motion}|{seed}|{how!r}|{plant_sources()}"
     digest = hashlib.sha256(key.encode()).hexdigest()
@@ -88,7 +108,9 @@ def stored(
     with np.load(path, allow_pickle=False) as data:
         q, rate = data["q"], float(data["rate"])
         more = {"start": float(data["start"]), "temperature": data.get("temperature")}
-        return made_recording(q, data["tau"], rate_hz=rate, path=name, sha256=digest, **more)
+        return made_recording(
+            q, data["tau"], rate_hz=rate, path=name, sha256=digest, **more
+        )
 
 
 def plant_sources() -> str:
@@ -107,18 +129,27 @@ def sequential_trials(plant: Plant, rig: str) -> list[Trial]:
 
 
 def in_turn(
-    cache: Path, plant: Plant, plan: Iterable[tuple[str, str, Reference, int, int]], pause: float
+    cache: Path,
+    plant: Plant,
+    plan: Iterable[tuple[str, str, Reference, int, int]],
+    pause: float,
 ) -> dict[str, list[Recording]]:
-    """Recordings by part, `pause` s apart; each of a part, label, motion, seed and `every`."""
+    """Recordings by part, `pause` s apart; each of a part, label, motion, seed and
+    `every`.
+    """
     found, start = dict[str, list[Recording]](), FIRST_START
     for part, what, reference, seed, every in plan:
-        log = stored(cache, what, plant, reference, seed, every=every, start=round(start, 3))
+        log = stored(
+            cache, what, plant, reference, seed, every=every, start=round(start, 3)
+        )
         found.setdefault(part, []).append(log)
         start += reference.duration + pause
     return found
 
 
-def earlier_logs(condition: Condition, cache: Path) -> Mapping[str, Sequence[Recording]]:
+def earlier_logs(
+    condition: Condition, cache: Path
+) -> Mapping[str, Sequence[Recording]]:
     """Logs that the case's parameter file is made from, by stage, see `Condition`."""
     if condition.start == "before":
         condition = replace(condition, seed=condition.seed + EARLIER, effects=())
@@ -145,18 +176,23 @@ def errors(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Arr
     squares, samples = np.zeros((2, robot.n)), 0
     found = predict(recordings, robot, stages, options=InertiaOptions())
     for recording, p in zip(recordings, found, strict=True):
-        finer = np.column_stack([np.interp(p.t, recording.t, tau) for tau in recording.tau.T])
+        finer = np.column_stack(
+            [np.interp(p.t, recording.t, tau) for tau in recording.tau.T]
+        )
         off = np.stack([p.beyond, finer - p.tau + p.beyond])[:, p.used]
         squares += np.sum(off**2, axis=1)
         samples += int(p.used.sum())
     return np.sqrt(squares / samples)
 
 
-def excess(condition: Condition, number: int, cache: Path, with_it: Array) -> tuple[float, ...]:
+def excess(
+    condition: Condition, number: int, cache: Path, with_it: Array
+) -> tuple[float, ...]:
     """By what share an effect raises each joint's held-out RMSE, (n,).
 
-    Compared with the same logs without it, and the file that they give: what a model that has the
-    effect would leave. The larger share of the low-passed and the raw error.
+    Compared with the same logs without it, and the file that they give: what a model
+    that has the effect would leave. The larger share of the low-passed and the raw
+    error.
     """
     case = condition.without(number)
     logs = logs_of(case, cache)

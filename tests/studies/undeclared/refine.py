@@ -19,7 +19,9 @@ from tests.studies.undeclared.cases import Truth
 NEAR = 1.15  # of a model told the effects: that is as good
 
 
-def file_of(robot: Robot, stages: Stages, logs: Mapping[str, Sequence[Recording]]) -> ParameterFile:
+def file_of(
+    robot: Robot, stages: Stages, logs: Mapping[str, Sequence[Recording]]
+) -> ParameterFile:
     inputs = [
         InputLog(path=str(r.path), sha256=r.sha256, samples=len(r.t), stage=stage)
         for stage, recordings in logs.items()
@@ -32,17 +34,25 @@ def file_of(robot: Robot, stages: Stages, logs: Mapping[str, Sequence[Recording]
 def told_model(
     material: Material, stages: Stages, truths: Sequence[Truth], *, late: bool
 ) -> Stages | None:
-    """The model that is told its effects and their joints; None where they cannot be told."""
+    """The model that is told its effects and their joints; None where they cannot be
+    told.
+    """
     if not truths or any(t.kind not in EFFECTS for t in truths):
         return None
-    scenes = scenes_of(material.training, material.robot, stages, options=material.options.motion)
+    scenes = scenes_of(
+        material.training, material.robot, stages, options=material.options.motion
+    )
     rows = rows_of(scenes)
     model = Model(Ground.of(rows, stages), HELD if late else FREE)
     for truth in truths:
         names = material.robot.joint_names
         tuner = Tuner(model.ground.stage, model.linear, model.ground.size)
         every = candidates_of(scenes, [EFFECTS[str(truth.kind)]], model.left())
-        here = [c for c in every if (None if c.joint is None else names[c.joint]) in truth.joints]
+        here = [
+            c
+            for c in every
+            if (None if c.joint is None else names[c.joint]) in truth.joints
+        ]
         tried = sorted(tuner.tried(here), key=lambda one: -one.evidence)
         if not tried:
             return None
@@ -50,4 +60,6 @@ def told_model(
     candidates = model.candidates
     came = frozenset(c.key for c in candidates if late)
     start = Refitted(stages, (), came)
-    return with_effects(refitted(material, start, candidates, late=came, kept=late), material.robot)
+    return with_effects(
+        refitted(material, start, candidates, late=came, kept=late), material.robot
+    )

@@ -20,7 +20,9 @@ Cell = Callable[[Cases], str]
 
 
 def share(hit: str | Select, only: Select = lambda case: True) -> Cell:
-    """A cell: the share of the cases that a condition, or what is judged, holds for, of some."""
+    """A cell: the share of the cases that a condition, or what is judged, holds for, of
+    some.
+    """
     holds = attrgetter(hit) if isinstance(hit, str) else hit
 
     def cell(cases: Cases) -> str:
@@ -31,7 +33,9 @@ def share(hit: str | Select, only: Select = lambda case: True) -> Cell:
 
 
 def by_rig(label: str, hit: str) -> dict[str, Cell]:
-    return {f"{label}, {name}": share(hit, _where(rig=rig)) for rig, name in RIGS.items()}
+    return {
+        f"{label}, {name}": share(hit, _where(rig=rig)) for rig, name in RIGS.items()
+    }
 
 
 def mistaken(hit: str) -> Cell:
@@ -44,13 +48,17 @@ def mistaken(hit: str) -> Cell:
 
     def cell(cases: Cases) -> str:
         names = Counter(said(case) for case in cases if not getattr(case, hit))
-        return ", ".join(f"{name} {count}" for name, count in names.most_common(2)) or "-"
+        return (
+            ", ".join(f"{name} {count}" for name, count in names.most_common(2)) or "-"
+        )
 
     return cell
 
 
 def _where(**asked: object) -> Select:
-    return lambda case: all(getattr(case.condition, k) == value for k, value in asked.items())
+    return lambda case: all(
+        getattr(case.condition, k) == value for k, value in asked.items()
+    )
 
 
 def _chosen(cases: Cases, **asked: object) -> list[Judged]:
@@ -85,9 +93,16 @@ def tables(records: Sequence[Record], wanted: int) -> str:
         "What the stated confidence is worth": reliability(cases),
     }
     parts = [
-        f"{len(records)} of {wanted} cases; {len(failed)} failed, which counts as wrong.",
+        (
+            f"{len(records)} of {wanted} cases; {len(failed)} failed, which counts as"
+            " wrong."
+        ),
         _seconds(records),
-        *(f"#### {title}\n\n{content}" for title, content in sections.items() if content),
+        *(
+            f"#### {title}\n\n{content}"
+            for title, content in sections.items()
+            if content
+        ),
         "\n".join(f"- failed: {r.condition.key}: {r.error}" for r in failed),
     ]
     return "\n\n".join(filter(None, parts))
@@ -96,7 +111,9 @@ def tables(records: Sequence[Record], wanted: int) -> str:
 def _seconds(records: Sequence[Record]) -> str:
     parts = []
     for rig, name in RIGS.items():
-        if spent := [r.seconds for r in records if r.condition.rig == rig and r.diagnosis]:
+        if spent := [
+            r.seconds for r in records if r.condition.rig == rig and r.diagnosis
+        ]:
             middle, longest = number(float(np.median(spent))), number(max(spent))
             parts.append(f"{name}: median {middle} s, longest {longest} s")
     return f"Time of a diagnosis: {'; '.join(parts)}." if parts else ""
@@ -106,7 +123,9 @@ def kinds(cases: Cases) -> str:
     alone = _seen(cases, "catalogue")
     tight = [c for c in alone if c.truth.kind != "backlash"]
     loose = [c for c in alone if c.truth.kind == "backlash"]
-    groups: dict[str, Cases] = {n: [c for c in tight if c.truth.kind == n] for n in CATALOGUE}
+    groups: dict[str, Cases] = {
+        n: [c for c in tight if c.truth.kind == n] for n in CATALOGUE
+    }
     groups["all of these"] = tight
     groups["backlash, RMSE half above"] = [c for c in loose if c.loud]
     groups["backlash, less than that"] = [c for c in loose if not c.loud]
@@ -118,9 +137,9 @@ def kinds(cases: Cases) -> str:
     columns["kind without joint"] = share("kind_right")
     content = grouped("effect", groups, columns | USUAL)
     note = (
-        "Right: the first finding has the kind, or says that it may be that, and the joint. Of "
-        f"cases in which the effect raises some joint's held-out RMSE by {100 * INVISIBLE:.0f} % "
-        f"or more (backlash: by {100 * LOOSE:.0f} %)."
+        "Right: the first finding has the kind, or says that it may be that, and the"
+        " joint. Of cases in which the effect raises some joint's held-out RMSE by"
+        f" {100 * INVISIBLE:.0f} % or more (backlash: by {100 * LOOSE:.0f} %)."
     )
     return content and f"{note}\n\n{content}"
 
@@ -129,7 +148,10 @@ def clean(cases: Cases) -> str:
     alone = _chosen(cases, group="clean")
     usual = _chosen(alone, start="simultaneous")
     groups = {name: _chosen(usual, sensors=name) for name in SENSORS}
-    groups |= {f"file: {start}": _chosen(alone, start=start) for start in ("sequential", "before")}
+    groups |= {
+        f"file: {start}": _chosen(alone, start=start)
+        for start in ("sequential", "before")
+    }
     columns = {
         "verdict not nothing_missing": share(lambda case: not case.quiet),
         f"finding above {SURE:g}": share("sure_and_wrong"),
@@ -163,14 +185,19 @@ def outside(cases: Cases) -> str:
         f"named above {SURE:g}": share("sure_and_wrong"),
         "most often": mistaken("silent"),
     }
-    return grouped("outside the catalogue", _by_name(own, OUTSIDE) | {"all": own}, columns)
+    return grouped(
+        "outside the catalogue", _by_name(own, OUTSIDE) | {"all": own}, columns
+    )
 
 
 def starts(cases: Cases) -> str:
     alone = _seen(cases, "starts")
     before = _chosen(alone, start="before")
     groups = {
-        **{f"{name}, file of before": own for name, own in _by_name(before, CHANGES).items()},
+        **{
+            f"{name}, file of before": own
+            for name, own in _by_name(before, CHANGES).items()
+        },
         "changes, all": before,
         "sequential file without it": _chosen(alone, start="sequential"),
         "with it": _chosen(alone, start="sequential_with"),
@@ -182,7 +209,9 @@ def reliability(cases: Cases) -> str:
     """Stated confidence of the first finding against how often it is right."""
     firsts = [(c, f) for c in cases for f in c.first]
     of_class = [(f.confidence, c.first_right) for c, f in firsts]
-    of_name = [(f.name_confidence or 0.0, c.own_name) for c, f in firsts if len(c.truths) == 1]
+    of_name = [
+        (f.name_confidence or 0.0, c.own_name) for c, f in firsts if len(c.truths) == 1
+    ]
     parts = [
         _reliability("confidence of the first finding", "right", of_class),
         _reliability("confidence in its name", "name right", of_name),
@@ -195,7 +224,11 @@ def _reliability(title: str, right: str, stated: Sequence[tuple[float, bool]]) -
         return lambda own: f"{100 * np.mean([one[k] for one in own]):.0f} %"
 
     groups = {
-        f"{low:g} to {high:g}": [x for x in stated if low <= x[0] < high or x[0] == high == 1.0]
+        f"{low:g} to {high:g}": [
+            x for x in stated if low <= x[0] < high or x[0] == high == 1.0
+        ]
         for low, high in pairwise(BINS)
     }
-    return grouped(title, groups, {"cases": counted, "stated, mean": mean(0), right: mean(1)})
+    return grouped(
+        title, groups, {"cases": counted, "stated, mean": mean(0), right: mean(1)}
+    )

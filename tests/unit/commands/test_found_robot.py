@@ -24,17 +24,23 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize(
-    "log", ["left", "left/friction", "left/friction/a.parquet", "left/friction/*.parquet"]
+    "log",
+    ["left", "left/friction", "left/friction/a.parquet", "left/friction/*.parquet"],
 )
 def test_it_is_the_one_beside_the_logs(
     lab: Path, log: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = found_robot(SCREEN, [f"../{log}", f"../{log}"])
     assert found.resolve() == lab / "left" / "robot.toml"
-    assert f"robot file: {found} (beside the logs; -r names another)" in capsys.readouterr().err
+    assert (
+        f"robot file: {found} (beside the logs; -r names another)"
+        in capsys.readouterr().err
+    )
 
 
-def test_the_working_folder_comes_first(lab: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_working_folder_comes_first(
+    lab: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     Path("robot.toml").touch()
     assert found_robot(SCREEN, ["../left/friction"]) == Path("robot.toml")
     assert "robot file: robot.toml (-r names another)" in capsys.readouterr().err

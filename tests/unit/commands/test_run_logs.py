@@ -36,4 +36,6 @@ def test_of_logs_with_all_joints_the_last_is_held_out_and_one_stays() -> None:
 def test_trials_of_friction_and_gravity_always_stay() -> None:
     trials = [log("1", "a", "friction", "inertia"), log("2", "a", "gravity", "inertia")]
     assert held_out(*trials) == []
-    assert held_out(*trials, log("3", "a", "imu-calib", "inertia"), log("4", "a")) == ["4"]
+    assert held_out(*trials, log("3", "a", "imu-calib", "inertia"), log("4", "a")) == [
+        "4"
+    ]

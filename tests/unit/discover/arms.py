@@ -1,4 +1,6 @@
-"""Logs of the hand-made two-joint arm whose torque above and below the cut-off is known."""
+"""Logs of the hand-made two-joint arm whose torque above and below the cut-off is
+known.
+"""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -35,7 +37,9 @@ def arm_scenes(
     seconds: float = 16.0,
     noise: tuple[float, float] = NOISE,
 ) -> list[Scene]:
-    """Return logs on one clock: the model's torque, white noise, and what is added to it."""
+    """Return logs on one clock: the model's torque, white noise, and what is added to
+    it.
+    """
     rng, scenes = np.random.default_rng(seed), []
     for log in range(logs):
         q = wander(seconds, seed=10 * seed + log, rests=())
@@ -47,7 +51,9 @@ def arm_scenes(
 
 def measuring(scene: Scene, tau: Array) -> Scene:
     motion = replace(scene.motion, tau=scene.motion.filtered(tau, times=2))
-    return replace(scene, motion=motion, measured=tau, period=1.0 / scene.motion.rate_hz)
+    return replace(
+        scene, motion=motion, measured=tau, period=1.0 / scene.motion.rate_hz
+    )
 
 
 def at_joint(joint: int, torque: Callable[[Scene], Array]) -> Extra:
@@ -69,7 +75,9 @@ def drag(scene: Scene) -> Array:
 
 def stribeck(speed: float) -> Extra:
     """A hump in the second joint's friction, at low speed (rad/s)."""
-    return at_joint(1, lambda s: HUMP * np.exp(-((s.motion.dq[:, 1] / speed) ** 2)) * s.sign[:, 1])
+    return at_joint(
+        1, lambda s: HUMP * np.exp(-((s.motion.dq[:, 1] / speed) ** 2)) * s.sign[:, 1]
+    )
 
 
 def payload(scene: Scene) -> Array:
@@ -90,7 +98,9 @@ def selected(
     return select(ground_of(scenes, stages), options, chosen).told()
 
 
-def model_of(scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None = None) -> Model:
+def model_of(
+    scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None = None
+) -> Model:
     return Model(ground_of(scenes, stages), hold)
 
 
@@ -112,7 +122,9 @@ def file_of(scene: Scene) -> Stages:
     ]
     kinds = {"condition": 1.0, "rank": basis.size}
     covariance = (1e-6 * np.eye(basis.size)).tolist()
-    return Stages(inertia=RigidStage(parameters=parameters, covariance=covariance, **kinds))
+    return Stages(
+        inertia=RigidStage(parameters=parameters, covariance=covariance, **kinds)
+    )
 
 
 ALIKE = 0.6  # share of the first joint's motion in the second's

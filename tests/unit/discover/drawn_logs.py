@@ -1,4 +1,6 @@
-"""Logs whose positions, torque and noise are made up, and scenes of them; 500 Hz, two joints."""
+"""Logs whose positions, torque and noise are made up, and scenes of them; 500 Hz, two
+joints.
+"""
 
 import numpy as np
 
@@ -19,7 +21,9 @@ CUTOFF_HZ = 8.0
 OPTIONS = InertiaOptions(motion=MotionOptions(cutoff_hz=CUTOFF_HZ))
 
 
-def recording(q: Array, tau: Array, rate_hz: float = RATE_HZ, name: str = "log") -> Recording:
+def recording(
+    q: Array, tau: Array, rate_hz: float = RATE_HZ, name: str = "log"
+) -> Recording:
     return made_recording(q, tau, rate_hz=rate_hz, path=name)
 
 
@@ -30,7 +34,9 @@ def scene_of(log: Recording) -> tuple[Scene, Rows]:
 
 
 def wander(seconds: float, seed: int) -> Array:
-    """Positions (N, 2) rad that do not come back: sines of drawn frequencies up to 1.2 Hz."""
+    """Positions (N, 2) rad that do not come back: sines of drawn frequencies up to 1.2
+    Hz.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * RATE_HZ))[:, None, None] / RATE_HZ
     f, phase = rng.uniform(0.1, 1.2, (12, 2)), rng.uniform(0.0, 2 * np.pi, (12, 2))
@@ -38,13 +44,18 @@ def wander(seconds: float, seed: int) -> Array:
 
 
 def resting(seconds: float, rest: float, seed: int) -> Array:
-    """Positions (N, 2) rad: smooth moves of 1.5 s between drawn places, `rest` s at each."""
+    """Positions (N, 2) rad: smooth moves of 1.5 s between drawn places, `rest` s at
+    each.
+    """
     rng = np.random.default_rng(seed)
     s = np.linspace(0.0, 1.0, round(1.5 * RATE_HZ))[:, None]
     step, here, parts = 10 * s**3 - 15 * s**4 + 6 * s**5, np.zeros(2), []
     for _ in range(int(seconds / (1.5 + rest))):
         there = rng.uniform(-1.5, 1.5, 2)
-        parts += [here + (there - here) * step, np.tile(there, (round(rest * RATE_HZ), 1))]
+        parts += [
+            here + (there - here) * step,
+            np.tile(there, (round(rest * RATE_HZ), 1)),
+        ]
         here = there
     return np.concatenate(parts)
 

@@ -1,4 +1,6 @@
-"""Long logs of the two-joint arm, as files: one run through several motions, with stamps."""
+"""Long logs of the two-joint arm, as files: one run through several motions, with
+stamps.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ class LongCase:
     @property
     def file(self) -> ParameterFile:
         friction, inertia = self.stages.friction, self.stages.inertia
-        return with_stage(None, robot_id(self.robot), [], friction=friction, inertia=inertia)
+        return with_stage(
+            None, robot_id(self.robot), [], friction=friction, inertia=inertia
+        )
 
     def written(self, path: Path) -> Path:
         columns = {"t": BEGUN + self.log.t}
@@ -56,7 +60,11 @@ class LongCase:
 
     def pieces(self, path: Path, *, places: bool = True) -> Excerpts:
         logs = LogSet([self.written(path)], self.robot)
-        how = {"options": DiscoverOptions().motion, "most_values": MOST, "places": places}
+        how = {
+            "options": DiscoverOptions().motion,
+            "most_values": MOST,
+            "places": places,
+        }
         return take_excerpts(logs, self.robot, self.stages, **how)
 
 
@@ -67,8 +75,12 @@ def long_case(*effects: tuple[str, int, float], seed: int = 1) -> LongCase:
     declared = declared_plant(first)
     plant = injections(first)[-1].plant if effects else declared
     every = [motions(replace(first, seed=seed + k)) for k in range(3)]
-    references = [drill.reference for drills in every for drill in drills if drill.name in MOTIONS]
+    references = [
+        drill.reference for drills in every for drill in drills if drill.name in MOTIONS
+    ]
     drill = Drill("long", join(references), 20.0)
-    log = replace(recording_of(declared, "long", run_drill(plant, drill, 1000 * seed)), start=0.0)
+    log = replace(
+        recording_of(declared, "long", run_drill(plant, drill, 1000 * seed)), start=0.0
+    )
     robot = robot_of(RIG, declared)
     return LongCase(log, robot, simultaneous([log], robot))

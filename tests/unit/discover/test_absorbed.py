@@ -28,10 +28,16 @@ SAMPLES = ROOT / "sample_logs"
 ORDERS = FrictionOptions(position_order=4, velocity_order=3)
 SLOWEST, FASTEST = 0.4, 3.0  # rad/s, between the trials' slowest and fastest
 ONE, LIFT = ("one_joint", "joint_1"), ("six_joint", "shoulder_lift")
-# Stage; sample robot and joint; settings; coefficients; how well friction is known. Gravity is
-# known as well as its stage says.
+# Stage; sample robot and joint; settings; coefficients; how well friction is known.
+# Gravity is known as well as its stage says.
 EFFECTS = {
-    "stribeck": ("friction", ONE, {"stribeck_speed": 0.6, "exponent": 2.0}, (0.01,), 0.05),
+    "stribeck": (
+        "friction",
+        ONE,
+        {"stribeck_speed": 0.6, "exponent": 2.0},
+        (0.01,),
+        0.05,
+    ),
     "nonlinear_viscous": ("friction", ONE, {"exponent": 0.5}, (0.01,), 0.05),
     "load_dependent_friction": ("friction", ONE, {}, (0.1,), 0.05),
     "gear_efficiency": ("gravity", LIFT, {}, (0.02, 0.06), None),
@@ -39,11 +45,16 @@ EFFECTS = {
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(name: str) -> None:
+def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(
+    name: str,
+) -> None:
     stage, (sample, own), settings, size, known = EFFECTS[name]
     robot = load_robot(SAMPLES / sample / "robot.toml")
     j = robot.joint_names.index(own)
-    paths = (SAMPLES / sample / f"{folder}/{own}.parquet" for folder in ("friction", "gravity"))
+    paths = (
+        SAMPLES / sample / f"{folder}/{own}.parquet"
+        for folder in ("friction", "gravity")
+    )
     logs = [read_recording(path, robot) for path in paths]
     without = stages_of(*logs, robot)
     scenes, changed = scenes_of(logs, robot, without, options=InertiaOptions()), []
@@ -71,7 +82,8 @@ def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(name: st
     found = columns @ more
     assert np.std(found) > 0.0
     if known is None:
-        # What offset and asymmetry take of it is decided by their priors, within stated errors.
+        # What offset and asymmetry take of it is decided by their priors, within stated
+        # errors.
         of_gravity = [basis.names.index(p.name) for p in with_it.gravity.parameters]
         covariance = np.array(with_it.gravity.covariance)
         own_columns = columns[:, of_gravity]
@@ -89,7 +101,10 @@ def test_a_skew_is_in_the_delay_of_the_stage() -> None:
     sample, own = LIFT
     robot = load_robot(SAMPLES / sample / "robot.toml")
     j = robot.joint_names.index(own)
-    paths = (SAMPLES / sample / f"{folder}/{own}.parquet" for folder in ("friction", "gravity"))
+    paths = (
+        SAMPLES / sample / f"{folder}/{own}.parquet"
+        for folder in ("friction", "gravity")
+    )
     logs = [read_recording(path, robot) for path in paths]
     late = []
     for log in logs:
@@ -97,7 +112,8 @@ def test_a_skew_is_in_the_delay_of_the_stage() -> None:
         torque[:, j] = np.interp(log.t - seconds, log.t, log.tau[:, j])
         late.append(replace(log, tau=torque))
     before, after = (
-        term_of(stages_of(*given, robot).friction.joints[own], "delay") for given in (logs, late)
+        term_of(stages_of(*given, robot).friction.joints[own], "delay")
+        for given in (logs, late)
     )
     found = after.value - before.value
     assert found > 0.4 * seconds

@@ -40,13 +40,17 @@ def test_columns_give_the_torque_of_other_parameters(scenes: list[Scene]) -> Non
     expected = [s.motion.filtered(c[0]) for s, c in zip(scenes, changes, strict=True)]
     theta = changes[0][1]
     for j in range(rows.n):
-        np.testing.assert_allclose(base.rigid[j] @ theta, rows.torque(j, expected)[:, j], atol=1e-9)
+        np.testing.assert_allclose(
+            base.rigid[j] @ theta, rows.torque(j, expected)[:, j], atol=1e-9
+        )
     found = base.deviation(theta, [np.zeros(2), np.zeros(2)])
     for whole, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(whole, other, atol=1e-5 * np.abs(other).max())
 
 
-def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scene]) -> None:
+def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(
+    scenes: list[Scene],
+) -> None:
     joint = friction_joint(
         [[COULOMB[0] + HALF, HALF]],
         speed_range=[0.0, TOP],
@@ -57,7 +61,8 @@ def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scen
     base = base_of(rows_of(scenes), stages)
     P = base.prior[1].T @ base.prior[1]
     np.testing.assert_allclose(P, np.diag([25.0, 4.0, 0.0]), atol=1e-9)
-    # Coulomb and viscous friction in the surface's own terms, and viscous friction beyond them.
+    # Coulomb and viscous friction in the surface's own terms, and viscous friction
+    # beyond them.
     motion, sign = scenes[0].motion, scenes[0].sign[:, 0]
     held = np.minimum(np.abs(motion.dq[:, 0]), TOP)
     beyond = (np.abs(motion.dq[:, 0]) - held) * np.sign(motion.dq[:, 0])

@@ -17,8 +17,18 @@ from tests.unit.discover.arms import arm_scenes
 @pytest.mark.parametrize(
     ("effect", "others", "joint", "command"),
     [
-        ("stribeck", ("quadratic_drag",), 1, "--between stribeck,quadratic_drag --joint joint_2"),
-        ("torque_bias", ("drift", "spring"), 0, "--between torque_bias,spring --joint joint_1"),
+        (
+            "stribeck",
+            ("quadratic_drag",),
+            1,
+            "--between stribeck,quadratic_drag --joint joint_2",
+        ),
+        (
+            "torque_bias",
+            ("drift", "spring"),
+            0,
+            "--between torque_bias,spring --joint joint_1",
+        ),
         ("payload", ("base_tilt",), None, "--between payload,base_tilt"),
         ("payload", ("spring",), None, ""),
         ("drift", ("torque_bias",), 0, ""),
@@ -30,7 +40,9 @@ def test_the_command_names_a_rival_that_motion_can_settle(
 ) -> None:
     text = separate_by(CATALOGUE[effect], others, sample_robot("two_joint"), joint)
     ending = f"; seqid plan discriminate {command}, with these logs as --have, plans it"
-    assert text.removeprefix(CATALOGUE[effect].separate_by) == (ending if command else "")
+    assert text.removeprefix(CATALOGUE[effect].separate_by) == (
+        ending if command else ""
+    )
 
 
 def test_an_own_effect_of_one_joint_is_looked_for_there_alone() -> None:

@@ -13,7 +13,12 @@ from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.diagnosis import described, diagnose
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.floor import NoiseFloor
-from seqid_cli.discover.notes import excess_residuals, expected, file_notes, outside_notes
+from seqid_cli.discover.notes import (
+    excess_residuals,
+    expected,
+    file_notes,
+    outside_notes,
+)
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import Ground
 from seqid_cli.discover.select.rows import ALIKE
@@ -44,9 +49,13 @@ class Given:
     stages: Stages
 
     def diagnosed(self) -> DiagnosisFile:
-        """Diagnose all logs; JSON holds the document as it is, nothing is both found and hidden."""
+        """Diagnose all logs; JSON holds the document as it is, nothing is both found
+        and hidden.
+        """
         found = diagnose(self.logs, self.robot, self.stages, options=OPTIONS)
-        assert msgspec.json.decode(msgspec.json.encode(found), type=DiagnosisFile) == found
+        assert (
+            msgspec.json.decode(msgspec.json.encode(found), type=DiagnosisFile) == found
+        )
         named = {(f.effect, f.joint) for f in found.findings}
         assert not named & {(h.effect, h.joint) for h in found.hidden}
         return found
@@ -54,13 +63,17 @@ class Given:
 
 @cache
 def given(*effects: tuple[str, int, float]) -> Given:
-    """Logs of the arm with effects that its robot file does not say, and the fit to them."""
+    """Logs of the arm with effects that its robot file does not say, and the fit to
+    them.
+    """
     case = Case(RIG, SEED, effects, seconds=SECONDS)
     declared = declared_plant(case)
     plant = injections(case)[-1].plant if effects else declared
     chosen = [drill for drill in motions(case) if not drill.held_out]
     logs = tuple(
-        recording_of(declared, drill.name, run_drill(plant, drill, 1000 * SEED + number))
+        recording_of(
+            declared, drill.name, run_drill(plant, drill, 1000 * SEED + number)
+        )
         for number, drill in enumerate(chosen)
     )
     robot = robot_of(RIG, declared)
@@ -85,7 +98,9 @@ def only(found: DiagnosisFile) -> tuple[FindingEntry, EvidenceEntry]:
 
 
 def flat(shown: EvidenceEntry) -> None:
-    """Assert that nothing is left over the quantity: means within spreads, far below before."""
+    """Assert that nothing is left over the quantity: means within spreads, far below
+    before.
+    """
     after, before = np.array(shown.after), np.array(shown.before)
     assert np.all(np.abs(after) < np.array(shown.after_spread))
     assert np.std(after) < 0.1 * np.std(before)
@@ -110,7 +125,9 @@ def test_an_effect_is_found_at_its_joint_with_its_parameters() -> None:
     assert list(found.joints) == ["shoulder", "elbow"]
     (shoulder, elbow), before = found.joints.values(), honest.joints
     assert elbow.noise_floor < elbow.rmse_explained < 0.5 * elbow.rmse
-    assert elbow.rmse_explained == pytest.approx(before["elbow"].rmse_explained, rel=0.5)
+    assert elbow.rmse_explained == pytest.approx(
+        before["elbow"].rmse_explained, rel=0.5
+    )
     assert elbow.samples > 500
     assert shoulder.rmse == pytest.approx(before["shoulder"].rmse, rel=0.2)
 
@@ -118,7 +135,9 @@ def test_an_effect_is_found_at_its_joint_with_its_parameters() -> None:
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_diagnosis() -> None:
     short = replace(given(), logs=given().logs[:2])
-    first, second = (msgspec.structs.replace(short.diagnosed(), created="") for _ in range(2))
+    first, second = (
+        msgspec.structs.replace(short.diagnosed(), created="") for _ in range(2)
+    )
     assert first == second
 
 
@@ -166,17 +185,25 @@ def test_a_push_is_an_event_and_shown_over_time_and_nothing_comes_off() -> None:
     assert max(shown.before) > 10.0 * abs(shown.before[0])
 
 
-def test_losses_are_shown_over_the_load_and_rivals_say_why_they_were_not_taken() -> None:
+def test_losses_are_shown_over_the_load_and_rivals_say_why_they_were_not_taken() -> (
+    None
+):
     found = diagnosis(("load_dependent_friction", 1, 1.0))
     finding, shown = only(found)
-    assert (shown.joint, shown.quantity, shown.of, shown.sided) == ("elbow", "load", "elbow", True)
+    assert (shown.joint, shown.quantity, shown.of, shown.sided) == (
+        "elbow",
+        "load",
+        "elbow",
+        True,
+    )
     assert 20 <= len(shown.x) == len(shown.before) <= 60
     assert np.median(shown.count) >= 0.02 * sum(shown.count)
     assert np.all(np.diff(shown.x) >= 0.0)
     slope = np.polyfit(shown.x, shown.before, 1)[0]
     value = next(v for v in finding.parameters if v.name == "load_coefficient")
     assert np.corrcoef(shown.x, shown.before)[0, 1] > 0.95
-    assert 0.5 < slope / value.value < 1.05  # some of it friction's own terms can take up
+    # some of it friction's own terms can take up
+    assert 0.5 < slope / value.value < 1.05
     flat(shown)
     joint = found.joints["elbow"]
     assert sum(shown.count) == joint.samples
@@ -193,7 +220,9 @@ def test_losses_are_shown_over_the_load_and_rivals_say_why_they_were_not_taken()
     assert gains == sorted(gains, reverse=True)
     told = re.fullmatch(r"explains (\S+) .* less", why["torque_saturation"])
     less = next(r.log_gain for r in finding.rivals if r.effect == "torque_saturation")
-    assert float(told[1]) == pytest.approx(100.0 * (1.0 - less / finding.log_gain), abs=0.1)
+    assert float(told[1]) == pytest.approx(
+        100.0 * (1.0 - less / finding.log_gain), abs=0.1
+    )
 
 
 def test_a_ripple_is_shown_over_its_own_wave() -> None:
@@ -253,7 +282,9 @@ def test_less_than_a_sample_between_torque_and_position_is_a_note() -> None:
     assert 3.0 < float(told[1]) < 6.0  # this arm's own is up to a millisecond
 
 
-def test_what_noise_does_not_account_for_is_said_and_shown_though_nothing_is_taken() -> None:
+def test_what_noise_does_not_account_for_is_said_and_shown_though_nothing_is_taken() -> (
+    None
+):
     """A hump that no effect is allowed to explain."""
     found = investigated(HUMP)
     assert excess_residuals(found, expected(found)) == {}
@@ -277,15 +308,23 @@ def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:
     found, robot = investigated(), given().robot
     assert not any("doubtful" in note for note in described(found, robot).notes)
     above = np.array([0.5, 3.0]) * found.model.rms() / found.floor.low
-    floor = NoiseFloor(*(above * x for x in (found.floor.rms, found.floor.low, found.floor.high)))
+    floor = NoiseFloor(
+        *(above * x for x in (found.floor.rms, found.floor.low, found.floor.high))
+    )
     said = described(replace(found, floor=floor), robot)
     (note,) = [note for note in said.notes if "doubtful" in note]
     assert note.startswith("joint elbow: ")
-    assert said.joints["elbow"].noise_floor == floor.rms[1] > said.joints["elbow"].rmse_explained
+    assert (
+        said.joints["elbow"].noise_floor
+        == floor.rms[1]
+        > said.joints["elbow"].rmse_explained
+    )
 
 
 def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
-    """Of the form of the model nothing is missing; and where it fits no better, noise is slow."""
+    """Of the form of the model nothing is missing; and where it fits no better, noise
+    is slow.
+    """
     found, robot = investigated(), given().robot
     ordinary = expected(found)
     assert file_notes(found, robot, ordinary, ()) == ()
@@ -296,7 +335,11 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     off = replace(found, file=replace(found.file, residual=(shoulder, 10.0 * elbow)))
     said = described(off, robot)
     (changed,) = said.changed
-    assert (said.verdict, changed.joint, changed.since) == ("values_changed", "elbow", None)
+    assert (said.verdict, changed.joint, changed.since) == (
+        "values_changed",
+        "elbow",
+        None,
+    )
     assert changed.rmse == pytest.approx(10.0 * found.start[1])
     assert changed.floors == pytest.approx(changed.rmse / found.floor.rms[1])
     assert changed.rmse_refitted == pytest.approx(found.model.rms()[1])
@@ -327,7 +370,10 @@ def beyond_friction(found: Investigation, times: float) -> Investigation:
         fast = np.abs(scene.motion.dq[:, 1:]) > 0.5 * top
         whole.append(replace(part, residual=part.residual * np.where(fast, times, 1.0)))
     stage = Stage(replace(rows, scenes=scenes))
-    return on(found, replace(ground, stage=stage, base=replace(ground.base, whole=tuple(whole))))
+    return on(
+        found,
+        replace(ground, stage=stage, base=replace(ground.base, whole=tuple(whole))),
+    )
 
 
 def test_what_is_left_beyond_the_identified_friction_is_said() -> None:

@@ -14,7 +14,13 @@ from tests.unit.discover.arms import arm_scenes, ground_of, measuring, selected
 LOSS = 0.05  # N m of friction per N m of load
 HANG = 3.0  # N m, of what hangs on the link
 NOISE = 0.02  # N m per sample, of the sensor
-SOME = ("load_dependent_friction", "torque_saturation", "spring", "stribeck", "quadratic_drag")
+SOME = (
+    "load_dependent_friction",
+    "torque_saturation",
+    "spring",
+    "stribeck",
+    "quadratic_drag",
+)
 
 
 def hang(scene: Scene) -> Array:
@@ -31,7 +37,9 @@ def sensed(hung: float, loss: float, *, sensor: bool = True) -> list[Scene]:
         lost = loss * np.abs(load) * scene.sign * [0.0, 1.0]
         whole = measuring(scene, scene.measured + hung * hang(scene) + lost)
         read = load + NOISE * rng.normal(size=load.shape)
-        scenes.append(replace(whole, sensor=scene.motion.filtered(read)) if sensor else whole)
+        scenes.append(
+            replace(whole, sensor=scene.motion.filtered(read)) if sensor else whole
+        )
     return scenes
 
 
@@ -46,7 +54,10 @@ def loss_of(scenes: list[Scene]) -> tuple[float, float]:
 def test_there_are_rows_only_where_every_log_has_the_sensors_reading() -> None:
     with_it = sensed(0.0, 0.0)
     one_without = [replace(with_it[0], sensor=None), *with_it[1:]]
-    part = [replace(one, sensor=np.where([True, False], np.nan, one.sensor)) for one in with_it]
+    part = [
+        replace(one, sensor=np.where([True, False], np.nan, one.sensor))
+        for one in with_it
+    ]
     for scenes, expected in ((with_it, [1, 1]), (one_without, [0, 0]), (part, [0, 1])):
         rows = drive_rows(rows_of(scenes))
         assert [rows.of(0), rows.of(1)] == expected
@@ -68,5 +79,13 @@ def test_a_loss_is_sharp_beside_a_link_that_the_model_does_not_know() -> None:
 
 @pytest.mark.parametrize("hung", [0.0, 1.0])
 def test_a_drive_that_lacks_nothing_has_no_finding(hung: float) -> None:
-    drives = {"load_dependent_friction", "torque_saturation", "stribeck", "quadratic_drag"}
-    assert not {one.term.name for one in selected(sensed(hung, 0.0), SOME).effects} & drives
+    drives = {
+        "load_dependent_friction",
+        "torque_saturation",
+        "stribeck",
+        "quadratic_drag",
+    }
+    assert (
+        not {one.term.name for one in selected(sensed(hung, 0.0), SOME).effects}
+        & drives
+    )

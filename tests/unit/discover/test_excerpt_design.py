@@ -17,7 +17,9 @@ RATE = 500.0
 def survey(
     seconds: float, *, speed: Array | None = None, usable: Array | None = None
 ) -> ResidualSurvey:
-    """One joint that swings to and fro, at a speed of its own in each block; 2 rad/s by default."""
+    """One joint that swings to and fro, at a speed of its own in each block; 2 rad/s by
+    default.
+    """
     blocks = int(seconds / BLOCK_S) + 1
     size = np.full(blocks, 2.0) if speed is None else speed
     return ResidualSurvey(
@@ -34,8 +36,12 @@ def survey(
     )
 
 
-@pytest.mark.parametrize(("seconds", "held"), [(600.0, 140.0), (3600.0, 140.0), (200.0, 143.0)])
-def test_pieces_fill_what_may_be_held_and_reach_over_the_time(seconds: float, held: float) -> None:
+@pytest.mark.parametrize(
+    ("seconds", "held"), [(600.0, 140.0), (3600.0, 140.0), (200.0, 143.0)]
+)
+def test_pieces_fill_what_may_be_held_and_reach_over_the_time(
+    seconds: float, held: float
+) -> None:
     (pieces,) = excerpts_of([survey(seconds)], held * RATE)
     assert sum(b - a for a, b in pieces) == pytest.approx(held, rel=1e-9)
     assert len(pieces) == round(held / PIECE_S)

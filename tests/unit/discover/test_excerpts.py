@@ -1,4 +1,6 @@
-"""Logs too long to be held: what is found of them in pieces, and that nothing is overlooked."""
+"""Logs too long to be held: what is found of them in pieces, and that nothing is
+overlooked.
+"""
 
 import gc
 import tracemalloc
@@ -19,7 +21,10 @@ from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests.unit.discover.long_logs import BEGUN, MOST, LongCase, long_case
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning"),
+]
 
 OPTIONS = DiscoverOptions()
 PUSHED = 66.0  # s, in no piece of the clean log
@@ -52,7 +57,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_pieces_are_of_the_log_with_its_stamps(folder: Path) -> None:
     case, pieces = long_case(), clean_pieces(folder)
     assert len(pieces.recordings) == 2
-    assert sum(len(x.t) for x in pieces.recordings) * (2 + 2 + 0.36 * 24) * (1 + 350 / 500) <= MOST
+    assert (
+        sum(len(x.t) for x in pieces.recordings) * (2 + 2 + 0.36 * 24) * (1 + 350 / 500)
+        <= MOST
+    )
     for piece in pieces.recordings:
         assert piece.whole.start == pytest.approx(BEGUN)
         first = round(piece.offset * case.log.rate_hz)
@@ -83,7 +91,9 @@ def test_where_nothing_is_missing_notes_say_what_was_looked_at(folder: Path) -> 
 
 def test_a_push_outside_the_pieces_is_found(folder: Path) -> None:
     case = long_case()
-    case = case.with_torque(np.outer(np.exp(-(((case.log.t - PUSHED) / 0.1) ** 2)), [4.0, 1.5]))
+    case = case.with_torque(
+        np.outer(np.exp(-(((case.log.t - PUSHED) / 0.1) ** 2)), [4.0, 1.5])
+    )
     pieces = case.pieces(folder / "pushed.parquet")
     same = [x.offset for x in clean_pieces(folder).recordings]
     others = [x.offset for x in pieces.recordings]
@@ -109,13 +119,17 @@ def test_a_slow_drift_is_found(folder: Path) -> None:
     assert (first.effect, first.joint) == ("drift", "shoulder")
     rate = next(p for p in first.parameters if p.name == "rate")
     assert rate.value == pytest.approx(0.6 / float(case.log.t[-1]), rel=0.1)
-    assert any("shoulder in tenths of the time" in note for note in pieces.notes(case.robot))
+    assert any(
+        "shoulder in tenths of the time" in note for note in pieces.notes(case.robot)
+    )
 
 
 def test_a_log_that_is_at_hand_is_cut_alike(folder: Path) -> None:
     case, pieces = long_case(), clean_pieces(folder)
     options = OPTIONS.motion
-    held = take_excerpts([case.log], case.robot, case.stages, options=options, most_values=MOST)
+    held = take_excerpts(
+        [case.log], case.robot, case.stages, options=options, most_values=MOST
+    )
     for one, other in zip(held.recordings, pieces.recordings, strict=True):
         assert one.offset == pytest.approx(other.offset, abs=1e-9)
         np.testing.assert_array_equal(one.q, other.q)

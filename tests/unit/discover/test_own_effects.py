@@ -1,4 +1,6 @@
-"""A plant with an effect outside the catalogue: unexplained, and named once it is a formula."""
+"""A plant with an effect outside the catalogue: unexplained, and named once it is a
+formula.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +21,8 @@ pytestmark = pytest.mark.slow
 CASE = next(
     case
     for case in outside()
-    if (case.rig, case.effects[0][0], case.seed) == ("two", "outside.acceleration_cube", 0)
+    if (case.rig, case.effects[0][0], case.seed)
+    == ("two", "outside.acceleration_cube", 0)
 )
 ELBOW = 1
 

@@ -42,7 +42,9 @@ def diagnosed(
     given = given if load else [replace(log, load=None) for log in given]
     friction, inertia = identify_simultaneous(given, robot, options=motion, offset=True)
     options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
-    return diagnose(given, robot, Stages(friction=friction, inertia=inertia), options=options)
+    return diagnose(
+        given, robot, Stages(friction=friction, inertia=inertia), options=options
+    )
 
 
 def named(found: DiagnosisFile, effect: str, joint: str) -> FindingEntry:
@@ -57,7 +59,10 @@ def value(finding: FindingEntry, name: str) -> float:
 def test_coupled_wrist_and_load_friction_of_the_tx40() -> None:
     found = diagnosed(TX40, ["train.parquet"], most=2)
     (coupling,) = [f for f in found.findings if f.effect == "transmission_coupling"]
-    assert (coupling.joint, coupling.settings["neighbour"]) in {("joint_5", 1.0), ("joint_6", -1.0)}
+    assert (coupling.joint, coupling.settings["neighbour"]) in {
+        ("joint_5", 1.0),
+        ("joint_6", -1.0),
+    }
     assert coupling.settings["ratio"] == pytest.approx(1.0, abs=0.02)
     # published: 1.95 N m, 0.616 N m s/rad, 0.00964 kg m^2
     assert value(coupling, "coulomb") == pytest.approx(1.95, rel=0.2)
@@ -73,16 +78,24 @@ def test_load_friction_of_the_ur10e() -> None:
     losses = ("load_dependent_friction", "gear_efficiency")
     for joint, coefficient in (("shoulder_lift_joint", 0.063), ("elbow_joint", 0.066)):
         (loss,) = [f for f in found.findings if f.joint == joint and f.effect in losses]
-        sizes = [p.value for p in loss.parameters if p.name.endswith("loss") or "load" in p.name]
+        sizes = [
+            p.value
+            for p in loss.parameters
+            if p.name.endswith("loss") or "load" in p.name
+        ]
         assert np.mean(sizes) == pytest.approx(coefficient, rel=0.2)
     assert any(f.effect == "nonlinear_viscous" for f in found.findings)
     # the load of the last joint is too small for a coefficient that means anything
-    assert not [f for f in found.findings if f.joint == "wrist_3_joint" and f.effect in losses]
+    assert not [
+        f for f in found.findings if f.joint == "wrist_3_joint" and f.effect in losses
+    ]
 
 
 ALONE = pytest.param(
     ["train.parquet"],
-    marks=pytest.mark.xfail(reason="13 s with delays free leave the loss unsure", strict=False),
+    marks=pytest.mark.xfail(
+        reason="13 s with delays free leave the loss unsure", strict=False
+    ),
 )
 
 
@@ -100,22 +113,28 @@ def test_losses_of_the_xmate_beside_its_torque_sensors(logs: Sequence[str]) -> N
 
 
 def test_nothing_is_told_of_joints_that_the_file_predicts_better() -> None:
-    """13 s for seven joints: what predicts other blocks better than chance may be overfitted."""
+    """13 s for seven joints: what predicts other blocks better than chance may be
+    overfitted.
+    """
     found = diagnosed(XMATE, ["train.parquet"], load=False)
     told = {f.joint for f in found.findings} | {u.joint for u in found.unexplained}
     assert told
     assert all(found.joints[x].rmse_explained < found.joints[x].rmse for x in told)
     worse = [n for n, left in found.joints.items() if left.rmse_explained > left.rmse]
     assert worse
-    assert any("too short to judge" in note and worse[0] in note for note in found.notes)
+    assert any(
+        "too short to judge" in note and worse[0] in note for note in found.notes
+    )
 
 
 def test_ripple_of_a_harmonic_drive() -> None:
     log = "jointwise__ur-20_01_22-joint_4.parquet"
     found = diagnosed(UR10E, [log], cutoff_hz=5.0)
-    orders = [f.settings["order"] for f in found.findings if f.effect == "torque_ripple"]
-    # two waves per motor turn; over half a turn of the joint those of its teeth, 200 for 202 per
-    # joint turn, are the same line
+    orders = [
+        f.settings["order"] for f in found.findings if f.effect == "torque_ripple"
+    ]
+    # two waves per motor turn; over half a turn of the joint those of its teeth, 200
+    # for 202 per joint turn, are the same line
     assert any(abs(order - 2.0) < 0.025 for order in orders)
     assert not any(abs(order - 177.0 / 101.0) < 0.03 for order in orders)
 

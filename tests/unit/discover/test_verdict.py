@@ -1,4 +1,6 @@
-"""The verdict: what the file leaves, against its noise and a model that is fitted to the logs."""
+"""The verdict: what the file leaves, against its noise and a model that is fitted to
+the logs.
+"""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -51,7 +53,9 @@ class Left:
 
     @property
     def ground(self) -> SimpleNamespace:
-        rows = SimpleNamespace(block=[np.repeat(np.arange(BLOCKS), EACH)], blocks=BLOCKS)
+        rows = SimpleNamespace(
+            block=[np.repeat(np.arange(BLOCKS), EACH)], blocks=BLOCKS
+        )
         base = SimpleNamespace(y=[np.full(BLOCKS * EACH, self.by_file)])
         return SimpleNamespace(n=1, rows=rows, base=base)
 
@@ -61,7 +65,8 @@ class Left:
     [
         (Left(1.2, 1.2), "nothing_missing"),
         (Left(35.0, 1.1), "values_changed"),
-        (Left(2.0, 1.1), "values_changed"),  # less than 2.5 floors, but surely the file's values
+        # less than 2.5 floors, but surely the file's values
+        (Left(2.0, 1.1), "values_changed"),
         (Left(2.0, 2.0), "too_short"),  # noise may be larger than it seems
         (Left(35.0, 80.0), "too_short"),  # a part of the logs does not tell the rest
         (Left(1.2, 1.2, samples=0), "nothing_seen"),
@@ -81,11 +86,15 @@ def test_what_a_fitted_model_leaves_as_well_is_unexplained() -> None:
 
 def worn_since(first: int) -> list[Scene]:
     """Three logs; from one of them on the first joint rubs more."""
-    return arm_scenes(at_joint(0, lambda scene: 2.0 * scene.sign[:, 0] * (scene.log >= first)))
+    return arm_scenes(
+        at_joint(0, lambda scene: 2.0 * scene.sign[:, 0] * (scene.log >= first))
+    )
 
 
 @pytest.mark.parametrize(("first", "path"), [(0, None), (1, "1"), (2, "2")])
-def test_the_first_log_in_which_values_do_not_hold_is_told(first: int, path: str | None) -> None:
+def test_the_first_log_in_which_values_do_not_hold_is_told(
+    first: int, path: str | None
+) -> None:
     ground = ground_of(worn_since(first))
     found = SimpleNamespace(
         file=FileResidual.of(ground),
@@ -114,12 +123,18 @@ LATE_S = 0.02
 def late(scene: Scene) -> Array:
     """Torque (N, n) that is late by more than a sample, to first order."""
     motion = scene.motion
-    return np.asarray(-LATE_S * differentiate(scene.modelled, motion.rate_hz, motion.valid)[0])
+    return np.asarray(
+        -LATE_S * differentiate(scene.modelled, motion.rate_hz, motion.valid)[0]
+    )
 
 
-def test_a_delay_that_the_file_knows_is_no_skew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_delay_that_the_file_knows_is_no_skew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     scenes = arm_scenes(late)
-    keys = {taken.term.name for taken in selected(scenes, ["time_skew", "spring"]).taken}
+    keys = {
+        taken.term.name for taken in selected(scenes, ["time_skew", "spring"]).taken
+    }
     assert keys == {"time_skew"}
 
     def known(scenes: list[Scene], stages: Stages) -> list[Nuisance]:

@@ -1,4 +1,6 @@
-"""The entries of docs/effects.md, from the registry: `python -m tests.unit.docs.effects`."""
+"""The entries of docs/effects.md, from the registry: `python -m
+tests.unit.docs.effects`.
+"""
 
 import math
 import sys
@@ -19,11 +21,15 @@ ROBOT = ROOT / "sample_logs" / "six_joint" / "robot.toml"
 JOINT = 2
 GENERATED = "## All effects"  # from here on the page is the registry's
 REMARKS = {  # by what is true of an effect
-    "change": "a constant one that was there when the model was identified hides in the model's own"
-    " parameters; it shows against an earlier parameter file only",
+    "change": (
+        "a constant one that was there when the model was identified hides in the"
+        " model's own parameters; it shows against an earlier parameter file only"
+    ),
     "wide": "it is looked for above the low-pass cut-off as well",
-    "slow": "slow noise of the torque channel looks alike: it counts only where it holds from one"
-    " ten-second stretch to the next",
+    "slow": (
+        "slow noise of the torque channel looks alike: it counts only where it holds"
+        " from one ten-second stretch to the next"
+    ),
     "timing": "it shifts torque in time, as a wrong clock does",
 }
 
@@ -43,14 +49,19 @@ def _overview() -> str:
         for effect in CATALOGUE.values()
         for title in [_docstring(effect).splitlines()[0].replace("|", "\\|")]
     )
-    return f"{GENERATED}\n\n| name | family | of | what it is |\n|---|---|---|---|\n{rows}"
+    return (
+        f"{GENERATED}\n\n| name | family | of | what it is |\n|---|---|---|---|\n{rows}"
+    )
 
 
 def _entry(effect: Effect, robot: Robot) -> str:
     facts = [("Of", _where(effect)), ("Parameters", _parameters(effect, robot))]
     if effect.settings:
         facts.append(("Settings", "; ".join(_setting(s) for s in effect.settings)))
-    facts += [("Not told apart from", _links(effect.alike)), ("To separate", effect.separate_by)]
+    facts += [
+        ("Not told apart from", _links(effect.alike)),
+        ("To separate", effect.separate_by),
+    ]
     if remarks := [text for name, text in REMARKS.items() if getattr(effect, name)]:
         facts.append(("Note", "; ".join(remarks)))
     lines = "".join(f"- **{name}**: {text}\n" for name, text in facts)
@@ -96,9 +107,15 @@ def _corners(setting: Setting) -> list[float]:
 def _setting(setting: Setting) -> str:
     ends = (("from", setting.low), ("up to", setting.high))
     limits = " ".join(f"{word} {end:g}" for word, end in ends if math.isfinite(end))
-    usual = f"usually {' or '.join(f'{x:g}' for x in setting.usual)}" if setting.usual else ""
+    usual = (
+        f"usually {' or '.join(f'{x:g}' for x in setting.usual)}"
+        if setting.usual
+        else ""
+    )
     remarks = ", ".join(part for part in (limits, usual) if part)
-    return f"`{setting.name}` [{_unit(setting.unit)}]" + (f", {remarks}" if remarks else "")
+    return f"`{setting.name}` [{_unit(setting.unit)}]" + (
+        f", {remarks}" if remarks else ""
+    )
 
 
 def _unit(unit: str) -> str:

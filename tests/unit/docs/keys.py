@@ -1,7 +1,8 @@
-"""The keys of the result files as tables, from their types: `python -m tests.unit.docs.keys`.
+"""The keys of the result files as tables, from their types: `python -m
+tests.unit.docs.keys`.
 
-A table stands between `<!-- keys: NAME -->` and `<!-- /keys -->`. Keys, their order and their types
-are written anew, what they mean is kept.
+A table stands between `<!-- keys: NAME -->` and `<!-- /keys -->`. Keys, their order and
+their types are written anew, what they mean is kept.
 """
 
 import re
@@ -16,7 +17,15 @@ from seqid_cli.params.results import diagnosis, inspection, plan, prediction
 from tests.unit.docs.markdown import ROOT
 
 PAGE = ROOT / "docs" / "files.md"
-MODULES = (schema, bands_schema, prediction, evidence_schema, diagnosis, inspection, plan)
+MODULES = (
+    schema,
+    bands_schema,
+    prediction,
+    evidence_schema,
+    diagnosis,
+    inspection,
+    plan,
+)
 STRUCTS: dict[str, type[msgspec.Struct]] = {
     name: kind
     for module in MODULES
@@ -27,15 +36,25 @@ STRUCTS: dict[str, type[msgspec.Struct]] = {
 # Told where they stand: an object of one or two keys that needs no table.
 INLINE = ("Tool", "FileId", "JointRmse")
 TABLE = re.compile(r"<!-- keys: (\w+) -->\n(.*?)<!-- /keys -->", re.DOTALL)
-_NAMES = {float: "number", int: "integer", str: "string", bool: "boolean", types.NoneType: "null"}
+_NAMES = {
+    float: "number",
+    int: "integer",
+    str: "string",
+    bool: "boolean",
+    types.NoneType: "null",
+}
 
 
 def rewritten(text: str) -> str:
-    return TABLE.sub(lambda m: f"<!-- keys: {m[1]} -->\n{_table(m[1], m[2])}<!-- /keys -->", text)
+    return TABLE.sub(
+        lambda m: f"<!-- keys: {m[1]} -->\n{_table(m[1], m[2])}<!-- /keys -->", text
+    )
 
 
 def _table(name: str, before: str) -> str:
-    meanings = dict(re.findall(r"^\| `([^`]+)` \| [^|]* \| (.*) \|$", before, flags=re.MULTILINE))
+    meanings = dict(
+        re.findall(r"^\| `([^`]+)` \| [^|]* \| (.*) \|$", before, flags=re.MULTILINE)
+    )
     kind = STRUCTS[name]
     hints = get_type_hints(kind)
     rows = [

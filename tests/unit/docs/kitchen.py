@@ -1,7 +1,8 @@
 """Runs the commands of the documents, each once, and keeps what they need at hand.
 
-A page has a folder of its own with `sample_logs` in it. What a command reads and no command of the
-page has made comes from the golden files, for `six_joint` from the classical fit, which is quick.
+A page has a folder of its own with `sample_logs` in it. What a command reads and no
+command of the page has made comes from the golden files, for `six_joint` from the
+classical fit, which is quick.
 """
 
 import contextlib
@@ -30,7 +31,9 @@ PREDICT = (
 MADE = {
     "prediction.json": PREDICT,
     "torques.parquet": PREDICT,
-    "diagnosis.json": "diagnose {r}/validation -r {r}/robot.toml -p inertia.json -o diagnosis.json",
+    "diagnosis.json": (
+        "diagnose {r}/validation -r {r}/robot.toml -p inertia.json -o diagnosis.json"
+    ),
 }
 EXPORT = "export inertia.json -r {r}/robot.toml -o {name}.urdf --json"
 SIMULTANEOUS = "simultaneous {r}/inertia -r {r}/robot.toml -o inertia.json"
@@ -61,9 +64,18 @@ class Kitchen:
         return path
 
     def cook(self, folder: Path, words: Sequence[str]) -> Done:
-        """Run `seqid` with these words in a folder, or bring what it wrote the last time."""
-        read = [folder / name for name in read_by(words) if "sample_logs" not in Path(name).parts]
-        key = (*words, *(hashlib.sha256(p.read_bytes()).hexdigest() for p in read if p.is_file()))
+        """Run `seqid` with these words in a folder, or bring what it wrote the last
+        time.
+        """
+        read = [
+            folder / name
+            for name in read_by(words)
+            if "sample_logs" not in Path(name).parts
+        ]
+        key = (
+            *words,
+            *(hashlib.sha256(p.read_bytes()).hexdigest() for p in read if p.is_file()),
+        )
         if key not in self.done:
             self.done[key] = _run(folder, words)
         done = self.done[key]
@@ -76,7 +88,11 @@ class Kitchen:
         if path.parent.parts[:1] == ("out",):
             rig = path.parent.parts[1]
         own = self.page_folder(f"larder_{rig}")
-        wanted = ["inertia.json", "prediction.json"] if path.name == "*.json" else [path.name]
+        wanted = (
+            ["inertia.json", "prediction.json"]
+            if path.name == "*.json"
+            else [path.name]
+        )
         for item in wanted:
             self._larder(own, item, rig)
             target = folder / path.parent / item
@@ -100,7 +116,8 @@ class Kitchen:
         if exported:
             (own / "export.json").write_text(done.out, encoding="utf-8")
         elif not (own / name).exists():
-            shutil.copy(own / "inertia.json", own / name)  # a refined file is one as well
+            # a refined file is one as well
+            shutil.copy(own / "inertia.json", own / name)
 
 
 def rig_of(words: Sequence[str], default: str = "one_joint") -> str:
@@ -142,9 +159,15 @@ def written_by(words: Sequence[str]) -> list[str]:
 
 def _run(folder: Path, words: Sequence[str]) -> Done:
     out, err = io.StringIO(), io.StringIO()
-    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    with (
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
         code = main(list(words))
-    files = {n: (folder / n).read_bytes() for n in written_by(words) if (folder / n).exists()}
+    files = {
+        n: (folder / n).read_bytes() for n in written_by(words) if (folder / n).exists()
+    }
     return Done(code, out.getvalue() + err.getvalue(), out.getvalue(), files)
 
 

@@ -21,7 +21,9 @@ PROGRAMS = ("seqid", "make", "pip", "python", "rerun", "apt-get")
 
 @dataclass(frozen=True)
 class Block:
-    """A block of code; `line` counts from 1, `exit_code` is what its last command ends with."""
+    """A block of code; `line` counts from 1, `exit_code` is what its last command ends
+    with.
+    """
 
     page: Path
     line: int
@@ -53,11 +55,17 @@ def blocks(page: Path) -> list[Block]:
         if told := _EXIT.search(lines[k]):
             code = int(told[1])
         if fence := _FENCE.match(lines[k]):
-            end = next(i for i in range(k + 1, len(lines)) if lines[i].strip() == fence[1])
-            found.append(Block(page, k + 2, fence[2], "\n".join(lines[k + 1 : end]), code))
+            end = next(
+                i for i in range(k + 1, len(lines)) if lines[i].strip() == fence[1]
+            )
+            found.append(
+                Block(page, k + 2, fence[2], "\n".join(lines[k + 1 : end]), code)
+            )
             k, code = end, 0
         elif lines[k].startswith("    ") and (k == 0 or not lines[k - 1]):
-            while k + 1 < len(lines) and (lines[k + 1].startswith("    ") or not lines[k + 1]):
+            while k + 1 < len(lines) and (
+                lines[k + 1].startswith("    ") or not lines[k + 1]
+            ):
                 k += 1
             text = "\n".join(line[4:] for line in lines[start : k + 1]).rstrip()
             found.append(Block(page, start + 1, "indented", text))
@@ -66,7 +74,9 @@ def blocks(page: Path) -> list[Block]:
 
 
 def steps(page: Path) -> list[Step]:
-    """Return the command lines of a page in order; of unknown programs it raises ValueError."""
+    """Return the command lines of a page in order; of unknown programs it raises
+    ValueError.
+    """
     found: list[Step] = []
     known: dict[str, str] = {}
     pages = blocks(page)
@@ -84,7 +94,9 @@ def steps(page: Path) -> list[Step]:
 
 def _commands(block: Block, known: dict[str, str]) -> Iterator[Step]:
     """Yield command lines; those that a backslash continues are put together."""
-    for number, line in enumerate(block.text.replace("\\\n", " ").splitlines(), block.line):
+    for number, line in enumerate(
+        block.text.replace("\\\n", " ").splitlines(), block.line
+    ):
         if given := _ASSIGNMENT.match(line.strip()):
             known[given[1]] = given[2]
             continue
@@ -108,4 +120,7 @@ def links(page: Path) -> list[str]:
 def anchors(page: Path) -> set[str]:
     """Return the anchors that headings of a page have, as GitHub makes them."""
     headings = re.findall(r"^#{1,6} (.+)$", _prose(page), flags=re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        for heading in headings
+    }

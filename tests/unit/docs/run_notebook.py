@@ -1,4 +1,6 @@
-"""Runs the notebook of the docs and keeps its outputs: python -m tests.unit.docs.run_notebook."""
+"""Runs the notebook of the docs and keeps its outputs: python -m
+tests.unit.docs.run_notebook.
+"""
 
 import os
 import tempfile

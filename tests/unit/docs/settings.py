@@ -1,7 +1,7 @@
 """The page of the settings, from their classes: `python -m tests.unit.docs.settings`.
 
-Names, defaults, units, bounds and reasons are written anew. What was measured of a setting stands
-in the last column, is written by hand and kept.
+Names, defaults, units, bounds and reasons are written anew. What was measured of a
+setting stands in the last column, is written by hand and kept.
 """
 
 import re
@@ -42,7 +42,9 @@ def _tables(before: str) -> Iterator[str]:
     measured = _measured(before)
     for (name, kind), users in commands.items():
         heading = f"{name}: {', '.join(f'`{user}`' for user in users)}"
-        yield f"### {heading}\n\n{kind.__doc__}\n\n{HEAD}\n|---|---|---|---|---|---|---|\n"
+        yield (
+            f"### {heading}\n\n{kind.__doc__}\n\n{HEAD}\n|---|---|---|---|---|---|---|\n"
+        )
         for each in fields(kind):
             about = each.metadata
             cells = (
@@ -59,7 +61,9 @@ def _tables(before: str) -> Iterator[str]:
 
 
 def _measured(text: str) -> Mapping[tuple[str, str], str]:
-    """Return the last cell of every row, by the first command of its table and its name."""
+    """Return the last cell of every row, by the first command of its table and its
+    name.
+    """
     found = {}
     first = ""
     for line in text.splitlines():

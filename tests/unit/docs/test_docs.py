@@ -21,7 +21,15 @@ from seqid_cli.commands.app import COMMANDS
 from tests.plants import strangers
 from tests.unit.docs import keys
 from tests.unit.docs import kitchen as cooking
-from tests.unit.docs.kitchen import SAMPLES, Done, Kitchen, masked, parsed, read_by, rig_of
+from tests.unit.docs.kitchen import (
+    SAMPLES,
+    Done,
+    Kitchen,
+    masked,
+    parsed,
+    read_by,
+    rig_of,
+)
 from tests.unit.docs.markdown import PAGES, ROOT, Step, anchors, blocks, links, steps
 
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
@@ -32,11 +40,16 @@ FULL = bool(os.environ.get("SEQID_DOCS"))
 ABOUT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PROJECT = ABOUT["project"]
 SIX = SAMPLES / "six_joint"
-# What stands for the files that a page takes for granted: their names in the page, and the samples.
+# What stands for the files that a page takes for granted: their names in the page, and
+# the samples.
 PREPARED: dict[str, dict[str, Path]] = {
-    "docs/afternoon.md": {"recorded": SIX},  # the simulated arm records the plan for minutes
+    # the simulated arm records the plan for minutes
+    "docs/afternoon.md": {"recorded": SIX},
     "docs/own_robot.md": {
-        **{f"logs/{x}": SIX / x for x in ("friction", "gravity", "imu", "inertia", "validation")},
+        **{
+            f"logs/{x}": SIX / x
+            for x in ("friction", "gravity", "imu", "inertia", "validation")
+        },
         "my_arm.urdf": SIX / "six_joint.urdf",
     },
     "docs/inspect.md python": {
@@ -70,7 +83,11 @@ def prepared(kitchen: Kitchen, name: str) -> Path:
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)
         if not target.exists():
-            shutil.copytree(sample, target) if sample.is_dir() else shutil.copy(sample, target)
+            (
+                shutil.copytree(sample, target)
+                if sample.is_dir()
+                else shutil.copy(sample, target)
+            )
     return folder
 
 
@@ -107,7 +124,9 @@ def _check_pip(step: Step) -> None:
     for word in step.words[2:]:
         asked = re.fullmatch(r"(?:\.|seqid|-e)(?:\[(\w+)\])?", word)
         assert asked, str(step)
-        assert asked[1] is None or asked[1] in PROJECT["optional-dependencies"], str(step)
+        assert asked[1] is None or asked[1] in PROJECT["optional-dependencies"], str(
+            step
+        )
 
 
 def _check_module(step: Step) -> None:
@@ -153,11 +172,15 @@ def _cooked(kitchen: Kitchen, folder: Path, step: Step, rig: str) -> Done | None
                 kitchen.fetch(folder, path, rig)
         return None
     made = FULL or rig == "one_joint"  # else a diagnosis takes too long
-    words = tuple(w for w in words if made or "diagnosis" not in w or (folder / w).exists())
+    words = tuple(
+        w for w in words if made or "diagnosis" not in w or (folder / w).exists()
+    )
     for path in read_by(words):
         if not list(folder.glob(path)) and path.endswith((".json", "torques.parquet")):
             kitchen.fetch(folder, path, rig)
-    done = kitchen.cook(folder, [path for word in words for path in _expanded(folder, word)])
+    done = kitchen.cook(
+        folder, [path for word in words for path in _expanded(folder, word)]
+    )
     assert done.code == step.exit_code, f"{step}\n{done.said}"
     if target:
         (folder / target).write_text(done.out, encoding="utf-8")
@@ -182,9 +205,11 @@ def _check_shown(step: Step, said: list[str]) -> None:
         shown = masked(line)
         start = shown.removesuffix(" ...")
         cut = [x for x in real if start != shown and x.startswith(start)]
-        assert cut or shown in ("", "...", *real), (
-            f"{step}\ndoes not say: {line}\nbut:\n" + "\n".join(said)
-        )
+        assert cut or shown in (
+            "",
+            "...",
+            *real,
+        ), f"{step}\ndoes not say: {line}\nbut:\n" + "\n".join(said)
 
 
 @pytest.mark.parametrize("name", RUN)
@@ -194,10 +219,14 @@ def test_python_runs(name: str, kitchen: Kitchen) -> None:
     folder = prepared(kitchen, f"{name} python")
     space: dict[str, object] = {}
     for block in blocks(ROOT / name):
-        imports = block.language == "indented" and re.match(r"(from|import) \w", block.text)
+        imports = block.language == "indented" and re.match(
+            r"(from|import) \w", block.text
+        )
         if block.language != "python" and not imports:
             continue
-        for path in re.findall(r'"([\w/]+\.json|\w+\.urdf|torques.parquet)"', block.text):
+        for path in re.findall(
+            r'"([\w/]+\.json|\w+\.urdf|torques.parquet)"', block.text
+        ):
             if not (folder / path).exists():
                 kitchen.fetch(folder, path, rig_of([block.text]))
         code = compile("\n" * (block.line - 1) + block.text, str(block.page), "exec")
@@ -225,7 +254,9 @@ def test_data_can_be_read_and_links_lead_somewhere(name: str) -> None:
 
 def test_the_keys_of_the_files_are_told() -> None:
     text = keys.PAGE.read_text(encoding="utf-8")
-    assert keys.rewritten(text) == text, "run python -m tests.unit.docs.keys and say what is new"
+    assert keys.rewritten(text) == text, (
+        "run python -m tests.unit.docs.keys and say what is new"
+    )
     assert "TODO" not in text
     told = {name for name, _ in keys.TABLE.findall(text)}
     assert told | set(keys.INLINE) == set(keys.STRUCTS)
@@ -294,7 +325,9 @@ def test_the_first_page_names_every_command_and_links_every_page() -> None:
 
 
 def test_the_paths_of_the_map_exist() -> None:
-    architecture = (ROOT / "README.md").read_text(encoding="utf-8").split("## Architecture")[1]
+    architecture = (
+        (ROOT / "README.md").read_text(encoding="utf-8").split("## Architecture")[1]
+    )
     rows = re.findall(r"^\|.*", architecture.split("## ")[0], flags=re.MULTILINE)
     paths = re.findall(r"`([\w/.]+(?:/|\.py|\.j2))`", "\n".join(rows))
     assert len(paths) > 20
@@ -306,7 +339,10 @@ def test_the_figure_of_proof_is_that_of_the_study() -> None:
     """The rows of README's first table stand in the tables that the study writes."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     names = "sequential, sliding|simultaneous, sliding|current noise alone"
-    rows = [row[0] for row in re.finditer(rf"^\| (?:{names}) \|.*", text, flags=re.MULTILINE)]
+    rows = [
+        row[0]
+        for row in re.finditer(rf"^\| (?:{names}) \|.*", text, flags=re.MULTILINE)
+    ]
     measured = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 3
     assert set(rows) <= set(measured)

@@ -9,13 +9,18 @@ import pytest
 
 from tests.unit.docs.markdown import ROOT
 
-CELLS = json.loads((ROOT / "docs" / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+CELLS = json.loads((ROOT / "docs" / "notebook.ipynb").read_text(encoding="utf-8"))[
+    "cells"
+]
 CODE = [cell for cell in CELLS if cell["cell_type"] == "code"]
 
 
 def printed(cell: dict[str, Any]) -> str:
     return "".join(
-        text for out in cell["outputs"] if out.get("name") == "stdout" for text in out["text"]
+        text
+        for out in cell["outputs"]
+        if out.get("name") == "stdout"
+        for text in out["text"]
     )
 
 
@@ -28,13 +33,20 @@ def test_every_cell_was_run_and_none_failed() -> None:
     assert [cell["execution_count"] for cell in CODE] == list(range(1, len(CODE) + 1))
     kinds = [out["output_type"] for cell in CODE for out in cell["outputs"]]
     assert "error" not in kinds
-    drawn = [out for cell in CODE for out in cell["outputs"] if "text/html" in out.get("data", {})]
+    drawn = [
+        out
+        for cell in CODE
+        for out in cell["outputs"]
+        if "text/html" in out.get("data", {})
+    ]
     assert len(drawn) == 3
     assert not any(str(ROOT) in json.dumps(cell) for cell in CELLS)
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="its outputs are of models without terms of the drives", strict=False)
+@pytest.mark.xfail(
+    reason="its outputs are of models without terms of the drives", strict=False
+)
 def test_its_code_shows_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,4 +1,6 @@
-"""The page of the numbers that decide: every number is in the source where the page says."""
+"""The page of the numbers that decide: every number is in the source where the page
+says.
+"""
 
 import inspect
 import re
@@ -8,7 +10,9 @@ from types import ModuleType
 from tests import ROOT
 
 PAGE = ROOT / "docs" / "deciding_numbers.md"
-TEXT = re.sub(r"(?s)<!-- study:.*?<!-- /study -->", "", PAGE.read_text(encoding="utf-8"))
+TEXT = re.sub(
+    r"(?s)<!-- study:.*?<!-- /study -->", "", PAGE.read_text(encoding="utf-8")
+)
 ROWS = [
     tuple(cell.strip() for cell in line.split("|")[1:5])
     for line in TEXT.splitlines()
@@ -25,7 +29,9 @@ def defaults(module: ModuleType, owner: str) -> dict[str, object]:
     classes = [kind for kind in vars(module).values() if inspect.isclass(kind)]
     owners = [vars(place).get(owner) for place in (module, *classes)]
     signatures = [inspect.signature(own).parameters for own in owners if callable(own)]
-    return {name: given.default for known in signatures for name, given in known.items()}
+    return {
+        name: given.default for known in signatures for name, given in known.items()
+    }
 
 
 def test_names_are_in_the_files_of_their_row() -> None:
@@ -45,4 +51,6 @@ def test_arguments_have_the_default_of_their_row() -> None:
         values = [known.get(asked[1]) for known in found]
         tuples = [value if isinstance(value, tuple) else (value,) for value in values]
         assert values, names
-        assert all(value in allowed for value in tuples), f"{names}: {default}, not {values}"
+        assert all(value in allowed for value in tuples), (
+            f"{names}: {default}, not {values}"
+        )

@@ -26,10 +26,26 @@ INSTEAD = {
     "swallows?|swallowed": "take in, hold",
     "nobody": "not known, not given",
 }
-# Rooms or files of the package whose docstrings and messages have been read; others follow.
+# Rooms or files of the package whose docstrings and messages have been read; others
+# follow.
 ROOMS = (
-    *("compare", "discover/excerpts", "discover/noise", "discover/refinement", "discover/survey"),
-    *("export", "identify", "inspect", "model/bodies", "motion", "params", "plan", "report"),
+    *(
+        "compare",
+        "discover/excerpts",
+        "discover/noise",
+        "discover/refinement",
+        "discover/survey",
+    ),
+    *(
+        "export",
+        "identify",
+        "inspect",
+        "model/bodies",
+        "motion",
+        "params",
+        "plan",
+        "report",
+    ),
     *("robot", "scale"),
 )
 WORD = re.compile(rf"\b(?:{'|'.join(INSTEAD)})\b", re.IGNORECASE)
@@ -64,6 +80,10 @@ def test_docstrings_and_messages_use_the_words_of_the_field(room: str) -> None:
 
 def test_the_glossary_has_every_term_once() -> None:
     text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    terms = [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("| ")]
+    terms = [
+        line.split("|")[1].strip()
+        for line in text.splitlines()
+        if line.startswith("| ")
+    ]
     own = [term for term in terms if term != "term"]
     assert len(own) == len(set(own)) >= 30

@@ -17,12 +17,19 @@ from seqid_cli.robot.types import Array, Robot
 from seqid_cli.robot.urdf import read_urdf_text
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_6R, NAMES_GANTRY, urdf_6r, urdf_gantry
-from tests.plants.robots.stages import random_bodies, save_robot, seven_joints, stages_of
+from tests.plants.robots.stages import (
+    random_bodies,
+    save_robot,
+    seven_joints,
+    stages_of,
+)
 
 Arm = tuple[Robot, Stages]
 
 
-def made(folder: Path, text: str, names: tuple[str, ...], seed: int, *, known: bool = False) -> Arm:
+def made(
+    folder: Path, text: str, names: tuple[str, ...], seed: int, *, known: bool = False
+) -> Arm:
     rng = np.random.default_rng(seed)
     extra = "gear_ratio = 50.0\n" + "rotor_inertia = 1e-4\n" * known
     robot = save_robot(folder, text, names, joint_extra=extra)
@@ -34,7 +41,9 @@ def made(folder: Path, text: str, names: tuple[str, ...], seed: int, *, known: b
 
 
 def sample(rig: str) -> Arm:
-    """A sample robot with bodies that exist; the real files are tested with the commands."""
+    """A sample robot with bodies that exist; the real files are tested with the
+    commands.
+    """
     rng = np.random.default_rng(len(rig))
     robot = sample_robot(rig)
     phi = random_bodies(rng, robot.n) if robot.nominal is None else 0.9 * robot.nominal
@@ -55,11 +64,14 @@ ARMS: dict[str, Callable[[Path], Arm]] = {
 def states(n: int) -> Array:
     """States (3, N, n): positions, velocities, accelerations."""
     return (
-        np.random.default_rng(11).normal(size=(3, 25, n)) * np.array([1.5, 2.0, 5.0])[:, None, None]
+        np.random.default_rng(11).normal(size=(3, 25, n))
+        * np.array([1.5, 2.0, 5.0])[:, None, None]
     )
 
 
-def with_effect(name: str, joint: int, settings: dict[str, float], c: list[float]) -> Arm:
+def with_effect(
+    name: str, joint: int, settings: dict[str, float], c: list[float]
+) -> Arm:
     """The six-joint sample robot with one effect more."""
     robot, stages = sample("six_joint")
     item = FittedEffect(CATALOGUE[name], joint, settings, np.array(c), np.eye(len(c)))
@@ -73,7 +85,9 @@ def written(arm: Arm, kind: str) -> Exported:
 
 def agree(found: Array, expected: Array, share: float = 1e-9) -> None:
     """Assert that torques are the same to a share of the largest."""
-    np.testing.assert_allclose(found, expected, rtol=0, atol=share * np.abs(expected).max())
+    np.testing.assert_allclose(
+        found, expected, rtol=0, atol=share * np.abs(expected).max()
+    )
 
 
 def rigid(arm: Arm) -> Array:
@@ -84,7 +98,9 @@ def rigid(arm: Arm) -> Array:
 def pinocchio_torque(robot: Robot, text: str, armature: Array) -> Array:
     """Torque by Pinocchio of a URDF, joints that are not the arm's locked at zero."""
     model = pin.buildModelFromXML(text)
-    others = [k for k in range(1, model.njoints) if model.names[k] not in robot.joint_names]
+    others = [
+        k for k in range(1, model.njoints) if model.names[k] not in robot.joint_names
+    ]
     model = pin.buildReducedModel(model, others, pin.neutral(model))
     assert tuple(model.names)[1:] == robot.joint_names
     model.gravity.linear = robot.gravity

@@ -10,7 +10,9 @@ from seqid_cli.robot.types import Array, Robot
 
 
 def run_c(folder: Path, robot: Robot, text: str, body: str, rows: Array) -> Array:
-    """Compile the header with a `body` that turns a row of numbers x into y, and run it."""
+    """Compile the header with a `body` that turns a row of numbers x into y, and run
+    it.
+    """
     name = identifier(robot.name)
     (folder / "arm.h").write_text(text)
     (folder / "main.c").write_text(

@@ -1,4 +1,6 @@
-"""Parameter files whose logs are on disk: a model with effects, and the torque that it makes."""
+"""Parameter files whose logs are on disk: a model with effects, and the torque that it
+makes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +38,9 @@ DRAG: Effect = ("nonlinear_viscous", 0, {"exponent": 2.0}, [0.6])
 
 @dataclass(frozen=True, kw_only=True)
 class Logged:
-    """A folder with `refined.json` and its logs; `other` is a log that the file does not name."""
+    """A folder with `refined.json` and its logs; `other` is a log that the file does
+    not name.
+    """
 
     folder: Path
     robot: Path

@@ -1,4 +1,6 @@
-"""Two-joint arms with effects: what `predict` says of them, and what exported code says."""
+"""Two-joint arms with effects: what `predict` says of them, and what exported code
+says.
+"""
 
 import shutil
 from collections.abc import Mapping, Sequence
@@ -74,9 +76,11 @@ def fitted(effect: Effect, one: Case) -> FittedEffect:
 def with_effects(stages: Stages, robot: Robot, items: Sequence[Fitted]) -> Stages:
     """Return the stages with effects."""
     entries = [
-        as_stage(item, robot)
-        if isinstance(item, FittedEffect)
-        else item.to_stage(robot)
+        (
+            as_stage(item, robot)
+            if isinstance(item, FittedEffect)
+            else item.to_stage(robot)
+        )
         for item in items
     ]
     return Stages(friction=stages.friction, inertia=stages.inertia, effects=entries)
@@ -130,7 +134,9 @@ def predicted(scene: Scene, stages: Stages) -> Array:
 
 
 def rows_of(scene: Scene) -> Array:
-    """Return positions, velocities, accelerations, temperatures and the time of each sample."""
+    """Return positions, velocities, accelerations, temperatures and the time of each
+    sample.
+    """
     motion = scene.motion
     series = [motion.q, motion.dq, motion.ddq, scene.temperature, scene.time[:, None]]
     return np.hstack(series)
@@ -172,8 +178,8 @@ def exported(
         return stepped(module_of(robot, stages), rows, rate_hz=rate_hz)
     header = export(robot, stages, kind="C header").text
     body = (
-        "static ARM_state s; if (row == 0) ARM_start(&s, x);"
-        f" ARM_step(&s, x, x + N, x + 2 * N, x + 3 * N, x[4 * N], {1.0 / rate_hz!r}, y);"
+        "static ARM_state s; if (row == 0) ARM_start(&s, x); ARM_step(&s, x, x + N, x"
+        f" + 2 * N, x + 3 * N, x[4 * N], {1.0 / rate_hz!r}, y);"
     )
     return run_c(folder, robot, header, body, rows)
 
@@ -181,8 +187,9 @@ def exported(
 def low_passed(scene: Scene, whole: Array, smooth: Array, item: Fitted) -> Array:
     """Low-pass exported torque of an effect as `predict` does.
 
-    `whole` is that of the arm, `smooth` of the arm without friction: of effects of the modelled
-    torque, what friction adds has steps, and goes through the low-pass once more.
+    `whole` is that of the arm, `smooth` of the arm without friction: of effects of the
+    modelled torque, what friction adds has steps, and goes through the low-pass once
+    more.
     """
     if is_modelled(item):
         return scene.motion.filtered(smooth) + scene.motion.filtered(

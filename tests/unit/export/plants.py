@@ -25,7 +25,8 @@ OTHER_SEED = 57
 class Recorded:
     """A folder with `robot.toml`, `simultaneous.json`, `refined.json` and logs.
 
-    `training` and `held_out` logs are those of the files, `others` of the same kind and in none.
+    `training` and `held_out` logs are those of the files, `others` of the same kind and
+    in none.
     """
 
     folder: Path

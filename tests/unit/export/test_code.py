@@ -1,4 +1,6 @@
-"""The C header and the numpy module against Pinocchio and MuJoCo: torque, observer, alarms."""
+"""The C header and the numpy module against Pinocchio and MuJoCo: torque, observer,
+alarms.
+"""
 
 import shutil
 from pathlib import Path
@@ -39,8 +41,13 @@ def check_torques(arm: Arm, folder: Path) -> None:
     rows = zip(q, dq, ddq, strict=True)
     agree(np.array([module.torque(*row) for row in rows]), expected, 1e-10)
     if CC is not None:
-        body, text = "ARM_torque(x, x + N, x + 2 * N, y);", written(arm, "C header").text
-        agree(run_c(folder, robot, text, body, np.hstack([q, dq, ddq])), expected, 1e-10)
+        body, text = (
+            "ARM_torque(x, x + N, x + 2 * N, y);",
+            written(arm, "C header").text,
+        )
+        agree(
+            run_c(folder, robot, text, body, np.hstack([q, dq, ddq])), expected, 1e-10
+        )
 
 
 def test_code_computes_the_predicted_torque(arm: Arm, tmp_path: Path) -> None:
@@ -48,7 +55,9 @@ def test_code_computes_the_predicted_torque(arm: Arm, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("log", [False, True])
-def test_code_keeps_directions_speed_scales_and_coupled_rotors(tmp_path: Path, log: bool) -> None:
+def test_code_keeps_directions_speed_scales_and_coupled_rotors(
+    tmp_path: Path, log: bool
+) -> None:
     robot, stages = made(tmp_path, urdf_gantry(), NAMES_GANTRY, 8, known=True)
     stages.inertia.rotor_coupling = "gyroscopic"
     stages.friction = friction_stage(robot, directional=True, log=log)
@@ -57,7 +66,9 @@ def test_code_keeps_directions_speed_scales_and_coupled_rotors(tmp_path: Path, l
 
 
 def numpy_observed(module: ModuleType, rows: Array) -> Array:
-    """External torque (N, n) after each row (q, tau) of samples DT apart, from the first on."""
+    """External torque (N, n) after each row (q, tau) of samples DT apart, from the
+    first on.
+    """
     q, tau = np.split(rows, 2, axis=1)
     observer = module.Observer(q[0], tau[0])
     found = [observer.external]
@@ -74,8 +85,8 @@ def test_both_observers_are_the_same(tmp_path: Path, rig: str) -> None:
     q, _, tau = states(arm[0].n)
     rows = np.hstack([0.01 * q, tau])
     body = (
-        f"if (row == 0) ARM_observer_start(&o, x, x + N); else ARM_observe(&o, x, x + N, {DT!r});"
-        " for (i = 0; i < N; ++i) y[i] = o.external[i];"
+        "if (row == 0) ARM_observer_start(&o, x, x + N); else ARM_observe(&o, x, x +"
+        f" N, {DT!r}); for (i = 0; i < N; ++i) y[i] = o.external[i];"
     )
     found = run_c(tmp_path, arm[0], written(arm, "C header").text, body, rows)
     agree(found, numpy_observed(numpy_module(arm), rows), 1e-9)
@@ -83,7 +94,9 @@ def test_both_observers_are_the_same(tmp_path: Path, rig: str) -> None:
 
 @pytest.mark.slow
 def test_a_push_in_mujoco_is_what_the_observer_finds() -> None:
-    """The arm falls and swings; from 0.3 s on a torque acts that the motors do not know."""
+    """The arm falls and swings; from 0.3 s on a torque acts that the motors do not
+    know.
+    """
     arm = sample("six_joint")
     arm[1].friction.joints.clear()
     model = mujoco.MjModel.from_xml_string(written(arm, "MJCF").text)
@@ -106,7 +119,9 @@ def test_a_push_in_mujoco_is_what_the_observer_finds() -> None:
 @needs_cc
 @pytest.mark.parametrize("rig", ["one_joint", "two_joint"])
 def test_new_logs_raise_no_alarm_and_a_collision_does(tmp_path: Path, rig: str) -> None:
-    """The model of the sample logs on logs that it has not seen, as recorded and with a push."""
+    """The model of the sample logs on logs that it has not seen, as recorded and with a
+    push.
+    """
     robot = sample_robot(rig)
     arm = (robot, read_parameters(SAMPLES / rig / "golden.json").stages)
     header = written(arm, "C header")
@@ -117,10 +132,16 @@ def test_new_logs_raise_no_alarm_and_a_collision_does(tmp_path: Path, rig: str) 
             "if (row == 0) { ARM_observer_start(&o, x, x + N); y[0] = -1; }"
             f" else y[0] = ARM_observe(&o, x, x + N, {1.0 / log.rate_hz!r});"
         )
-        push = 3.0 * (limits.limit + limits.stiction) * (log.t > 0.5 * log.t[-1])[:, None]
-        pushed = log.tau - push  # the controller holds the motion, and the motors give way
+        push = (
+            3.0 * (limits.limit + limits.stiction) * (log.t > 0.5 * log.t[-1])[:, None]
+        )
+        # the controller holds the motion, and the motors give way
+        pushed = log.tau - push
         quiet, alarms = (
-            log.t[run_c(tmp_path, robot, header.text, body, np.hstack([log.q, tau]))[:, 0] >= 0]
+            log.t[
+                run_c(tmp_path, robot, header.text, body, np.hstack([log.q, tau]))[:, 0]
+                >= 0
+            ]
             for tau in (log.tau, pushed)
         )
         assert len(quiet) == 0
@@ -128,7 +149,9 @@ def test_new_logs_raise_no_alarm_and_a_collision_does(tmp_path: Path, rig: str) 
 
 
 def test_limits_follow_from_noise_encoder_and_band() -> None:
-    """Rice: sqrt(2 ln(2 n f T)) standard deviations; the gain where the encoder adds as much."""
+    """Rice: sqrt(2 ln(2 n f T)) standard deviations; the gain where the encoder adds as
+    much.
+    """
     robot, stages = sample("two_joint")
     stages.inertia.cutoff_hz, mass = 10.0, np.diag([2.0, 1.0])
     surfaces = friction_surfaces(stages, robot)

@@ -75,7 +75,9 @@ class Plain:
         self.smooth = exported(folder, robot, self.frictionless, self.rows)
 
     def added(self, items: Sequence[Fitted], *, robot: Robot | None = None) -> Array:
-        """Return what effects add to exported torque, low-passed like that of the first of them."""
+        """Return what effects add to exported torque, low-passed like that of the first
+        of them.
+        """
         robot = robot or self.robot
         stages = with_effects(self.stages, robot, items)
         whole = exported(self.folder, robot, stages, self.rows) - self.torque
@@ -432,7 +434,9 @@ def test_every_field_of_the_state_is_described(plain: Plain) -> None:
 
 
 def test_an_exported_file_says_of_a_log_what_predict_says(tmp_path: Path) -> None:
-    """Of a recorded log, from its file to the torque; without effects all of it is missed."""
+    """Of a recorded log, from its file to the torque; without effects all of it is
+    missed.
+    """
     robot = sample_robot("two_joint")
     golden = read_parameters(SAMPLES / "two_joint" / "golden.json").stages
     names = (

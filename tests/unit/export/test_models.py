@@ -16,7 +16,12 @@ from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests.plants.robots.small import NAMES_6R, urdf_6r
-from tests.plants.robots.stages import inertia_stage, random_bodies, save_robot, stages_of
+from tests.plants.robots.stages import (
+    inertia_stage,
+    random_bodies,
+    save_robot,
+    stages_of,
+)
 from tests.unit.export.arms import (
     Arm,
     agree,
@@ -63,12 +68,16 @@ def test_ros2_parameters_read_back_as_the_same_bodies(arm: Arm) -> None:
         armature.append(group["armature"])
         assert all(isinstance(group[key], float) for key in ("mass", "armature"))
         assert set(group["friction"]) == {"coulomb", "viscous", "offset", "rms_misfit"}
-    torque = inverse_dynamics(robot.chain, robot.gravity, np.array(phi), *states(robot.n))
+    torque = inverse_dynamics(
+        robot.chain, robot.gravity, np.array(phi), *states(robot.n)
+    )
     agree(torque + armature * states(robot.n)[2], rigid(arm))
 
 
 def test_the_solver_of_ros2_finds_its_chain_in_the_exported_urdf(arm: Arm) -> None:
-    """KDL takes the joints from `root` to `tip` with the URDF's inertials, without armature."""
+    """KDL takes the joints from `root` to `tip` with the URDF's inertials, without
+    armature.
+    """
     robot = arm[0]
     parameters = YAML(typ="safe").load(written(arm, "ROS 2 parameters").text)["/**"]
     kdl = parameters["ros__parameters"]["kdl"]
@@ -80,7 +89,10 @@ def test_the_solver_of_ros2_finds_its_chain_in_the_exported_urdf(arm: Arm) -> No
         joint = before[at]
         chain.append((joint.get("name"), joint.get("type")))
         at = joint.find("parent").get("link")  # type: ignore[union-attr]
-    assert tuple(name for name, kind in reversed(chain) if kind != "fixed") == robot.joint_names
+    assert (
+        tuple(name for name, kind in reversed(chain) if kind != "fixed")
+        == robot.joint_names
+    )
     assert kdl["gravity"] == robot.gravity.tolist()
     torque = pinocchio_torque(robot, urdf.text, np.zeros(robot.n))
     expected = rigid(arm) - urdf.model.armature * states(robot.n)[2]
@@ -94,15 +106,23 @@ def test_ros2_control_commands_the_torque_of_every_joint(arm: Arm) -> None:
     assert system.findtext("hardware/plugin") == "mock_components/GenericSystem"
     joints = system.findall("joint")
     assert tuple(joint.get("name") for joint in joints) == arm[0].joint_names
-    for joint, armature, fit in zip(joints, done.model.armature, done.model.friction, strict=True):
+    for joint, armature, fit in zip(
+        joints, done.model.armature, done.model.friction, strict=True
+    ):
         assert [e.get("name") for e in joint.findall("command_interface")] == ["effort"]
         given = {e.get("name"): float(e.text or "") for e in joint.findall("param")}
-        expected = {"armature": armature, "coulomb": fit.coulomb, "viscous": fit.viscous}
+        expected = {
+            "armature": armature,
+            "coulomb": fit.coulomb,
+            "viscous": fit.viscous,
+        }
         assert given == pytest.approx(expected)
 
 
 def test_mujoco_rubs_as_the_exported_friction_does(arm: Arm) -> None:
-    """With the torque of bodies and friction applied, MuJoCo's arm accelerates as it should."""
+    """With the torque of bodies and friction applied, MuJoCo's arm accelerates as it
+    should.
+    """
     done = written(arm, "MJCF")
     model = mujoco.MjModel.from_xml_string(done.text)
     for bit in ("LIMIT", "CONTACT"):
@@ -112,12 +132,15 @@ def test_mujoco_rubs_as_the_exported_friction_does(arm: Arm) -> None:
     assert len(fits) == arm[0].n
     viscous, coulomb = np.array([(fit.viscous, fit.coulomb) for fit in fits]).T
     q, dq, ddq = states(arm[0].n)
-    for x, v, a in zip(q, dq + 5.0 * np.sign(dq), ddq, strict=True):  # no joint about to stick
+    # no joint about to stick
+    for x, v, a in zip(q, dq + 5.0 * np.sign(dq), ddq, strict=True):
         data.qpos[:], data.qvel[:], data.qacc[:] = x, v, a
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_rne(model, data, 1, data.qfrc_applied)
-        data.qfrc_applied[:] += viscous * v + coulomb * np.sign(v) + model.dof_armature * a
+        data.qfrc_applied[:] += (
+            viscous * v + coulomb * np.sign(v) + model.dof_armature * a
+        )
         mujoco.mj_forward(model, data)
         np.testing.assert_allclose(data.qacc, a, rtol=0, atol=1e-6 * np.abs(ddq).max())
 
@@ -128,7 +151,11 @@ LINEAR_ONLY = pytest.mark.skipif(OLD, reason="MuJoCo before 4 has linear springs
 
 @pytest.mark.parametrize(
     "law",
-    [[30.0, -12.0], [-20.0, 3.0], pytest.param([30.0, -12.0, 4.0, 2.0], marks=LINEAR_ONLY)],
+    [
+        [30.0, -12.0],
+        [-20.0, 3.0],
+        pytest.param([30.0, -12.0, 4.0, 2.0], marks=LINEAR_ONLY),
+    ],
     ids=["linear", "counterbalance", "cubic"],
 )
 def test_mujoco_pulls_at_a_spring_as_the_effect_does(law: list[float]) -> None:
@@ -163,7 +190,8 @@ def test_mujoco_lets_the_link_fall_through_its_backlash() -> None:
 def test_what_no_body_has_is_projected_and_reported(tmp_path: Path) -> None:
     robot, stages = made(tmp_path, urdf_6r(), NAMES_6R, 9, known=True)
     names = np.array([p.name for p in stages.inertia.parameters])
-    shift = np.where(names == "Izz_6", -3000.0, 0.0)  # the last link would turn the other way
+    # the last link would turn the other way
+    shift = np.where(names == "Izz_6", -3000.0, 0.0)
     rng = np.random.default_rng(9)
     stages.inertia = inertia_stage(robot, random_bodies(rng, robot.n), shift=shift)
     done = export(robot, stages, kind="URDF")
@@ -191,8 +219,12 @@ def test_a_gravity_file_takes_inertias_from_the_urdf(tmp_path: Path) -> None:
     assert any("no inertia stage" in note for note in done.model.notes)
     zero = np.zeros((25, robot.n))
     q = states(robot.n)[0]
-    expected = TorqueModel.from_stages(Stages(gravity=gravity), robot).rigid(q, zero, zero)
-    found = inverse_dynamics(robot.chain, robot.gravity, done.model.bodies, q, zero, zero)
+    expected = TorqueModel.from_stages(Stages(gravity=gravity), robot).rigid(
+        q, zero, zero
+    )
+    found = inverse_dynamics(
+        robot.chain, robot.gravity, done.model.bodies, q, zero, zero
+    )
     agree(found, expected)
 
 
@@ -201,5 +233,7 @@ def test_what_torque_does_not_show_stays_as_in_the_cad(tmp_path: Path) -> None:
     robot = save_robot(tmp_path, urdf_6r(), NAMES_6R, joint_extra="gear_ratio = 50.0\n")
     stages = stages_of(robot, robot.nominal)
     model = export(robot, stages, kind="URDF").model
-    np.testing.assert_allclose(model.bodies, robot.nominal, atol=1e-3 * robot.nominal.max())
+    np.testing.assert_allclose(
+        model.bodies, robot.nominal, atol=1e-3 * robot.nominal.max()
+    )
     assert all(model.nearest.from_cad)

@@ -1,4 +1,6 @@
-"""Pieces of the export: pseudo-inertias, the conic problem, friction, effects, the URDF's XML."""
+"""Pieces of the export: pseudo-inertias, the conic problem, friction, effects, the
+URDF's XML.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -30,7 +32,9 @@ from tests.unit.logs.samples import make_robot
 
 @pytest.mark.parametrize("rotor", [True, False])
 def test_inertia_that_may_be_a_rotors_makes_no_link_heavy(rotor: bool) -> None:
-    """A first link shows in one number alone, which holds the rotor of its drive as well."""
+    """A first link shows in one number alone, which holds the rotor of its drive as
+    well.
+    """
     E = np.zeros((2, 20))
     E[0, 9] = E[1, 19] = 1.0  # Izz of both
     G = np.array([[1.0], [0.0]]) if rotor else np.zeros((2, 0))
@@ -47,7 +51,9 @@ def test_the_solution_is_the_minimum_of_the_divergence() -> None:
     J = pseudo_inertia(phi)
     E = rng.normal(size=(6, 20))
     values = E @ random_bodies(rng, 2).ravel()
-    phi, _, exact = consistent_links(J, np.zeros(0), E, np.zeros((6, 0)), values, np.eye(6))
+    phi, _, exact = consistent_links(
+        J, np.zeros(0), E, np.zeros((6, 0)), values, np.eye(6)
+    )
     assert exact
     np.testing.assert_allclose(E @ phi.ravel(), values, atol=1e-9)
 
@@ -82,14 +88,21 @@ def test_friction_becomes_coulomb_viscous_and_an_offset(
     assert (fit.rms_misfit < 1e-12) == (viscous > 0.0)
 
 
-def test_urdf_keeps_all_but_inertials_dynamics_and_drives_of_the_arm(tmp_path: Path) -> None:
+def test_urdf_keeps_all_but_inertials_dynamics_and_drives_of_the_arm(
+    tmp_path: Path,
+) -> None:
     """Of two joints with a fixed flange, a finger, and a second arm from the base."""
     text = urdf(
         link("base", mass=5.0, mesh="package://nowhere/base.dae"),
         link("upper", mass=3.0, x=0.1, mesh="upper.stl"),
-        *(link(name, mass=0.5, x=0.02) for name in ("lower", "flange", "palm", "finger")),
+        *(
+            link(name, mass=0.5, x=0.02)
+            for name in ("lower", "flange", "palm", "finger")
+        ),
         *(link(name, mass=1.0) for name in ("camera", "other")),
-        joint("shoulder", "base", "upper", axis="0 1 0", extra='<dynamics damping="9"/>'),
+        joint(
+            "shoulder", "base", "upper", axis="0 1 0", extra='<dynamics damping="9"/>'
+        ),
         joint("elbow", "upper", "lower", axis="0 1 0", xyz="0.4 0 0"),
         joint("mount", "lower", "flange", kind="fixed", xyz="0.3 0 0", rpy="0 0.5 0.2"),
         joint("grip", "flange", "palm", kind="fixed", xyz="0 0 0.1", rpy="0 0 1"),
@@ -104,11 +117,21 @@ def test_urdf_keeps_all_but_inertials_dynamics_and_drives_of_the_arm(tmp_path: P
     done = export(robot, stages_of(robot, robot.nominal), kind="URDF")
     before, after = ElementTree.fromstring(text), ElementTree.fromstring(done.text)
     assert "<!-- by hand -->" in done.text
-    assert [system.get("name") for system in after.findall("ros2_control")] == ["driver"]
-    inertials = {e.get("name"): e.find("inertial") is not None for e in after.findall("link")}
-    assert {name for name, there in inertials.items() if not there} == {"flange", "palm"}
+    assert [system.get("name") for system in after.findall("ros2_control")] == [
+        "driver"
+    ]
+    inertials = {
+        e.get("name"): e.find("inertial") is not None for e in after.findall("link")
+    }
+    assert {name for name, there in inertials.items() if not there} == {
+        "flange",
+        "palm",
+    }
     assert len(inertials) == 8
-    dynamics, fit = after.find("joint[@name='shoulder']/dynamics"), done.model.friction[0]
+    dynamics, fit = (
+        after.find("joint[@name='shoulder']/dynamics"),
+        done.model.friction[0],
+    )
     assert float(dynamics.get("damping", "")) == pytest.approx(fit.viscous)
     assert float(dynamics.get("friction", "")) == pytest.approx(fit.coulomb)
     written = {"flange", "palm", "upper", "lower"}
@@ -118,7 +141,10 @@ def test_urdf_keeps_all_but_inertials_dynamics_and_drives_of_the_arm(tmp_path: P
             own |= {"inertial"} if parent.get("name") in written else set()
             for child in [child for child in parent if child.tag in own]:
                 parent.remove(child)
-    flat = ([(e.tag, sorted(e.attrib.items())) for e in tree.iter()] for tree in (before, after))
+    flat = (
+        [(e.tag, sorted(e.attrib.items())) for e in tree.iter()]
+        for tree in (before, after)
+    )
     assert len({str(elements) for elements in flat}) == 1
 
 
@@ -129,7 +155,10 @@ def test_rotor_inertia_goes_into_the_transmission_that_is_there(tmp_path: Path) 
     done = export(robot, stages_of(robot, robot.nominal), kind="URDF")
     root = ElementTree.fromstring(done.text)
     assert len(root.findall("transmission")) == len(NAMES_6R)
-    values = [float(e.get("value", "")) for e in root.iter("{http://drake.mit.edu}rotor_inertia")]
+    values = [
+        float(e.get("value", ""))
+        for e in root.iter("{http://drake.mit.edu}rotor_inertia")
+    ]
     assert values == pytest.approx([2e-4] * 6)
     assert f"armature {real(101.0**2 * 2e-4)}" in done.text
 
@@ -141,7 +170,9 @@ def test_a_payload_is_part_of_the_last_link() -> None:
     item = FittedEffect(CATALOGUE["payload"], None, {"from_log": 0.0}, load, np.eye(10))
     stages.effects = [as_stage(item, robot)]
     model = export(robot, stages, kind="MJCF").model
-    assert any("added to the inertial parameters: payload" in note for note in model.notes)
+    assert any(
+        "added to the inertial parameters: payload" in note for note in model.notes
+    )
     phi[1] += load
     q, dq, ddq = states(2)
     found = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)
@@ -177,12 +208,18 @@ def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda x: setattr(x, "inertia", None), "no inertia stage"),  # nor a URDF with masses
-        (lambda x: setattr(x.inertia.parameters[0], "name", "mz_1"), "'mz_1' is no base parameter"),
+        # nor a URDF with masses
+        (lambda x: setattr(x, "inertia", None), "no inertia stage"),
+        (
+            lambda x: setattr(x.inertia.parameters[0], "name", "mz_1"),
+            "'mz_1' is no base parameter",
+        ),
         (lambda x: x.inertia.representative.update(Izz_2=1e200), "1e\\+200"),
     ],
 )
-def test_what_cannot_be_exported_is_refused(change: Callable[[Stages], None], message: str) -> None:
+def test_what_cannot_be_exported_is_refused(
+    change: Callable[[Stages], None], message: str
+) -> None:
     robot, stages = sample("two_joint")
     change(stages)
     with pytest.raises(ConfigError, match=message):
@@ -190,14 +227,20 @@ def test_what_cannot_be_exported_is_refused(change: Callable[[Stages], None], me
 
 
 @pytest.mark.parametrize("error", [1e-6, 1e-3, 1.0])
-def test_noise_of_any_size_gives_bodies_that_exist(tmp_path: Path, error: float) -> None:
-    robot = save_robot(tmp_path, urdf_6r(), NAMES_6R, joint_extra="gear_ratio = 100.0\n")
+def test_noise_of_any_size_gives_bodies_that_exist(
+    tmp_path: Path, error: float
+) -> None:
+    robot = save_robot(
+        tmp_path, urdf_6r(), NAMES_6R, joint_extra="gear_ratio = 100.0\n"
+    )
     rng = np.random.default_rng(13)
     phi, rotor = random_bodies(rng, 6), np.full(6, 1e-4)
     size = len(stages_of(robot, phi, rotor).inertia.parameters)
     stages = stages_of(robot, phi, rotor, error=error, shift=rng.normal(size=size))
     model = export(robot, stages, kind="URDF").model
-    assert all(np.linalg.eigvalsh(pseudo_inertia(row))[0] > 0.0 for row in model.nearest.links)
+    assert all(
+        np.linalg.eigvalsh(pseudo_inertia(row))[0] > 0.0 for row in model.nearest.links
+    )
     assert model.largest_deviation < 5.0
 
 
@@ -215,7 +258,12 @@ def test_torque_scale_of_any_size_is_solved() -> None:
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [("a -- b", "a - - b"), ("*/ int x; /*", "* / int x; / *"), ("l\nm\\", "l.m."), ("a-", "a")],
+    [
+        ("a -- b", "a - - b"),
+        ("*/ int x; /*", "* / int x; / *"),
+        ("l\nm\\", "l.m."),
+        ("a-", "a"),
+    ],
 )
 def test_names_cannot_leave_a_comment(text: str, expected: str) -> None:
     assert plain(text) == expected

@@ -31,7 +31,9 @@ ROBOTS: dict[str, tuple[tuple[str, ...], str]] = {
 
 
 class Refined(NamedTuple):
-    """Parameter files of one robot, before and after refinement, and what they were made of."""
+    """Parameter files of one robot, before and after refinement, and what they were
+    made of.
+    """
 
     robot: Path
     before: Path

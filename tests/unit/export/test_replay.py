@@ -67,11 +67,14 @@ def test_what_was_written_is_as_good_as_it_states(dragged: Logged, kind: str) ->
 
 @pytest.mark.parametrize("kind", REDUCED)
 def test_the_stated_loss_is_right_on_another_log(dragged: Logged, kind: str) -> None:
-    """By the torques themselves: the file's own minus that of the written file, read again."""
+    """By the torques themselves: the file's own minus that of the written file, read
+    again.
+    """
     file = exported(dragged, kind)
     robot = load_robot(dragged.robot)
     full = FullModel.of(robot, read_parameters(dragged.file).stages)
-    # A log of exactly the file's torque: what the written form errs there is what it loses.
+    # A log of exactly the file's torque: what the written form errs there is what it
+    # loses.
     found = replayed(dragged.folder / NAMES[kind], kind, full, [dragged.other], {})
     joint = found[robot.joint_names[0]]
     assert joint.export_rmse is not None
@@ -129,7 +132,7 @@ def test_a_file_that_is_spoilt_by_hand_is_found(dragged: Logged, kind: str) -> N
     assert spoilt != path.read_text(encoding="utf-8")
     path.write_text(spoilt, encoding="utf-8")
     found = replayed(path, kind, full, [dragged.held_out], file.loss)
-    (first, *_) = failures(found, robot, path)
+    first, *_ = failures(found, robot, path)
     joint = found[robot.joint_names[0]]
     for part in (str(path), robot.joint_names[0], f"{joint.export_rmse:.3g} N m"):
         assert part in first
@@ -315,7 +318,8 @@ def test_a_refined_plant_in_a_model_file(plant: Recorded, kind: str) -> None:
         assert joint.export_rmse is not None
         assert joint.file_rmse is not None
         stated = np.hypot(joint.file_rmse, after.loss[name] or 0.0)
-        # Five drawn motions of 20 s each: where little is lost, a few fast moves decide.
+        # Five drawn motions of 20 s each: where little is lost, a few fast moves
+        # decide.
         tolerance = 0.1 if name == most else 0.2
         right = joint.export_rmse == pytest.approx(stated, rel=tolerance)
         if robot.n == 6 and name == most and not right:

@@ -9,4 +9,6 @@ def rig_fixture(name: str) -> Callable[[], Rig]:
     return pytest.fixture(lambda: sample_rig(name), scope="session", name=name)
 
 
-one_joint, two_joint, six_joint = map(rig_fixture, ("one_joint", "two_joint", "six_joint"))
+one_joint, two_joint, six_joint = map(
+    rig_fixture, ("one_joint", "two_joint", "six_joint")
+)

@@ -25,12 +25,17 @@ def test_friction_that_drives_is_poor(one_joint: Rig, share: float) -> None:
     stage = replace(one_joint.friction, joints={"joint_1": driving})
     (verdict,) = friction_verdicts(stage, one_joint.robot)
     assert verdict.joint == "joint_1"
-    assert "it would drive the joint. The sign of torque or current is wrong" in verdict.reason
+    assert (
+        "it would drive the joint. The sign of torque or current is wrong"
+        in verdict.reason
+    )
 
 
 @pytest.mark.parametrize("factor", [-1.0, 7.2, 0.1])
 def test_gravity_of_another_size_or_sign_is_poor(one_joint: Rig, factor: float) -> None:
-    off = {name: factor * value for name, value in one_joint.gravity.representative.items()}
+    off = {
+        name: factor * value for name, value in one_joint.gravity.representative.items()
+    }
     wrong = replace(one_joint.gravity, representative=off)
     stages = Stages(friction=one_joint.friction, gravity=wrong)
     known = judged(stages, Stages(), one_joint.robot)
@@ -52,12 +57,22 @@ def test_a_rotor_of_negative_inertia_is_poor(
 
 
 def test_errors_of_logs_are_verdicts_and_warnings_are_notes(one_joint: Rig) -> None:
-    error = found("joints_swapped", "the torque of a is b's", joint="a, b", channel="torque")
+    error = found(
+        "joints_swapped", "the torque of a is b's", joint="a, b", channel="torque"
+    )
     warning = found("torque_saturated", "is at 5 in 3 %", joint="a", channel="current")
-    seen = [replace(finding, log=name) for finding in (error, warning) for name in ("x", "y", "z")]
+    seen = [
+        replace(finding, log=name)
+        for finding in (error, warning)
+        for name in ("x", "y", "z")
+    ]
     logs = LogSet([], one_joint.robot, findings=seen)
     verdicts = logs.verdicts()
     assert poor(verdicts) == ["a", "b"]
-    assert verdicts[0].reason.startswith("[joints_swapped] x and 2 more logs: torque the torque")
+    assert verdicts[0].reason.startswith(
+        "[joints_swapped] x and 2 more logs: torque the torque"
+    )
     assert verdicts[0].reason.endswith(error.remedy)
-    assert logs.notes() == ["a: [torque_saturated] x and 2 more logs: current is at 5 in 3 %"]
+    assert logs.notes() == [
+        "a: [torque_saturated] x and 2 more logs: current is at 5 in 3 %"
+    ]

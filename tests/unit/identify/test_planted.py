@@ -38,8 +38,12 @@ NEEDS_NO_TORQUE = {"wrong sign", "amperes as torque"}  # of imu-calib
 
 
 def planted(fault: str, stage: str, folder: Path) -> Iterator[Path]:
-    """Logs of a stage with the fault in all of them; a spike is in the one in the middle."""
-    logs = sorted((RIG / {"simultaneous": "inertia"}.get(stage, stage)).glob("*.parquet"))
+    """Logs of a stage with the fault in all of them; a spike is in the one in the
+    middle.
+    """
+    logs = sorted(
+        (RIG / {"simultaneous": "inertia"}.get(stage, stage)).glob("*.parquet")
+    )
     for number, path in enumerate(logs):
         if fault == "none" or (fault == "spike" and number != len(logs) // 2):
             yield path
@@ -71,7 +75,8 @@ def test_the_stage_says_it(stage: str, fault: str, tmp_path: Path) -> None:
         assert fault != "none"
         return
     if fault == "none":
-        # The dry friction of this arm waves over the position, which one-step friction cannot hold.
+        # The dry friction of this arm waves over the position, which one-step friction
+        # cannot hold.
         expected = {"usable"} if stage == "simultaneous" else set()
         assert {verdict.level for verdict in poor} == expected
     elif stage != "imu" or fault not in NEEDS_NO_TORQUE:
@@ -82,5 +87,7 @@ def test_a_spike_does_not_spoil_the_prediction(tmp_path: Path) -> None:
     """One damaged sample used to make the error seven times as large."""
     logs = [list(planted(fault, "validation", tmp_path)) for fault in ("none", "spike")]
     sound, found = (identify.predict(own, ROBOT, GOLDEN) for own in logs)
-    assert found.joints["joint_1"].rmse == pytest.approx(sound.joints["joint_1"].rmse, rel=0.03)
+    assert found.joints["joint_1"].rmse == pytest.approx(
+        sound.joints["joint_1"].rmse, rel=0.03
+    )
     assert not any(verdict.good for verdict in found.verdicts if not verdict.joint)

@@ -14,7 +14,14 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Chain, Robot
 from tests import Array
-from tests.plants.motions.trajectories import Reference, hold, join, sweeps, together, zigzag
+from tests.plants.motions.trajectories import (
+    Reference,
+    hold,
+    join,
+    sweeps,
+    together,
+    zigzag,
+)
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.small import robot_from_chain
 from tests.plants.sensors import quantise
@@ -24,7 +31,8 @@ pytestmark = pytest.mark.slow
 RATE = 250.0
 G = 9.81
 SLIDE, ARM = 8.0, 3.0  # masses, kg
-MX, MZ, INERTIA = 0.6, 0.25, 0.21  # pendulum: first moments kg m, inertia about its axis kg m^2
+# pendulum: first moments kg m, inertia about its axis kg m^2
+MX, MZ, INERTIA = 0.6, 0.25, 0.21
 DRY, VISCOUS = np.array([30.0, 0.8]), np.array([60.0, 0.3])
 NOISE = np.array([2.0, 0.05])  # N, N m
 STEPS = np.array([5e-6, 2 * np.pi / 2**16])  # m, rad
@@ -41,11 +49,15 @@ def slider() -> Robot:
         prismatic=np.array([True, False]),
     )
     robot = robot_from_chain(chain, gravity=np.array([0.0, 0.0, -G]))
-    return replace(robot, joints=tuple(replace(j, rotor_inertia=0.0) for j in robot.joints))
+    return replace(
+        robot, joints=tuple(replace(j, rotor_inertia=0.0) for j in robot.joints)
+    )
 
 
 def load(reference: Reference) -> Array:
-    """Lagrange's equations and friction; the pendulum's centre is (mx sin q + mz cos q) / m up."""
+    """Lagrange's equations and friction; the pendulum's centre is (mx sin q + mz cos q)
+    / m up.
+    """
     q, dq, ddq = reference.q[:, 1], reference.dq, reference.ddq
     s, c = np.sin(q), np.cos(q)
     lever = MX * c - MZ * s  # derivative of the height's moment
@@ -58,11 +70,15 @@ def load(reference: Reference) -> Array:
 
 def record(reference: Reference, seed: int) -> Recording:
     noise = NOISE * np.random.default_rng(seed).standard_normal(reference.q.shape)
-    return made_recording(quantise(reference.q, STEPS), load(reference) + noise, rate_hz=RATE)
+    return made_recording(
+        quantise(reference.q, STEPS), load(reference) + noise, rate_hz=RATE
+    )
 
 
 def identified() -> Stages:
-    """From moves of one joint at a time, the slide with the pendulum in two postures, and both."""
+    """From moves of one joint at a time, the slide with the pendulum in two postures,
+    and both.
+    """
     drills = []
     for j, angle in ((0, -1.2), (0, 0.9), (1, 0.3)):
         pace = (np.geomspace(0.1, 1.0, 6) * TOP[j]).tolist()
@@ -71,7 +87,9 @@ def identified() -> Stages:
         drills.append(record(motion, len(drills)))
     rng = np.random.default_rng(1)
     moving = {
-        j: zigzag(rng, tuple(LIMITS[j]), float(TOP[j]), float(ACCELERATION[j]), 20.0, RATE)
+        j: zigzag(
+            rng, tuple(LIMITS[j]), float(TOP[j]), float(ACCELERATION[j]), 20.0, RATE
+        )
         for j in (0, 1)
     }
     motion = together(LIMITS.mean(axis=1), moving, RATE)
@@ -89,7 +107,9 @@ TRUE = {"m_1": SLIDE, "m_2": ARM, "mx_2": MX, "my_2": 0.0, "mz_2": MZ, "Iyy_2": 
 
 
 def test_all_stages_find_the_truth() -> None:
-    """Equations of the plant and of the package are not of one source: Lagrange, Newton-Euler."""
+    """Equations of the plant and of the package are not of one source: Lagrange,
+    Newton-Euler.
+    """
     stages = identified()
     joints = stages.friction.joints.values()
     assert [joint.unit for joint in joints] == ["N", "N m"]
@@ -100,7 +120,9 @@ def test_all_stages_find_the_truth() -> None:
         middle = np.full(30, LIMITS[j].mean())
         true = DRY[j] + VISCOUS[j] * speed
         for sign in (1, -1):
-            np.testing.assert_allclose(sign * surface.torque(middle, sign * speed), true, rtol=0.02)
+            np.testing.assert_allclose(
+                sign * surface.torque(middle, sign * speed), true, rtol=0.02
+            )
     gravity, inertia = stages.gravity, stages.inertia
     assert gravity.not_excited == []
     assert {p.unit for p in gravity.parameters} == {"kg", "kg m"}

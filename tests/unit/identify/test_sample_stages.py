@@ -43,11 +43,15 @@ def test_friction_surfaces_are_the_true_ones_where_the_trials_were(name: str) ->
 
 
 def within(rig: Rig, stage: RigidStage, sigmas: float) -> list[bool]:
-    return [abs(p.value - rig.true_value(p)) < sigmas * p.std_error for p in stage.parameters]
+    return [
+        abs(p.value - rig.true_value(p)) < sigmas * p.std_error
+        for p in stage.parameters
+    ]
 
 
 @pytest.mark.parametrize(
-    ("name", "count"), [("one_joint", 2), pytest.param("six_joint", 10, marks=pytest.mark.slow)]
+    ("name", "count"),
+    [("one_joint", 2), pytest.param("six_joint", 10, marks=pytest.mark.slow)],
 )
 def test_gravity_parameters_are_the_true_ones(name: str, count: int) -> None:
     rig = sample_rig(name)
@@ -90,7 +94,9 @@ def test_six_joint_parameters_are_true_and_of_full_rank(six_joint: Rig) -> None:
     assert len(stage.motion) == 15
     assert set(stage.motion.values()) <= {"encoder", "fused: imu_a, imu_b"}
     assert stage.rotor_coupling == "diagonal"
-    names = {p.name for p in stage.parameters} | {p.name for p in six_joint.gravity.parameters}
+    names = {p.name for p in stage.parameters} | {
+        p.name for p in six_joint.gravity.parameters
+    }
     good = within(six_joint, six_joint.gravity, 3.0) + within(six_joint, stage, 3.0)
     assert len(names) == len(good) == 36
     assert np.mean(good) >= 0.95
@@ -108,7 +114,9 @@ def test_imu_mountings_are_found_within_a_third_of_a_degree(six_joint: Rig) -> N
 
 
 def test_a_mounting_about_parallel_axes_is_called_undetermined(two_joint: Rig) -> None:
-    """All axes of the planar arm, and gravity, are parallel: the first link's angle stays open."""
+    """All axes of the planar arm, and gravity, are parallel: the first link's angle
+    stays open.
+    """
     first, second = (two_joint.imu.imus[name] for name in ("imu_a", "imu_b"))
     assert first.not_determined[0].startswith("the angle about the link's axis")
     assert first.lever == [None] * 3
@@ -126,14 +134,18 @@ def test_a_mounting_about_parallel_axes_is_called_undetermined(two_joint: Rig) -
 def test_imus_do_better_than_the_coarse_encoder_alone(two_joint: Rig) -> None:
     """Table II of the paper: which motion the inertia is identified from matters."""
     encoder = two_joint.inertia_of(two_joint.logs("inertia"), source="encoder")
-    for fused, alone in zip(two_joint.inertia.parameters, encoder.parameters, strict=True):
+    for fused, alone in zip(
+        two_joint.inertia.parameters, encoder.parameters, strict=True
+    ):
         assert fused.std_error < alone.std_error
     assert set(encoder.motion.values()) == {"encoder"}
 
 
 @pytest.mark.slow
 def test_one_pair_alone_leaves_parameters_open_and_names_them(six_joint: Rig) -> None:
-    logs = [log for log in six_joint.logs("inertia") if log.path.stem == "elbow__wrist_1"]
+    logs = [
+        log for log in six_joint.logs("inertia") if log.path.stem == "elbow__wrist_1"
+    ]
     stage = six_joint.inertia_of(logs)
     assert stage.rank < stage.structural_rank == 36
     assert stage.missing_pairs
@@ -146,7 +158,9 @@ def test_one_pair_alone_leaves_parameters_open_and_names_them(six_joint: Rig) ->
     assert "not excited" in "\n".join(stage.notes)
 
 
-def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: Rig) -> None:
+def test_pairs_for_an_arm_of_which_nothing_is_known(
+    six_joint: Rig, one_joint: Rig
+) -> None:
     """With gravity known before, random states of the pairs show every base parameter."""
     robot = six_joint.robot
     basis = base_parameters(robot, rotor=())
@@ -160,13 +174,18 @@ def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: R
         dq[:, moving], ddq[:, moving] = rng.normal(size=(2, 200, len(moving)))
         rows += [*base_regressor(robot, basis, q, dq, ddq)[:, moving]]
     W = np.vstack(rows)
-    assert np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0).clip(1e-12), tol=1e-6) == basis.size
+    assert (
+        np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0).clip(1e-12), tol=1e-6)
+        == basis.size
+    )
     basis = base_parameters(one_joint.robot, rotor=())
     assert missing_pairs(one_joint.robot, basis, np.eye(basis.size)) == [["joint_1"]]
     assert missing_pairs(one_joint.robot, basis, np.zeros((basis.size, 0))) == []
 
 
-def test_logs_and_stages_that_lack_something_are_refused(one_joint: Rig, six_joint: Rig) -> None:
+def test_logs_and_stages_that_lack_something_are_refused(
+    one_joint: Rig, six_joint: Rig
+) -> None:
     drills, robot = one_joint.logs("friction"), one_joint.robot
     for stage, options in (
         (identify_gravity, {}),
@@ -174,7 +193,9 @@ def test_logs_and_stages_that_lack_something_are_refused(one_joint: Rig, six_joi
     ):
         with pytest.raises(UsageError, match="friction stage"):
             stage(drills, robot, Stages(), **options)
-    with pytest.raises(QualityError, match="needs at least 13 speeds, these logs hold 12"):
+    with pytest.raises(
+        QualityError, match="needs at least 13 speeds, these logs hold 12"
+    ):
         identify_friction(drills, robot, options=FrictionOptions(velocity_order=12))
     robot, validation = six_joint.robot, six_joint.logs("validation")[:1]
     with pytest.raises(QualityError, match="moves by itself at constant velocity"):

@@ -19,11 +19,19 @@ from seqid_cli.params.schema import RigidStage
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.plants.motions.trajectories import join, sweeps
-from tests.plants.robots.seven_joint import JOINTS, RATE_HZ, known_friction, write_arm, write_log
+from tests.plants.robots.seven_joint import (
+    JOINTS,
+    RATE_HZ,
+    known_friction,
+    write_arm,
+    write_log,
+)
 from tests.plants.sensors import quantise
 from tests.unit.logs.writers import write_parquet
 
-OPTIONS = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=12.0), neighbours=())
+OPTIONS = InertiaOptions(
+    source="encoder", motion=MotionOptions(cutoff_hz=12.0), neighbours=()
+)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +46,9 @@ def robot(folder: Path) -> Robot:
     return load_robot(folder / "robot.toml")
 
 
-def inertia_of(path: Path, robot: Robot, options: InertiaOptions = OPTIONS) -> RigidStage:
+def inertia_of(
+    path: Path, robot: Robot, options: InertiaOptions = OPTIONS
+) -> RigidStage:
     opened = [open_surveyed(path, robot)]
     return identify_inertia(opened, robot, known_friction(), options=options).inertia
 
@@ -46,12 +56,18 @@ def inertia_of(path: Path, robot: Robot, options: InertiaOptions = OPTIONS) -> R
 @pytest.fixture(scope="module")
 def held(folder: Path, robot: Robot) -> RigidStage:
     recording = read_recording(folder / "log.parquet", robot)
-    return identify_inertia([recording], robot, known_friction(), options=OPTIONS).inertia
+    return identify_inertia(
+        [recording], robot, known_friction(), options=OPTIONS
+    ).inertia
 
 
 @pytest.mark.parametrize("least", [1_000, 32_768])
 def test_inertia_is_that_of_the_held_log(
-    folder: Path, robot: Robot, held: RigidStage, least: int, monkeypatch: pytest.MonkeyPatch
+    folder: Path,
+    robot: Robot,
+    held: RigidStage,
+    least: int,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(blocks, "LEAST_BLOCK", least)
     monkeypatch.setattr(inertia_equations, "LEAST_CHUNKS", 1)
@@ -62,13 +78,20 @@ def test_inertia_is_that_of_the_held_log(
         assert abs(a.value - b.value) < 1e-3 * b.std_error, a.name
         # Leaving out one of few blocks leaves little: the jackknife magnifies rounding.
         assert a.std_error == pytest.approx(b.std_error, rel=1e-3)
-    for name, rel in {"rank": 0, "condition": 1e-5, "rmse": 1e-6, "cutoff_hz": 1e-6}.items():
+    for name, rel in {
+        "rank": 0,
+        "condition": 1e-5,
+        "rmse": 1e-6,
+        "cutoff_hz": 1e-6,
+    }.items():
         assert getattr(found, name) == pytest.approx(getattr(held, name), rel=rel)
     assert [v.good for v in found.verdicts] == [v.good for v in held.verdicts]
     assert found.not_excited == held.not_excited
 
 
-def test_bits_do_not_tell_how_the_file_was_cut(folder: Path, robot: Robot, tmp_path: Path) -> None:
+def test_bits_do_not_tell_how_the_file_was_cut(
+    folder: Path, robot: Robot, tmp_path: Path
+) -> None:
     path = tmp_path / "log.parquet"
     pq.write_table(pq.read_table(folder / "log.parquet"), path, row_group_size=997)
     first, second = (inertia_of(p, robot) for p in (folder / "log.parquet", path))
@@ -76,7 +99,9 @@ def test_bits_do_not_tell_how_the_file_was_cut(folder: Path, robot: Robot, tmp_p
     assert first.covariance == second.covariance
 
 
-def test_a_log_shorter_than_the_filter_is_told(folder: Path, robot: Robot, tmp_path: Path) -> None:
+def test_a_log_shorter_than_the_filter_is_told(
+    folder: Path, robot: Robot, tmp_path: Path
+) -> None:
     path = tmp_path / "log.parquet"
     pq.write_table(pq.read_table(folder / "log.parquet").slice(0, 400), path)
     options = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=2.0))
@@ -86,14 +111,24 @@ def test_a_log_shorter_than_the_filter_is_told(folder: Path, robot: Robot, tmp_p
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rows", [1_000, 20_000])
-def test_trials_are_those_of_the_held_log(rows: int, robot: Robot, tmp_path: Path) -> None:
+def test_trials_are_those_of_the_held_log(
+    rows: int, robot: Robot, tmp_path: Path
+) -> None:
     """To the last bit; one joint moves without a pause for a long time."""
     home, parts = np.zeros(len(JOINTS)), []
-    for joint, speeds, dwell in ((0, [0.2, 0.7], 0.4), (1, [0.2] * 15, 0.0), (5, [0.7, 1.0], 0.4)):
+    for joint, speeds, dwell in (
+        (0, [0.2, 0.7], 0.4),
+        (1, [0.2] * 15, 0.0),
+        (5, [0.7, 1.0], 0.4),
+    ):
         span = (-0.25, 0.25)
-        parts.append(sweeps(home, joint, span, speeds, 4.0, rate_hz=RATE_HZ, dwell=dwell))
+        parts.append(
+            sweeps(home, joint, span, speeds, 4.0, rate_hz=RATE_HZ, dwell=dwell)
+        )
     q = join(parts).q
-    tau = np.random.default_rng(3).normal(size=q.shape) + 2.0 * np.sign(np.gradient(q, axis=0))
+    tau = np.random.default_rng(3).normal(size=q.shape) + 2.0 * np.sign(
+        np.gradient(q, axis=0)
+    )
     t, path = np.arange(len(q)) / RATE_HZ, tmp_path / "log.parquet"
     write_parquet(path, t, JOINTS, quantise(q, 1e-6), torque=tau)
     pq.write_table(pq.read_table(path), path, row_group_size=3_000)
@@ -101,9 +136,15 @@ def test_trials_are_those_of_the_held_log(rows: int, robot: Robot, tmp_path: Pat
     expected = trials_of(robot, read_recording(path, robot), 0)
     assert len(found) == len(expected) > 10
     for own, other in zip(found, expected, strict=True):
-        assert (own.joint, own.velocity, own.weight) == (other.joint, other.velocity, other.weight)
+        assert (own.joint, own.velocity, own.weight) == (
+            other.joint,
+            other.velocity,
+            other.weight,
+        )
         for name in ("t", "q", "dq", "ddq", "tau", "configuration"):
             np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
         for name in ("q", "dq", "ddq", "tau"):
-            np.testing.assert_array_equal(getattr(own.ramps, name), getattr(other.ramps, name))
+            np.testing.assert_array_equal(
+                getattr(own.ramps, name), getattr(other.ramps, name)
+            )
             assert getattr(own.ramps, name).base is None  # no trial keeps its log alive

@@ -14,7 +14,11 @@ from tests.unit.inspect.planting import Columns, Plant
 
 SAMPLES = ROOT / "sample_logs"
 SIX = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-WAVES, POINTS, SINGLE = "validation/fourier_1", "validation/point_to_point", "friction/elbow"
+WAVES, POINTS, SINGLE = (
+    "validation/fourier_1",
+    "validation/point_to_point",
+    "friction/elbow",
+)
 
 
 @dataclass(frozen=True)
@@ -33,7 +37,11 @@ class Fault:
 
     @property
     def without_imus(self) -> bool:
-        return self.rig == "six_joint" and not self.triad and not self.joint.startswith("imu")
+        return (
+            self.rig == "six_joint"
+            and not self.triad
+            and not self.joint.startswith("imu")
+        )
 
 
 def read_columns(path: Path) -> Columns:
@@ -159,7 +167,10 @@ FAULTS = (
 BY_NAME = {fault.name: fault for fault in FAULTS}
 # Faults of different channels that share a log, so that one inspection finds them all.
 TOGETHER = (
-    "degrees against limits; wraps; freeze; velocity in degrees; torque missing; kelvin",
+    (
+        "degrees against limits; wraps; freeze; velocity in degrees; torque missing;"
+        " kelvin"
+    ),
     "motor side; spikes; velocity sign; limits exceeded; torque held; temperature off",
     "lost counts; velocity scale; speed limit; torque clipped",
     "resolution; velocity zero; torque quantised",

@@ -17,14 +17,21 @@ def planter(
     change: Callable[Concatenate[Columns, np.random.Generator, P], None],
 ) -> Callable[P, Plant]:
     """Make plants of a change to columns that takes more than these."""
-    return lambda *args, **named: lambda columns, rng: change(columns, rng, *args, **named)
+    return lambda *args, **named: (
+        lambda columns, rng: change(columns, rng, *args, **named)
+    )
 
 
 @planter
 def changed(
-    columns: Columns, _: np.random.Generator, pattern: str, change: Callable[[Array], Array]
+    columns: Columns,
+    _: np.random.Generator,
+    pattern: str,
+    change: Callable[[Array], Array],
 ) -> None:
-    columns.update({n: change(values) for n, values in columns.items() if fnmatch(n, pattern)})
+    columns.update(
+        {n: change(values) for n, values in columns.items() if fnmatch(n, pattern)}
+    )
 
 
 @planter
@@ -61,7 +68,9 @@ def held(pattern: str, size: int) -> Plant:
 
 
 def clipped(pattern: str, share: float) -> Plant:
-    return changed(pattern, lambda x: np.clip(x, -share * abs(x).max(), share * abs(x).max()))
+    return changed(
+        pattern, lambda x: np.clip(x, -share * abs(x).max(), share * abs(x).max())
+    )
 
 
 def wrapped(pattern: str) -> Plant:
@@ -80,13 +89,17 @@ def frozen(pattern: str, samples: int) -> Plant:
     def stop(x: Array) -> Array:
         slope = np.gradient(np.convolve(x, np.ones(25) / 25, "same"))
         fast = int(np.argmax(np.abs(slope[100:-100]))) + 100
-        return np.concatenate([x[:fast], np.full(samples, x[fast]), x[fast + samples :]])
+        return np.concatenate(
+            [x[:fast], np.full(samples, x[fast]), x[fast + samples :]]
+        )
 
     return changed(pattern, stop)
 
 
 @planter
-def beside(columns: Columns, _: np.random.Generator, joint: str, motor: str, sensor: str) -> None:
+def beside(
+    columns: Columns, _: np.random.Generator, joint: str, motor: str, sensor: str
+) -> None:
     """A second sensor at every joint, reversed at one."""
     for name in [name for name in columns if name.endswith(motor)]:
         sign = -1.0 if name == f"{joint}{motor}" else 1.0
@@ -113,7 +126,9 @@ def spikes(columns: Columns, rng: np.random.Generator, name: str, size: float) -
 
 
 @planter
-def missing(columns: Columns, rng: np.random.Generator, name: str, share: float) -> None:
+def missing(
+    columns: Columns, rng: np.random.Generator, name: str, share: float
+) -> None:
     inside = rng.choice(len(columns[name]) - 20, int(share * len(columns[name]))) + 10
     columns[name][inside] = np.nan
 
@@ -129,7 +144,9 @@ def jittered(columns: Columns, rng: np.random.Generator) -> None:
     kept = np.sort(rng.choice(len(t), int(0.6 * len(t)), replace=False))
     changed("*", lambda x: x[kept])(columns, rng)
     # Bursts of stamps, as of a buffered reader: in order, but far from even.
-    steps = np.diff(columns["t"]).mean() * rng.exponential(1.0, len(kept)).clip(0.01, 4.0)
+    steps = np.diff(columns["t"]).mean() * rng.exponential(1.0, len(kept)).clip(
+        0.01, 4.0
+    )
     columns["t"] = t[0] + np.cumsum(steps)
 
 
@@ -140,11 +157,15 @@ def exchanged(x: Array) -> Array:
 
 
 exchanged_rows = changed("*", exchanged)
-repeated_rows = changed("*", lambda x: np.insert(x, [200, 700, 701, 702], x[[200, 700, 701, 702]]))
+repeated_rows = changed(
+    "*", lambda x: np.insert(x, [200, 700, 701, 702], x[[200, 700, 701, 702]])
+)
 
 
 @planter
-def renamed(columns: Columns, _: np.random.Generator, old: str, new: str | None) -> None:
+def renamed(
+    columns: Columns, _: np.random.Generator, old: str, new: str | None
+) -> None:
     for name in [*columns]:
         values = columns.pop(name)
         if new or old not in name:

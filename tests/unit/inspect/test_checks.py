@@ -1,4 +1,6 @@
-"""Checks on their own numbers, which stages logs serve, and the documents' table of codes."""
+"""Checks on their own numbers, which stages logs serve, and the documents' table of
+codes.
+"""
 
 import re
 import shutil
@@ -21,28 +23,40 @@ WAVES = pytest.param("validation/fourier_1", marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize("log", [WAVES, "inertia/shoulder_lift__elbow"])
-def test_a_driver_that_subtracts_gravity_is_told_from_a_mounting(tmp_path: Path, log: str) -> None:
+def test_a_driver_that_subtracts_gravity_is_told_from_a_mounting(
+    tmp_path: Path, log: str
+) -> None:
     folder = SAMPLES / "six_joint"
     robot = load_robot(folder / "robot.toml")
     columns = read_columns(folder / f"{log}.parquet")
     q = np.column_stack([columns[f"{name}.position"] for name in SIX])
-    weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, 0.0 * q, 0.0 * q)
+    weight = inverse_dynamics(
+        robot.chain, robot.gravity, robot.nominal, q, 0.0 * q, 0.0 * q
+    )
     for joint, own in zip(robot.joints, weight.T, strict=True):
         current = columns.pop(f"{joint.name}.current")
         columns[f"{joint.name}.torque"] = current * joint.torque_per_ampere - own
     write_columns(tmp_path / "log.parquet", columns)
     shutil.copy(folder / "six_joint.urdf", tmp_path)
     text = (folder / "robot.toml").read_text()
-    for effort, codes in (("torque", {"effort_without_gravity"}), ("gravity_compensated", set())):
+    for effort, codes in (
+        ("torque", {"effort_without_gravity"}),
+        ("gravity_compensated", set()),
+    ):
         own_text = text.replace('effort = "current"', f'effort = "{effort}"')
         (tmp_path / "robot.toml").write_text(own_text)
-        found = inspect_log(tmp_path / "log.parquet", load_robot(tmp_path / "robot.toml")).findings
+        found = inspect_log(
+            tmp_path / "log.parquet", load_robot(tmp_path / "robot.toml")
+        ).findings
         assert {finding.code for finding in found} == codes
 
 
 @pytest.mark.parametrize("lost", [0, 80])
 def test_the_hole_between_episodes_is_no_gap(tmp_path: Path, lost: int) -> None:
-    t, episode = np.tile(np.arange(0.0, 10.0, 0.01), 3), np.repeat([0.0, 1.0, 2.0], 1000)
+    t, episode = (
+        np.tile(np.arange(0.0, 10.0, 0.01), 3),
+        np.repeat([0.0, 1.0, 2.0], 1000),
+    )
     kept = np.delete(np.arange(3000), slice(1500, 1500 + lost))
     table = {
         "t": t,
@@ -50,23 +64,40 @@ def test_the_hole_between_episodes_is_no_gap(tmp_path: Path, lost: int) -> None:
         "a.position": np.round(np.sin(t) / 1e-4) * 1e-4,
         "a.torque": np.cos(1.3 * t) + 0.5 * np.sign(np.cos(t)),
     }
-    write_columns(tmp_path / "log.parquet", {name: x[kept] for name, x in table.items()})
-    found = [f for f in inspect_log(tmp_path / "log.parquet").findings if f.code == "clock_gap"]
+    write_columns(
+        tmp_path / "log.parquet", {name: x[kept] for name, x in table.items()}
+    )
+    found = [
+        f
+        for f in inspect_log(tmp_path / "log.parquet").findings
+        if f.code == "clock_gap"
+    ]
     assert [f.message.split(",")[0] for f in found] == ["1 gaps"] * bool(lost)
 
 
-ROW = re.compile(r"^\| `(\w+)` \| (error|warning) \| [^|]+ \| [^|]+ \| ([^|]+) \|$", re.MULTILINE)
+ROW = re.compile(
+    r"^\| `(\w+)` \| (error|warning) \| [^|]+ \| [^|]+ \| ([^|]+) \|$", re.MULTILINE
+)
 
 
 def test_the_table_of_codes_is_the_packages_own() -> None:
     rows = sorted(ROW.findall((ROOT / "docs" / "inspect.md").read_text()))
     kinds = (("error", ERRORS), ("warning", WARNINGS))
-    assert rows == sorted((code, kind, own[code]) for kind, own in kinds for code in own)
+    assert rows == sorted(
+        (code, kind, own[code]) for kind, own in kinds for code in own
+    )
 
 
-def log(speed: float, *serves: str, backward: int = 1, effort: str = "torque") -> InspectedLog:
+def log(
+    speed: float, *serves: str, backward: int = 1, effort: str = "torque"
+) -> InspectedLog:
     joint = {"name": "elbow", "moves": True, "low": -1.0, "high": 1.0, "top_speed": 1.0}
-    joint |= {"effort": effort, "encoder_step": None, "effort_rms": None, "temperature": None}
+    joint |= {
+        "effort": effort,
+        "encoder_step": None,
+        "effort_rms": None,
+        "temperature": None,
+    }
     moves = {"joint": "elbow", "forward": 1, "backward": backward, "postures": 1}
     moves |= {"slowest": speed, "fastest": speed}
     known = {"path": f"{speed}", "sha256": "", "format": "csv", "verdict": "good"}
@@ -87,4 +118,7 @@ def log(speed: float, *serves: str, backward: int = 1, effort: str = "torque") -
 )
 def test_logs_serve_friction_together(third: InspectedLog, served: list[str]) -> None:
     found = serve_together([log(0.1, "gravity"), log(0.2), third])
-    assert [" ".join(one.serves) for one in found] == [f"{served[0]} gravity".strip(), *served[1:]]
+    assert [" ".join(one.serves) for one in found] == [
+        f"{served[0]} gravity".strip(),
+        *served[1:],
+    ]

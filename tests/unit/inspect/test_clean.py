@@ -12,10 +12,14 @@ from tests.plants.robots.sample import sample_robot
 from tests.unit.inspect.faults import SAMPLES
 
 RIGS = {"one_joint": 1, "two_joint": 2, "six_joint": 6}  # joints of each
-SERVES = {"friction": "friction", "gravity": "gravity", "imu": "imu-calib"} | dict.fromkeys(
-    ("inertia", "validation", "changed"), "inertia"
-)
-FOLDERS = [(rig, stage) for rig in RIGS for stage in SERVES if (SAMPLES / rig / stage).is_dir()]
+SERVES = {
+    "friction": "friction",
+    "gravity": "gravity",
+    "imu": "imu-calib",
+} | dict.fromkeys(("inertia", "validation", "changed"), "inertia")
+FOLDERS = [
+    (rig, stage) for rig in RIGS for stage in SERVES if (SAMPLES / rig / stage).is_dir()
+]
 
 
 def logs_of(*folders: Path) -> list[Path]:
@@ -25,7 +29,10 @@ def logs_of(*folders: Path) -> list[Path]:
 
 @pytest.mark.parametrize(
     ("rig", "stage"),
-    [pytest.param(*one, marks=[pytest.mark.slow] * (one[0] == "six_joint")) for one in FOLDERS],
+    [
+        pytest.param(*one, marks=[pytest.mark.slow] * (one[0] == "six_joint"))
+        for one in FOLDERS
+    ],
 )
 def test_sample_logs_are_good(rig: str, stage: str) -> None:
     report = inspect_logs(logs_of(SAMPLES / rig / stage), sample_robot(rig))
@@ -43,7 +50,8 @@ def test_sample_logs_are_good_without_a_robot_file(rig: str) -> None:
 UR5E = ("0_train", "0_holdout", "5_train", "5_holdout")
 # What is really wrong with the recordings, looked at one by one.
 TRUE = {
-    # the position advances by up to 1 rad between two samples: samples were lost without a gap
+    # the position advances by up to 1 rad between two samples: samples were lost
+    # without a gap
     "laas_cogging/acc_current": {"position_jump"},
     # one row per stop, at uneven times; the velocity is that of the standing motor
     **{f"ur5e_joints/joint_{part}": {"samples_lost"} for part in UR5E},
@@ -67,11 +75,13 @@ def codes(*given: Path | Robot) -> set[str]:
     return {finding.code for finding in inspect_log(*given).findings}
 
 
-# Logs of one robot are much alike: every fourth of the many of the UR10e, one of the TX40's two
-# long ones, and all with something wrong.
+# Logs of one robot are much alike: every fourth of the many of the UR10e, one of the
+# TX40's two long ones, and all with something wrong.
 CHOSEN = [
     path
-    for k, path in enumerate(sorted((SAMPLES / "../../shared/data").glob("*/*.parquet")))
+    for k, path in enumerate(
+        sorted((SAMPLES / "../../shared/data").glob("*/*.parquet"))
+    )
     if name_of(path) != "staubli_tx40/train"
     and (path.parent.name != "ur10e_innopolis" or k % 4 == 0 or name_of(path) in TRUE)
 ]

@@ -1,4 +1,6 @@
-"""Logs whose torque is an echo of the command are told; those with a drive's torque are not."""
+"""Logs whose torque is an echo of the command are told; those with a drive's torque are
+not.
+"""
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ STEP = 0.01  # N m, of the torque
 
 
 def motion(seed: int = 0, speed: float = 1.0) -> tuple[Array, Array, Array, Array]:
-    """Time, position, velocity, acceleration of two joints; slower where `speed` is below 1."""
+    """Time, position, velocity, acceleration of two joints; slower where `speed` is
+    below 1.
+    """
     q = wander(30.0, seed)
     t = np.arange(len(q)) / RATE_HZ / speed
     dq = np.gradient(q, t, axis=0)
@@ -46,11 +50,19 @@ def test_torque_that_follows_the_position_is_told_by_joint(seed: int) -> None:
     assert found(t, q, driven, seed) == [1]
 
 
-CASES = [(1.0, 1.0, 0.2), (1.0, 0.3, 0.2), (0.2, 1.0, 0.2), (0.2, 0.3, 0.2), (1.0, 0.0, 0.5)]
+CASES = [
+    (1.0, 1.0, 0.2),
+    (1.0, 0.3, 0.2),
+    (0.2, 1.0, 0.2),
+    (0.2, 0.3, 0.2),
+    (1.0, 0.0, 0.5),
+]
 
 
 @pytest.mark.parametrize(("speed", "share", "inertia"), CASES)
-def test_torque_of_friction_or_inertia_is_none(speed: float, share: float, inertia: float) -> None:
+def test_torque_of_friction_or_inertia_is_none(
+    speed: float, share: float, inertia: float
+) -> None:
     t, q, dq, ddq = motion(speed=speed)
     assert found(t, q, gravity(q) + share * friction(dq) + inertia * ddq, 6) == []
 

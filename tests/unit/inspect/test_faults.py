@@ -26,8 +26,12 @@ SEED = 5
 
 def inspect_planted(faults: Sequence[Fault], folder: Path) -> InspectionFile:
     first = faults[0]
-    ((*base, without_imus, triad),) = {(f.rig, f.base, f.without_imus, f.triad) for f in faults}
-    columns = {n: x.copy() for n, x in sound_columns(*base, without_imus, triad).items()}
+    ((*base, without_imus, triad),) = {
+        (f.rig, f.base, f.without_imus, f.triad) for f in faults
+    }
+    columns = {
+        n: x.copy() for n, x in sound_columns(*base, without_imus, triad).items()
+    }
     text = (SAMPLES / first.rig / "robot.toml").read_text()
     end = text.index("[channels]") if "[channels]" in text else len(text)
     if triad:
@@ -51,7 +55,9 @@ def inspect_planted(faults: Sequence[Fault], folder: Path) -> InspectionFile:
 def sound_columns(rig: str, base: str, without_imus: bool, triad: bool) -> Columns:
     columns = read_columns(SAMPLES / rig / f"{base}.parquet")
     if without_imus:
-        columns = {name: values for name, values in columns.items() if "imu" not in name}
+        columns = {
+            name: values for name, values in columns.items() if "imu" not in name
+        }
     if rig == "six_joint" and base != SINGLE:
         add_velocities_and_temperatures(columns)
     if base == SINGLE:  # a third of the speeds is enough
@@ -70,11 +76,15 @@ def add_velocities_and_temperatures(columns: Columns) -> None:
 
 
 def turn_into_triad(columns: Columns) -> None:
-    """Make of the array imu_b an ordinary IMU: its triad at the origin, and a gyro beside it."""
+    """Make of the array imu_b an ordinary IMU: its triad at the origin, and a gyro
+    beside it.
+    """
     t, robot, rng = columns["t"], sample_robot("six_joint"), np.random.default_rng(SEED)
     q = np.column_stack([columns[f"{name}.position"] for name in SIX])
     dq = np.gradient(q, t, axis=0)
-    dq = np.apply_along_axis(lambda x: np.convolve(x, np.hanning(11) / 5.0, "same"), 0, dq)
+    dq = np.apply_along_axis(
+        lambda x: np.convolve(x, np.hanning(11) / 5.0, "same"), 0, dq
+    )
     w = link_motion(robot.chain, robot.gravity, q.T, dq.T, np.zeros_like(dq.T)).w[-1].T
     array = [columns.pop(f"imu_b.a{k}") for k in range(1, 13)]
     for k, axis in enumerate("xyz"):
@@ -86,20 +96,29 @@ def turn_into_triad(columns: Columns) -> None:
 @pytest.mark.parametrize(
     "faults",
     [
-        pytest.param(own, id=own[0].name, marks=[] if len(own) > 1 else [pytest.mark.slow])
+        pytest.param(
+            own, id=own[0].name, marks=[] if len(own) > 1 else [pytest.mark.slow]
+        )
         for own in table.groups()
     ],
 )
-def test_a_planted_fault_is_found_and_nothing_else(faults: list[Fault], tmp_path: Path) -> None:
+def test_a_planted_fault_is_found_and_nothing_else(
+    faults: list[Fault], tmp_path: Path
+) -> None:
     report = inspect_planted(faults, tmp_path)
-    found = {(finding.code, finding.joint, finding.message) for finding in report.findings}
+    found = {
+        (finding.code, finding.joint, finding.message) for finding in report.findings
+    }
     assert {code for code, _, _ in found} == {fault.code for fault in faults}, found
     for fault in faults:
-        mine = [f for f in report.findings if (f.code, f.joint) == (fault.code, fault.joint)]
+        mine = [
+            f for f in report.findings if (f.code, f.joint) == (fault.code, fault.joint)
+        ]
         assert mine, (fault.name, found)
         if fault.channel is not None:
             assert [finding.channel for finding in mine] == [fault.channel]
-    if len(faults) > 1 or faults[0].channel is not None:  # one channel each, so one finding each
+    # one channel each, so one finding each
+    if len(faults) > 1 or faults[0].channel is not None:
         assert len(report.findings) == len(faults), found
     faulty = any(fault.code in ERRORS for fault in faults)
     assert report.verdict == ("faulty" if faulty else "usable")
@@ -110,11 +129,15 @@ FOLDER = SAMPLES / "six_joint"
 
 
 def messages(imu_late_s: float, log_late_s: float) -> list[Message]:
-    """Of joints and of imu_a; the robot file has another IMU, which a log need not have."""
+    """Of joints and of imu_a; the robot file has another IMU, which a log need not
+    have.
+    """
     columns = read_columns(FOLDER / "validation" / "fourier_1.parquet")
     columns = {name: values[:1000] for name, values in columns.items()}
     q, effort, array = (
-        np.column_stack([values for name, values in columns.items() if fnmatch(name, pattern)])
+        np.column_stack(
+            [values for name, values in columns.items() if fnmatch(name, pattern)]
+        )
         for pattern in ("*.position", "*.current", "imu_a.*")
     )
     joints = arm_messages(columns["t"], SIX, q, effort=effort)
@@ -122,7 +145,9 @@ def messages(imu_late_s: float, log_late_s: float) -> list[Message]:
     both = arm_messages(columns["t"] + imu_late_s, SIX, q, accelerometers=array)
     made = joints + [message for message in both if message[0] != "/joint_states"]
     late = round(log_late_s * 1e9)
-    return sorted(((topic, at + late, x) for topic, at, x in made), key=lambda message: message[1])
+    return sorted(
+        ((topic, at + late, x) for topic, at, x in made), key=lambda message: message[1]
+    )
 
 
 @pytest.mark.slow
@@ -151,4 +176,6 @@ def test_faults_of_mcap_logs(
     said = "" if fault == "effort" else 'effort = "current"'
     (tmp_path / "robot.toml").write_text(text.replace('effort = "current"', said))
     report = inspect_log(log, load_robot(tmp_path / "robot.toml"))
-    assert sorted((f.code, f.joint) for f in report.findings) == [(code, j) for j in joints]
+    assert sorted((f.code, f.joint) for f in report.findings) == [
+        (code, j) for j in joints
+    ]

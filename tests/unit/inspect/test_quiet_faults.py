@@ -14,7 +14,9 @@ from tests.unit.inspect.planting import Columns
 FOLDER = SAMPLES / "six_joint"
 
 
-def inspected(columns: Columns, folder: Path, changes: dict[str, str]) -> list[tuple[str, str]]:
+def inspected(
+    columns: Columns, folder: Path, changes: dict[str, str]
+) -> list[tuple[str, str]]:
     """Inspect a log of the six-joint arm with a changed robot file: codes and joints."""
     kept = {name: values for name, values in columns.items() if "imu" not in name}
     write_columns(folder / "log.parquet", kept)
@@ -55,7 +57,9 @@ def noise(kind: str, count: int) -> Array:
 
 
 @pytest.mark.parametrize("kind", ["white", "low-passed", "hum", "motion"])
-def test_noise_in_the_velocity_of_a_held_joint_is_no_fault(kind: str, tmp_path: Path) -> None:
+def test_noise_in_the_velocity_of_a_held_joint_is_no_fault(
+    kind: str, tmp_path: Path
+) -> None:
     columns = read_columns(FOLDER / "friction" / "elbow.parquet")
     count = len(columns["t"]) // 3
     columns = {name: values[:count] for name, values in columns.items()}
@@ -64,6 +68,8 @@ def test_noise_in_the_velocity_of_a_held_joint_is_no_fault(kind: str, tmp_path: 
         columns[f"{name}.velocity"] = slope + noise(kind, count)
     expected = []
     if kind == "motion":  # which the position of a held joint does not show
-        columns["wrist_1.velocity"] += 0.2 * np.sin(0.8 * (columns["t"] - columns["t"][0]))
+        columns["wrist_1.velocity"] += 0.2 * np.sin(
+            0.8 * (columns["t"] - columns["t"][0])
+        )
         expected = [("position_stuck", "wrist_1")]
     assert inspected(columns, tmp_path, {}) == expected

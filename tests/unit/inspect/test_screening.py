@@ -1,4 +1,6 @@
-"""Logs that stages read: damaged samples are gone; long logs are told the same as short ones."""
+"""Logs that stages read: damaged samples are gone; long logs are told the same as short
+ones.
+"""
 
 from pathlib import Path
 
@@ -36,12 +38,16 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("told", PLANTED)
-def test_stages_hear_what_inspect_calls_an_error(robot: Robot, tmp_path: Path, told: str) -> None:
+def test_stages_hear_what_inspect_calls_an_error(
+    robot: Robot, tmp_path: Path, told: str
+) -> None:
     codes, columns = set(told.split()), read_columns(LOG)
     PLANTED[told](columns, np.random.default_rng(3))
     path = tmp_path / "log.parquet"
     write_columns(path, columns)
-    errors = {f.code for f in inspect_log(path, robot).findings if f.severity == "error"}
+    errors = {
+        f.code for f in inspect_log(path, robot).findings if f.severity == "error"
+    }
     held, opened = read_screened(path, robot), open_if_long(path, robot, least=1)
     log, findings = screened_long(opened, robot)
     for told in (held.findings, findings):

@@ -1,4 +1,6 @@
-"""The same samples in every format that is read, each written by the format's own writer."""
+"""The same samples in every format that is read, each written by the format's own
+writer.
+"""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -21,7 +23,13 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests import Array
 from tests.unit.logs import writers
-from tests.unit.logs.writers import Message, as_json, joint_messages, write_messages, write_raw
+from tests.unit.logs.writers import (
+    Message,
+    as_json,
+    joint_messages,
+    write_messages,
+    write_raw,
+)
 
 T0_NS = 1_700_000_000_000_000_000
 
@@ -49,10 +57,19 @@ def columns(
     data: Data, time: str, position: str, velocity: str, current: str, torque: str = ""
 ) -> pa.Table:
     """One column per joint, by patterns of {name}, {i} from 0 and {k} from 1."""
-    patterns = {position: data.q, velocity: data.dq, current: data.current, torque: data.torque}
+    patterns = {
+        position: data.q,
+        velocity: data.dq,
+        current: data.current,
+        torque: data.torque,
+    }
     found: dict[str, Array] = {time: data.t}
     for i, joint in enumerate(data.joints):
-        own = {p.format(name=joint, i=i, k=i + 1): q[:, i] for p, q in patterns.items() if p}
+        own = {
+            p.format(name=joint, i=i, k=i + 1): q[:, i]
+            for p, q in patterns.items()
+            if p
+        }
         found |= own
     return pa.table(found)
 
@@ -102,12 +119,22 @@ def csv_rtde(path: Path, data: Data) -> Path:
     """UR RTDE: Python's csv.writer with spaces, vectors of six numbered from 0."""
     path = path.with_suffix(".csv")
     n = len(data.joints)
-    vectors = ("actual_q", "actual_qd", "actual_current", "joint_temperatures", "target_q")
+    vectors = (
+        "actual_q",
+        "actual_qd",
+        "actual_current",
+        "joint_temperatures",
+        "target_q",
+    )
     tool = [f"actual_tool_accelerometer_{i}" for i in range(3)]
     with path.open("w", newline="") as file:
         writer = csv.writer(file, delimiter=" ")
-        writer.writerow(["timestamp", *(f"{v}_{i}" for v in vectors for i in range(n)), *tool])
-        for t, q, dq, current in zip(data.t, data.q, data.dq, data.current, strict=True):
+        writer.writerow(
+            ["timestamp", *(f"{v}_{i}" for v in vectors for i in range(n)), *tool]
+        )
+        for t, q, dq, current in zip(
+            data.t, data.q, data.dq, data.current, strict=True
+        ):
             row = [t + 1234.5, *q, *dq, *current, *[31.5] * n, *q, 0.1, -0.2, 9.8]
             writer.writerow(map(float, row))
     return path
@@ -117,7 +144,10 @@ def csv_franka(path: Path, data: Data) -> Path:
     """libfranka: time in whole milliseconds, arrays in brackets."""
     path = path.with_suffix(".csv")
     n = len(data.joints)
-    groups = [f"state.{g}" for g in ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")]
+    groups = [
+        f"state.{g}"
+        for g in ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")
+    ]
     names = [f"{group}[{i}]" for group in [*groups, "cmd.q_d"] for i in range(n)]
     q, dq, tau = data.q, data.dq, data.torque
     milliseconds = np.column_stack([np.rint(data.t * 1000), np.ones(len(q))])
@@ -129,29 +159,43 @@ def csv_franka(path: Path, data: Data) -> Path:
 
 def mcap_json_bare(path: Path, data: Data) -> Path:
     """Fields of JointState as JSON, no schema at all."""
-    rows = [("joint_states", at, as_json(content)) for _, at, content in joint_states(data)]
+    rows = [
+        ("joint_states", at, as_json(content)) for _, at, content in joint_states(data)
+    ]
     return write_raw(path.with_suffix(".mcap"), {"joint_states": "json"}, rows)
 
 
 def joint_states(data: Data, dq: Array | None = None) -> list[Message]:
-    return joint_messages(data.stamps_ns, data.joints, data.q, dq=dq, effort=data.current)
+    return joint_messages(
+        data.stamps_ns, data.joints, data.q, dq=dq, effort=data.current
+    )
 
 
 def dynamic_states(data: Data) -> list[Message]:
-    """control_msgs/msg/DynamicJointState, joints in another order, with another interface."""
+    """control_msgs/msg/DynamicJointState, joints in another order, with another
+    interface.
+    """
     kinds = ["position", "velocity", "effort", "estop"]
     messages, names = [], list(data.joints[::-1])
-    values = np.stack([data.q, data.dq, data.current, np.zeros_like(data.q)], axis=2)[:, ::-1]
+    values = np.stack([data.q, data.dq, data.current, np.zeros_like(data.q)], axis=2)[
+        :, ::-1
+    ]
     for stamp, rows in zip(data.stamps_ns.tolist(), values.tolist(), strict=True):
         own = [SimpleNamespace(interface_names=kinds, values=row) for row in rows]
-        message = {"header": writers.header(stamp), "joint_names": names, "interface_values": own}
+        message = {
+            "header": writers.header(stamp),
+            "joint_names": names,
+            "interface_values": own,
+        }
         messages.append(("/dynamic_joint_states", stamp, SimpleNamespace(**message)))
     return messages
 
 
 def mcap(messages: Callable[[Data], list[Message]], encoding: str) -> Write:
     def write(path: Path, data: Data) -> Path:
-        return write_messages(path.with_suffix(".mcap"), messages(data), encoding=encoding)
+        return write_messages(
+            path.with_suffix(".mcap"), messages(data), encoding=encoding
+        )
 
     return write
 
@@ -181,7 +225,12 @@ def mcap_foxglove_json(path: Path, data: Data) -> Path:
     for i, stamp in enumerate(data.stamps_ns.tolist()):
         sec, nsec = divmod(stamp, 10**9)
         joints = [
-            {"name": n, "position": data.q[i, j], "velocity": None, "effort": data.current[i, j]}
+            {
+                "name": n,
+                "position": data.q[i, j],
+                "velocity": None,
+                "effort": data.current[i, j],
+            }
             for j, n in enumerate(data.joints)
         ]
         message = {"timestamp": {"sec": sec, "nsec": nsec}, "joints": joints}
@@ -199,9 +248,16 @@ def write_bag(
 ) -> Path:
     """Write a ROS 1 bag, where the path ends with `.bag`, or the folder of a ROS 2 bag."""
     topics, rows = writers.encoded(messages, "cdr")
-    humble, noetic = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
+    humble, noetic = (
+        get_typestore(Stores.ROS2_HUMBLE),
+        get_typestore(Stores.ROS1_NOETIC),
+    )
     first = path.suffix == ".bag"
-    writer = Bag1Writer(path) if first else Bag2Writer(path, version=9, storage_plugin=plugin)
+    writer = (
+        Bag1Writer(path)
+        if first
+        else Bag2Writer(path, version=9, storage_plugin=plugin)
+    )
     if compression is not None:
         writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
@@ -211,7 +267,9 @@ def write_bag(
             about = {"typestore": noetic} if first else about
             links[topic] = writer.add_connection(topic, kind, **about)
         for topic, at, data in rows:
-            content = bytes(humble.cdr_to_ros1(data, topics[topic][1])) if first else data
+            content = (
+                bytes(humble.cdr_to_ros1(data, topics[topic][1])) if first else data
+            )
             writer.write(links[topic], at, content)
     return path
 

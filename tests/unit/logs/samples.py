@@ -31,9 +31,13 @@ def make_robot(
 ) -> Robot:
     """Build a robot whose kinematics do not matter."""
     each = zip(names, np.broadcast_to(constants, len(names)).tolist(), strict=True)
-    joints = tuple(Joint(name, torque_constant=k, gear_ratio=gear_ratio) for name, k in each)
+    joints = tuple(
+        Joint(name, torque_constant=k, gear_ratio=gear_ratio) for name, k in each
+    )
     robot = robot_from_chain(chain_from_dh([(0.0, 0.0, 0.0, 0.0)] * len(names)))
-    return replace(robot, joints=joints, imus=tuple(imus), channels=channels or Channels())
+    return replace(
+        robot, joints=joints, imus=tuple(imus), channels=channels or Channels()
+    )
 
 
 @dataclass(frozen=True)
@@ -56,13 +60,19 @@ def curve(t: Array, width: int, shift: float = 0.0) -> Array:
 def make_motion(t: Array, n: int = 3) -> Motion:
     gravity = np.array([0.0, 0.0, 9.81] * 2)
     q, dq, tau = curve(t, n), curve(t, n, 0.5) * 1.3, curve(t, n, 1.0) * 20.0
-    accelerometers = {"array": curve(t, 6) + gravity, "hand": curve(t, 3, 2.0) + gravity[:3]}
+    accelerometers = {
+        "array": curve(t, 6) + gravity,
+        "hand": curve(t, 3, 2.0) + gravity[:3],
+    }
     return Motion(t, q, dq, tau, accelerometers, {"hand": curve(t, 3, 3.0)})
 
 
 def write_motion(path: Path, motion: Motion, **options: Any) -> Path:
     """Write all of a motion, efforts as torque, as MCAP or Parquet by the suffix."""
-    more: dict[str, Any] = {"accelerometers": motion.accelerometers, "gyros": motion.gyros}
+    more: dict[str, Any] = {
+        "accelerometers": motion.accelerometers,
+        "gyros": motion.gyros,
+    }
     more |= {"dq": motion.dq, **options}
     if path.suffix == ".mcap":
         more = {"encoding": "cdr", "effort": motion.tau} | more

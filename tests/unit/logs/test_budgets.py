@@ -1,4 +1,6 @@
-"""A few bytes that stand for gigabytes end in a message, before the gigabytes are there."""
+"""A few bytes that stand for gigabytes end in a message, before the gigabytes are
+there.
+"""
 
 import re
 import struct
@@ -56,7 +58,9 @@ def record(opcode: int, content: bytes) -> bytes:
 
 def channel(number: int) -> bytes:
     topic = f"/topic_{number:05}".encode()
-    return record(4, struct.pack("<HHI12sI3sI", number, 0, len(topic), topic, 3, b"cdr", 0))
+    return record(
+        4, struct.pack("<HHI12sI3sI", number, 0, len(topic), topic, 3, b"cdr", 0)
+    )
 
 
 CHANNELS = b"".join(map(channel, range(1 << 16)))
@@ -65,12 +69,21 @@ TURNS = b"".join(record(5, struct.pack("<HIQQ", n, 0, 0, 0)) for n in range(1 <<
 
 @pytest.mark.parametrize(
     "raws",
-    [(CHANNELS, *[TURNS] * 8), [TURNS] * 8, [EMPTY * 100_000] * 20, [record(4, b"") * 90_000] * 20],
+    [
+        (CHANNELS, *[TURNS] * 8),
+        [TURNS] * 8,
+        [EMPTY * 100_000] * 20,
+        [record(4, b"") * 90_000] * 20,
+    ],
     ids=["channels", "unknown channels", "foreign records", "definitions"],
 )
-def test_records_that_are_work_for_nothing_are_told(raws: Sequence[bytes], tmp_path: Path) -> None:
+def test_records_that_are_work_for_nothing_are_told(
+    raws: Sequence[bytes], tmp_path: Path
+) -> None:
     path = tmp_path / "log.mcap"
-    path.write_bytes(MAGIC + record(1, bytes(8)) + b"".join(record(6, chunk(raw)) for raw in raws))
+    path.write_bytes(
+        MAGIC + record(1, bytes(8)) + b"".join(record(6, chunk(raw)) for raw in raws)
+    )
     scan = Scan(path, lambda topic: True)
     assert sum(len(batch.payloads) for batch in scan.batches()) < 3 * PIECES
     assert any("more channels and definitions" in loss for loss in scan.losses)
@@ -80,11 +93,17 @@ def test_records_that_are_work_for_nothing_are_told(raws: Sequence[bytes], tmp_p
 
 @pytest.mark.parametrize("opcode", [0, 5, 6])
 def test_a_hole_of_terabytes_is_not_read(opcode: int, tmp_path: Path) -> None:
-    """A file of a few bytes on disk: nothing, a message or a chunk that reaches to its end."""
+    """A file of a few bytes on disk: nothing, a message or a chunk that reaches to its
+    end.
+    """
     path, size = tmp_path / "log.mcap", 1 << 42
     head = MAGIC + record(1, bytes(8))
     length = size - len(head) - RECORD.size
-    begin = RECORD.pack(opcode, length) + CHUNK.pack(0, 1, 9, 0, 0) + struct.pack("<Q", length - 40)
+    begin = (
+        RECORD.pack(opcode, length)
+        + CHUNK.pack(0, 1, 9, 0, 0)
+        + struct.pack("<Q", length - 40)
+    )
     with path.open("wb") as file:
         file.write(head + begin)
         file.truncate(size)
@@ -93,7 +112,9 @@ def test_a_hole_of_terabytes_is_not_read(opcode: int, tmp_path: Path) -> None:
     assert any("breaks off" in loss for loss in scan.losses)
 
 
-def test_a_definition_of_megabytes_is_not_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_definition_of_megabytes_is_not_parsed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(parsers, "is_usual", None)
     monkeypatch.setattr(parsers, "schema_parser", None)
     text = b"float64 x\n" * parsers.LONGEST
@@ -102,7 +123,9 @@ def test_a_definition_of_megabytes_is_not_parsed(monkeypatch: pytest.MonkeyPatch
 
 
 def test_too_little_memory_is_not_told_as_damage(tmp_path: Path) -> None:
-    error = damaged(tmp_path / "log.parquet", pa.ArrowMemoryError("malloc of size 64 failed"))
+    error = damaged(
+        tmp_path / "log.parquet", pa.ArrowMemoryError("malloc of size 64 failed")
+    )
     assert re.search("too little memory.*malloc of size 64", error.message)
 
 
@@ -121,7 +144,9 @@ def lists() -> pa.Table:
     return pa.table({"time": np.arange(100.0), "position": values})
 
 
-@pytest.mark.parametrize("table", [one_value, pytest.param(lists, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "table", [one_value, pytest.param(lists, marks=pytest.mark.slow)]
+)
 def test_a_table_of_one_value_is_refused(
     table: Callable[[], pa.Table], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -137,7 +162,9 @@ def test_a_table_of_one_value_is_refused(
 
 
 @pytest.mark.parametrize("plain", [True, False])
-def test_texts_are_not_read(plain: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_texts_are_not_read(
+    plain: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     texts = pa.DictionaryArray.from_arrays(zeros(1000), pa.array(["x" * 9]))
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table({"time": texts}), path, store_schema=not plain)
@@ -146,7 +173,9 @@ def test_texts_are_not_read(plain: bool, tmp_path: Path, monkeypatch: pytest.Mon
         next(read_tables(path, ["time"], rows=None))
 
 
-@pytest.mark.parametrize("text", [".".join("a" * 1000) + " = 1", f"[{' . '.join('a' * 1000)}]"])
+@pytest.mark.parametrize(
+    "text", [".".join("a" * 1000) + " = 1", f"[{' . '.join('a' * 1000)}]"]
+)
 def test_a_key_of_many_parts_is_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "robot.toml"
     path.write_text(f'schema = "seqid/robot@1"\n{text}\n')

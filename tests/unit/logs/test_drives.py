@@ -1,4 +1,6 @@
-"""Channels that are not the model's own: degrees, torque without gravity, voltage, sensors."""
+"""Channels that are not the model's own: degrees, torque without gravity, voltage,
+sensors.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +31,9 @@ TRUTH = read_recording(LOG, ROBOT)
 
 @pytest.fixture
 def logged() -> Columns:
-    return {name: x for name, x in read_columns(LOG).items() if not name.startswith("imu")}
+    return {
+        name: x for name, x in read_columns(LOG).items() if not name.startswith("imu")
+    }
 
 
 def read(folder: Path, logged: Columns, robot: Robot) -> Recording:
@@ -51,7 +55,9 @@ def test_degrees_of_all_angles(tmp_path: Path, logged: Columns) -> None:
     np.testing.assert_allclose(found.link_position - found.q, np.pi / 180.0, atol=1e-12)
 
 
-def test_gravity_that_a_driver_subtracts_is_added_again(tmp_path: Path, logged: Columns) -> None:
+def test_gravity_that_a_driver_subtracts_is_added_again(
+    tmp_path: Path, logged: Columns
+) -> None:
     """By the potential energy of the URDF's bodies: its slope is the gravity torque."""
     model = pin.buildModelFromUrdf(str(SIX / "six_joint.urdf"))
     data = model.createData()
@@ -59,7 +65,9 @@ def test_gravity_that_a_driver_subtracts_is_added_again(tmp_path: Path, logged: 
     for j, name in enumerate(NAMES):
         del logged[f"{name}.current"]
         logged[f"{name}.effort"] = TRUTH.tau[:, j] - gravity[:, j]
-    found = read(tmp_path, logged, with_channels(Channels(effort="gravity_compensated")))
+    found = read(
+        tmp_path, logged, with_channels(Channels(effort="gravity_compensated"))
+    )
     np.testing.assert_allclose(found.tau, TRUTH.tau, atol=1e-9)
     assert np.abs(gravity).max() > 10.0
 
@@ -75,14 +83,20 @@ def test_voltage_and_duty_cycle_give_the_current(
         dq = np.gradient(logged[f"{joint.name}.position"], logged["t"])
         back = joint.torque_constant * joint.gear_ratio * dq
         voltage = resistance * logged.pop(f"{joint.name}.current") + back
-        logged[f"{joint.name}.{logged_as}"] = voltage / (supply if logged_as == "pwm" else 1.0)
+        logged[f"{joint.name}.{logged_as}"] = voltage / (
+            supply if logged_as == "pwm" else 1.0
+        )
         if velocity:
             logged[f"{joint.name}.velocity"] = dq
-    robot = with_channels(Channels(), winding_resistance=resistance, supply_voltage=supply)
+    robot = with_channels(
+        Channels(), winding_resistance=resistance, supply_voltage=supply
+    )
     np.testing.assert_allclose(read(tmp_path, logged, robot).tau, TRUTH.tau, atol=1e-6)
 
 
-def test_a_torque_sensor_is_the_load_of_effects(tmp_path: Path, logged: Columns) -> None:
+def test_a_torque_sensor_is_the_load_of_effects(
+    tmp_path: Path, logged: Columns
+) -> None:
     slow = np.outer(np.sin(logged["t"]), np.linspace(0.0, 1.0, 6))
     logged |= {f"{name}.load": slow[:, j] for j, name in enumerate(NAMES)}
     robot = replace(ROBOT, imus=())

@@ -34,7 +34,9 @@ def sample(folder: Path, name: str, every: int) -> Data:
     joints = robot(folder).joint_names
 
     def columns(quantity: str) -> Array:
-        return np.column_stack([table.column(f"{j}.{quantity}").to_numpy() for j in joints])
+        return np.column_stack(
+            [table.column(f"{j}.{quantity}").to_numpy() for j in joints]
+        )
 
     t = np.rint(table.column("t").to_numpy() * 1e3) / 1e3
     q, current = columns("position"), columns("current")
@@ -58,9 +60,12 @@ def check_arrays(recording: Recording, data: Data, label: str) -> None:
 
 @pytest.mark.parametrize("label", [*EXACT, *FLOAT32])
 @pytest.mark.parametrize(
-    ("folder", "name", "every"), [(ONE, "gravity/joint_1", 16), (SIX, "inertia/elbow__wrist_1", 4)]
+    ("folder", "name", "every"),
+    [(ONE, "gravity/joint_1", 16), (SIX, "inertia/elbow__wrist_1", 4)],
 )
-def test_same_recording(tmp_path: Path, label: str, folder: Path, name: str, every: int) -> None:
+def test_same_recording(
+    tmp_path: Path, label: str, folder: Path, name: str, every: int
+) -> None:
     data = sample(folder, name, every)
     path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
     (found,) = expand([str(tmp_path)])
@@ -69,8 +74,15 @@ def test_same_recording(tmp_path: Path, label: str, folder: Path, name: str, eve
     renamed = found.rename(tmp_path / "log.dat")  # the suffix does not matter
     recording = read_recording(renamed, robot(folder))
     check_arrays(recording, data, label)
-    kinds = {"parquet": "parquet", "lerobot": "parquet", "csv": "csv", "rosbag1": "rosbag1"}
-    kind = "rosbag2" if label == "rosbag2 sqlite" else kinds.get(label.split()[0], "mcap")
+    kinds = {
+        "parquet": "parquet",
+        "lerobot": "parquet",
+        "csv": "csv",
+        "rosbag1": "rosbag1",
+    }
+    kind = (
+        "rosbag2" if label == "rosbag2 sqlite" else kinds.get(label.split()[0], "mcap")
+    )
     assert check_log(renamed) == recording.format == kind
 
 
@@ -93,7 +105,9 @@ def test_joints_are_guessed(tmp_path: Path, label: str) -> None:
     path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
     found = guess(survey(path))
     named = label in NAMED
-    assert set(found.joints) == set(JOINTS if named else ("joint_1", "joint_2", "joint_3"))
+    assert set(found.joints) == set(
+        JOINTS if named else ("joint_1", "joint_2", "joint_3")
+    )
     recording = read_recording(path, stand_in(found, source=path))
     order = [found.joints.index(name) for name in JOINTS] if named else [0, 1, 2]
     np.testing.assert_allclose(recording.q[:, order], MOTION.q, rtol=2.0**-23)
@@ -108,7 +122,9 @@ def test_joints_are_guessed(tmp_path: Path, label: str) -> None:
         ("level", ()),
     ],
 )
-def test_joints_of_a_table(tmp_path: Path, columns: str, joints: tuple[str, ...]) -> None:
+def test_joints_of_a_table(
+    tmp_path: Path, columns: str, joints: tuple[str, ...]
+) -> None:
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(dict.fromkeys(["time", *columns.split()], MOTION.t)), path)
     assert guess(survey(path)).joints == joints

@@ -19,9 +19,12 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Sound:
 
 
 @pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 10))]
+    "seed",
+    [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 10))],
 )
-def test_damaged_logs_are_read_in_part_or_refused(seed: int, sound: Sound, tmp_path: Path) -> None:
+def test_damaged_logs_are_read_in_part_or_refused(
+    seed: int, sound: Sound, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(seed)
     logs, positions = sound
     for number in range(FILES):

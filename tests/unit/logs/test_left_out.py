@@ -1,4 +1,6 @@
-"""Joints that the robot file leaves out: taken where they stand, refused where they move."""
+"""Joints that the robot file leaves out: taken where they stand, refused where they
+move.
+"""
 
 from pathlib import Path
 
@@ -28,7 +30,10 @@ T = np.arange(800) / 100.0
 
 
 def robot_file(folder: Path, *names: str, channels: str = "") -> Path:
-    text = 'schema = "seqid/robot@1"\nname = "r"\nurdf = "r.urdf"\ngravity = [0.0, 0.0, -9.81]\n'
+    text = (
+        'schema = "seqid/robot@1"\nname = "r"\nurdf = "r.urdf"\ngravity = [0.0, 0.0,'
+        " -9.81]\n"
+    )
     text += "".join(f'[[joint]]\nname = "{name}"\n' for name in names)
     (folder / "r.urdf").write_text(ARM)
     path = folder / "robot.toml"
@@ -39,7 +44,9 @@ def robot_file(folder: Path, *names: str, channels: str = "") -> Path:
 def positions(**others: float | Array) -> Array:
     """All joints move but for those that stand, (N, 4) rad."""
     moves = {name: 0.5 * np.sin((1.0 + k) * T) for k, name in enumerate(NAMES)}
-    return np.stack([np.broadcast_to(x, T.shape) for x in (moves | others).values()], axis=1)
+    return np.stack(
+        [np.broadcast_to(x, T.shape) for x in (moves | others).values()], axis=1
+    )
 
 
 def write(path: Path, q: Array) -> Path:
@@ -48,7 +55,9 @@ def write(path: Path, q: Array) -> Path:
     if path.suffix == ".parquet":
         return write_parquet(path, T, NAMES, q, torque=tau)
     stamps = 10**18 + np.rint(T * 1e9).astype(np.int64)
-    return write_messages(path, joint_messages(stamps, NAMES, q, effort=tau), encoding="cdr")
+    return write_messages(
+        path, joint_messages(stamps, NAMES, q, effort=tau), encoding="cdr"
+    )
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "mcap"])
@@ -60,7 +69,10 @@ def test_a_joint_that_stands_is_taken_there(suffix: str, tmp_path: Path) -> None
         inputs = prepare(log, path)
     assert [str(one.message) for one in said] == list(inputs.said)
     assert "lift lies between 'pan' and 'elbow'" in inputs.said[0]
-    assert [text.split(" lies")[0].split()[-1] for text in inputs.said] == ["lift", "turn"]
+    assert [text.split(" lies")[0].split()[-1] for text in inputs.said] == [
+        "lift",
+        "turn",
+    ]
     q = np.array([0.3, 0.7, -1.1, 0.2])
     wanted = forward(whole.chain, q[None])
     found = forward(inputs.robot.chain, q[None, [0, 3]])
@@ -76,7 +88,9 @@ def test_a_joint_that_moves_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"joint 'pan' lies before 'lift' in r\.urdf"):
         prepare(log, path)
     found = inspect_log(log, load_robot(path)).findings
-    assert ("joint_left_out", "pan", "error") in {(f.code, f.joint, f.severity) for f in found}
+    assert ("joint_left_out", "pan", "error") in {
+        (f.code, f.joint, f.severity) for f in found
+    }
     still = write(tmp_path / "still.parquet", positions(pan=0.2))
     with pytest.warns(SeqidWarning):
         inputs = prepare([log, still], path, options=LogOptions(skip_failed=True))
@@ -84,7 +98,9 @@ def test_a_joint_that_moves_is_refused(tmp_path: Path) -> None:
     assert len(inputs.missing) == 1
 
 
-def test_logs_in_which_it_stands_at_different_places_are_refused(tmp_path: Path) -> None:
+def test_logs_in_which_it_stands_at_different_places_are_refused(
+    tmp_path: Path,
+) -> None:
     path = robot_file(tmp_path, "lift", "turn", "elbow")
     logs = [write(tmp_path / f"{x}.parquet", positions(pan=x)) for x in (0.2, 0.4)]
     with pytest.raises(InputError, match=r"stands at 0.4, and at 0.2 in .*0.2.parquet"):
@@ -95,7 +111,8 @@ def test_logs_in_which_it_stands_at_different_places_are_refused(tmp_path: Path)
     ("names", "standing"),
     [
         (NAMES, {}),  # no joint is left out
-        (("pan", "lift", "turn"), {}),  # what the last joint carries is no part of the chain
+        # what the last joint carries is no part of the chain
+        (("pan", "lift", "turn"), {}),
         (("lift", "turn", "elbow"), {"pan": 0.0}),  # where it is taken anyway
     ],
 )
@@ -113,5 +130,7 @@ def test_nothing_is_said_of_others(
 
 def test_a_log_without_the_joint_is_read_as_before(tmp_path: Path) -> None:
     q = positions(lift=0.7)[:, [0, 2, 3]]
-    log = write_parquet(tmp_path / "log.parquet", T, ("pan", "turn", "elbow"), q, torque=q)
+    log = write_parquet(
+        tmp_path / "log.parquet", T, ("pan", "turn", "elbow"), q, torque=q
+    )
     assert prepare(log, robot_file(tmp_path, "pan", "turn", "elbow")).said == ()

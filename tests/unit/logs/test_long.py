@@ -18,7 +18,15 @@ from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import joined
 from tests import Array
 from tests.unit.logs import samples
-from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, curve, grid, make_motion, make_robot
+from tests.unit.logs.samples import (
+    ARRAY,
+    GYRO,
+    JOINTS,
+    curve,
+    grid,
+    make_motion,
+    make_robot,
+)
 from tests.unit.logs.writers import write_parquet
 
 ROBOT = make_robot(imus=(ARRAY, GYRO))
@@ -105,7 +113,9 @@ def test_a_log_that_changes_between_two_passes_is_refused(
     path = with_torque(tmp_path, grid(SAMPLES))
     log = open_long(path, make_robot())
     log.sha256  # noqa: B018  # as it was
-    with_torque(tmp_path, grid(SAMPLES)).rename(tmp_path / "other.parquet").replace(path)
+    with_torque(tmp_path, grid(SAMPLES)).rename(tmp_path / "other.parquet").replace(
+        path
+    )
     if not spooled:
         with pytest.raises(InputError, match="changed while"):
             list(log.blocks())
@@ -120,7 +130,16 @@ def assert_same(one: Recording, other: Recording) -> None:
     assert (one.sha256, one.whole) == (other.sha256, other.whole)
     assert one.start == pytest.approx(other.start, abs=1e-6)
     assert one.rate_hz == pytest.approx(other.rate_hz, rel=1e-9)
-    for name in ("t", "q", "tau", "dq", "temperature", "valid", "accelerometers", "gyros"):
+    for name in (
+        "t",
+        "q",
+        "tau",
+        "dq",
+        "temperature",
+        "valid",
+        "accelerometers",
+        "gyros",
+    ):
         mine, theirs = getattr(one, name), getattr(other, name)
         if not isinstance(mine, dict):
             mine, theirs = {name: mine}, {name: theirs}
@@ -128,11 +147,15 @@ def assert_same(one: Recording, other: Recording) -> None:
         for key, values in mine.items():
             assert (values is None) == (theirs[key] is None), key
             if values is not None:
-                np.testing.assert_allclose(values, theirs[key], rtol=0, atol=1e-12, err_msg=key)
+                np.testing.assert_allclose(
+                    values, theirs[key], rtol=0, atol=1e-12, err_msg=key
+                )
 
 
 @pytest.mark.parametrize("form", ["parquet", "mcap"])
-def test_pieces_of_a_log_that_is_passed_over_are_cut_out_of_it(form: str, tmp_path: Path) -> None:
+def test_pieces_of_a_log_that_is_passed_over_are_cut_out_of_it(
+    form: str, tmp_path: Path
+) -> None:
     path = written(tmp_path, form)
     held, long = read_recording(path, ROBOT), open_long(path, ROBOT)
     assert whole_of(long) == whole_of(held)
@@ -152,7 +175,9 @@ def test_pieces_of_a_log_that_is_passed_over_are_cut_out_of_it(form: str, tmp_pa
 def test_pieces_of_uneven_stamps(tmp_path: Path) -> None:
     path = with_torque(tmp_path, START + grid(SAMPLES) + 0.001 * NOISE)
     held, long = read_recording(path, make_robot()), open_long(path, make_robot())
-    for piece in read_pieces(path, make_robot(), whole_of(long), RANGES, kind="parquet"):
+    for piece in read_pieces(
+        path, make_robot(), whole_of(long), RANGES, kind="parquet"
+    ):
         at = piece.start - held.start + piece.t
         expected = np.column_stack([np.interp(at, held.t, q) for q in held.q.T])
         np.testing.assert_allclose(piece.q, expected, atol=2e-5)
@@ -162,7 +187,9 @@ def test_pieces_of_uneven_stamps(tmp_path: Path) -> None:
     ("moved", "first", "said"),
     [(0.0, 100.0, "no longer holds the rows 100 s on"), (15.0, 4.95, "only 5 samples")],
 )
-def test_rows_that_are_gone(tmp_path: Path, moved: float, first: float, said: str) -> None:
+def test_rows_that_are_gone(
+    tmp_path: Path, moved: float, first: float, said: str
+) -> None:
     path = written(tmp_path)
     whole = whole_of(read_recording(path, ROBOT))
     whole = replace(whole, start=whole.start + moved)

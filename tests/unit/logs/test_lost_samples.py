@@ -1,4 +1,6 @@
-"""Samples lost without the stamps showing it: found and put right, and sound logs left alone."""
+"""Samples lost without the stamps showing it: found and put right, and sound logs left
+alone.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +41,9 @@ def arm(seed: int, rate_hz: float, n: int, *, count: float = 2e-5) -> Stream:
 
 def having(stream: Stream, **channels: Array | None) -> Stream:
     both = (stream.channels | channels).items()
-    return replace(stream, channels={name: own for name, own in both if own is not None})
+    return replace(
+        stream, channels={name: own for name, own in both if own is not None}
+    )
 
 
 def lossy(seed: int, samples: int, *, every: int, gap: int) -> NDArray[np.bool_]:
@@ -62,12 +66,16 @@ def repaired(full: Stream, kept: NDArray[np.bool_]) -> tuple[Mended, NDArray[np.
 @pytest.mark.parametrize("velocity", [True, False])
 @pytest.mark.parametrize("rate_hz", RATES)
 @pytest.mark.parametrize("n", [1, 2, 6])
-def test_drops_with_even_stamps_are_bridged(rate_hz: float, n: int, velocity: bool) -> None:
+def test_drops_with_even_stamps_are_bridged(
+    rate_hz: float, n: int, velocity: bool
+) -> None:
     for seed in SEEDS:
         full = arm(seed, rate_hz, n)
         gap = max(6, round(0.03 * rate_hz))
         kept = lossy(seed, len(full), every=round(1.3 * rate_hz), gap=gap)
-        found, places = repaired(full if velocity else having(full, velocity=None), kept)
+        found, places = repaired(
+            full if velocity else having(full, velocity=None), kept
+        )
         sped = np.abs(full.channels["velocity"][kept][places]).max(axis=1) > 0.2
         assert set(places[sped]) <= set(found.losses.rows)
         at, true = found.stream.stamp_ns * 1e-9, full.stamp_ns * 1e-9
@@ -87,7 +95,8 @@ def test_losses_that_recur_are_found_where_the_joint_turns_back(rate_hz: float) 
         kept = np.arange(len(full)) % (round(0.1 * rate_hz) + gap) >= gap
         found, places = repaired(full, kept)
         dq = full.channels["velocity"][kept][places, 0]
-        assert np.isin(places[np.abs(dq) > 0.02], found.losses.rows).mean() > 0.97  # 40 counts
+        # 40 counts
+        assert np.isin(places[np.abs(dq) > 0.02], found.losses.rows).mean() > 0.97
         assert np.isin(places, found.losses.rows).mean() > 0.9
 
 
@@ -104,7 +113,9 @@ def sound_arm(kind: str, seed: int, rate_hz: float, n: int) -> Stream:
     if kind == "differentiated":
         return having(log, velocity=np.gradient(q, 1.0 / rate_hz, axis=0))
     if kind == "held":  # a position that is held and then catches up
-        return having(log, position=q[np.maximum.accumulate(np.arange(len(kept)) * kept)])
+        return having(
+            log, position=q[np.maximum.accumulate(np.arange(len(kept)) * kept)]
+        )
     return log.take(kept) if kind == "true stamps" else log
 
 
@@ -133,7 +144,9 @@ def test_the_recording_says_it_and_long_logs_are_read_whole(tmp_path: Path) -> N
     kept = (np.arange(4000) < 300) | (np.arange(4000) % 100 > 3)
     true = t[kept]
     q, tau = curve(true, 3), 20.0 * curve(true, 3, 1.0)
-    path = write_parquet(tmp_path / "log.parquet", t[: len(true)], JOINTS, q, torque=tau)
+    path = write_parquet(
+        tmp_path / "log.parquet", t[: len(true)], JOINTS, q, torque=tau
+    )
     recording = read_recording(path, make_robot())
     assert any("samples are lost at" in text for text in recording.health.mended)
     assert recording.bridged.sum() == pytest.approx((~kept).sum(), abs=20)

@@ -1,4 +1,6 @@
-"""Two publishers on one topic: what is left out, what is refused, and what is one publisher."""
+"""Two publishers on one topic: what is left out, what is refused, and what is one
+publisher.
+"""
 
 from pathlib import Path
 
@@ -21,7 +23,9 @@ TAU = np.stack([np.sin(2.0 * T), np.sign(np.cos(T))], axis=1)
 ZERO = np.zeros_like(Q)
 
 
-def messages(q: Array, *, late_s: float = 0.0, tau: Array | None = None) -> list[Message]:
+def messages(
+    q: Array, *, late_s: float = 0.0, tau: Array | None = None
+) -> list[Message]:
     stamps = BEGIN + np.rint((T + late_s) * 1e9).astype(np.int64)
     return joint_messages(stamps, NAMES, q, effort=tau)
 
@@ -36,8 +40,14 @@ OTHERS = {
     "zeros, no effort": (in_turn(ROBOT, messages(ZERO, late_s=0.01)), COUNT),
     "zeros of the same stamp come first": (in_turn(messages(ZERO), ROBOT), COUNT),
     "zeros, now and then": (sorted(ROBOT + RARE, key=lambda m: m[1]), COUNT // 5),
-    "zeros, effort of zero": (in_turn(ROBOT, messages(ZERO, late_s=0.01, tau=ZERO)), COUNT),
-    "a posture": (in_turn(ROBOT, messages(ZERO + 0.9, late_s=0.01, tau=ZERO + 2.0)), COUNT),
+    "zeros, effort of zero": (
+        in_turn(ROBOT, messages(ZERO, late_s=0.01, tau=ZERO)),
+        COUNT,
+    ),
+    "a posture": (
+        in_turn(ROBOT, messages(ZERO + 0.9, late_s=0.01, tau=ZERO + 2.0)),
+        COUNT,
+    ),
     "a simulator": (in_turn(ROBOT, messages(Q[::-1], late_s=0.01, tau=ZERO)), COUNT),
 }
 
@@ -57,11 +67,14 @@ def test_messages_of_another_publisher_are_left_out(kind: str, tmp_path: Path) -
 def test_two_that_look_alike_are_refused(tmp_path: Path) -> None:
     other = messages(Q[::-1], late_s=0.01, tau=TAU[::-1])
     log = write_messages(tmp_path / "log.mcap", in_turn(ROBOT, other), encoding="cdr")
-    with pytest.raises(InputError, match="two publishers take turns, with 600 and 600 messages"):
+    with pytest.raises(
+        InputError, match="two publishers take turns, with 600 and 600 messages"
+    ):
         read_recording(log, planar_2r())
 
 
-RESTS = np.where((T % 4.0 < 2.0)[:, None], Q, 0.0)  # with steps, as of a joint that is set
+# with steps, as of a joint that is set
+RESTS = np.where((T % 4.0 < 2.0)[:, None], Q, 0.0)
 SPIKES = Q + 0.5 * (np.arange(COUNT) % 149 == 7)[:, None]
 ONE = {
     "plain": ROBOT,
@@ -70,7 +83,9 @@ ONE = {
     "at rest": messages(np.where((T < 6.0)[:, None], Q, Q[300]), tau=TAU),
     "at rest at zero": messages(RESTS, tau=TAU),
     "spikes": messages(SPIKES, tau=TAU),
-    "quick and coarse": messages(np.round(np.sin(17.0 * T)[:, None] + ZERO, 2), tau=TAU),
+    "quick and coarse": messages(
+        np.round(np.sin(17.0 * T)[:, None] + ZERO, 2), tau=TAU
+    ),
 }
 
 

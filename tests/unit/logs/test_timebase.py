@@ -17,8 +17,12 @@ from tests.unit.logs.writers import write_parquet
 T0 = 1_700_000_000_000_000_000
 
 
-def read_times(tmp_path: Path, t: Array, q: Array | None = None, **options: str) -> Recording:
-    path = write_parquet(tmp_path / "log.parquet", t, JOINTS, curve(t, 3) if q is None else q)
+def read_times(
+    tmp_path: Path, t: Array, q: Array | None = None, **options: str
+) -> Recording:
+    path = write_parquet(
+        tmp_path / "log.parquet", t, JOINTS, curve(t, 3) if q is None else q
+    )
     return read_recording(path, make_robot(), **options)  # type: ignore[arg-type]
 
 
@@ -36,13 +40,20 @@ def test_jitter_is_interpolated_and_bursts_as_well(tmp_path: Path) -> None:
     t = grid(1000, 200.0) + rng.normal(scale=2e-4, size=1000)
     recording = read_times(tmp_path, t)
     assert recording.health.resampled
-    assert recording.health.jitter == pytest.approx(np.std(np.diff(t)) / 0.005, rel=0.02)
+    assert recording.health.jitter == pytest.approx(
+        np.std(np.diff(t)) / 0.005, rel=0.02
+    )
     assert recording.rate_hz == pytest.approx(200.0, rel=1e-3)
     np.testing.assert_allclose(recording.q, curve(recording.t + t[0], 3), atol=1e-6)
     assert recording.valid.all()
-    bursts = read_times(tmp_path, np.repeat(grid(100, 20.0), 5) + np.tile(np.arange(5) * 1e-4, 100))
+    bursts = read_times(
+        tmp_path, np.repeat(grid(100, 20.0), 5) + np.tile(np.arange(5) * 1e-4, 100)
+    )
     assert bursts.valid.all()
-    assert (bursts.rate_hz, bursts.health.jitter > 0.5) == (pytest.approx(100.0, rel=0.02), True)
+    assert (bursts.rate_hz, bursts.health.jitter > 0.5) == (
+        pytest.approx(100.0, rel=0.02),
+        True,
+    )
     assert np.abs(bursts.q).max() <= 1.0  # a spline through bursts would swing
 
 
@@ -82,7 +93,9 @@ def test_clock_that_was_set_back_is_cut(tmp_path: Path, back_s: float) -> None:
     assert any("jumps back 1 times (by up to" in w for w in recording.health.warnings)
 
 
-def test_stamps_far_off_a_stuck_clock_and_absurd_values_are_told(tmp_path: Path) -> None:
+def test_stamps_far_off_a_stuck_clock_and_absurd_values_are_told(
+    tmp_path: Path,
+) -> None:
     t = grid(300) + 1.7e9
     t[0] = 0.0
     recording = read_times(tmp_path, t)

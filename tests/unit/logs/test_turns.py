@@ -11,7 +11,14 @@ from seqid_cli.logs.raw import Stream, in_turns
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.types import Robot
 from tests import Array
-from tests.unit.logs.format_writers import Data, Write, csv_own, mcap_cdr, parquet, rosbag2_sqlite
+from tests.unit.logs.format_writers import (
+    Data,
+    Write,
+    csv_own,
+    mcap_cdr,
+    parquet,
+    rosbag2_sqlite,
+)
 from tests.unit.logs.test_formats import ONE, robot
 
 TURN = 2.0 * np.pi
@@ -33,16 +40,22 @@ def limited(limits: Limits, prismatic: bool = False) -> Robot:
 
 @pytest.mark.parametrize("write", [parquet, csv_own, mcap_cdr, rosbag2_sqlite])
 @pytest.mark.parametrize("limits", LIMITS)
-def test_wraps_run_on_within_the_limits(tmp_path: Path, write: Write, limits: Limits) -> None:
+def test_wraps_run_on_within_the_limits(
+    tmp_path: Path, write: Write, limits: Limits
+) -> None:
     middle = sum(limits) / 2 if limits else 0.0
     q = middle - 2.0 * np.cos(T)
     log = written(tmp_path / "log", q % TURN, write)
     read = read_recording(log, limited(limits))
     np.testing.assert_allclose(read.q[:, 0], q, atol=1e-12)
     wraps = np.count_nonzero(np.diff(q // TURN))
-    assert wraps == 0 or any(f"wraps by whole turns {wraps}" in w for w in read.health.warnings)
+    assert wraps == 0 or any(
+        f"wraps by whole turns {wraps}" in w for w in read.health.warnings
+    )
     if write in (parquet, mcap_cdr):
-        assert (open_long(log, limited(limits)) is None) == (not np.array_equal(q % TURN, q))
+        assert (open_long(log, limited(limits)) is None) == (
+            not np.array_equal(q % TURN, q)
+        )
     for lost in (-TURN, TURN):  # before the log: no wrap in it
         log = written(tmp_path / "log", middle - 1.5 + np.sin(T) + lost)
         found = read_recording(log, limited(limits)).q[:, 0]
@@ -50,12 +63,19 @@ def test_wraps_run_on_within_the_limits(tmp_path: Path, write: Write, limits: Li
 
 
 WITHIN = 2.9 * np.sin(T)
-OTHERS = {"within the limits": WITHIN, "degrees": np.rad2deg(WITHIN), "slide": np.sin(T) % TURN}
+OTHERS = {
+    "within the limits": WITHIN,
+    "degrees": np.rad2deg(WITHIN),
+    "slide": np.sin(T) % TURN,
+}
 
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_other_positions_stay_as_they_are(tmp_path: Path, name: str) -> None:
-    log, arm = written(tmp_path / "log", OTHERS[name]), limited((-3.0, 3.0), name == "slide")
+    log, arm = (
+        written(tmp_path / "log", OTHERS[name]),
+        limited((-3.0, 3.0), name == "slide"),
+    )
     np.testing.assert_array_equal(read_recording(log, arm).q[:, 0], OTHERS[name])
 
 

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from tests import Array
 
 Encoding = Literal["cdr", "json"]
-Channel = str | tuple[str, str, str, bytes]  # encoding; name, encoding and text of its schema
+# encoding; name, encoding and text of its schema
+Channel = str | tuple[str, str, str, bytes]
 Message = tuple[str, int, SimpleNamespace]  # topic, log time in ns, content
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
@@ -28,30 +29,37 @@ STRING = "std_msgs/msg/String"
 
 LINE = "=" * 80
 TIME = f"{LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-HEADER = f"{LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+HEADER = (
+    f"{LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+)
 DEFINITIONS = {
     JOINT_STATE: (
-        "std_msgs/Header header\n\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
-        f"float64[] effort\n{HEADER}{TIME}"
+        "std_msgs/Header header\n\nstring[] name\nfloat64[] position\nfloat64[]"
+        f" velocity\nfloat64[] effort\n{HEADER}{TIME}"
     ),
     IMU: (
-        "std_msgs/Header header\n\n"
-        "geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n\n"
-        "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n\n"
-        "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
-        f"{LINE}\nMSG: geometry_msgs/Quaternion\n"
-        "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
-        f"{LINE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{HEADER}{TIME}"
+        "std_msgs/Header header\n\ngeometry_msgs/Quaternion orientation\nfloat64[9]"
+        " orientation_covariance\n\ngeometry_msgs/Vector3 angular_velocity\nfloat64[9]"
+        " angular_velocity_covariance\n\ngeometry_msgs/Vector3"
+        f" linear_acceleration\nfloat64[9] linear_acceleration_covariance\n{LINE}\nMSG:"
+        " geometry_msgs/Quaternion\nfloat64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w"
+        f" 1\n{LINE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64"
+        f" z\n{HEADER}{TIME}"
     ),
     DYNAMIC: (
-        "# Generic form of joint states\nstd_msgs/Header header\n\nstring[] joint_names\n"
-        "InterfaceValue[] interface_values\n"
-        f"{LINE}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\n"
-        f"float64[] values\n{HEADER}{TIME}"
+        "# Generic form of joint states\nstd_msgs/Header header\n\nstring[]"
+        f" joint_names\nInterfaceValue[] interface_values\n{LINE}\nMSG:"
+        " control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[]"
+        f" values\n{HEADER}{TIME}"
     ),
     STRING: "string data\n",
 }
-_TOLD_BY = {"position": JOINT_STATE, "orientation": IMU, "joint_names": DYNAMIC, "data": STRING}
+_TOLD_BY = {
+    "position": JOINT_STATE,
+    "orientation": IMU,
+    "joint_names": DYNAMIC,
+    "data": STRING,
+}
 COMPRESSIONS = {kind.name.lower(): kind for kind in CompressionType}
 
 
@@ -66,10 +74,12 @@ def write_parquet(
     gyros: dict[str, Array] | None = None,
     **quantities: Array | None,
 ) -> Path:
-    """Write the default columns: `t` s, `<joint>.position` ..., `<imu>.a1` ..., `<imu>.gx` ...
+    """Write the default columns: `t` s, `<joint>.position` ..., `<imu>.a1` ...,
+    `<imu>.gx` ...
 
-    Arrays are (N, n) per joint, (N, K) per accelerometer array and (N, 3) per gyro. An IMU that has
-    a gyro and three accelerometers is written as a triad (`ax`, `ay`, `az`).
+    Arrays are (N, n) per joint, (N, K) per accelerometer array and (N, 3) per gyro. An
+    IMU that has a gyro and three accelerometers is written as a triad (`ax`, `ay`,
+    `az`).
     """
     gyros = gyros or {}
     columns: dict[str, Array] = {"t": np.asarray(t)}
@@ -123,8 +133,9 @@ def arm_messages(
 ) -> list[Message]:
     """Messages on `/joint_states` and the IMU topics with the stamps t0_ns + t.
 
-    An accelerometer array (N, K), K a multiple of 3, becomes `/<imu>/accel_1` ...; an IMU that is
-    in `gyros` becomes `/<imu>/data` with its three accelerometers and its gyro.
+    An accelerometer array (N, K), K a multiple of 3, becomes `/<imu>/accel_1` ...; an
+    IMU that is in `gyros` becomes `/<imu>/data` with its three accelerometers and its
+    gyro.
     """
     accelerometers, gyros = accelerometers or {}, gyros or {}
     stamps = t0_ns + np.rint(np.asarray(t) * 1e9).astype(np.int64)
@@ -142,19 +153,25 @@ def arm_messages(
 def encoded(
     messages: Sequence[Message], encoding: Encoding
 ) -> tuple[dict[str, Channel], Iterator[tuple[str, int, bytes]]]:
-    """Encode messages for `write_raw`; the type of each topic is told from their fields."""
+    """Encode messages for `write_raw`; the type of each topic is told from their
+    fields.
+    """
     topics: dict[str, Channel] = {}
     encode: dict[str, Callable[[object], bytes]] = {}
     for topic, _, content in messages:
         if topic not in topics:
-            kind = next(kind for name, kind in _TOLD_BY.items() if hasattr(content, name))
+            kind = next(
+                kind for name, kind in _TOLD_BY.items() if hasattr(content, name)
+            )
             if encoding == "json":
                 schema, encode[topic] = ("jsonschema", b'{"type":"object"}'), as_json
             else:
                 schema = "ros2msg", DEFINITIONS[kind].encode()
                 encode[topic] = serialize_dynamic(kind, DEFINITIONS[kind])[kind]
             topics[topic] = (encoding, kind, *schema)
-    return topics, ((topic, at, encode[topic](content)) for topic, at, content in messages)
+    return topics, (
+        (topic, at, encode[topic](content)) for topic, at, content in messages
+    )
 
 
 def as_json(content: object) -> bytes:
@@ -180,19 +197,27 @@ def joint_messages(
     quantities = {"position": q, "velocity": dq, "effort": effort}
     messages = []
     for i, stamp in enumerate(stamps_ns.tolist()):
-        rows = {n: [] if v is None else list(map(float, v[i])) for n, v in quantities.items()}
+        rows = {
+            n: [] if v is None else list(map(float, v[i]))
+            for n, v in quantities.items()
+        }
         content = SimpleNamespace(header=header(stamp), name=list(joints), **rows)
         messages.append((topic, stamp, content))
     return messages
 
 
 def imu_messages(
-    stamps_ns: NDArray[np.int64], topic: str, accelerations: Array, rates: Array | None = None
+    stamps_ns: NDArray[np.int64],
+    topic: str,
+    accelerations: Array,
+    rates: Array | None = None,
 ) -> list[Message]:
     """Imu messages, one per row of (N, 3) m/s^2 and (N, 3) rad/s."""
     rates = np.zeros_like(accelerations) if rates is None else rates
     messages = []
-    for stamp, rate, acceleration in zip(stamps_ns.tolist(), rates, accelerations, strict=True):
+    for stamp, rate, acceleration in zip(
+        stamps_ns.tolist(), rates, accelerations, strict=True
+    ):
         content = SimpleNamespace(
             header=header(stamp, "imu_link"),
             orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
@@ -208,7 +233,9 @@ def imu_messages(
 
 def header(stamp_ns: int, frame: str = "base_link") -> SimpleNamespace:
     sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-    return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame)
+    return SimpleNamespace(
+        stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame
+    )
 
 
 def rewrite(
@@ -222,19 +249,28 @@ def rewrite(
     **storage: Any,
 ) -> Path:
     """Copy an MCAP file message by message with other settings of the writer."""
-    summaries = ("use_statistics", "use_summary_offsets", "repeat_channels", "repeat_schemas")
+    summaries = (
+        "use_statistics",
+        "use_summary_offsets",
+        "repeat_channels",
+        "repeat_schemas",
+    )
     storage |= dict.fromkeys(summaries, summary) | {"use_chunking": chunking}
     storage |= dict.fromkeys(("enable_crcs", "enable_data_crcs"), crc)
     storage["index_types"] = IndexType.ALL if index else IndexType.NONE
     with source.open("rb") as file:
         found = list(NonSeekingReader(file).iter_messages(log_time_order=False))
     topics: dict[str, Channel] = {
-        link.topic: (link.message_encoding, schema.name, schema.encoding, schema.data)
-        if schema
-        else link.message_encoding
+        link.topic: (
+            (link.message_encoding, schema.name, schema.encoding, schema.data)
+            if schema
+            else link.message_encoding
+        )
         for schema, link, _ in found
     }
-    messages = ((link.topic, message.log_time, message.data) for _, link, message in found)
+    messages = (
+        (link.topic, message.log_time, message.data) for _, link, message in found
+    )
     return write_raw(target, topics, messages, at_once=False, **storage)
 
 
@@ -251,7 +287,9 @@ def write_raw(
     at_once: bool = True,
     **storage: Any,
 ) -> Path:
-    """Write messages (topic, log time in ns, bytes), all channels before them or as they come."""
+    """Write messages (topic, log time in ns, bytes), all channels before them or as
+    they come.
+    """
     with path.open("wb") as out:
         writer = RawWriter(out, compression=COMPRESSIONS[compression], **storage)
         writer.start(profile="ros2")

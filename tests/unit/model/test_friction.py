@@ -56,7 +56,9 @@ def formula(own: FrictionSurface, q: Array, v: Array) -> Array:
     return np.where(v > 0, ahead, -back)
 
 
-def test_the_torque_is_the_formula_inside_the_range(any_surface: FrictionSurface) -> None:
+def test_the_torque_is_the_formula_inside_the_range(
+    any_surface: FrictionSurface,
+) -> None:
     q, v = states()
     found, expected = any_surface.torque(q, v), formula(any_surface, q, v)
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
@@ -67,11 +69,18 @@ def test_the_torque_is_the_formula_inside_the_range(any_surface: FrictionSurface
 def test_beyond_the_fastest_speed_it_goes_on_as_a_line(
     any_surface: FrictionSurface, side: int
 ) -> None:
-    """With the slope that friction, meant over position, has over the faster half of the speeds."""
+    """With the slope that friction, meant over position, has over the faster half of
+    the speeds.
+    """
     q, fast = np.linspace(*POSITION, 4001), SPEED[1]
     speeds = np.linspace(0.5 * fast, fast, 33)
-    levels = [np.trapezoid(formula(any_surface, q, np.full(4001, side * v)), q) for v in speeds]
-    slope = max(np.polyfit(speeds, side * np.array(levels), 1)[0] / np.ptp(POSITION), 0.0)
+    levels = [
+        np.trapezoid(formula(any_surface, q, np.full(4001, side * v)), q)
+        for v in speeds
+    ]
+    slope = max(
+        np.polyfit(speeds, side * np.array(levels), 1)[0] / np.ptp(POSITION), 0.0
+    )
     at = any_surface.torque(q, np.full(4001, side * fast))
     for speed in (fast + 1e-9, 1.3 * fast, 3.0 * fast):
         got = any_surface.torque(q, np.full(4001, side * speed))
@@ -80,14 +89,18 @@ def test_beyond_the_fastest_speed_it_goes_on_as_a_line(
 
 def test_friction_that_falls_stays_where_it_is_beyond_the_fastest_speed() -> None:
     """With a doubt about that."""
-    own = replace(surface(), positive=np.array([[5.0, -0.4]]), entry_covariance=0.01 * np.eye(2))
+    own = replace(
+        surface(), positive=np.array([[5.0, -0.4]]), entry_covariance=0.01 * np.eye(2)
+    )
     at, beyond = own.torque(np.zeros(2), np.array([SPEED[1], 2.0 * SPEED[1]]))
     assert beyond == pytest.approx(at)
     errors = own.std_error(np.zeros(3), np.array([4.0, 6.0, 8.0]))
     assert (np.diff(errors) > 0.03).all()
 
 
-def test_outside_is_said_and_the_error_grows_there(any_surface: FrictionSurface) -> None:
+def test_outside_is_said_and_the_error_grows_there(
+    any_surface: FrictionSurface,
+) -> None:
     """Inside the covariance is the file's; outside what is not known comes on top."""
     sure = replace(any_surface, entry_covariance=1e-8 * np.eye(any_surface.entries))
     low, high = POSITION
@@ -109,25 +122,34 @@ def test_outside_is_said_and_the_error_grows_there(any_surface: FrictionSurface)
 
 
 def test_columns_are_the_gradient(any_surface: FrictionSurface) -> None:
-    """Differences in every entry that the covariance is of: the torque is linear in them."""
+    """Differences in every entry that the covariance is of: the torque is linear in
+    them.
+    """
     q, v = states(25)
     q[:10], v[:10] = 3.0 * q[:10], 1.0 + np.abs(3.0 * v[:10])  # outside as well
     columns, shape = any_surface.columns(q, v), any_surface.positive.shape
     sides = (any_surface.positive, any_surface.negative)[: 1 + any_surface.directional]
     for k, unit in enumerate(1e-4 * np.eye(any_surface.entries)):
         positive, *other = (
-            side + step for side, step in zip(sides, unit.reshape(-1, *shape), strict=True)
+            side + step
+            for side, step in zip(sides, unit.reshape(-1, *shape), strict=True)
         )
         moved = replace(any_surface, positive=positive, negative=[positive, *other][-1])
         slope = (moved.torque(q, v) - any_surface.torque(q, v)) / 1e-4
         np.testing.assert_allclose(columns[:, k], slope, atol=1e-8)
 
 
-def test_slow_motion_has_the_friction_of_the_slowest_speed(any_surface: FrictionSurface) -> None:
-    """It holds below that speed, bounds friction at rest, and does not jump where a joint turns."""
+def test_slow_motion_has_the_friction_of_the_slowest_speed(
+    any_surface: FrictionSurface,
+) -> None:
+    """It holds below that speed, bounds friction at rest, and does not jump where a
+    joint turns.
+    """
     q = np.linspace(*POSITION, 20)
     v = np.full(20, any_surface.scaling.speed[0])
-    np.testing.assert_allclose(any_surface.torque(q, 0.7 * v), any_surface.torque(q, v), rtol=1e-5)
+    np.testing.assert_allclose(
+        any_surface.torque(q, 0.7 * v), any_surface.torque(q, v), rtol=1e-5
+    )
     low, high = any_surface.at_rest(q)
     np.testing.assert_allclose(high, formula(any_surface, q, v), rtol=1e-4)
     np.testing.assert_allclose(low, formula(any_surface, q, -v), rtol=1e-4)
@@ -150,7 +172,9 @@ def test_the_papers_orders_are_well_conditioned(logarithmic: bool) -> None:
 
 @pytest.mark.parametrize("directional", [False, True])
 def test_a_corner_that_no_trial_has_been_in_is_vague(directional: bool) -> None:
-    """Slow passes near the middle only: what the surface says of slow motion far out is its own."""
+    """Slow passes near the middle only: what the surface says of slow motion far out is
+    its own.
+    """
     rng = np.random.default_rng(2)
     u = rng.uniform(-1.0, 1.0, 4000)
     x = rng.uniform(-1.0, 1.0, 4000) * np.where(u < 0.0, 0.3, 1.0)
@@ -159,13 +183,19 @@ def test_a_corner_that_no_trial_has_been_in_is_vague(directional: bool) -> None:
     covariance = np.kron(np.eye(2 if directional else 1), block)
     own = replace(surface(directional=directional), entry_covariance=covariance)
     middle, end = 0.5 * sum(POSITION), POSITION[1] - 0.04
-    slow, fast, turning = np.array([0.2, -0.2]), np.array([3.8, -3.8]), np.full(2, 0.5 * WIDTH)
+    slow, fast, turning = (
+        np.array([0.2, -0.2]),
+        np.array([3.8, -3.8]),
+        np.full(2, 0.5 * WIDTH),
+    )
     assert own.vague(np.full(2, end), slow).all()
     for q, v in ((end, fast), (middle, slow), (end, turning)):
         assert not own.vague(np.full(2, q), v).any()
 
 
-def test_coulomb_and_viscous_friction_of_a_file_goes_on_beyond_the_fastest_speed() -> None:
+def test_coulomb_and_viscous_friction_of_a_file_goes_on_beyond_the_fastest_speed() -> (
+    None
+):
     """As it is; that it was not seen there is said all the same."""
     coulomb, half = 2.0, 0.5 * 0.7 * 1.5
     joint = friction_joint(
@@ -178,6 +208,8 @@ def test_coulomb_and_viscous_friction_of_a_file_goes_on_beyond_the_fastest_speed
     own = FrictionSurface.from_stage(joint)
     v = np.array([0.3, -1.2, 1.5, 3.0, -4.0])
     q = np.zeros(len(v))
-    np.testing.assert_allclose(own.torque(q, v), coulomb * np.sign(v) + 0.7 * v, rtol=1e-9)
+    np.testing.assert_allclose(
+        own.torque(q, v), coulomb * np.sign(v) + 0.7 * v, rtol=1e-9
+    )
     assert own.outside(q, v).tolist() == [False, False, False, True, True]
     assert not own.vague(q, v).any()

@@ -11,7 +11,11 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.params.schema import RigidStage, Stages
-from seqid_cli.robot.base_parameters import base_parameters, base_regressor, standard_names
+from seqid_cli.robot.base_parameters import (
+    base_parameters,
+    base_regressor,
+    standard_names,
+)
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.arms.rigs import six_joint
@@ -56,8 +60,12 @@ def stages(robot: Robot, coupling: str = "diagonal") -> Stages:
 
 
 @pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
-def test_the_rigid_torque_is_the_plants(robot: Robot, motion: Motion, coupling: str) -> None:
-    """Pinocchio's RNEA with rotors, as the simulated arm has it; a prediction adds friction."""
+def test_the_rigid_torque_is_the_plants(
+    robot: Robot, motion: Motion, coupling: str
+) -> None:
+    """Pinocchio's RNEA with rotors, as the simulated arm has it; a prediction adds
+    friction.
+    """
     rigid = Rigid(replace(ARM, rotor_coupling=coupling == "gyroscopic"))
     model = TorqueModel.from_stages(stages(robot, coupling), robot)
     state = (motion.q[::40], motion.dq[::40], motion.ddq[::40])
@@ -72,10 +80,18 @@ def test_the_rigid_torque_is_the_regressor_times_the_parameters(
     robot: Robot, motion: Motion
 ) -> None:
     """H pi of Eq. 4."""
-    basis, phi = base_parameters(robot, rotor=range(6)), np.r_[ARM.phi.ravel(), ARM.rotor_inertia]
+    basis, phi = (
+        base_parameters(robot, rotor=range(6)),
+        np.r_[ARM.phi.ravel(), ARM.rotor_inertia],
+    )
     state = motion.q, motion.dq, motion.ddq
-    H, model = base_regressor(robot, basis, *state), TorqueModel.from_stages(stages(robot), robot)
-    np.testing.assert_allclose(model.rigid(*state), H @ (basis.expression @ phi), atol=1e-8)
+    H, model = (
+        base_regressor(robot, basis, *state),
+        TorqueModel.from_stages(stages(robot), robot),
+    )
+    np.testing.assert_allclose(
+        model.rigid(*state), H @ (basis.expression @ phi), atol=1e-8
+    )
 
 
 def test_parts_are_models_too(robot: Robot, motion: Motion) -> None:
@@ -91,11 +107,15 @@ def test_parts_are_models_too(robot: Robot, motion: Motion) -> None:
     assert not rubbing.rigid(motion.q, motion.dq, motion.ddq).any()
 
 
-def test_at_rest_the_model_allows_what_friction_can_hold(robot: Robot, motion: Motion) -> None:
+def test_at_rest_the_model_allows_what_friction_can_hold(
+    robot: Robot, motion: Motion
+) -> None:
     model = TorqueModel.from_stages(stages(robot), robot)
     rigid = motion.filtered(model.rigid(motion.q, motion.dq, motion.ddq))
     held = np.zeros_like(motion.moving)
-    bands = [s.at_rest(motion.q[:, j]) for j, s in enumerate(model.surfaces) if s is not None]
+    bands = [
+        s.at_rest(motion.q[:, j]) for j, s in enumerate(model.surfaces) if s is not None
+    ]
     low, high = (np.stack(side, axis=1) for side in zip(*bands, strict=True))
     own = model.predict(motion)
     at_rest = model.predict_set(motion, held)
@@ -142,7 +162,9 @@ def test_friction_of_thinned_motion_is_the_full_one_after_the_low_pass() -> None
     expected = full.filtered(friction_torque(surfaces, full.q, full.dq), times=2)[::20]
 
     def error(torque: Array) -> float:
-        return float(np.abs(thinned.filtered(torque, times=2) - expected)[100:-100].max())
+        return float(
+            np.abs(thinned.filtered(torque, times=2) - expected)[100:-100].max()
+        )
 
     assert error(sampled_friction(surfaces, thinned)) < 2e-3
     # Samples of the step alone are known to half a sample.

@@ -31,7 +31,10 @@ def curves(samples: int = 6000) -> tuple[Array, Array, Array]:
 
 
 def motion_of(
-    q: Array, hz: float | None = None, tau: Array | None = None, invalid: Array | None = None
+    q: Array,
+    hz: float | None = None,
+    tau: Array | None = None,
+    invalid: Array | None = None,
 ) -> Motion:
     log = made_recording(q, tau, rate_hz=RATE)
     log.valid[[] if invalid is None else invalid] = False
@@ -55,7 +58,9 @@ def test_parallel_filtering_keeps_a_linear_equation_exact(hz: float) -> None:
     q = q + 0.05 * np.random.default_rng(0).standard_normal(q.shape)
     tau = 3.0 * q + 0.7
     motion = motion_of(q, hz, tau)
-    np.testing.assert_allclose(motion.tau, motion.filtered(3.0 * motion.q + 0.7), atol=1e-9)
+    np.testing.assert_allclose(
+        motion.tau, motion.filtered(3.0 * motion.q + 0.7), atol=1e-9
+    )
     np.testing.assert_allclose(motion.filtered(tau, times=2), motion.tau, atol=1e-12)
 
 
@@ -69,13 +74,16 @@ def test_samples_near_ends_and_gaps_are_not_usable() -> None:
 
 
 def test_a_log_of_gaps_is_refused() -> None:
-    with pytest.raises(InputError, match="long enough for a low-pass of 5 Hz") as caught:
+    with pytest.raises(
+        InputError, match="long enough for a low-pass of 5 Hz"
+    ) as caught:
         motion_of(curves(2000)[0], 5.0, invalid=np.arange(0, 2000, 50))
     assert "log.parquet" in str(caught.value)
 
 
 def test_a_sample_next_to_a_dropped_gap_is_invalid() -> None:
-    short = decimated(motion_of(curves()[0], 5.0, invalid=np.array([3003])))  # between kept ones
+    # between kept ones
+    short = decimated(motion_of(curves()[0], 5.0, invalid=np.array([3003])))
     assert short.valid[[299, 300, 301]].tolist() == [True, False, True]
 
 
@@ -86,7 +94,9 @@ SAMPLES, STEP = 9_137, 1e-4
 def log() -> Recording:
     """Two joints that move, one that stands still for a while, two gaps."""
     t = np.arange(SAMPLES) / RATE
-    q = np.stack([np.sin(1.3 * t), 0.4 * np.cos(4.0 * t), 0.2 * np.sin(t) * (t > 8)], axis=1)
+    q = np.stack(
+        [np.sin(1.3 * t), 0.4 * np.cos(4.0 * t), 0.2 * np.sin(t) * (t > 8)], axis=1
+    )
     q = STEP * np.round(q / STEP)
     tau = 3.0 * q + np.random.default_rng(8).normal(size=q.shape)
     made = made_recording(q, tau, rate_hz=RATE)
@@ -98,7 +108,9 @@ def in_parts(recording: Recording, sizes: list[int]) -> Iterator[Block]:
     start, turn = 0, 0
     while start < len(recording.t):
         part = slice(start, start + sizes[turn % len(sizes)])
-        yield Block(start, recording.q[part], recording.tau[part], recording.valid[part])
+        yield Block(
+            start, recording.q[part], recording.tau[part], recording.valid[part]
+        )
         start, turn = part.stop, turn + 1
 
 
@@ -125,7 +137,9 @@ def test_motion_by_blocks_is_the_whole_motion(
 
 
 @pytest.mark.parametrize("resolution", [0.0, STEP])
-def test_a_survey_in_parts_is_that_of_the_whole_log(log: Recording, resolution: float) -> None:
+def test_a_survey_in_parts_is_that_of_the_whole_log(
+    log: Recording, resolution: float
+) -> None:
     known = np.full(3, resolution)
     survey = Survey(3, RATE, SAMPLES)
     for block in in_parts(log, [911]):
@@ -136,4 +150,6 @@ def test_a_survey_in_parts_is_that_of_the_whole_log(log: Recording, resolution: 
     np.testing.assert_array_equal(survey.moving(step), moving)
     expected, found = Survey.of(log.q, RATE).cutoff(known), survey.cutoff(known)
     for name in ("hz", "encoder_step", "noise_density"):
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(expected, name), rtol=1e-9
+        )

@@ -1,12 +1,26 @@
-"""Constant-velocity stretches are found in trapezoids, lie inside them, and nowhere else."""
+"""Constant-velocity stretches are found in trapezoids, lie inside them, and nowhere
+else.
+"""
 
 import numpy as np
 import pytest
 
 from seqid_cli.motion.filters.differentiation import runs
-from seqid_cli.motion.segmentation import SMALLEST_STEP, Stretch, constant_velocity, noise_step
+from seqid_cli.motion.segmentation import (
+    SMALLEST_STEP,
+    Stretch,
+    constant_velocity,
+    noise_step,
+)
 from seqid_cli.typing import Array, Mask
-from tests.plants.motions.trajectories import Reference, hold, join, side_by_side, sweeps, trapezoid
+from tests.plants.motions.trajectories import (
+    Reference,
+    hold,
+    join,
+    side_by_side,
+    sweeps,
+    trapezoid,
+)
 from tests.plants.sensors import quantise
 
 COARSE, MIDDLE, FINE = (2 * np.pi / counts for counts in (600, 2**12, 2**17))
@@ -17,8 +31,12 @@ def find(reference: Reference, q: Array, valid: Mask | None = None) -> list[Stre
     return constant_velocity(q, reference.rate_hz, step=noise_step(q), valid=mask)
 
 
-def assert_found_once(made: Reference, q: Array, count: int, least: float = 0.0) -> list[Stretch]:
-    """Each stretch lies within a constant part of joint 0, holds a share of it, knows its speed."""
+def assert_found_once(
+    made: Reference, q: Array, count: int, least: float = 0.0
+) -> list[Stretch]:
+    """Each stretch lies within a constant part of joint 0, holds a share of it, knows
+    its speed.
+    """
     found = find(made, q)
     parts = runs((made.ddq[:, 0] == 0) & (made.dq[:, 0] != 0), len(q))
     assert len(parts) == len(found) == count
@@ -32,8 +50,12 @@ def assert_found_once(made: Reference, q: Array, count: int, least: float = 0.0)
 
 @pytest.mark.parametrize("rate", [100.0, 250.0, 1000.0])
 @pytest.mark.parametrize("step", [COARSE, MIDDLE, FINE, 0.0])
-def test_every_constant_part_of_every_trial_is_found_once(rate: float, step: float) -> None:
-    """Joint 0 of two goes both ways at five speeds over forty to one; then without steps."""
+def test_every_constant_part_of_every_trial_is_found_once(
+    rate: float, step: float
+) -> None:
+    """Joint 0 of two goes both ways at five speeds over forty to one; then without
+    steps.
+    """
     speeds = (0.1, 0.4, 1.0, 2.0, 4.0) if step else (0.2, 1.0, 2.0, 3.0, 4.0)
     made = sweeps(np.zeros(2), 0, (-2.0, 2.0), speeds, 20.0, rate_hz=rate)
     noise = 2e-4 * np.random.default_rng(0).standard_normal(made.q.shape)
@@ -43,7 +65,9 @@ def test_every_constant_part_of_every_trial_is_found_once(rate: float, step: flo
 
 @pytest.mark.parametrize("step", [COARSE, FINE])
 def test_a_reversal_without_rest_is_two_stretches(step: float) -> None:
-    profile = [trapezoid(a, b, 1.5, 15.0, 250.0) for a, b in ((-1.5, 1.5), (1.5, -1.5))] * 2
+    profile = [
+        trapezoid(a, b, 1.5, 15.0, 250.0) for a, b in ((-1.5, 1.5), (1.5, -1.5))
+    ] * 2
     q, dq, ddq = (np.concatenate([p[i] for p in profile])[:, None] for i in range(3))
     found = assert_found_once(Reference(q, dq, ddq, 250.0), quantise(q, step), 4)
     assert [np.sign(s.velocity) for s in found] == [1, -1, 1, -1]
@@ -51,7 +75,10 @@ def test_a_reversal_without_rest_is_two_stretches(step: float) -> None:
 
 @pytest.mark.parametrize("step", [COARSE, FINE])
 def test_moves_of_two_joints_at_once_are_not_trials(step: float) -> None:
-    both = [trapezoid(-1.5, 1.5, 1.0, 10.0, 250.0), trapezoid(1.0, -1.0, 0.8, 10.0, 250.0)]
+    both = [
+        trapezoid(-1.5, 1.5, 1.0, 10.0, 250.0),
+        trapezoid(1.0, -1.0, 0.8, 10.0, 250.0),
+    ]
     moves = side_by_side([*both, (np.full(1, 0.3), np.zeros(1), np.zeros(1))], 250.0)
     made = join([hold(moves.q[0], 0.5, 250.0), moves])
     # Joint 0 arrives last; what it does alone is a trial of its own.
@@ -62,10 +89,16 @@ def test_moves_of_two_joints_at_once_are_not_trials(step: float) -> None:
 
 @pytest.mark.parametrize("step", [COARSE, FINE])
 @pytest.mark.parametrize("frequency", [0.05, 0.1, 0.3, 1.0, 3.0])
-def test_what_is_taken_of_a_sine_is_nearly_constant(frequency: float, step: float) -> None:
+def test_what_is_taken_of_a_sine_is_nearly_constant(
+    frequency: float, step: float
+) -> None:
     w = 2 * np.pi * frequency
     angle, two = w * np.arange(0, 20, 1 / 500.0)[:, None], np.array([1.5, 0.0])
-    q, dq, ddq = two * np.sin(angle), two * w * np.cos(angle), -two * w**2 * np.sin(angle)
+    q, dq, ddq = (
+        two * np.sin(angle),
+        two * w * np.cos(angle),
+        -two * w**2 * np.sin(angle),
+    )
     found = find(Reference(q, dq, ddq, 500.0), quantise(q, step))
     for stretch in found:
         own = dq[stretch.start : stretch.stop, 0]
@@ -93,4 +126,6 @@ def test_noise_step_sees_counts_and_noise() -> None:
     assert step[0] == pytest.approx(MIDDLE, rel=0.01)
     assert step[1] == pytest.approx(3e-3, rel=0.15)
     assert step[2] == SMALLEST_STEP
-    assert noise_step(counts[:, None], np.array([2 * MIDDLE]))[0] == pytest.approx(2 * MIDDLE)
+    assert noise_step(counts[:, None], np.array([2 * MIDDLE]))[0] == pytest.approx(
+        2 * MIDDLE
+    )

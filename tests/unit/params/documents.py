@@ -27,8 +27,14 @@ def robot() -> RobotId:
 def friction_stage(*, good: bool = True) -> p.FrictionStage:
     verdicts = [Verdict(joint=name, good=True) for name in JOINTS]
     if not good:
-        verdicts[1] = Verdict(joint="elbow", good=False, reason="only 1 speed, 3 are needed")
-    ranges = {"position_range": [-2.0, 2.0], "speed_range": [0.1, 1.5], "sign_width": 0.01}
+        verdicts[1] = Verdict(
+            joint="elbow", good=False, reason="only 1 speed, 3 are needed"
+        )
+    ranges = {
+        "position_range": [-2.0, 2.0],
+        "speed_range": [0.1, 1.5],
+        "sign_width": 0.01,
+    }
     numbers = {"max_error": 0.25, "rmse": 0.1, "covariance": [[0.01, 0.0], [0.0, 0.02]]}
     surface = [[1.0], [1.0 / 3.0]]
     joints = {name: friction_joint(surface, **ranges, **numbers) for name in JOINTS}
@@ -36,7 +42,9 @@ def friction_stage(*, good: bool = True) -> p.FrictionStage:
 
 
 def rigid_stage(unit: str = "kg m") -> p.RigidStage:
-    parameter = p.Parameter(name="mx_1", value=1.25, std_error=0.01, unit=unit, joint="shoulder")
+    parameter = p.Parameter(
+        name="mx_1", value=1.25, std_error=0.01, unit=unit, joint="shoulder"
+    )
     verdicts = [Verdict(joint=name, good=True) for name in JOINTS]
     numbers = {"condition": 12.5, "rank": 1, "covariance": [[1e-4]]}
     rmse = dict.fromkeys(JOINTS, 0.2)
@@ -46,7 +54,9 @@ def rigid_stage(unit: str = "kg m") -> p.RigidStage:
 def imu_stage() -> p.ImuStage:
     turn = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     calibration = p.ImuCalibration(rotation=turn, std_error_deg=0.3, configurations=4)
-    return p.ImuStage(imus={"imu_a": calibration}, verdicts=[Verdict(joint="imu_a", good=True)])
+    return p.ImuStage(
+        imus={"imu_a": calibration}, verdicts=[Verdict(joint="imu_a", good=True)]
+    )
 
 
 def log(name: str, stage: str) -> InputLog:
@@ -58,7 +68,9 @@ def friction_file() -> ParameterFile:
 
 
 def gravity_file() -> ParameterFile:
-    return with_stage(friction_file(), robot(), [log("b", "gravity")], gravity=rigid_stage())
+    return with_stage(
+        friction_file(), robot(), [log("b", "gravity")], gravity=rigid_stage()
+    )
 
 
 def imu_file() -> ParameterFile:
@@ -67,7 +79,9 @@ def imu_file() -> ParameterFile:
 
 def inertia_file() -> ParameterFile:
     file = with_stage(gravity_file(), robot(), [log("c", "imu")], imu=imu_stage())
-    return with_stage(file, robot(), [log("d", "inertia")], inertia=rigid_stage("kg m^2"))
+    return with_stage(
+        file, robot(), [log("d", "inertia")], inertia=rigid_stage("kg m^2")
+    )
 
 
 def full_file() -> ParameterFile:
@@ -79,7 +93,11 @@ def full_file() -> ParameterFile:
 
 
 def closed_loop() -> p.ClosedLoop:
-    gains = {"training_gain": 0.62, "training_interval": [0.55, 0.64], "held_out_gain": 0.6}
+    gains = {
+        "training_gain": 0.62,
+        "training_interval": [0.55, 0.64],
+        "held_out_gain": 0.6,
+    }
     accepted = RefinementRound(
         effect="stribeck",
         joint="elbow",
@@ -91,7 +109,12 @@ def closed_loop() -> p.ClosedLoop:
     )
     gains = {"training_gain": 0.01, "held_out_gain": -0.02, "interval": [-0.04, 0.0]}
     reason = "no gain on the held-out logs"
-    refused = {"effect": "spring", "joint": "shoulder", "accepted": False, "reason": reason}
+    refused = {
+        "effect": "spring",
+        "joint": "shoulder",
+        "accepted": False,
+        "reason": reason,
+    }
     return p.ClosedLoop(
         rounds=[accepted],
         refused=[RefinementRound(**refused, **gains)],
@@ -106,20 +129,34 @@ def closed_loop() -> p.ClosedLoop:
     )
 
 
-def rival(effect: str, gain: float, why_not: str, joint: str | None = "elbow") -> RivalEntry:
+def rival(
+    effect: str, gain: float, why_not: str, joint: str | None = "elbow"
+) -> RivalEntry:
     return RivalEntry(effect=effect, joint=joint, log_gain=gain, why_not=why_not)
 
 
-def evidence(joint: str, quantity: str, unit: str, *, sided: bool = False) -> EvidenceEntry:
+def evidence(
+    joint: str, quantity: str, unit: str, *, sided: bool = False
+) -> EvidenceEntry:
     before = {"before": [0.5, -0.5, 0.5], "before_spread": [0.1, 0.2, 0.1]}
     after = {"after": [0.01, -0.02, 0.03], "after_spread": [0.09, 0.08, 0.07]}
-    shown = {"joint": joint, "quantity": quantity, "of": joint, "unit": unit, "sided": sided}
-    return EvidenceEntry(**shown, x=[-1.0, 0.0, 1.0], count=[50, 51, 50], **before, **after)
+    shown = {
+        "joint": joint,
+        "quantity": quantity,
+        "of": joint,
+        "unit": unit,
+        "sided": sided,
+    }
+    return EvidenceEntry(
+        **shown, x=[-1.0, 0.0, 1.0], count=[50, 51, 50], **before, **after
+    )
 
 
 def diagnosis_file() -> d.DiagnosisFile:
     told = "these logs cannot tell the two apart: it reaches 96.7 % of the gain"
-    torque = d.EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")
+    torque = d.EffectParameter(
+        name="stribeck_torque", value=1.5, std_error=0.05, unit="N m"
+    )
     finding = d.FindingEntry(
         effect="stribeck",
         joint="elbow",
@@ -140,12 +177,16 @@ def diagnosis_file() -> d.DiagnosisFile:
     )
     shown = evidence("shoulder", "position", "rad")
     depends_on = ["position", "direction"]
-    part = d.UnexplainedPart(joint="shoulder", depends_on=depends_on, share=0.4, evidence=shown)
+    part = d.UnexplainedPart(
+        joint="shoulder", depends_on=depends_on, share=0.4, evidence=shown
+    )
     told = {"rmse": 0.3, "rmse_explained": 0.12, "white": False, "samples": 400}
     floor = {"noise_floor": 0.1, "noise_floor_interval": [0.08, 0.13]}
     tried = [rival("spring", 3.0, "gain of 0.9 standard errors; 2 are asked at least")]
     residual = d.ResidualEntry(**told, **floor, tried=tried)
-    still = d.ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0)
+    still = d.ResidualEntry(
+        rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0
+    )
     return d.DiagnosisFile(
         **head(d.DIAGNOSIS_SCHEMA, now()),
         robot=robot(),

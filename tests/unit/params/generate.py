@@ -1,4 +1,6 @@
-"""JSON Schemas of the documents, made from their types: `python -m tests.unit.params.generate`."""
+"""JSON Schemas of the documents, made from their types: `python -m
+tests.unit.params.generate`.
+"""
 
 import json
 from collections.abc import Mapping
@@ -7,7 +9,14 @@ from pathlib import Path
 import msgspec
 
 from seqid_cli.params.files import write_text_atomic
-from seqid_cli.params.results import diagnosis, inspection, payload, plan, prediction, trend
+from seqid_cli.params.results import (
+    diagnosis,
+    inspection,
+    payload,
+    plan,
+    prediction,
+    trend,
+)
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 from tests import ROOT
 
@@ -32,7 +41,8 @@ def json_schema(name: str) -> dict[str, object]:
     (reference,), components = msgspec.json.schema_components(
         [document], ref_template="#/$defs/{name}"
     )
-    # The name of the schema is a plain string to the decoder, which must read other versions too.
+    # The name of the schema is a plain string to the decoder, which must read other
+    # versions too.
     components[document.__name__]["properties"]["schema"] = {"const": name}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -56,7 +56,9 @@ def test_rule(
     assert bool(found.changed) == different
     change = next(item for item in found.differences if item.stage == "gravity")
     assert change.different == different
-    assert change.sigmas == (pytest.approx(moved / (math.sqrt(2.0) * error)) if error else None)
+    assert change.sigmas == (
+        pytest.approx(moved / (math.sqrt(2.0) * error)) if error else None
+    )
     assert change.relative == pytest.approx(moved / (1.25 + moved))
 
 
@@ -77,7 +79,9 @@ def same_surface(a: ParameterFile, b: ParameterFile) -> None:
 
 
 def turned(euler: str, *degrees: float, free: bool = False) -> Edit:
-    """Turn a mounting; where it is `free` about z no installation determines that angle."""
+    """Turn a mounting; where it is `free` about z no installation determines that
+    angle.
+    """
 
     def turn(a: ParameterFile, b: ParameterFile) -> None:
         one, other = (file.stages.imu.imus["imu_a"] for file in (a, b))
@@ -90,7 +94,12 @@ def turned(euler: str, *degrees: float, free: bool = False) -> Edit:
 
 
 def moved_effect(a: ParameterFile, b: ParameterFile) -> None:
-    named = {"name": "stribeck_torque", "std_error": 0.01, "unit": "N m", "joint": "elbow"}
+    named = {
+        "name": "stribeck_torque",
+        "std_error": 0.01,
+        "unit": "N m",
+        "joint": "elbow",
+    }
     for file, value in ((a, 1.0), (b, 1.2)):
         file.stages.effects[0].parameters = [Parameter(value=value, **named)]
     b.stages.effects[0].settings["stribeck_speed"] = 0.2
@@ -99,16 +108,22 @@ def moved_effect(a: ParameterFile, b: ParameterFile) -> None:
 def poor(a: ParameterFile, b: ParameterFile) -> None:
     """Of several verdicts on a joint all must be good."""
     reasons = "no values for a while", "too few speeds"
-    hole, few = (Verdict(joint="elbow", good=False, reason=reason) for reason in reasons)
+    hole, few = (
+        Verdict(joint="elbow", good=False, reason=reason) for reason in reasons
+    )
     for file in (a, b):
         file.stages.gravity.verdicts = [*file.stages.gravity.verdicts, hole]
     b.stages.friction.verdicts = [*b.stages.friction.verdicts, hole, few]
 
 
 def tiny(a: ParameterFile, b: ParameterFile) -> None:
-    """A parameter that is really zero is a thousandth of the largest of its unit at least."""
+    """A parameter that is really zero is a thousandth of the largest of its unit at
+    least.
+    """
     for file, value in ((a, 1e-8), (b, 2e-8)):
-        zero = Parameter(name="my_1", value=value, std_error=1e-10, unit="kg m", joint="shoulder")
+        zero = Parameter(
+            name="my_1", value=value, std_error=1e-10, unit="kg m", joint="shoulder"
+        )
         parameters(file).append(zero)
 
 
@@ -136,7 +151,9 @@ CASES: dict[str, Edit] = {
     "without IMUs": of_the_second("imu", None),
     "other coefficients of the same friction": same_surface,
     "other friction": moved_surface,
-    "speeds of another range": of_the_second("friction.joints.elbow.speed_range", [2.0, 3.0]),
+    "speeds of another range": of_the_second(
+        "friction.joints.elbow.speed_range", [2.0, 3.0]
+    ),
     "turned by half a degree": turned("x", 0.5),
     "turned by 3 degrees": turned("x", 3.0),
     "turned about the free axis": turned("z", 143.0, free=True),
@@ -151,9 +168,13 @@ CASES: dict[str, Edit] = {
 
 
 def described(found: ComparisonFile) -> Iterator[str]:
-    """The numbers that moved, to five digits, and the notes; speeds of surfaces are left out."""
+    """The numbers that moved, to five digits, and the notes; speeds of surfaces are
+    left out.
+    """
     for x in found.differences:
-        numbers = [f"{n:.5g}" for n in (x.a, x.b, x.sigmas, x.relative) if n is not None]
+        numbers = [
+            f"{n:.5g}" for n in (x.a, x.b, x.sigmas, x.relative) if n is not None
+        ]
         what = " ".join(filter(None, (x.stage, x.name, x.joint)))
         if x.different or x.relative:
             kind = "changed" if x.different else "same"
@@ -169,7 +190,9 @@ def test_what_of_a_parameter_file_has_changed() -> None:
         edit(a, b)
         found, back = compared(a, b), compared(b, a)
         assert (found.compared, found.changed) == (back.compared, back.changed)
-        text += "\n".join([f"# {name}: {found.changed} of {found.compared}", *described(found), ""])
+        text += "\n".join(
+            [f"# {name}: {found.changed} of {found.compared}", *described(found), ""]
+        )
     check_text(Path(__file__).with_name("changes.txt"), text)
 
 

@@ -1,4 +1,6 @@
-"""Documents: what they hold, how numbers are written, and what schemas and readers refuse."""
+"""Documents: what they hold, how numbers are written, and what schemas and readers
+refuse.
+"""
 
 import json
 import math
@@ -21,7 +23,13 @@ from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.schema import SCHEMA, EffectOfJoint, Stages
 from tests.unit.params import documents as made
-from tests.unit.params.documents import diagnosis_file, full_file, gravity_file, log, robot
+from tests.unit.params.documents import (
+    diagnosis_file,
+    full_file,
+    gravity_file,
+    log,
+    robot,
+)
 from tests.unit.params.generate import DOCUMENTS, json_schema, schema_path
 
 
@@ -44,7 +52,12 @@ def test_a_refined_file_keeps_every_input_and_replaces_the_stages() -> None:
     friction, inertia = made.friction_stage(good=False), made.rigid_stage("N m")
     new = Stages(friction=friction, inertia=inertia, effects=effects)
     after = refined(before, robot(), [log("e", "effects")], new, made.closed_loop())
-    for name, source in (("friction", new), ("gravity", old), ("imu", old), ("effects", new)):
+    for name, source in (
+        ("friction", new),
+        ("gravity", old),
+        ("imu", old),
+        ("effects", new),
+    ):
         assert getattr(after.stages, name) == getattr(source, name)
     assert after.inputs == [*before.inputs, log("e", "effects")]
     assert after.closed_loop == made.closed_loop()
@@ -60,7 +73,9 @@ def test_the_shipped_schema_is_the_generated_one(name: str) -> None:
 
 
 def refused_at(name: str, document: object) -> set[str]:
-    validator = jsonschema.Draft202012Validator(json.loads(schema_path(name).read_text()))
+    validator = jsonschema.Draft202012Validator(
+        json.loads(schema_path(name).read_text())
+    )
     return {error.json_path for error in validator.iter_errors(document)}
 
 
@@ -76,7 +91,9 @@ def test_the_schema_refuses_what_breaks_the_contract() -> None:
     assert refused_at(DIAGNOSIS_SCHEMA, document) == places
 
 
-finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-LARGEST, max_value=LARGEST)
+finite = st.floats(
+    allow_nan=False, allow_infinity=False, min_value=-LARGEST, max_value=LARGEST
+)
 documents = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**53), 2**53) | finite | st.text(),
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
@@ -92,7 +109,10 @@ def test_text_is_json_of_rounded_numbers(document: object, value: float) -> None
     assert isinstance(rounded, float)
     assert rounded == pytest.approx(value, rel=1e-11, abs=0.0)
     assert plain(rounded) == rounded
-    assert len(f"{rounded!r}".split("e")[0].lstrip("-0.").replace(".", "").rstrip("0")) <= 12
+    assert (
+        len(f"{rounded!r}".split("e")[0].lstrip("-0.").replace(".", "").rstrip("0"))
+        <= 12
+    )
 
 
 def test_what_no_sample_shows_is_written_as_a_file_may_hold_it(tmp_path: Path) -> None:
@@ -143,7 +163,10 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "truncated at line 1, column 1"),
-        ('{"schema": "seqid/params@1",\n "created": nan}', "invalid character at line 2, column"),
+        (
+            '{"schema": "seqid/params@1",\n "created": nan}',
+            "invalid character at line 2, column",
+        ),
         ('{\n\n  "a": 1,}', "trailing comma in object at line 3, column 10"),
         (b'{"schema": "\xff"}', "not UTF-8"),
         ("[" * 100_000, "Expected `object`, got `array`"),
@@ -155,20 +178,31 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ('{"schema": 3}', "`schema` is 3"),
         ('{"schema": "seqid/params@0"}', "`schema` is 'seqid/params@0'"),
         ('{"schema": "seqid/prediction@1"}', "is a prediction file"),
-        ('{"schema": "seqid/params@7", "stages": []}', "newer version seqid/params@7; this seqid"),
+        (
+            '{"schema": "seqid/params@7", "stages": []}',
+            "newer version seqid/params@7; this seqid",
+        ),
     ],
 )
-def test_what_is_no_parameter_file(tmp_path: Path, text: str | bytes, message: str) -> None:
+def test_what_is_no_parameter_file(
+    tmp_path: Path, text: str | bytes, message: str
+) -> None:
     assert message in problem(tmp_path / "p.json", text).message
 
 
 LOOP, ELBOW = "closed_loop", "stages.friction.joints.elbow"
 GONE = "$.closed_loop.unconfirmed[0]"
-NOT_KEPT = {"effect": "spring", "joint": "shoulder", "accepted": True, "confirmed": False}
+NOT_KEPT = {
+    "effect": "spring",
+    "joint": "shoulder",
+    "accepted": True,
+    "confirmed": False,
+}
 STOPPED = {"rounds": 1, "untried": [{"effect": "spring", "joint": "knee"}]}
 SHOWN = f"{LOOP}.rounds.0.evidence"
 SESSION, IT = "stages.effects.0.session", "$.stages.effects[0].session"
-WRONG = [  # a key of the full file, its value, what is said of it, or of another key: $...
+# a key of the full file, its value, what is said of it, or of another key: $...
+WRONG = [
     ("robot.joints.1", 4, "Expected `str`, got `int`"),
     ("stages.inertia.rnak", 4, "$.stages.inertia: Object contains unknown field"),
     ("robot.joints.1", "shoulder", "$.robot.joints: must name each joint"),
@@ -178,8 +212,16 @@ WRONG = [  # a key of the full file, its value, what is said of it, or of anothe
     (f"{ELBOW}.covariance", [[1.0]], "must be square with 2 or 4"),
     ("stages.gravity.covariance", [[1.0, 2.0]], "must be square with 1"),
     ("stages.gravity.parameters.0.std_error", -1, "must not be negative"),
-    ("stages.gravity.parameters.0.joint", "knee", "joint 'knee' is none of the robot's: shou"),
-    ("stages.imu.imus.imu_a.rotation.0.0", 1.0, "$.stages.imu.imus.imu_a.rotation: is no rotation"),
+    (
+        "stages.gravity.parameters.0.joint",
+        "knee",
+        "joint 'knee' is none of the robot's: shou",
+    ),
+    (
+        "stages.imu.imus.imu_a.rotation.0.0",
+        1.0,
+        "$.stages.imu.imus.imu_a.rotation: is no rotation",
+    ),
     ("stages.effects.0.joint", "knee", "joint 'knee'"),
     ("stages.effects.0.covariance", [[1.0, 0.0], [0.0, 1.0]], "must be square with 1"),
     (SESSION, {"logs": ["a"], "starts": [0.0, 1.0], "origin": 0.0}, f"{IT}.starts"),
@@ -189,10 +231,26 @@ WRONG = [  # a key of the full file, its value, what is said of it, or of anothe
     (f"{SHOWN}.of", "knee", "joint 'knee'"),
     (f"{SHOWN}.after", [0.1], "$.closed_loop.rounds[0].evidence: x, count, before and"),
     (f"{LOOP}.rounds.0.accepted", False, ""),
-    (f"{LOOP}.unconfirmed", [NOT_KEPT | {"accepted": False}], f"{GONE}.accepted: contradicts"),
-    (f"{LOOP}.unconfirmed", [NOT_KEPT | {"confirmed": True}], f"{GONE}.confirmed: contradicts"),
-    (f"{LOOP}.unconfirmed", [NOT_KEPT | {"joint": "knee"}], f"{GONE}.joint: joint 'knee'"),
-    (f"{LOOP}.stopped_at", STOPPED, "$.closed_loop.stopped_at.untried[0].joint: joint 'knee'"),
+    (
+        f"{LOOP}.unconfirmed",
+        [NOT_KEPT | {"accepted": False}],
+        f"{GONE}.accepted: contradicts",
+    ),
+    (
+        f"{LOOP}.unconfirmed",
+        [NOT_KEPT | {"confirmed": True}],
+        f"{GONE}.confirmed: contradicts",
+    ),
+    (
+        f"{LOOP}.unconfirmed",
+        [NOT_KEPT | {"joint": "knee"}],
+        f"{GONE}.joint: joint 'knee'",
+    ),
+    (
+        f"{LOOP}.stopped_at",
+        STOPPED,
+        "$.closed_loop.stopped_at.untried[0].joint: joint 'knee'",
+    ),
     (f"{LOOP}.refused.0.interval", [1.0], "mu"),
     (f"{LOOP}.before", {"knee": {"rmse": 1.0}}, "joint 'knee'"),
     (f"{LOOP}.gain_interval.elbow", [0.2, 0.1], "must be two numbers"),
@@ -200,20 +258,30 @@ WRONG = [  # a key of the full file, its value, what is said of it, or of anothe
 
 
 @pytest.mark.parametrize(("key", "value", "message"), WRONG)
-def test_wrong_content_has_its_key(tmp_path: Path, key: str, value: object, message: str) -> None:
+def test_wrong_content_has_its_key(
+    tmp_path: Path, key: str, value: object, message: str
+) -> None:
     error = problem(tmp_path / "p.json", edited(key, value))
     named = re.sub(r"\.(\d+)", r"[\1]", f"$.{key}")
-    assert error.message.startswith(message if message.startswith("$") else f"{named}: {message}")
+    assert error.message.startswith(
+        message if message.startswith("$") else f"{named}: {message}"
+    )
 
 
 def test_a_closed_loop_needs_no_more_than_the_contract(tmp_path: Path) -> None:
-    rounds, rmse = [{"effect": "stribeck", "joint": "elbow"}, {"effect": "payload"}], {"rmse": 0.5}
+    rounds, rmse = (
+        [{"effect": "stribeck", "joint": "elbow"}, {"effect": "payload"}],
+        {"rmse": 0.5},
+    )
     older = {"rounds": rounds, "before": {"elbow": rmse}, "after": {"elbow": rmse}}
     older |= {"noise_floor": {"elbow": 0.1}, "evaluated_on": ["v.parquet"]}
     path = tmp_path / "p.json"
     path.write_text(edited("closed_loop", older))
     loop = read_parameters(path).closed_loop
-    assert [item.effect for item in loop.rounds if item.accepted] == ["stribeck", "payload"]
+    assert [item.effect for item in loop.rounds if item.accepted] == [
+        "stribeck",
+        "payload",
+    ]
     assert plain(loop.before) == older["before"]
 
 
@@ -230,7 +298,9 @@ def test_a_missing_file_a_folder_and_a_huge_file(tmp_path: Path) -> None:
             read_parameters(path)
 
 
-def test_older_files_are_migrated_in_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_older_files_are_migrated_in_steps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "p.json"
     path.write_text(edited("robot.joint_names", []))
 
@@ -238,7 +308,10 @@ def test_older_files_are_migrated_in_steps(tmp_path: Path, monkeypatch: pytest.M
         del document["robot"]["joint_names"]
         return document
 
-    steps = {1: second, 2: lambda x: x | {"schema": "seqid/params@3", "created": "migrated"}}
+    steps = {
+        1: second,
+        2: lambda x: x | {"schema": "seqid/params@3", "created": "migrated"},
+    }
     monkeypatch.setattr(io, "PARAMS_VERSION", 3)
     monkeypatch.setattr(io, "PARAMS_MIGRATIONS", steps)
     file = read_parameters(path)
@@ -255,5 +328,7 @@ def test_two_branches_are_joined_unless_they_disagree() -> None:
     assert [log.path for log in both.inputs] == ["a", "b", "c"]
     other = gravity_file()
     other.stages.friction.joints["elbow"].rmse = 0.7
-    with pytest.raises(ConfigError, match=r"h.json: its friction stage differs from .*g\.json"):
+    with pytest.raises(
+        ConfigError, match=r"h.json: its friction stage differs from .*g\.json"
+    ):
         join([("g.json", gravity_file()), ("h.json", other)])

@@ -1,4 +1,6 @@
-"""Results on disk: whole or not at all, never over an input, and refused before any work."""
+"""Results on disk: whole or not at all, never over an input, and refused before any
+work.
+"""
 
 import os
 import subprocess
@@ -23,14 +25,19 @@ for _ in range(30):
 def test_two_writers_never_tear_a_file(tmp_path: Path) -> None:
     path = tmp_path / "out.json"
     path.write_text("a" * 100_000)
-    writers = [subprocess.Popen([sys.executable, "-c", PROGRAM, str(path), name]) for name in "ab"]
+    writers = [
+        subprocess.Popen([sys.executable, "-c", PROGRAM, str(path), name])
+        for name in "ab"
+    ]
     while any(writer.poll() is None for writer in writers):
         assert path.read_text() in ("a" * 100_000, "b" * 100_000)
     assert [writer.returncode for writer in writers] == [0, 0]
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_new_files_have_the_usual_rights_and_links_that_lead_somewhere_stay(tmp_path: Path) -> None:
+def test_new_files_have_the_usual_rights_and_links_that_lead_somewhere_stay(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "real.json").touch()
     for name, target in (("link.json", "real.json"), ("loop.json", "loop.json")):
         (tmp_path / name).symlink_to(tmp_path / target)
@@ -75,7 +82,10 @@ def test_an_input_is_never_overwritten(tmp_path: Path) -> None:
         (".", "is a folder"),
         ("n" * 256, "cannot be written: File name too long"),
         ("/proc/out.json", "writ"),
-        *((stream, "must be a file") for stream in ("-", "/dev/stdout", "/proc/self/fd/2")),
+        *(
+            (stream, "must be a file")
+            for stream in ("-", "/dev/stdout", "/proc/self/fd/2")
+        ),
     ],
 )
 def test_what_cannot_be_written_is_said_before_any_work(
@@ -89,9 +99,13 @@ def test_what_cannot_be_written_is_said_before_any_work(
 
 
 @pytest.mark.parametrize("length", [200, 249, 255])
-def test_every_name_that_the_file_system_takes_is_written(length: int, tmp_path: Path) -> None:
+def test_every_name_that_the_file_system_takes_is_written(
+    length: int, tmp_path: Path
+) -> None:
     path = tmp_path / ("ö" * 50 + "n" * (length - 100))
-    left = tmp_path / files._temporary(path).name.replace(f".{os.getpid()}.", ".999999999.")
+    left = tmp_path / files._temporary(path).name.replace(
+        f".{os.getpid()}.", ".999999999."
+    )
     left.write_text("half")
     write_text_atomic(path, "new")
     assert path.read_text() == "new"

@@ -8,10 +8,14 @@ from seqid_cli.plan.limits import limits_of
 from tests.plants.robots.sample import sample_robot
 
 
-def believed(name: str, stages: Stages | None = None, locked: Sequence[str] = ()) -> Belief:
+def believed(
+    name: str, stages: Stages | None = None, locked: Sequence[str] = ()
+) -> Belief:
     """What is known of a sample robot before the experiment."""
     robot = sample_robot(name)
-    return belief_of(robot, stages or Stages(), limits_of(robot, ramp_s=0.3, locked=locked))
+    return belief_of(
+        robot, stages or Stages(), limits_of(robot, ramp_s=0.3, locked=locked)
+    )
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,6 @@
-"""Telling two effects apart: the residual that the rival cannot imitate, and what is refused."""
+"""Telling two effects apart: the residual that the rival cannot imitate, and what is
+refused.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -51,17 +53,21 @@ def test_the_gain_and_what_the_rival_leaves_are_those_of_least_squares() -> None
     scenes = scenes_for(moves_for(OPTIONS).moves)
     found = separation_of(believed(), question_of(OPTIONS, scenes), scenes, 1.0)
     total = found.of.sum(axis=0) + found.prior
-    # The same by a QR of the rows: with the rival's settings one by one, the least residual counts.
+    # The same by a QR of the rows: with the rival's settings one by one, the least
+    # residual counts.
     root = np.linalg.cholesky(total + 1e-10 * np.diag(np.diag(total))).T
     base, effects = np.split(root, [found.question.base], axis=1)
     negative = 0
     for k in (0, 1):
         slot, drawn = found.true[k][0][0]
         own = effects[:, slot.at] @ drawn[0]
-        rivals = [np.hstack([base, effects[:, b.at]]) for b in found.question.slots[1 - k]]
+        rivals = [
+            np.hstack([base, effects[:, b.at]]) for b in found.question.slots[1 - k]
+        ]
         fits = [np.linalg.lstsq(X, own)[:2] for X in rivals]
         alone = float(np.linalg.lstsq(base, own)[1][0])
-        fit = [float(square[0]) for c, square in fits if c[-1] >= 0.0]  # as both effects ask
+        # as both effects ask
+        fit = [float(square[0]) for c, square in fits if c[-1] >= 0.0]
         negative += len(fits) - len(fit)
         told = found.told(found.of.sum(axis=0), k)
         assert 2.0 * told.gain[0] == pytest.approx(alone, rel=1e-3)
@@ -83,15 +89,16 @@ def test_power_is_what_the_diagnosis_asks() -> None:
     lacking = np.array([[asked_for], [2.0 * asked_for], [0.5 * asked_for]])
     told = Told(np.full((3, 1), gain), 2.0 * lacking)
     assert told.power == pytest.approx([0.5, 1.0, 0.0], abs=1e-3)
-    # Time does not help where the rival lacks too small a share, and does where noise hides it.
+    # Time does not help where the rival lacks too small a share, and does where noise
+    # hides it.
     assert told.longer(100.0).power == pytest.approx([0.5, 1.0, 0.0], abs=1e-3)
     weak = Told(np.array([20.0]), np.array([4.0]))
     assert float(weak.power) < 0.5 < 0.99 < float(weak.longer(20.0).power)
 
 
-# Pair, special case, bounds of both powers, least imitation of the first, verdict, note. A dry
-# asymmetry differs from a bias on no motion; a power of 1.8 imitates quadratic drag, which is no
-# cubic; a lag is never early.
+# Pair, special case, bounds of both powers, least imitation of the first, verdict,
+# note. A dry asymmetry differs from a bias on no motion; a power of 1.8 imitates
+# quadratic drag, which is no cubic; a lag is never early.
 TOLD = [
     (("asymmetric_friction", "torque_bias"), "torque_bias", (0, 0), (0.96, 0), 0.953, "", "brakes"),
     (("quadratic_drag", "nonlinear_viscous"), None, (0, 0.5), (0.01, 1), 0.98,

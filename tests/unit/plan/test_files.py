@@ -1,4 +1,6 @@
-"""Files of planned moves, read back by somebody else's reader; which moves are recorded."""
+"""Files of planned moves, read back by somebody else's reader; which moves are
+recorded.
+"""
 
 import re
 from dataclasses import replace
@@ -29,7 +31,9 @@ NAMES = ROBOT.joint_names
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, PlanFile]:
     folder = tmp_path_factory.mktemp("plan")
-    options = PlanOptions(duration_s=10.0, move_s=5.0, pool=20, sweeps=0, speed_scale=SCALE)
+    options = PlanOptions(
+        duration_s=10.0, move_s=5.0, pool=20, sweeps=0, speed_scale=SCALE
+    )
     moves = plan("inertia", ROBOT, options=options, trajectories=folder / "moves")
     sweeps = plan("friction", ROBOT, options=options, trajectories=folder / "sweeps")
     return folder, msgspec.structs.replace(moves, moves=[*moves.moves, sweeps.moves[2]])
@@ -42,15 +46,24 @@ def test_yaml_holds_the_slowed_move(made: tuple[Path, PlanFile]) -> None:
     loaded = YAML(typ="safe").load(text)["trajectory"]
     assert loaded["joint_names"] == list(NAMES)
     points = loaded["points"]
-    times = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points]
+    times = [
+        p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"]
+        for p in points
+    ]
     assert times[-1] == pytest.approx(move.duration_s / SCALE)
     t, q, dq, ddq = sampled(move, NAMES, 1000.0)
-    kinds = {"positions": (q, 1), "velocities": (dq, SCALE), "accelerations": (ddq, SCALE**2)}
+    kinds = {
+        "positions": (q, 1),
+        "velocities": (dq, SCALE),
+        "accelerations": (ddq, SCALE**2),
+    }
     for kind, (truth, factor) in kinds.items():
         own = np.array([p[kind] for p in points])
         for j in range(6):
             expected = factor * np.interp(np.array(times) * SCALE, t, truth[:, j])
-            assert own[:, j] == pytest.approx(expected, abs=2e-3 * np.abs(truth).max() + 1e-9)
+            assert own[:, j] == pytest.approx(
+                expected, abs=2e-3 * np.abs(truth).max() + 1e-9
+            )
 
 
 def test_straight_parts_are_left_out_of_the_files(made: tuple[Path, PlanFile]) -> None:
@@ -77,7 +90,9 @@ def test_urscript_follows_the_move(made: tuple[Path, PlanFile]) -> None:
     assert middle < 0.01 * np.ptp(q, axis=0).max()
 
 
-def test_urscript_of_strokes_keeps_speed_and_acceleration(made: tuple[Path, PlanFile]) -> None:
+def test_urscript_of_strokes_keeps_speed_and_acceleration(
+    made: tuple[Path, PlanFile],
+) -> None:
     folder, file = made
     move = file.moves[-1]
     text = (folder / "sweeps" / f"{move.name}.script").read_text()
@@ -103,7 +118,9 @@ TWO = sample_robot("two_joint").joint_names
 
 @cache
 def planned() -> PlanFile:
-    options = PlanOptions(duration_s=12.0, move_s=4.0, pool=30, sweeps=1, speed_scale=0.5)
+    options = PlanOptions(
+        duration_s=12.0, move_s=4.0, pool=30, sweeps=1, speed_scale=0.5
+    )
     return plan("inertia", sample_robot("two_joint"), options=options)
 
 
@@ -119,7 +136,10 @@ def log_of(*moves: PlannedMove, scale: float = 1.0) -> Recording:
 
 
 def status(*logs: Recording) -> list[str]:
-    return [part.status for part in compared(planned(), TWO, [Screened(log, ()) for log in logs])]
+    return [
+        part.status
+        for part in compared(planned(), TWO, [Screened(log, ()) for log in logs])
+    ]
 
 
 def test_recorded_moves_are_found_where_they_are() -> None:
@@ -127,7 +147,7 @@ def test_recorded_moves_are_found_where_they_are() -> None:
     log = log_of(first, third)
     assert status(log) == ["recorded", "missing", "recorded"]
     assert status(log, log_of(second)) == ["recorded"] * 3
-    (part, _, _) = compared(planned(), TWO, [Screened(log, ())])
+    part, _, _ = compared(planned(), TWO, [Screened(log, ())])
     assert abs(part.start - 0.7) < 0.1
     assert status() == ["missing"] * 3
 

@@ -1,4 +1,6 @@
-"""The floor: found where points are low, kept by every kind of plan, left out when asked."""
+"""The floor: found where points are low, kept by every kind of plan, left out when
+asked.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -28,7 +30,9 @@ RADIUS = 0.05
 
 @pytest.fixture(scope="module")
 def pole(tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    """Two bars of 0.4 m that swing in a plane, half a metre above the base; balls at their ends."""
+    """Two bars of 0.4 m that swing in a plane, half a metre above the base; balls at
+    their ends.
+    """
     sphere = '<geometry><sphere radius="0.05"/></geometry>'
     ball = f'<collision><origin xyz="0.4 0 0"/>{sphere}</collision>'
     parts = [link("base")]

@@ -1,4 +1,6 @@
-"""Collisions: found where shapes meet, with boxes around the arm, and kept out of a plan."""
+"""Collisions: found where shapes meet, with boxes around the arm, and kept out of a
+plan.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +28,8 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     parts = [link("base")]
     for k in range(3):
         box = (
-            f'<origin xyz="{LENGTH / 2} 0 0"/><geometry><box size="{LENGTH} 0.06 0.06"/></geometry>'
+            f'<origin xyz="{LENGTH / 2} 0 0"/><geometry><box size="{LENGTH} 0.06'
+            ' 0.06"/></geometry>'
         )
         body = link(f"link_{k}", mass=2.0, x=0.25)
         parent, x = (f"link_{k - 1}", LENGTH) if k else ("base", 0.0)
@@ -48,14 +51,20 @@ def test_folded_bars_collide_and_stretched_ones_do_not(arm: Robot) -> None:
     found = geometry_of(arm, np.zeros((1, 3)))
     assert len(found.shapes.collisionPairs) == 1  # the first bar with the third
     stretched, folded, crossed = [0.0, 0.0, 0.0], [0.7, -2.6, -2.6], [0.0, 2.6, 2.6]
-    assert found.collides(np.array([stretched, folded, crossed])).tolist() == [False, True, True]
+    assert found.collides(np.array([stretched, folded, crossed])).tolist() == [
+        False,
+        True,
+        True,
+    ]
 
 
 def test_boxes_and_the_workspace_count(arm: Robot) -> None:
     box = (0.9, -0.1, -0.1, 1.1, 0.1, 0.1)
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (300, 3))
     ends = tips(q)
-    inside = geometry_of(arm, np.zeros((1, 3)), workspace=(-0.8, -0.8, -1.0, 0.8, 0.8, 1.0))
+    inside = geometry_of(
+        arm, np.zeros((1, 3)), workspace=(-0.8, -0.8, -1.0, 0.8, 0.8, 1.0)
+    )
     with_box = geometry_of(arm, np.zeros((1, 3)), boxes=[box])
     out = np.abs(ends).max(axis=(1, 2)) > 0.8
     assert inside.collides(q)[out].all()
@@ -77,9 +86,14 @@ def test_no_planned_move_collides(arm: Robot, what: str) -> None:
     assert any("ways between moves" in note for note in made.notes)
 
 
-def test_a_cell_without_room_and_an_arm_without_shapes_are_told(arm: Robot, tmp_path: Path) -> None:
+def test_a_cell_without_room_and_an_arm_without_shapes_are_told(
+    arm: Robot, tmp_path: Path
+) -> None:
     full = (-2.0, -2.0, -1.0, 2.0, 2.0, 1.0)
-    for what, text in (("inertia", "keeps the arm off itself"), ("friction", "touches something")):
+    for what, text in (
+        ("inertia", "keeps the arm off itself"),
+        ("friction", "touches something"),
+    ):
         with pytest.raises(ConfigError, match=text):
             plan(what, arm, options=replace(OPTIONS, keep_out=(full,)))  # type: ignore[arg-type]
     text = (arm.source.parent / "arm.urdf").read_text()

@@ -36,7 +36,9 @@ def steady_rows(belief: Belief, move: PlannedMove) -> tuple[int, Array, Array]:
 
 
 def conditions_of(belief: Belief, moves: list[PlannedMove]) -> tuple[float, float]:
-    """Condition of Phi(H_g) (Eq. 20) from the moves themselves; the same of unit columns."""
+    """Condition of Phi(H_g) (Eq. 20) from the moves themselves; the same of unit
+    columns.
+    """
     stacked = np.concatenate([steady_rows(belief, move)[2] for move in moves])
     unit = stacked / np.linalg.norm(stacked, axis=0)
     return float(np.linalg.cond(stacked)), float(np.linalg.cond(unit))
@@ -139,7 +141,9 @@ def test_planned_friction_covers_what_gravity_sweeps(belief: Belief) -> None:
 
 
 def test_an_unknown_offset_bounds_what_a_plan_promises(belief: Belief) -> None:
-    """However little noise there is, offset and asymmetry are not told from gravity for ever."""
+    """However little noise there is, offset and asymmetry are not told from gravity for
+    ever.
+    """
     quiet = replace(belief, density=1e8 * belief.density)
     without = replace(quiet, friction=np.zeros(belief.robot.n))
     found, best = (

@@ -39,9 +39,15 @@ def pool(belief: Belief, goal: Goal) -> Pool:
     return draw_pool(belief, goal, shapes, groups, 150, np.random.default_rng(0))
 
 
-def test_information_is_that_of_the_regressor(belief: Belief, goal: Goal, pool: Pool) -> None:
-    moves = placed(Shapes.over(SECONDS, COARSE_HZ), pool[0][[4]], belief.limits).every(4)
-    H = base_regressor(belief.robot, belief.basis, moves.q[0], moves.dq[0], moves.ddq[0])
+def test_information_is_that_of_the_regressor(
+    belief: Belief, goal: Goal, pool: Pool
+) -> None:
+    moves = placed(Shapes.over(SECONDS, COARSE_HZ), pool[0][[4]], belief.limits).every(
+        4
+    )
+    H = base_regressor(
+        belief.robot, belief.basis, moves.q[0], moves.dq[0], moves.ddq[0]
+    )
     slide = moves.dq[0] ** 2 / (moves.dq[0] ** 2 + belief.slow**2)
     expected = np.zeros((belief.basis.size, belief.basis.size))
     for j, density in enumerate(belief.density):
@@ -51,7 +57,9 @@ def test_information_is_that_of_the_regressor(belief: Belief, goal: Goal, pool: 
     assert np.allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
-def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, pool: Pool) -> None:
+def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(
+    goal: Goal, pool: Pool
+) -> None:
     nothing = np.zeros_like(goal.W)
     chosen = choose(goal, pool[1], COUNT, nothing)
     assert len(set(chosen)) == COUNT
@@ -72,22 +80,29 @@ def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> 
     before = float(goal.errors(pool[1][chosen].sum(axis=0)))
     assert float(goal.errors(information.sum(axis=0))) < 0.9 * before
     assert overload.max() <= 1.0
-    moved, before_it = (x[..., :COEFFICIENTS].any(axis=2) for x in (better, pool[0][chosen]))
+    moved, before_it = (
+        x[..., :COEFFICIENTS].any(axis=2) for x in (better, pool[0][chosen])
+    )
     assert np.array_equal(moved, before_it)
 
 
 @pytest.mark.parametrize(
-    "name", ["one_joint", "two_joint", pytest.param("six_joint", marks=pytest.mark.slow)]
+    "name",
+    ["one_joint", "two_joint", pytest.param("six_joint", marks=pytest.mark.slow)],
 )
 @pytest.mark.parametrize("together", [False, True])
 def test_sample_arms_get_full_rank(name: str, together: bool) -> None:
     belief = believed(name)
-    options = PlanOptions(duration_s=48.0, move_s=SECONDS, together=together, pool=80, sweeps=1)
+    options = PlanOptions(
+        duration_s=48.0, move_s=SECONDS, together=together, pool=80, sweeps=1
+    )
     planned = plan_inertia(belief, Stages(), options)
     assert planned.stage.rank == planned.stage.structural_rank == belief.basis.size
     assert not planned.stage.not_excited
     assert len(planned.stage.parameters) == belief.basis.size
-    assert all(after.error < before.error for before, after in pairwise(planned.stage.growth))
+    assert all(
+        after.error < before.error for before, after in pairwise(planned.stage.growth)
+    )
 
 
 @pytest.mark.slow
@@ -102,7 +117,9 @@ def test_the_same_seed_gives_the_same_plan(belief: Belief) -> None:
 def test_all_ten_parameters_are_found_on_six_joints() -> None:
     robot = sample_robot("six_joint")
     assert robot.nominal is not None
-    stages = Stages(friction=friction_stage(robot), inertia=inertia_stage(robot, robot.nominal))
+    stages = Stages(
+        friction=friction_stage(robot), inertia=inertia_stage(robot, robot.nominal)
+    )
     errors = []
     for options in (OPTIONS, replace(OPTIONS, duration_s=40.0)):
         planned = plan_payload(believed("six_joint", stages), stages, options)
@@ -114,7 +131,9 @@ def test_all_ten_parameters_are_found_on_six_joints() -> None:
 
 def test_the_load_counts_in_the_torque(belief: Belief) -> None:
     moves = typical(belief, seed=0)
-    plain, heavy = (loaded(belief, mass).torque(moves, belief.regressor(moves)) for mass in (0, 5))
+    plain, heavy = (
+        loaded(belief, mass).torque(moves, belief.regressor(moves)) for mass in (0, 5)
+    )
     assert np.all(heavy[:, :, 1:3].max(axis=(0, 1)) > plain[:, :, 1:3].max(axis=(0, 1)))
 
 
@@ -125,4 +144,6 @@ def test_a_planar_arm_names_what_stays_open() -> None:
     stage = plan_payload(believed("two_joint", stages), stages, OPTIONS).stage
     assert stage.rank == stage.structural_rank == 4
     assert set(stage.not_excited) >= {"payload_mz", "payload_Ixx"}
-    assert {p.name for p in stage.parameters} == {f"payload_{k}" for k in ("m", "mx", "my", "Izz")}
+    assert {p.name for p in stage.parameters} == {
+        f"payload_{k}" for k in ("m", "mx", "my", "Izz")
+    }

@@ -1,4 +1,6 @@
-"""Limits: where they come from, that they hold on dense samples, and what is said without them."""
+"""Limits: where they come from, that they hold on dense samples, and what is said
+without them.
+"""
 
 from dataclasses import replace
 
@@ -24,11 +26,14 @@ from tests.plants.robots.stages import inertia_stage
 
 RIGS = ("one_joint", "two_joint", "six_joint")
 BODIES = {"two_joint": two_joint().arm.phi, "six_joint": six_joint().arm.phi}
-ROUNDING = 1e-3  # between the samples on which the amplitude was found, of which 5 % are spare
+# between the samples on which the amplitude was found, of which 5 % are spare
+ROUNDING = 1e-3
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
-@given(rig=st.sampled_from(RIGS), draw=st.integers(0, 2**31), seconds=st.floats(2.0, 20.0))
+@given(
+    rig=st.sampled_from(RIGS), draw=st.integers(0, 2**31), seconds=st.floats(2.0, 20.0)
+)
 def test_limits_hold_on_dense_samples(rig: str, draw: int, seconds: float) -> None:
     robot = sample_robot(rig)
     limits = limits_of(robot, ramp_s=0.3)
@@ -46,11 +51,23 @@ def test_limits_hold_on_dense_samples(rig: str, draw: int, seconds: float) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "what",
-    ["friction", "gravity", "imu-calib", "inertia", "payload", "validation", "discriminate"],
+    [
+        "friction",
+        "gravity",
+        "imu-calib",
+        "inertia",
+        "payload",
+        "validation",
+        "discriminate",
+    ],
 )
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
-@given(rig=st.sampled_from(list(BODIES)), spare=st.floats(1.3, 3.0), together=st.booleans())
-def test_every_move_keeps_all_limits(what: What, rig: str, spare: float, together: bool) -> None:
+@given(
+    rig=st.sampled_from(list(BODIES)), spare=st.floats(1.3, 3.0), together=st.booleans()
+)
+def test_every_move_keeps_all_limits(
+    what: What, rig: str, spare: float, together: bool
+) -> None:
     imu = Imu("tool", 1, np.zeros((3, 3)), np.eye(3), gyro=True)
     robot = replace(sample_robot(rig), imus=(imu,))
     stages = Stages(inertia=inertia_stage(robot, BODIES[rig], error=0.01))
@@ -74,17 +91,25 @@ def test_every_move_keeps_all_limits(what: What, rig: str, spare: float, togethe
         if "torque limit" not in str(error):
             raise
         reject()
-    carrying = loaded(replace(belief, limits=limits), options.load_kg if what == "payload" else 0.0)
+    carrying = loaded(
+        replace(belief, limits=limits), options.load_kg if what == "payload" else 0.0
+    )
     assert plan.moves or what == "gravity"
     for move in plan.moves:
         used = limits_used(carrying, move)
-        assert np.all(used <= 1 + ROUNDING * np.array([2, 1, 10, 10])), (move.name, used)
+        assert np.all(used <= 1 + ROUNDING * np.array([2, 1, 10, 10])), (
+            move.name,
+            used,
+        )
 
 
 def test_torque_limits_that_gravity_alone_breaks_are_told(belief: Belief) -> None:
     torque = belief.limits.torque.copy()
     torque[1] = 1e-3
-    weak, options = replace(belief.limits, torque=torque), PlanOptions(duration_s=10.0, pool=60)
+    weak, options = (
+        replace(belief.limits, torque=torque),
+        PlanOptions(duration_s=10.0, pool=60),
+    )
     for what in ("inertia", "friction"):
         with pytest.raises(ConfigError, match="shoulder_lift"):
             make_plan(what, belief.robot, weak, Stages(), options)

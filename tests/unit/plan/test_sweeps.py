@@ -24,7 +24,9 @@ RATE_HZ = 500.0
 def assert_within_limits(belief: Belief, move: PlannedMove) -> None:
     limits = belief.limits
     t, q, dq, _ = sampled(move, belief.robot.joint_names, RATE_HZ)
-    assert np.all(limits_used(belief, move, RATE_HZ)[:3] <= [1 + 1e-9, 1 + 1e-3, 1 + 1e-2])
+    assert np.all(
+        limits_used(belief, move, RATE_HZ)[:3] <= [1 + 1e-9, 1 + 1e-3, 1 + 1e-2]
+    )
     assert t[-1] == pytest.approx(move.duration_s, abs=0.02 * (1 + len(move.strokes)))
     still = [name not in move.joints for name in belief.robot.joint_names]
     assert not np.any(dq[:, still])
@@ -39,7 +41,10 @@ def test_friction_sweeps_every_joint_both_ways_over_its_range(belief: Belief) ->
         assert len(move.strokes) == 2 * 10  # ten speeds per joint, both ways
         there, back = move.strokes[0], move.strokes[1]
         assert (there.start, there.end) == (back.end, back.start)
-        assert (there.start, there.end) == (belief.limits.lower[j], belief.limits.upper[j])
+        assert (there.start, there.end) == (
+            belief.limits.lower[j],
+            belief.limits.upper[j],
+        )
 
 
 def test_imus_see_the_first_joint_from_many_sides(belief: Belief) -> None:
@@ -55,11 +60,13 @@ def test_imus_see_the_first_joint_from_many_sides(belief: Belief) -> None:
 
 
 def test_no_joint_behind_all_imus_turns_for_them(belief: Belief) -> None:
-    (imu, *_) = belief.robot.imus
+    imu, *_ = belief.robot.imus
     for last in (1, belief.robot.n - 1):
         robot = replace(belief.robot, imus=(replace(imu, after_joint=last),))
         moves = plan_imu(replace(belief, robot=robot), OPTIONS).moves
-        assert {j for move in moves for j in move.joints} == {*robot.joint_names[: last + 1]}
+        assert {j for move in moves for j in move.joints} == {
+            *robot.joint_names[: last + 1]
+        }
 
 
 def test_a_session_holds_all_stages_in_order() -> None:
@@ -69,11 +76,15 @@ def test_a_session_holds_all_stages_in_order() -> None:
     assert list(plan.stages) == order
     placed = [order.index(move.stage) for move in plan.moves]
     assert placed == sorted(placed)
-    assert all(len(move.joints) == 2 for move in plan.moves if move.stage == "validation")
+    assert all(
+        len(move.joints) == 2 for move in plan.moves if move.stage == "validation"
+    )
     assert len({move.name for move in plan.moves}) == len(plan.moves)
     assert plan.duration_s == pytest.approx(sum(move.duration_s for move in plan.moves))
     assert plan.total_s > plan.duration_s
-    assert plan.duration_s == pytest.approx(sum(x.duration_s for x in plan.stages.values()))
+    assert plan.duration_s == pytest.approx(
+        sum(x.duration_s for x in plan.stages.values())
+    )
 
 
 @pytest.mark.slow

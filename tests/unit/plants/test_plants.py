@@ -28,8 +28,12 @@ def plant(request: pytest.FixtureRequest) -> Plant:
 
 @pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize("name", ["one_joint", "six_joint"])
-def test_energy_is_conserved_without_friction_and_control(name: str, coupled: bool) -> None:
-    """Kinetic plus potential energy stays while the arm falls and turns potential into kinetic."""
+def test_energy_is_conserved_without_friction_and_control(
+    name: str, coupled: bool
+) -> None:
+    """Kinetic plus potential energy stays while the arm falls and turns potential into
+    kinetic.
+    """
     rig = PLANTS[name]()
     arm, still = replace(rig.arm, rotor_coupling=coupled), np.zeros(rig.arm.n)
     loose = replace(
@@ -79,7 +83,7 @@ def test_accelerometers_match_differentiated_positions(plant: Plant) -> None:
 def test_torque_balance_is_rnea_on_the_true_motion(plant: Plant) -> None:
     """Actuator torque minus friction is Pinocchio's inverse dynamics plus the rotors."""
     rng = np.random.default_rng(3)
-    (busy, _) = validation_trials(plant, rng, seconds=2.0, points=1)
+    busy, _ = validation_trials(plant, rng, seconds=2.0, points=1)
     log = simulate(plant, busy.reference, 1, imus=False)
     truth, rigid = log.truth, Rigid(plant.arm)
     rows = range(0, len(log.t), 7)
@@ -93,7 +97,14 @@ def test_stick_slip_holds_below_the_level_and_slips_above() -> None:
     """A block of 1 kg m^2 with 2 N m of stiction."""
     dry = Friction(np.array([2.0]), np.array([2.0]), np.zeros(1))
     one, rest = np.eye(1), np.zeros(1)
-    for push, ddq, rub in ((1.9, 0.0, 1.9), (-2.0, 0.0, -2.0), (3.0, 1.0, 2.0), (-5.0, -3.0, -2.0)):
-        got, friction, _ = stick_slip(one, np.array([push]), rest, 1e-3, dry, np.zeros(1))
+    for push, ddq, rub in (
+        (1.9, 0.0, 1.9),
+        (-2.0, 0.0, -2.0),
+        (3.0, 1.0, 2.0),
+        (-5.0, -3.0, -2.0),
+    ):
+        got, friction, _ = stick_slip(
+            one, np.array([push]), rest, 1e-3, dry, np.zeros(1)
+        )
         assert got[0] == pytest.approx(ddq)
         assert friction[0] == pytest.approx(rub)

@@ -30,7 +30,16 @@ def motion() -> Reference:
     top, push = 0.9 * plant.velocity_limits, 0.9 * plant.acceleration_limits
     rng = np.random.default_rng(3)
     return periodic(
-        rng, low, high, top, push, period=2.0, periods=1, harmonics=2, rate_hz=1000.0, fade=0.5
+        rng,
+        low,
+        high,
+        top,
+        push,
+        period=2.0,
+        periods=1,
+        harmonics=2,
+        rate_hz=1000.0,
+        fade=0.5,
     )
 
 
@@ -46,15 +55,22 @@ def stiff(motion: Reference) -> Array:
 
 
 def torque_of(plant: Plant, motion: Reference) -> Array:
-    return simulate(plant, motion, 0, imus=False, start=600.0).current * plant.torque_per_ampere
+    return (
+        simulate(plant, motion, 0, imus=False, start=600.0).current
+        * plant.torque_per_ampere
+    )
 
 
 @pytest.mark.parametrize("name", sorted(REGISTRY))
-def test_effect_shows_where_it_is(name: str, motion: Reference, plain: Array, stiff: Array) -> None:
+def test_effect_shows_where_it_is(
+    name: str, motion: Reference, plain: Array, stiff: Array
+) -> None:
     """It changes the log, its own joint's most, and leaves the robot file as it was."""
     plant = rig()
     found = inject(name, plant, 1)
-    change = torque_of(found.plant, motion) - (stiff if found.plant.hidden.springs else plain)
+    change = torque_of(found.plant, motion) - (
+        stiff if found.plant.hidden.springs else plain
+    )
     share = np.sqrt(np.mean(change**2, axis=0)) / rated_torque(plant)
     assert share[1] > (0.0003 if name == "backlash" else 0.002)
     assert share.max() < 0.15

@@ -1,4 +1,5 @@
-"""A headless Chromium, driven through its debugging pipe: what a page loads, says and shows.
+"""A headless Chromium, driven through its debugging pipe: what a page loads, says and
+shows.
 
 `python -m tests.unit.report.browser PAGE.html FOLDER` makes the pictures of the docs.
 """
@@ -59,7 +60,9 @@ class Tab:
                 return dict(answer["result"])
             self._note(answer)
 
-    def open(self, path: Path, *, width: int, height: int = 900, dark: bool = False) -> None:
+    def open(
+        self, path: Path, *, width: int, height: int = 900, dark: bool = False
+    ) -> None:
         """Load a file as a screen of this size and theme shows it."""
         self.requests.clear()
         self.complaints.clear()
@@ -100,7 +103,10 @@ class Tab:
             self.requests.append(parameters["request"]["url"])
         elif method == "Runtime.exceptionThrown":
             self.complaints.append(str(parameters["exceptionDetails"]))
-        elif method == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "warning"):
+        elif method == "Runtime.consoleAPICalled" and parameters["type"] in (
+            "error",
+            "warning",
+        ):
             self.complaints.append(str(parameters["args"]))
         elif method == "Log.entryAdded" and parameters["entry"]["level"] != "verbose":
             self.complaints.append(parameters["entry"]["text"])
@@ -110,8 +116,8 @@ class Tab:
 def browsing(profile: Path) -> Iterator[Tab]:
     """Run a browser with a fresh profile.
 
-    Where there is none the test is skipped, or fails if SEQID_BROWSER is set: who knows that a
-    browser is installed does not want its tests to be passed over.
+    Where there is none the test is skipped, or fails if SEQID_BROWSER is set: who knows
+    that a browser is installed does not want its tests to be passed over.
     """
     program = next(filter(None, map(shutil.which, NAMES)), None)
     if program is None:
@@ -160,7 +166,11 @@ def main(page: Path, folder: Path) -> None:
             tab.open(page, width=width, height=height, dark=name == "report_dark")
             if name == "report_print":
                 tab.call("Emulation.setEmulatedMedia", media="print")
-            top = "0" if part == "#verdict" else f"document.querySelector('{part}').offsetTop - 60"
+            top = (
+                "0"
+                if part == "#verdict"
+                else f"document.querySelector('{part}').offsetTop - 60"
+            )
             tab.run(f"scrollTo(0, {top})")
             found = tab.call("Page.captureScreenshot", format="png")
             (folder / f"{name}.png").write_bytes(base64.b64decode(found["data"]))

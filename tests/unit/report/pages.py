@@ -1,4 +1,6 @@
-"""Documents of the robot of `tests.unit.params.documents`, and torques by their real writer."""
+"""Documents of the robot of `tests.unit.params.documents`, and torques by their real
+writer.
+"""
 
 import hashlib
 from collections.abc import Sequence
@@ -41,7 +43,14 @@ from seqid_cli.params.results.prediction import (
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report.make import make_report
 from tests.plants.robots.made import made_prediction
-from tests.unit.params.documents import JOINTS, diagnosis_file, full_file, inertia_file, log, robot
+from tests.unit.params.documents import (
+    JOINTS,
+    diagnosis_file,
+    full_file,
+    inertia_file,
+    log,
+    robot,
+)
 
 LOGS = ("validation/a.parquet", "validation/b.parquet")
 RATE_HZ = 250.0
@@ -66,8 +75,15 @@ def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile
         errors = {"rmse": share * 2.0, "max_abs": share * 6.0, "rmse_all": share * 1.5}
         joints[name] = JointError(relative_rmse=share, **errors, **counts)
     own = {"samples": SAMPLES, "cutoff_hz": 30.0, "joints": joints}
-    logs = [LogPredictionError(path=path, sha256=path.ljust(64, "0"), **own) for path in LOGS]
-    poor = {name: f"misses {x:.0%}" for name, x in zip(JOINTS, shares, strict=True) if x >= 0.3}
+    logs = [
+        LogPredictionError(path=path, sha256=path.ljust(64, "0"), **own)
+        for path in LOGS
+    ]
+    poor = {
+        name: f"misses {x:.0%}"
+        for name, x in zip(JOINTS, shares, strict=True)
+        if x >= 0.3
+    }
     return made(
         PredictionFile,
         PREDICTION_SCHEMA,
@@ -76,7 +92,9 @@ def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile
         stages=["friction", "gravity", "imu", "inertia"],
         joints=joints,
         logs=logs,
-        verdicts=[Verdict(joint=x, good=x not in poor, reason=poor.get(x, "")) for x in JOINTS],
+        verdicts=[
+            Verdict(joint=x, good=x not in poor, reason=poor.get(x, "")) for x in JOINTS
+        ],
     )
 
 
@@ -89,7 +107,9 @@ def clean_diagnosis() -> DiagnosisFile:
     return file
 
 
-def made_with(prediction: PredictionFile, parameters: Source[Document]) -> PredictionFile:
+def made_with(
+    prediction: PredictionFile, parameters: Source[Document]
+) -> PredictionFile:
     prediction.parameters = [FileId(path=parameters.path, sha256=parameters.sha256)]
     return prediction
 
@@ -97,13 +117,19 @@ def made_with(prediction: PredictionFile, parameters: Source[Document]) -> Predi
 def good_documents() -> list[Source[Document]]:
     """Parameters and a prediction of new logs with nothing against them."""
     parameters = source("inertia.json", inertia_file())
-    return [parameters, source("prediction.json", made_with(prediction_file(), parameters))]
+    return [
+        parameters,
+        source("prediction.json", made_with(prediction_file(), parameters)),
+    ]
 
 
 def all_documents() -> list[Source[Document]]:
     """One document of every kind, of which a refined file shows every section."""
     more = {"diagnosis.json": diagnosis_file(), "refined.json": full_file()}
-    return [*good_documents(), *(source(path, content) for path, content in more.items())]
+    return [
+        *good_documents(),
+        *(source(path, content) for path, content in more.items()),
+    ]
 
 
 def before_and_after() -> list[Source[Document]]:
@@ -116,7 +142,12 @@ def before_and_after() -> list[Source[Document]]:
 
 
 def payload_file(used: FileId) -> PayloadFile:
-    errors = {"before": 2.5, "after": 0.125, "relative": 0.0625, "friction_change": 0.04}
+    errors = {
+        "before": 2.5,
+        "after": 0.125,
+        "relative": 0.0625,
+        "friction_change": 0.04,
+    }
     centre = ((0.01, 0.001), (0.02, 0.001), (None, None))
     return made(
         PayloadFile,
@@ -126,7 +157,9 @@ def payload_file(used: FileId) -> PayloadFile:
         payload=CarriedBodyEntry(
             frame="of joint elbow",
             mass=Measured(value=2.345, std_error=0.012, unit="kg"),
-            center_of_mass=[Measured(value=x, std_error=e, unit="m") for x, e in centre],
+            center_of_mass=[
+                Measured(value=x, std_error=e, unit="m") for x, e in centre
+            ],
         ),
         parameters=[],
         covariance=[],
@@ -144,11 +177,15 @@ def plan_file() -> PlanFile:
         joints=list(JOINTS),
         duration_s=8.0,
         start=dict.fromkeys(JOINTS, 0.0),
-        fourier={JOINTS[0]: FourierMotion(centre=0.0, sine=[0.5] * 5, cosine=[0.0] * 5)},
+        fourier={
+            JOINTS[0]: FourierMotion(centre=0.0, sine=[0.5] * 5, cosine=[0.0] * 5)
+        },
         torque_share=0.625,
         torque={name: [10.0, 20.0] for name in JOINTS},
     )
-    limit = JointLimits(position=[-1.0, 1.0], speed=1.0, acceleration=2.0, torque=40.0, moves=True)
+    limit = JointLimits(
+        position=[-1.0, 1.0], speed=1.0, acceleration=2.0, torque=40.0, moves=True
+    )
     about = {"name": "Izz_2", "joint": "elbow", "unit": "kg m^2"}
     error = PredictedParameter(std_error=0.0375, value=None, **about)
     return made(
@@ -161,7 +198,9 @@ def plan_file() -> PlanFile:
         noise_density=dict.fromkeys(JOINTS, 0.01),
         noise_origin="",
         moves=[move],
-        stages={"inertia": PlannedStage(parameters=[error], rank=9, structural_rank=10)},
+        stages={
+            "inertia": PlannedStage(parameters=[error], rank=9, structural_rank=10)
+        },
         duration_s=8.0,
         total_s=12.0,
     )
@@ -203,7 +242,9 @@ def write_torques(
 
 
 def page_of_all(folder: Path) -> str:
-    return make_report(all_documents(), torques=[write_torques(folder / "t.parquet")]).html
+    return make_report(
+        all_documents(), torques=[write_torques(folder / "t.parquet")]
+    ).html
 
 
 def write_documents(folder: Path, documents: Sequence[Source[Document]]) -> list[str]:

@@ -29,15 +29,22 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def assert_fits(tab: Tab, width: int) -> None:
     """With all its tables open the page is as wide as the screen."""
-    tab.run("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
-    assert tab.run("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
+    tab.run(
+        "document.querySelectorAll('details').forEach((item) => { item.open = true; })"
+    )
+    assert tab.run("[document.documentElement.scrollWidth, innerWidth]") == [
+        width,
+        width,
+    ]
 
 
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", WIDTHS)
 def test_it_opens_alone_and_fits(tab: Tab, page: Path, width: int, dark: bool) -> None:
     tab.open(page, width=width, dark=dark)
-    assert [url for url in tab.requests if not url.startswith("data:")] == [page.as_uri()]
+    assert [url for url in tab.requests if not url.startswith("data:")] == [
+        page.as_uri()
+    ]
     assert tab.complaints == []
     assert_fits(tab, width)
     ground = tab.run("getComputedStyle(document.body).backgroundColor")
@@ -82,14 +89,26 @@ def test_drawings_give_their_values_by_keyboard(tab: Tab, page: Path) -> None:
 def drag(tab: Tab, start: float, end: float, *, shift: bool = False) -> None:
     """Drag over the first plot, from one share of its width to another."""
     left, top, width = tab.run(
-        "(() => { const svg = document.querySelector('svg.readable'); svg.scrollIntoView();"
-        " const box = svg.getBoundingClientRect(), scale = box.width / svg.viewBox.baseVal.width;"
-        " const [start, end] = svg.querySelector('.panel').dataset.x.split('|').slice(4);"
-        " return [box.x + scale * start, box.y + box.height / 3, scale * (end - start)]; })()"
+        "(() => { const svg = document.querySelector('svg.readable');"
+        " svg.scrollIntoView(); const box = svg.getBoundingClientRect(), scale ="
+        " box.width / svg.viewBox.baseVal.width; const [start, end] ="
+        " svg.querySelector('.panel').dataset.x.split('|').slice(4); return [box.x +"
+        " scale * start, box.y + box.height / 3, scale * (end - start)]; })()"
     )
-    held = {"button": "left", "buttons": 1, "clickCount": 1, "modifiers": 8 if shift else 0}
-    for kind, at in (("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end)):
-        tab.call("Input.dispatchMouseEvent", type=kind, x=left + at * width, y=top, **held)
+    held = {
+        "button": "left",
+        "buttons": 1,
+        "clickCount": 1,
+        "modifiers": 8 if shift else 0,
+    }
+    for kind, at in (
+        ("mousePressed", start),
+        ("mouseMoved", end),
+        ("mouseReleased", end),
+    ):
+        tab.call(
+            "Input.dispatchMouseEvent", type=kind, x=left + at * width, y=top, **held
+        )
 
 
 def seen(tab: Tab) -> list[float]:
@@ -107,7 +126,8 @@ def seen(tab: Tab) -> list[float]:
 def test_a_plot_zooms_pans_and_goes_back(tab: Tab, page: Path) -> None:
     tab.open(page, width=1280)
     ticks = (
-        "Array.from(document.querySelectorAll('svg.readable .ticks-x text'), (t) => t.textContent)"
+        "Array.from(document.querySelectorAll('svg.readable .ticks-x text'), (t) =>"
+        " t.textContent)"
     )
     whole = tab.run(ticks)
     drag(tab, 0.25, 0.5)
@@ -119,7 +139,10 @@ def test_a_plot_zooms_pans_and_goes_back(tab: Tab, page: Path) -> None:
     assert time == pytest.approx(0.5 * 16, abs=0.1)  # where the pointer was let go
     drag(tab, 0.8, 0.4, shift=True)
     assert seen(tab) == pytest.approx([0.35, 0.6], abs=0.01)
-    tab.run("document.querySelector('svg.readable').dispatchEvent(new MouseEvent('dblclick'))")
+    tab.run(
+        "document.querySelector('svg.readable').dispatchEvent(new"
+        " MouseEvent('dblclick'))"
+    )
     assert seen(tab) == pytest.approx([0.0, 1.0])
     assert tab.run(ticks) == whole
     assert tab.complaints == []
@@ -132,14 +155,17 @@ def test_a_plot_zooms_by_keys_and_buttons(tab: Tab, page: Path) -> None:
         tab.call("Input.dispatchKeyEvent", type="keyDown", key=key)
     low, high = seen(tab)
     assert high - low == pytest.approx(0.25)
-    tab.call("Input.dispatchKeyEvent", type="keyDown", key="Home")  # the view follows the cursor
+    # the view follows the cursor
+    tab.call("Input.dispatchKeyEvent", type="keyDown", key="Home")
     assert seen(tab) == pytest.approx([0.0, 0.25], abs=1e-3)
     buttons = "document.querySelector('figure .zoom').children"
     tab.run(f"{buttons}[1].click()")
     assert seen(tab) == pytest.approx([0.0, 0.5], abs=1e-3)
     tab.run(f"{buttons}[2].click()")
     assert seen(tab) == pytest.approx([0.0, 1.0])
-    tab.run("document.querySelectorAll('.zoom button').forEach((button) => button.click())")
+    tab.run(
+        "document.querySelectorAll('.zoom button').forEach((button) => button.click())"
+    )
     assert tab.complaints == []
 
 
@@ -163,7 +189,11 @@ def shown_parts(tab: Tab) -> list[str]:
 
 
 def test_one_joint_can_be_chosen(tab: Tab, page: Path) -> None:
-    shoulder = ["torque-1", "friction-1", "Unexplained torque of shoulder over position"]
+    shoulder = [
+        "torque-1",
+        "friction-1",
+        "Unexplained torque of shoulder over position",
+    ]
     elbow = ["torque-2", "friction-2", "finding-1-1"]
     elbow += ["stribeck at elbow: residual of elbow over speed"]
     tab.open(page, width=1280)
@@ -188,7 +218,8 @@ def test_what_is_about_several_joints_stays(tab: Tab, page: Path) -> None:
         " item.checkVisibility() && !item.closest('[data-joint]')).length"
     )
     count = tab.run(about_all)
-    assert count >= 2  # errors over the noise floor, of the diagnosis and of the refinement
+    # errors over the noise floor, of the diagnosis and of the refinement
+    assert count >= 2
     choose_joint(tab, "elbow")
     assert tab.run(about_all) == count
 
@@ -203,7 +234,10 @@ def test_all_is_there_without_a_script(tab: Tab, page: Path) -> None:
 
 def test_the_policy_stops_what_got_in(tab: Tab, tmp_path: Path) -> None:
     html = make_report(good_documents()).html
-    inside = "<script>window.got = 1</script><img src='http://127.0.0.1:9/x' onerror='got = 2'>"
+    inside = (
+        "<script>window.got = 1</script><img src='http://127.0.0.1:9/x' onerror='got"
+        " = 2'>"
+    )
     path = tmp_path / "report.html"
     path.write_text(html.replace("</main>", inside + "</main>"), encoding="utf-8")
     tab.open(path, width=1280)

@@ -55,7 +55,12 @@ def test_other_joints_are_another_robot() -> None:
 
 
 def test_files_that_disagree_are_models_of_their_own() -> None:
-    other, rest, refined, again = gravity_file(), friction_file(), full_file(), full_file()
+    other, rest, refined, again = (
+        gravity_file(),
+        friction_file(),
+        full_file(),
+        full_file(),
+    )
     for file in (other, rest, refined):
         file.stages.friction.joints["elbow"].rmse = 0.7
     again.closed_loop.after["elbow"].rmse = 0.15
@@ -97,7 +102,10 @@ def test_evidence_needs_as_many_torques_as_places() -> None:
         ('{"schema": "seqid/diagnosis@9"}', "seqid/diagnosis@9"),
         ('{"schema": "seqid/prediction@1", "created": 5}', "created"),
         ('{"schema": "seqid/params@1"}', "created"),
-        ('{"schema": "seqid/prediction@1", "created": "' + "[" * 9000, "is not valid JSON"),
+        (
+            '{"schema": "seqid/prediction@1", "created": "' + "[" * 9000,
+            "is not valid JSON",
+        ),
     ],
 )
 def test_what_is_no_result_is_refused(tmp_path: Path, text: str, message: str) -> None:
@@ -135,13 +143,17 @@ def of(
 ) -> Documents:
     """Documents of one model, the good ones where nothing else is given."""
     parameters = source("inertia.json", file or inertia_file())
-    made = source("prediction.json", made_with(prediction or prediction_file(), parameters))
+    made = source(
+        "prediction.json", made_with(prediction or prediction_file(), parameters)
+    )
     more = [] if diagnosis is None else [source("diagnosis.json", diagnosis)]
     return [parameters, made, *more]
 
 
 def of_training_logs() -> Iterator[tuple[str, Documents]]:
-    """The model was identified from all of the logs, or from one of them, on which it is better."""
+    """The model was identified from all of the logs, or from one of them, on which it
+    is better.
+    """
     file, prediction = inertia_file(), prediction_file()
     file.inputs += [log("training", "inertia")]
     for item in prediction.logs:
@@ -164,15 +176,21 @@ def of_refinement() -> Iterator[tuple[str, Documents]]:
     earlier = source(before.path, made_with(replace(again), parameters))
     yield "a log that refinement read, before it", [parameters, earlier, after]
     yield "after it", [after, source("after.json", made_with(replace(again), after))]
-    held_out = replace(refined, closed_loop=replace(refined.closed_loop, held_out=[read]))
+    held_out = replace(
+        refined, closed_loop=replace(refined.closed_loop, held_out=[read])
+    )
     after = source("refined.json", held_out)
     yield "held out", [after, source("after.json", made_with(replace(again), after))]
     yield "models before, which is poor, and after", before_and_after()
     loop = refined.closed_loop
-    doubtful = replace(loop, verdict="poor", rounds=[replace(loop.rounds[0], confirmed=False)])
+    doubtful = replace(
+        loop, verdict="poor", rounds=[replace(loop.rounds[0], confirmed=False)]
+    )
     stuck = Verdict(joint="elbow", good=False, reason="is stuck")
     faulty = replace(loop, verdict="poor", verdicts=[stuck])
-    gone = replace(loop.rounds[0], confirmed=False, held_out_gain=0.02, interval=[-0.3, 0.34])
+    gone = replace(
+        loop.rounds[0], confirmed=False, held_out_gain=0.02, interval=[-0.3, 0.34]
+    )
     untried = [EffectOfPlace(effect="presliding_hysteresis", joint="shoulder")]
     stopped = StoppedAt(rounds=1, untried=untried)
     unkept = replace(loop, rounds=[], unconfirmed=[gone], stopped_at=stopped)
@@ -187,7 +205,10 @@ def of_refinement() -> Iterator[tuple[str, Documents]]:
 def of_diagnoses() -> Iterator[tuple[str, Documents]]:
     diagnosed = of(diagnosis=diagnosis_file())
     yield "a diagnosis", diagnosed
-    yield "a diagnosis, and the refined model", [*diagnosed, source("refined.json", full_file())]
+    yield (
+        "a diagnosis, and the refined model",
+        [*diagnosed, source("refined.json", full_file())],
+    )
     poor = prediction_file(shares=(0.02, 0.5))
     yield "a poor prediction, and a diagnosis", of(None, poor, diagnosis_file())
     yield "nothing is missing", of(diagnosis=clean_diagnosis())
@@ -198,8 +219,14 @@ def of_diagnoses() -> Iterator[tuple[str, Documents]]:
     for most in (0.03, 0.11):  # the prediction's error is 0.1 N m
         file, prediction = clean_diagnosis(), prediction_file()
         elbow = file.joints["elbow"]
-        elbow.rmse, elbow.noise_floor, elbow.noise_floor_interval = most, 0.02, [0.01, most]
-        file.inputs = [replace(log(x.path, ""), sha256=x.sha256) for x in prediction.logs]
+        elbow.rmse, elbow.noise_floor, elbow.noise_floor_interval = (
+            most,
+            0.02,
+            [0.01, most],
+        )
+        file.inputs = [
+            replace(log(x.path, ""), sha256=x.sha256) for x in prediction.logs
+        ]
         yield f"noise up to {most} N m on the same logs", of(None, prediction, file)
         fewer = replace(file, inputs=file.inputs[1:])
         yield f"noise up to {most} N m on other logs", of(None, prediction, fewer)
@@ -229,12 +256,15 @@ def cases() -> Iterator[tuple[str, Documents]]:
 
 def described(judgement: Judgement) -> str:
     points = [
-        f"- {point.weight}: {' | '.join(filter(None, (point.text, point.where, point.remedy)))}"
+        f"- {point.weight}:"
+        f" {' | '.join(filter(None, (point.text, point.where, point.remedy)))}"
         + (f"\n    {point.command}" if point.command else "")
         for point in judgement.points
     ]
     support = [f"+ {line}" for line in judgement.support]
-    return "\n".join([f"{judgement.title}. {judgement.sentence}", *points, *support, ""])
+    return "\n".join(
+        [f"{judgement.title}. {judgement.sentence}", *points, *support, ""]
+    )
 
 
 def test_every_case_is_judged_as_it_was() -> None:
@@ -243,7 +273,9 @@ def test_every_case_is_judged_as_it_was() -> None:
     usual = {line for line in texts["good"] if line.startswith("+")}
     for name in texts.keys() - {"good"}:
         texts[name] = [line for line in texts[name] if line not in usual]
-    shown = "\n".join(f"# {name}\n" + "\n".join([*own, ""]) for name, own in texts.items())
+    shown = "\n".join(
+        f"# {name}\n" + "\n".join([*own, ""]) for name, own in texts.items()
+    )
     check_text(Path(__file__).with_name("judgement.txt"), shown)
 
 
@@ -261,7 +293,10 @@ def test_what_is_poor_of_a_refinement_leads_its_section() -> None:
         "a refinement of faulty logs": (added, "elbow: is stuck"),
         "a refinement not kept": (
             "Nothing was added: the held-out logs confirm nothing",
-            "not kept, as the held-out logs do not confirm it: stribeck at elbow; the refinement "
-            "stopped at the limit of rounds (1); not tried: presliding hysteresis at shoulder",
+            (
+                "not kept, as the held-out logs do not confirm it: stribeck at elbow;"
+                " the refinement stopped at the limit of rounds (1); not tried:"
+                " presliding hysteresis at shoulder"
+            ),
         ),
     }

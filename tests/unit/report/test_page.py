@@ -1,4 +1,6 @@
-"""The page as a file: it asks for nothing, stays whole on odd input, and says what it said."""
+"""The page as a file: it asks for nothing, stays whole on odd input, and says what it
+said.
+"""
 
 import base64
 import hashlib
@@ -75,7 +77,9 @@ def test_the_page_asks_for_nothing(page: str) -> None:
     style = (files("seqid_cli.report") / "templates" / "style.css").read_text()
     assert "url(" not in style
     assert "@import" not in style
-    assert "http" not in page.replace("http-equiv", "").replace("http://www.w3.org/2000/svg", "")
+    assert "http" not in page.replace("http-equiv", "").replace(
+        "http://www.w3.org/2000/svg", ""
+    )
 
 
 def test_the_policy_allows_its_own_style_and_script_only(page: str) -> None:
@@ -125,14 +129,24 @@ def test_names_from_files_stay_text() -> None:
         for entry in item.content.inputs:
             entry.path = HOSTILE
         stages = getattr(item.content, "stages", None)
-        for stage in (getattr(stages, "gravity", None), getattr(stages, "inertia", None)):
+        for stage in (
+            getattr(stages, "gravity", None),
+            getattr(stages, "inertia", None),
+        ):
             if isinstance(stage, RigidStage):
                 first = stage.parameters[0]
                 first.name = first.expression = first.unit = HOSTILE
-                first.terms, stage.notes, stage.not_excited = {HOSTILE: 2.0}, [HOSTILE], [HOSTILE]
+                first.terms, stage.notes, stage.not_excited = (
+                    {HOSTILE: 2.0},
+                    [HOSTILE],
+                    [HOSTILE],
+                )
     friction = joints.stages.friction
     joints.robot.joints = [HOSTILE, "elbow"]
-    friction.joints = {HOSTILE: friction.joints["shoulder"], "elbow": friction.joints["elbow"]}
+    friction.joints = {
+        HOSTILE: friction.joints["shoulder"],
+        "elbow": friction.joints["elbow"],
+    }
     friction.verdicts = []
     for own, title in ((documents, HOSTILE), ([source("f.json", joints)], "")):
         html = make_report(own, title=title).html
@@ -173,7 +187,9 @@ def luminance(color: str) -> float:
     text = color.lstrip("#")
     text = "".join(2 * sign for sign in text) if len(text) == 3 else text
     parts = [int(text[k : k + 2], 16) / 255 for k in (0, 2, 4)]
-    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    linear = [
+        p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts
+    ]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
@@ -186,8 +202,12 @@ def test_colours_contrast_in_both_themes() -> None:
     lines = ("predicted", "residual", "cut0", "cut1", "cut2", "before", "after")
     words = ("ink", "soft", "link", "good", "poor", "open")
     pairs = [(name, ground, 4.5) for name in words for ground in ("paper", "card")]
-    pairs += [(name, f"{name}-fill", 4.5) for name in badges] + [("ink", "none-fill", 4.5)]
-    pairs += [(name, "paper", 3.0) for name in lines] + [("residual", "residual-fill", 3.0)]
+    pairs += [(name, f"{name}-fill", 4.5) for name in badges] + [
+        ("ink", "none-fill", 4.5)
+    ]
+    pairs += [(name, "paper", 3.0) for name in lines] + [
+        ("residual", "residual-fill", 3.0)
+    ]
     for block in blocks:
         theme = dict(re.findall(r"--([\w-]+):(#\w+)", block))
         for name, ground, least in pairs:
@@ -212,16 +232,25 @@ def text_of(page: Page) -> str:
         text = re.sub(rf"<({tags})\b", rf"{mark}<\1", text)
     text = re.sub(r'<span class="badge (\w+)">', r" (\1) ", text)
     text = re.sub(r"</(td|th|dd)>", " | ", text).replace("</dt>", ": ")
-    text = unescape(re.sub(r"<[^>]*>", "", text)).replace(f"seqid {__version__}", "seqid")
+    text = unescape(re.sub(r"<[^>]*>", "", text)).replace(
+        f"seqid {__version__}", "seqid"
+    )
     text = re.sub(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", "DATE", text)
     text = re.sub(r"\b[0-9a-f]{12}(?:[0-9a-f]{52})?\b", "HASH", text)
     return "\n".join(line.strip(" |") for line in text.splitlines()) + "\n"
 
 
 def used(log: str, *warnings: str) -> MotionUse:
-    from_what = {"source": "encoder"} if warnings else {"source": "fused", "imus": ["imu_a"]}
-    errors = {"acceleration_error": {"shoulder": 0.0123}, "encoder_error": {"shoulder": 0.987}}
-    return MotionUse(log=log, cutoff_hz=20.0, warnings=list(warnings), **from_what, **errors)
+    from_what = (
+        {"source": "encoder"} if warnings else {"source": "fused", "imus": ["imu_a"]}
+    )
+    errors = {
+        "acceleration_error": {"shoulder": 0.0123},
+        "encoder_error": {"shoulder": 0.987},
+    }
+    return MotionUse(
+        log=log, cutoff_hz=20.0, warnings=list(warnings), **from_what, **errors
+    )
 
 
 def everything(folder: Path) -> Page:
@@ -232,7 +261,9 @@ def everything(folder: Path) -> Page:
     of = FileId(path=parameters.path, sha256=parameters.sha256)
     more = [source("payload.json", payload_file(of)), source("plan.json", plan_file())]
     torques = [write_torques(folder / "t.parquet")]
-    return make_report([parameters, *documents, refined, *more], torques=torques, title="An arm")
+    return make_report(
+        [parameters, *documents, refined, *more], torques=torques, title="An arm"
+    )
 
 
 def parameters_alone(folder: Path) -> Page:
@@ -282,8 +313,14 @@ def test_pages_say_what_they_said(make: object, tmp_path: Path) -> None:
         (words.unit_text("rad/s^2"), "rad/s\u00b2"),
         (words.unit_text("1"), ""),
         (words.listed(list("abcdefgh"), 2), "a, b and 6 more"),
-        (words.command("seqid", "LOG...", "-p", "a b.json"), "seqid LOG... -p 'a b.json'"),
-        (words.expression({"m_3": -0.425}, ""), "\u22120.425\u202f<i>m</i><sub>3</sub>"),
+        (
+            words.command("seqid", "LOG...", "-p", "a b.json"),
+            "seqid LOG... -p 'a b.json'",
+        ),
+        (
+            words.expression({"m_3": -0.425}, ""),
+            "\u22120.425\u202f<i>m</i><sub>3</sub>",
+        ),
         (words.expression({}, "<b>"), "&lt;b&gt;"),
         (words.expression({"<b>_1": 1.0}, ""), "&lt;b&gt;_1"),
     ],

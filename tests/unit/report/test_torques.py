@@ -44,20 +44,28 @@ def opened(path: Path) -> TorqueTable:
 def test_motion_that_is_not_known_is_not_drawn(tmp_path: Path) -> None:
     """Of a file that holds none, and of an older one, which also lacks what was used."""
     path = write_torques(tmp_path / "t.parquet", motion=False)
-    (first, _) = opened(path).series("shoulder")
+    first, _ = opened(path).series("shoulder")
     assert np.isnan(first.position).all()
     assert over_quantity([first], PLACE, "position", "rad") is None
     table = pq.read_table(path)
-    kept = [name for name in table.column_names if not name.endswith(("position", "velocity"))]
+    kept = [
+        name
+        for name in table.column_names
+        if not name.endswith(("position", "velocity"))
+    ]
     pq.write_table(table.select([name for name in kept if name != "used"]), path)
-    (first, _) = opened(path).series("shoulder")
+    first, _ = opened(path).series("shoulder")
     assert first.position is None
     assert first.used.all()
-    assert "Spectrum of the residual" in make_report(good_documents(), torques=[path]).html
+    assert (
+        "Spectrum of the residual" in make_report(good_documents(), torques=[path]).html
+    )
 
 
 Write = Callable[[Path], object]
-JOINT_COLUMNS = {f"{j}.{k}": [0.0] * 3 for j in JOINTS for k in ("torque", "predicted", "residual")}
+JOINT_COLUMNS = {
+    f"{j}.{k}": [0.0] * 3 for j in JOINTS for k in ("torque", "predicted", "residual")
+}
 
 
 def changed(name: str, change: Callable[[Array], Array]) -> Write:
@@ -79,16 +87,30 @@ def columns(**given: object) -> Write:
 @pytest.mark.parametrize(
     ("write", "message"),
     [
-        (partial(write_torques, joints=["a", "b"]), r"is about joints a, b.*inertia\.json"),
-        (partial(write_torques, logs=(LOGS[0], "c")), r"prediction\.json: c with 4000 samples"),
-        (partial(write_torques, logs=LOGS[:1]), r"validation/b\.parquet .* is in that only"),
         (
-            lambda path: pq.write_table(pq.read_table(write_torques(path)).slice(10), path),
+            partial(write_torques, joints=["a", "b"]),
+            r"is about joints a, b.*inertia\.json",
+        ),
+        (
+            partial(write_torques, logs=(LOGS[0], "c")),
+            r"prediction\.json: c with 4000 samples",
+        ),
+        (
+            partial(write_torques, logs=LOGS[:1]),
+            r"validation/b\.parquet .* is in that only",
+        ),
+        (
+            lambda path: pq.write_table(
+                pq.read_table(write_torques(path)).slice(10), path
+            ),
             rf"{LOGS[0]} with 3990 samples is in this file only",
         ),
         (changed("t", lambda x: x[::-1]), "goes back"),
         (changed("t", lambda x: np.where(x == 0.0, np.nan, x)), "missing"),
-        (changed("elbow.torque", lambda x: np.where(x > 1.0, np.inf, x)), r"elbow\.torque is inf"),
+        (
+            changed("elbow.torque", lambda x: np.where(x > 1.0, np.inf, x)),
+            r"elbow\.torque is inf",
+        ),
         *(
             (partial(Path.write_bytes, data=content), "is no torque file: ")
             for content in (b"", b"PAR1", b"PAR1" + b"\0" * 64 + b"PAR1", b"{}")
@@ -97,11 +119,19 @@ def columns(**given: object) -> Write:
         (columns(t=["a"] * 3, log=["a"] * 3), "its column t must hold numbers"),
         *(
             (columns(t=[0.0] * 3, log=log), "is no torque file: ")
-            for log in ([{"a": 1}] * 3, [None] * 3, ["a", None, "a"], ["a", "b", "a"], [1.0] * 3)
+            for log in (
+                [{"a": 1}] * 3,
+                [None] * 3,
+                ["a", None, "a"],
+                ["a", "b", "a"],
+                [1.0] * 3,
+            )
         ),
     ],
 )
-def test_what_does_not_fit_is_refused(tmp_path: Path, write: Write, message: str) -> None:
+def test_what_does_not_fit_is_refused(
+    tmp_path: Path, write: Write, message: str
+) -> None:
     path = tmp_path / "t.parquet"
     write(path)
     with pytest.raises(InputError, match=message) as caught:
@@ -126,7 +156,10 @@ def test_lines_break_at_missing_values_and_where_time_jumps(tmp_path: Path) -> N
 
 def test_the_table_beside_the_prediction_is_found_if_it_fits(tmp_path: Path) -> None:
     parameters, prediction = good_documents()
-    documents = [parameters, source(str(tmp_path / "prediction.json"), prediction.content)]
+    documents = [
+        parameters,
+        source(str(tmp_path / "prediction.json"), prediction.content),
+    ]
     assert make_report(documents).torques == []
     write_torques(tmp_path / "torques.parquet")
     assert make_report(documents).torques == [str(tmp_path / "torques.parquet")]
@@ -136,7 +169,9 @@ def test_the_table_beside_the_prediction_is_found_if_it_fits(tmp_path: Path) -> 
     assert make_report(documents).torques == []
 
 
-def of_two_models(folder: Path, *, told: bool = True) -> tuple[list[Source[Document]], list[Path]]:
+def of_two_models(
+    folder: Path, *, told: bool = True
+) -> tuple[list[Source[Document]], list[Path]]:
     """Predictions before and after refinement, and their torques, the worse first."""
     parameters, _, _, refined = all_documents()
     documents, torques = [parameters, refined], []
@@ -151,8 +186,11 @@ def of_two_models(folder: Path, *, told: bool = True) -> tuple[list[Source[Docum
 def test_torques_of_two_models_share_a_plot(tmp_path: Path) -> None:
     documents, torques = of_two_models(tmp_path)
     report = make_report(documents, torques=torques)
-    assert report.torques == list(map(str, reversed(torques)))  # the refined one's first
-    drawn = report.html.split("<title>Torque of elbow, validation/a.parquet")[1].split("</svg>")[0]
+    # the refined one's first
+    assert report.torques == list(map(str, reversed(torques)))
+    drawn = report.html.split("<title>Torque of elbow, validation/a.parquet")[1].split(
+        "</svg>"
+    )[0]
     for name in ("measured", "after: refined.json", "before: inertia.json"):
         assert f'data-name="{name}"' in drawn
     table = report.html.split('id="torque-models"')[1].split("</table>")[0]
@@ -208,7 +246,9 @@ def test_figures_hold_the_line_and_the_extremes_of_the_residual(tmp_path: Path) 
     most = max(item.residual[item.used].max() for item in series)
     for quantity in ("position", "velocity"):
         figure = over_quantity(series, PLACE, quantity, "rad")
-        assert max(row[5] for row in figure.table.values.rows) == pytest.approx(most, rel=1e-9)
+        assert max(row[5] for row in figure.table.values.rows) == pytest.approx(
+            most, rel=1e-9
+        )
 
 
 def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:
@@ -220,7 +260,10 @@ def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:
         joints = dict.fromkeys(JOINTS, replace(error, relative_rmse=0.01 * (k + 1)))
         own = replace(entry, path=path, sha256=path.ljust(64, "0"), joints=joints)
         prediction.logs.append(own)
-    documents = [source("inertia.json", inertia_file()), source("prediction.json", prediction)]
+    documents = [
+        source("inertia.json", inertia_file()),
+        source("prediction.json", prediction),
+    ]
     torques = write_torques(tmp_path / "t.parquet", logs=logs)
     html = make_report(documents, torques=[torques]).html
     assert "the 3 of 8 logs with the largest errors" in html

@@ -50,7 +50,11 @@ def test_full_file(tmp_path: Path) -> None:
     robot = _load(tmp_path, FULL)
     one = robot.joints[0]
     assert robot.joint_names == ("one", "two")
-    assert (one.gear_ratio, one.rotor_inertia, one.position_limits) == (-101.0, 1e-4, (-2.8, 2.0))
+    assert (one.gear_ratio, one.rotor_inertia, one.position_limits) == (
+        -101.0,
+        1e-4,
+        (-2.8, 2.0),
+    )
     assert one.torque_per_ampere == pytest.approx(-0.119 * 101)
     assert [joint.prismatic for joint in robot.joints] == robot.chain.prismatic.tolist()
     assert robot.chain.prismatic.tolist() == [False, True]
@@ -70,7 +74,9 @@ def test_sha256_covers_the_urdf(tmp_path: Path) -> None:
     joints = "".join(f'[[joint]]\nname = "{name}"\n' for name in NAMES_6R)
     text = f'{HEAD}urdf = "arm.urdf"\n{joints}'
     robot = _load(tmp_path, text)
-    assert robot.sha256 == hashlib.sha256(text.encode() + urdf_6r().encode()).hexdigest()
+    assert (
+        robot.sha256 == hashlib.sha256(text.encode() + urdf_6r().encode()).hexdigest()
+    )
     (tmp_path / "arm.urdf").write_text(urdf_6r() + "<!-- changed -->\n")
     assert _load(tmp_path, text).sha256 != robot.sha256
 
@@ -91,7 +97,9 @@ OF_THE_JOINT = {  # what follows the keys of the first joint
     '[channels]\nposition = "q_{joint}"': "unknown placeholder {joint}",
     '[channels]\nposition = "q_{index:9999999}"': "placeholder {index}",
     '[channels]\nposition = "q_{index"': "channels.position",
-    '[channels]\neffort = "current"': r"effort .*\.torque_constant \(joint 'one'\) is missing",
+    '[channels]\neffort = "current"': (
+        r"effort .*\.torque_constant \(joint 'one'\) is missing"
+    ),
     "gear_ratio = 1e300": r"gear_ratio .* is 1e\+300, which no arm has",
     "torque_constant = 5e-324": r"torque_constant .* 1e-12 or more",
 }
@@ -104,7 +112,9 @@ PRISMATIC = 'urdf = "arm.urdf"\n[[joint]]\nname = "elbow"\nprismatic = true\n'
 WRONG_IMU = IMU + "accelerometers = [ { position = [0, 0, 0], axes = [0, 0, 1] } ]\n"
 NO_AXIS = IMU + SENSOR.replace("3.0, 4.0", "0.0, 0.0")
 BY_INDEX = "torque_constant = 1.0\n" + TWO + '[channels]\ncurrent = "i_{index}"\n'
-NO_CONSTANT = r"channels.current .* joint\[1\].torque_constant \(joint 'two'\) is missing"
+NO_CONSTANT = (
+    r"channels.current .* joint\[1\].torque_constant \(joint 'two'\) is missing"
+)
 OF_THE_FILE = {  # what follows the head of the file
     **{line: (f"{ONE}{line}\n", said) for line, said in OF_THE_JOINT.items()},
     "typo top": ('grafity = "x"\n' + ONE, "unknown key 'grafity'"),
@@ -113,15 +123,30 @@ OF_THE_FILE = {  # what follows the head of the file
     "no joint": ("joint = []\n", r"no \[\[joint\]\]"),
     "joint of numbers": ("joint = [3]\n", r"joint\[0\]: expected"),
     "joints": (MANY, r"the robot has 200 \[\[joint\]\] tables"),
-    "duplicate": (ONE + ONE, r"joint\[1\].name 'one' is already the name of joint\[0\]"),
+    "duplicate": (
+        ONE + ONE,
+        r"joint\[1\].name 'one' is already the name of joint\[0\]",
+    ),
     "empty name": (ONE.replace('"one"', '" "'), r"joint\[0\].name is ' '"),
-    "no geometry": ('[[joint]]\nname = "one"\n', r"neither urdf nor joint\[0\].dh \(joint 'one'\)"),
+    "no geometry": (
+        '[[joint]]\nname = "one"\n',
+        r"neither urdf nor joint\[0\].dh \(joint 'one'\)",
+    ),
     "both": ('urdf = "a.urdf"\n' + ONE, r"both urdf and joint\[0\].dh"),
-    "urdf missing": ('urdf = "no.urdf"\n[[joint]]\nname = "one"\n', "no.urdf: URDF not found"),
-    "imu joint": (BOTH + IMU.replace('"two"', '"tow"') + SENSOR, r"imu\[0\].after_joint .*'tow'"),
+    "urdf missing": (
+        'urdf = "no.urdf"\n[[joint]]\nname = "one"\n',
+        "no.urdf: URDF not found",
+    ),
+    "imu joint": (
+        BOTH + IMU.replace('"two"', '"tow"') + SENSOR,
+        r"imu\[0\].after_joint .*'tow'",
+    ),
     "imu empty": (BOTH + IMU, r"imu\[0\] .* neither accelerometers nor a gyro"),
     "axis zero": (BOTH + NO_AXIS, r"imu\[0\].accelerometers\[0\].axis .* no direction"),
-    "pattern same": (BOTH + '[channels]\nposition = "q"\n', "channels.position 'q' is the same"),
+    "pattern same": (
+        BOTH + '[channels]\nposition = "q"\n',
+        "channels.position 'q' is the same",
+    ),
     "current": (ONE + BY_INDEX, NO_CONSTANT),
     "syntax": ("a b\n" + ONE, r"not valid TOML: .*line 4"),
     "geometry overflows": (ONE.replace("0.1", "1e300"), r"dh\.a .* which no arm has"),

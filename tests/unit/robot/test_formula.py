@@ -93,13 +93,21 @@ def test_a_robot_file_has_its_effects(tmp_path: Path) -> None:
         ('name = "Cable"', "effect[0].name"),
         ('name = "cable"\njoint = "elbo"', "did you mean 'elbow'"),
         ('name = "cable"\ntorque = "c * exp(c)"', "effect[0].torque"),
-        ('name = "cable"\ntorque = "c * q"\nsettings = { dq = [1, 2] }', "effect[0].settings.dq"),
-        ('name = "cable"\ntorque = "c * w"\nsettings = { w = [2, 1] }', "effect[0].settings.w"),
+        (
+            'name = "cable"\ntorque = "c * q"\nsettings = { dq = [1, 2] }',
+            "effect[0].settings.dq",
+        ),
+        (
+            'name = "cable"\ntorque = "c * w"\nsettings = { w = [2, 1] }',
+            "effect[0].settings.w",
+        ),
         ('name = "cable"\nformula = "c * q"', "effect[0].formula"),
         ('name = "cable"\n[[effect]]\nname = "cable"', "cable"),
     ],
 )
-def test_what_is_wrong_is_said_with_key_and_remedy(tmp_path: Path, table: str, said: str) -> None:
+def test_what_is_wrong_is_said_with_key_and_remedy(
+    tmp_path: Path, table: str, said: str
+) -> None:
     path = robot_file(tmp_path, table)
     with pytest.raises(ConfigError) as caught:
         load_robot(path)

@@ -1,4 +1,6 @@
-"""Chains, regressors and base parameters against Pinocchio, Lagrange and the literature."""
+"""Chains, regressors and base parameters against Pinocchio, Lagrange and the
+literature.
+"""
 
 from collections.abc import Callable
 
@@ -12,10 +14,20 @@ from seqid_cli.robot import base_parameters as base
 from seqid_cli.robot import kinematics, regressor
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.kinematics import chain_from_dh, rotation_about
-from seqid_cli.robot.regressor import inverse_dynamics, rotor_regressor, torque_regressor
+from seqid_cli.robot.regressor import (
+    inverse_dynamics,
+    rotor_regressor,
+    torque_regressor,
+)
 from seqid_cli.robot.types import Array, Chain
 from tests.plants.robots import small
-from tests.plants.robots.small import HALF, arm_6r, planar_2r, random_model, robot_from_chain
+from tests.plants.robots.small import (
+    HALF,
+    arm_6r,
+    planar_2r,
+    random_model,
+    robot_from_chain,
+)
 
 X, Z = np.eye(3)[[0, 2]]
 
@@ -25,7 +37,9 @@ X, Z = np.eye(3)[[0, 2]]
     prismatic=st.lists(st.booleans(), min_size=1, max_size=8),
     seed=st.integers(min_value=0, max_value=2**32 - 1),
 )
-def test_regressor_and_torque_are_pinocchios_on_any_chain(prismatic: list[bool], seed: int) -> None:
+def test_regressor_and_torque_are_pinocchios_on_any_chain(
+    prismatic: list[bool], seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     model, chain = random_model(rng, prismatic)
     model.gravity.linear = gravity = rng.normal(size=3) * 5.0
@@ -46,7 +60,10 @@ def test_dh_frames_are_products_of_the_four_moves() -> None:
     rows = [(0.3, 0.2, 0.5, -0.7), (-1.1, 0.1, 0.4, 0.9)]
     q = np.array([0.6, 0.25])
     T = np.eye(4)
-    for alpha, a, d, theta in [(0.3, 0.2, 0.5, -0.7 + q[0]), (-1.1, 0.1, 0.4 + q[1], 0.9)]:
+    for alpha, a, d, theta in [
+        (0.3, 0.2, 0.5, -0.7 + q[0]),
+        (-1.1, 0.1, 0.4 + q[1], 0.9),
+    ]:
         T = T @ move(X, alpha, a) @ move(Z, theta, d)
     frames = kinematics.forward(chain_from_dh(rows, [1]), q[None])
     np.testing.assert_allclose(frames.R[0, 1], T[:3, :3], atol=1e-14)
@@ -54,7 +71,9 @@ def test_dh_frames_are_products_of_the_four_moves() -> None:
 
 
 @pytest.mark.parametrize("angle", [1.5708, 1.570796, -1.5708, 3.14159])
-def test_rounded_quarter_turns_become_exact_and_real_misalignment_is_kept(angle: float) -> None:
+def test_rounded_quarter_turns_become_exact_and_real_misalignment_is_kept(
+    angle: float,
+) -> None:
     R = kinematics.tidy_rotation(rotation_about(X, angle))
     assert set(np.unique(R)) <= {-1.0, 0.0, 1.0}
     for skewed in (R @ rotation_about(Z, 0.3), rotation_about(X, 1e-4)):
@@ -64,7 +83,9 @@ def test_rounded_quarter_turns_become_exact_and_real_misalignment_is_kept(angle:
 
 
 def _spin_energy(chain: Chain, q: Array, dq: Array, i: int, ratio: float) -> float:
-    """Kinetic energy of rotor i about its axis, above what it has as a dead mass of its link."""
+    """Kinetic energy of rotor i about its axis, above what it has as a dead mass of its
+    link.
+    """
     carried = 0.0
     if i > 0:
         motion = kinematics.link_motion(
@@ -74,12 +95,18 @@ def _spin_energy(chain: Chain, q: Array, dq: Array, i: int, ratio: float) -> flo
     return float(0.5 * ((ratio * dq[i] + carried) ** 2 - carried**2))
 
 
-def _gradient(function: Callable[[Array], Array | float], at: Array, h: float = 1e-4) -> Array:
+def _gradient(
+    function: Callable[[Array], Array | float], at: Array, h: float = 1e-4
+) -> Array:
     steps = h * np.eye(len(at))
-    return np.array([function(at + step) - function(at - step) for step in steps]) / (2 * h)
+    return np.array([function(at + step) - function(at - step) for step in steps]) / (
+        2 * h
+    )
 
 
-def _lagrange(chain: Chain, q: Array, dq: Array, ddq: Array, i: int, ratio: float) -> Array:
+def _lagrange(
+    chain: Chain, q: Array, dq: Array, ddq: Array, i: int, ratio: float
+) -> Array:
     """Compute d/dt dT/d(dq) - dT/dq of the spin energy by central differences."""
 
     def momentum(time: Array) -> Array:
@@ -125,7 +152,9 @@ ROBOTS = {
     "planar": planar_2r(),
     "arm_6r": arm_6r(gear_ratio=101.0),
     "scara": robot_from_chain(chain_from_dh(SCARA, (2,)), gear_ratio=50.0),
-    "skew": robot_from_chain(SKEW, gravity=np.array([1.0, 2.0, -9.0]), gear_ratio=-30.0),
+    "skew": robot_from_chain(
+        SKEW, gravity=np.array([1.0, 2.0, -9.0]), gear_ratio=-30.0
+    ),
     "seven": robot_from_chain(chain_from_dh(PANDA.tolist()), gear_ratio=100.0),
 }
 
@@ -141,9 +170,13 @@ def test_base_parameters_say_all_and_nothing_twice(name: str, rotors: str) -> No
     phi[10 * robot.n :] *= np.isin(np.arange(robot.n), rotor)
     tau = base.standard_regressor(robot, q, dq, ddq, coupling="diagonal") @ phi
     H = base_regressor(robot, basis, q, dq, ddq)
-    np.testing.assert_allclose(H @ (basis.expression @ phi), tau, atol=1e-10 * abs(tau).max())
+    np.testing.assert_allclose(
+        H @ (basis.expression @ phi), tau, atol=1e-10 * abs(tau).max()
+    )
     stacked = H.reshape(-1, basis.size)
-    assert np.linalg.matrix_rank(stacked / np.linalg.norm(stacked, axis=0)) == basis.size
+    assert (
+        np.linalg.matrix_rank(stacked / np.linalg.norm(stacked, axis=0)) == basis.size
+    )
     identity = basis.expression @ basis.representative
     np.testing.assert_allclose(identity, np.eye(basis.size), atol=1e-9)
 
@@ -172,7 +205,12 @@ def test_planar_arm_has_the_papers_five_parameters() -> None:
     assert basis.names == ("Izz_1", "mx_2", "my_2", "Izz_2", "Ia_2")
     # Eq. 44; N_2^2 is a factor of the column here
     assert basis.terms(0) == pytest.approx({"Izz_1": 1.0, "m_2": 0.09, "Ia_1": 36.0})
-    assert [basis.expression_text(k) for k in range(1, 5)] == ["mx_2", "my_2", "Izz_2", "Ia_2"]
+    assert [basis.expression_text(k) for k in range(1, 5)] == [
+        "mx_2",
+        "my_2",
+        "Izz_2",
+        "Ia_2",
+    ]
     assert basis.expression_text(0) == "Izz_1 + 0.09*m_2 + 36*Ia_1"
     basis = base_parameters(arm_6r(gear_ratio=101.0), rotor=range(6))
     elbow = basis.expression_text(basis.names.index("mx_3"))

@@ -27,18 +27,23 @@ def test_regressor_and_torque_are_pinocchios(
     Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
     tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
     for k in range(8):
-        wide = pin.integrate(model, pin.neutral(model), q[k])  # (cos, sin) of endless turns
+        # (cos, sin) of endless turns
+        wide = pin.integrate(model, pin.neutral(model), q[k])
         expected = pin.computeJointTorqueRegressor(model, data, wide, dq[k], ddq[k])
         np.testing.assert_allclose(Y[k], expected, rtol=0.0, atol=1e-10)
         rnea = pin.rnea(model, data, wide, dq[k], ddq[k])
         np.testing.assert_allclose(tau[k], rnea, rtol=0.0, atol=1e-10)
 
 
-def test_joints_that_are_not_named_are_locked_at_zero_and_merged(tmp_path: Path) -> None:
+def test_joints_that_are_not_named_are_locked_at_zero_and_merged(
+    tmp_path: Path,
+) -> None:
     q, found = np.random.default_rng(3).normal(size=(3, 2)), []
     for names, at in ((NAMES_6R[1:3], q), (NAMES_6R, np.pad(q, ((0, 0), (1, 3))))):
         arm, still = save_robot(tmp_path, urdf_6r(), names), 0.0 * at
-        found.append(inverse_dynamics(arm.chain, arm.gravity, arm.nominal, at, still, still))
+        found.append(
+            inverse_dynamics(arm.chain, arm.gravity, arm.nominal, at, still, still)
+        )
     some, every = found
     np.testing.assert_allclose(some, every[:, 1:3], atol=1e-10)
 
@@ -67,11 +72,31 @@ ORDER, KNOWN = "not in chain order: ", ", ".join(NAMES_6R)
 @pytest.mark.parametrize(
     ("text", "names", "message", "hint"),
     [
-        (MIMIC, "turn right", r"joint\[1\].name 'right' follows joint 'left'", "locked"),
+        (
+            MIMIC,
+            "turn right",
+            r"joint\[1\].name 'right' follows joint 'left'",
+            "locked",
+        ),
         (MIMIC, "left turn", f"{ORDER}left, turn", "turn, left"),
-        (urdf_6r(), "elbow wrist_1 shoulder_lift", ORDER, "shoulder_lift, elbow, wrist_1"),
-        (BRANCHES, "left right", "'left' and 'right' are on different branches", "one serial"),
-        (urdf_6r(), "elbo", r"joint\[0\].name 'elbo' is no joint", "Did you mean 'elbow'?"),
+        (
+            urdf_6r(),
+            "elbow wrist_1 shoulder_lift",
+            ORDER,
+            "shoulder_lift, elbow, wrist_1",
+        ),
+        (
+            BRANCHES,
+            "left right",
+            "'left' and 'right' are on different branches",
+            "one serial",
+        ),
+        (
+            urdf_6r(),
+            "elbo",
+            r"joint\[0\].name 'elbo' is no joint",
+            "Did you mean 'elbow'?",
+        ),
         (urdf_6r(), "elbo", "is no joint", KNOWN),
         (urdf_6r(), "tool_mount", "'tool_mount' is a fixed joint", "can be driven"),
     ],
@@ -105,7 +130,10 @@ TURN = joint("turn", "a", "b")
         ("<sdf/>", "outermost element is <sdf>"),
         ('<!DOCTYPE r [<!ENTITY a "b">]><robot name="r"/>', "declares XML entities"),
         (urdf('<xacro:include filename="a"/>'), "xacro file"),
-        (urdf(link("a"), link("b"), joint("turn", "a", "c")), "child link 'c' is not in the URDF"),
+        (
+            urdf(link("a"), link("b"), joint("turn", "a", "c")),
+            "child link 'c' is not in the URDF",
+        ),
         (urdf(link("a"), link("b"), TURN, TURN), "two joints are named 'turn'"),
         (urdf(link("a"), link("b"), link("c"), TURN), "2 root links"),
         (turning(xyz="0 nan 0"), "finite"),

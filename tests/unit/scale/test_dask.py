@@ -22,7 +22,14 @@ pytestmark = [
 ]
 
 RIG = ROOT / "sample_logs" / "two_joint"
-GOLDEN = ("-r", str(RIG / "robot.toml"), "-p", str(RIG / "golden.json"), "--motion", "encoder")
+GOLDEN = (
+    "-r",
+    str(RIG / "robot.toml"),
+    "-p",
+    str(RIG / "golden.json"),
+    "--motion",
+    "encoder",
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +37,10 @@ def scheduler() -> Iterator[str]:
     from distributed import LocalCluster
 
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address="127.0.0.1:0",
     ) as cluster:
         yield cluster.scheduler_address
 
@@ -60,15 +70,22 @@ def test_the_cluster_changes_no_bit_and_no_order(
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
-def test_a_missing_scheduler_is_named(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_scheduler_is_named(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("seqid_cli.scale.PATIENCE_S", 0.2)
-    with pytest.raises(UsageError, match="no Dask scheduler answers"), dask_cluster(address):
+    with (
+        pytest.raises(UsageError, match="no Dask scheduler answers"),
+        dask_cluster(address),
+    ):
         raise AssertionError
 
 
 @pytest.mark.slow
 def test_any_executor_will_do(scheduler: str, logs: list[str]) -> None:
-    """A thread pool and a client's own executor give what this process gives, bit by bit."""
+    """A thread pool and a client's own executor give what this process gives, bit by
+    bit.
+    """
     from distributed import Client
 
     given = [*logs[:2], *logs[3:]], RIG / "robot.toml", RIG / "golden.json"
@@ -77,4 +94,6 @@ def test_any_executor_will_do(scheduler: str, logs: list[str]) -> None:
     with ThreadPoolExecutor(2) as threads:
         assert inertia(*given, options, executor=threads).stages == expected
     with Client(scheduler, set_as_default=False) as client:
-        assert inertia(*given, options, executor=client.get_executor()).stages == expected
+        assert (
+            inertia(*given, options, executor=client.get_executor()).stages == expected
+        )

@@ -58,7 +58,9 @@ def unsendable(item: int) -> object:
     return (lambda: item) if item == 1 else item
 
 
-def replies(function: Callable[..., Any], items: Sequence[Any], count: int) -> list[Reply[Any]]:
+def replies(
+    function: Callable[..., Any], items: Sequence[Any], count: int
+) -> list[Reply[Any]]:
     with processes(count) as executor:
         return list(ordered(executor, function, items))
 
@@ -90,7 +92,9 @@ def test_errors_keep_their_kind_and_bugs_their_traceback(here: bool) -> None:
         found[2].get()
     told = caught.value.message, caught.value.hint, caught.value.where
     assert told == ("lacks the channel", "record it", "log 2")
-    with pytest.raises(WorkerError, match=r"^4: ZeroDivisionError: nothing to divide by\n") as bug:
+    with pytest.raises(
+        WorkerError, match=r"^4: ZeroDivisionError: nothing to divide by\n"
+    ) as bug:
         found[4].get()
     assert "in fails" in bug.value.__notes__[0]
     assert str(found[6].error) == "6: does not fit into memory"
@@ -100,7 +104,9 @@ def test_a_death_is_blamed_on_the_item_at_hand_and_the_rest_is_done() -> None:
     found = replies(dies, range(8), 2)
     assert failed(found) == [1, 3]
     for number in (1, 3):
-        with pytest.raises(InputError, match=f"^{number}: its process was killed") as caught:
+        with pytest.raises(
+            InputError, match=f"^{number}: its process was killed"
+        ) as caught:
             found[number].get()
         assert "--jobs" in caught.value.hint
 
@@ -126,7 +132,8 @@ def leave(how: type[BaseException], before: set[Any]) -> None:
 @pytest.mark.parametrize("how", [InputError, KeyboardInterrupt])
 def test_leaving_early_ends_the_processes_at_work(how: type[BaseException]) -> None:
     before = set(multiprocessing.active_children())
-    usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
+    # ignored in the background
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(how):
             leave(how, before)

@@ -29,7 +29,9 @@ def test_seeds_for_tuning_and_for_judging_are_not_mixed(text: str) -> None:
 
 
 def test_identification_without_noise_recovers_the_truths(tmp_path: Path) -> None:
-    """Truths by hand for two links in a tilted plane; the stages leave 1 % without noise."""
+    """Truths by hand for two links in a tilted plane; the stages leave 1 % without
+    noise.
+    """
     case = Case("planar", 4, "white", "fine")
     drawn = draw(case)
     plant = replace(drawn.plant, friction=plain(drawn.plant.friction))  # type: ignore[arg-type]
@@ -49,7 +51,9 @@ def test_identification_without_noise_recovers_the_truths(tmp_path: Path) -> Non
         "Izz_1": arm.phi[0, 9] + arm.phi[1, 0] * length**2,
         "Izz_2": arm.phi[1, 9],
     }
-    rows = [x for x in compare(case, plant, stages) if x["group"] in ("gravity", "inertia")]
+    rows = [
+        x for x in compare(case, plant, stages) if x["group"] in ("gravity", "inertia")
+    ]
     assert len(rows) == 6
     for found in rows:
         assert found["truth"] == pytest.approx(truth[found["name"]], rel=1e-12)

@@ -15,7 +15,10 @@ from tests.studies.tables import placed
 
 
 def test_content_is_placed_between_its_own_markers_and_again() -> None:
-    page = "top\n<!-- study:a -->\nold\n<!-- /study -->\nmid\n<!-- study:b --><!-- /study -->\n"
+    page = (
+        "top\n<!-- study:a -->\nold\n<!-- /study -->\nmid\n<!-- study:b --><!-- /study"
+        " -->\n"
+    )
     once = placed(page, "a", "| new \\1 |")
     assert once.count("| new \\1 |") == 1
     assert "old" not in once
@@ -32,7 +35,9 @@ def test_white_noise_information_is_that_of_least_squares() -> None:
 
 
 def test_columns_reproduce_the_torque_of_the_plant() -> None:
-    """Gravity, inertia and friction columns times the true parameters are the actuator's torque."""
+    """Gravity, inertia and friction columns times the true parameters are the
+    actuator's torque.
+    """
     plant = one_joint()
     motion = sweeps(np.zeros(1), 0, (-1.5, 1.5), [2.0, 4.0], 60.0, rate_hz=1000.0)
     log = simulate(plant, motion, 3, imus=False)
@@ -40,7 +45,11 @@ def test_columns_reproduce_the_torque_of_the_plant() -> None:
     total = LINK_INERTIA + float(plant.arm.reflected[0])
     rigid = rigid_columns(plant, log) @ np.array([MOMENT, 0.0, total])
     surface = surface_of(plant)
-    level, amplitude, phase = (float(surface.coulomb[0]), surface.amplitude[0], surface.phase[0])
+    level, amplitude, phase = (
+        float(surface.coulomb[0]),
+        surface.amplitude[0],
+        surface.phase[0],
+    )
     waves = [*(level * amplitude * np.cos(phase)), *(level * amplitude * np.sin(phase))]
     values = [level, *waves, float(surface.stribeck[0]), float(surface.viscous[0])]
     torque = rigid + friction_columns(plant, log) @ np.array(values)

@@ -60,7 +60,8 @@ def test_the_arm_follows_as_in_the_other_study() -> None:
     followed = follow(case, motion, start=7.0)
     log = simulate(case.arm, motion, 0, start=7.0)
     np.testing.assert_allclose(followed.q, log.q, atol=1e-9)
-    # The other study logs the torque of the integrator's step, which is half a step beside it.
+    # The other study logs the torque of the integrator's step, which is half a step
+    # beside it.
     size = np.std(log.true_torque, axis=0)
     np.testing.assert_array_less(
         np.std(followed.torque - log.true_torque, axis=0), 0.01 * size
@@ -126,7 +127,9 @@ def test_logs_show_delay_filter_offset_and_constant() -> None:
 
 
 def test_friction_is_larger_on_the_way_up_and_smaller_when_warm() -> None:
-    """What the controller has to push at a constant speed, against the truth of the study."""
+    """What the controller has to push at a constant speed, against the truth of the
+    study.
+    """
     flat = case_with()
     speed, way = 0.3, {1.0: [], -1.0: []}
     for kind, sizes in (

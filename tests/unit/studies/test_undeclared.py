@@ -12,13 +12,25 @@ from tests.unit.params.documents import diagnosis_file
 
 STRIBECK, SPRING, BESIDE = ("stribeck", 1, 1.0), ("spring", 0, 1.0), ("spring", 1, 1.0)
 (FOUND,) = diagnosis_file().findings[:1]
-ALIKE = replace(FOUND, joint="elbow", effect="presliding_hysteresis", confusable_with=["stribeck"])
+ALIKE = replace(
+    FOUND, joint="elbow", effect="presliding_hysteresis", confusable_with=["stribeck"]
+)
 (PART,) = diagnosis_file().unexplained[:1]
 FIRST = "right kind_right own_name found"
-HITS = ("right", "kind_right", "own_name", "found", "all_found", "sure_and_wrong", "explained_away")
+HITS = (
+    "right",
+    "kind_right",
+    "own_name",
+    "found",
+    "all_found",
+    "sure_and_wrong",
+    "explained_away",
+)
 
 
-def record(*effects: tuple[str, int, float], share: float = 0.03, **said: Any) -> Record:
+def record(
+    *effects: tuple[str, int, float], share: float = 0.03, **said: Any
+) -> Record:
     diagnosis = replace(FAILED, **{"verdict": "effects_missing", **said})
     case = Condition("pairs", "two", 1, effects)
     return Record(case, diagnosis, ((0.0, share),) * len(effects), 1.0)
@@ -26,7 +38,10 @@ def record(*effects: tuple[str, int, float], share: float = 0.03, **said: Any) -
 
 ELBOW, SHOULDER = replace(FOUND, joint="elbow"), replace(FOUND, joint="shoulder")
 EITHER = replace(ELBOW, confusable_with=["spring"])
-UNEXPLAINED = {"unexplained": [replace(PART, joint="shoulder")], "verdict": "unexplained"}
+UNEXPLAINED = {
+    "unexplained": [replace(PART, joint="shoulder")],
+    "verdict": "unexplained",
+}
 
 
 @pytest.mark.parametrize(
@@ -45,7 +60,9 @@ UNEXPLAINED = {"unexplained": [replace(PART, joint="shoulder")], "verdict": "une
         ([BESIDE], UNEXPLAINED, ""),
     ],
 )
-def test_a_diagnosis_is_worth_what_it_says(effects: Any, said: dict[str, Any], hits: str) -> None:
+def test_a_diagnosis_is_worth_what_it_says(
+    effects: Any, said: dict[str, Any], hits: str
+) -> None:
     case = judged(record(*effects, **said))
     assert {name for name in HITS if getattr(case, name)} == set(hits.split())
 

@@ -26,7 +26,9 @@ def dated(number: int) -> str:
 def history(
     seed: int, change: np.ndarray | None = None, scatter: float = 1.0
 ) -> list[ParameterFile]:
-    """Files of one robot whose gravity parameters scatter; the first one's values change."""
+    """Files of one robot whose gravity parameters scatter; the first one's values
+    change.
+    """
     rng = np.random.default_rng(seed)
     files = []
     for number in range(DATES):
@@ -48,7 +50,9 @@ def history(
         ("drift", np.linspace(0.0, 0.15, DATES), None),
     ],
 )
-def test_a_change_is_named_with_its_date(kind: str, values: np.ndarray, error: float) -> None:
+def test_a_change_is_named_with_its_date(
+    kind: str, values: np.ndarray, error: float
+) -> None:
     (entry,) = trend(history(1, values)).changes
     assert (entry.stage, entry.kind) == ("gravity", kind)
     assert entry.change == pytest.approx(values[-1], abs=0.04)
@@ -64,7 +68,9 @@ def test_a_healthy_robot_gives_no_alarm() -> None:
     assert [file.alarm for file in found] == [False] * 20
 
 
-def test_files_count_in_the_order_of_their_dates_and_quantities_where_two_hold_them() -> None:
+def test_files_count_in_the_order_of_their_dates_and_quantities_where_two_hold_them() -> (
+    None
+):
     files = history(1, STEP)
     found = trend(files)
     alone = replace(files[3].stages.gravity.parameters[0], name="mz_1")
@@ -128,5 +134,10 @@ def test_the_page_shows_what_changed(tmp_path: Path) -> None:
     assert [section.id for section in made.sections] == ["verdict", "robot-1"]
     text = (tmp_path / "trend.html").read_text()
     assert text.count("<figure") == 1
-    for shown in ("gravity mx_1", dated(7)[:10], "Trend report", "1 change beyond the error: arm"):
+    for shown in (
+        "gravity mx_1",
+        dated(7)[:10],
+        "Trend report",
+        "1 change beyond the error: arm",
+    ):
         assert shown in text

@@ -7,7 +7,12 @@ import pytest
 from scipy.signal import lfilter
 
 from seqid_cli.discover.base import residual_of
-from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_floor, rms
+from seqid_cli.discover.noise.floor import (
+    NoiseFloor,
+    encoder_residuals,
+    noise_floor,
+    rms,
+)
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
 from seqid_cli.discover.survey.rows import Rows
@@ -51,13 +56,22 @@ def rms_of(values: Array, rows: Rows) -> Array:
 
 
 def ratio(
-    q: Array, *, coloured: float = 0.0, step: float = 0.0, seed: int, hunting: float = 0.0
+    q: Array,
+    *,
+    coloured: float = 0.0,
+    step: float = 0.0,
+    seed: int,
+    hunting: float = 0.0,
 ) -> tuple[Array, NoiseFloor]:
-    """Floor over the true RMS of low-passed noise (n,); torque hunts at rest by so much of it."""
+    """Floor over the true RMS of low-passed noise (n,); torque hunts at rest by so much
+    of it.
+    """
     still = np.all(np.gradient(q, axis=0) == 0.0, axis=1)
     saw = np.cumsum(np.sign(np.sin(np.arange(len(q)) / 40.0))) / 40.0
     signal = smooth_torque(q) + hunting * np.outer(still * saw, STD)
-    raw = noise(np.random.default_rng(seed), len(q), STD, coloured=coloured, rate_hz=RATE_HZ)
+    raw = noise(
+        np.random.default_rng(seed), len(q), STD, coloured=coloured, rate_hz=RATE_HZ
+    )
     total = quantise(signal + raw, step * STD)
     log = recording(q, total)
     seen = scene_of(log)
@@ -70,12 +84,17 @@ def ratio(
 
 @pytest.mark.parametrize(("coloured", "step"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.5)])
 def test_rests_give_the_noise_on_average(coloured: float, step: float) -> None:
-    drawn = [ratio(resting(80.0, 6.0, s), coloured=coloured, step=step, seed=s) for s in range(4)]
+    drawn = [
+        ratio(resting(80.0, 6.0, s), coloured=coloured, step=step, seed=s)
+        for s in range(4)
+    ]
     assert abs(np.mean([found for found, _ in drawn]) - 1.0) < 0.15
 
 
 @pytest.mark.parametrize(("coloured", "off"), [(0.0, 0.1), (0.5, 0.35)])
-def test_noise_shows_above_the_cutoff_of_any_motion(coloured: float, off: float) -> None:
+def test_noise_shows_above_the_cutoff_of_any_motion(
+    coloured: float, off: float
+) -> None:
     found, floor = ratio(wander(60.0, 4), coloured=coloured, seed=4)
     np.testing.assert_allclose(found, 1.0, atol=off)
     np.testing.assert_array_less(floor.low / floor.rms * found, 1.0)
@@ -96,7 +115,8 @@ def test_the_residual_does_not_bound_the_floor() -> None:
     assert np.all(rms_of(small, seen[1]) < 0.95 * truth)
     np.testing.assert_allclose(floor.rms, truth, rtol=0.2)
     assert np.all((floor.low < truth) & (truth < floor.high))
-    # Without rests slow noise may be more than shows, of all that is left as much as any has.
+    # Without rests slow noise may be more than shows, of all that is left as much as
+    # any has.
     tone = np.cos(3.0 * scene.motion.q)
     much, more = (floor_of(log, small + size * tone, seen) for size in (1.0, 20.0))
     assert np.all(much.high > 0.5)
@@ -112,7 +132,9 @@ def test_less_than_the_interval_makes_the_floor_doubtful() -> None:
 
 
 @pytest.mark.parametrize(("hunting", "off"), [(0.0, 0.3), (30.0, 0.4)])
-def test_a_controller_that_hunts_at_rest_is_no_noise(hunting: float, off: float) -> None:
+def test_a_controller_that_hunts_at_rest_is_no_noise(
+    hunting: float, off: float
+) -> None:
     """Held at a count's edge a joint's torque goes to and fro; in motion it does not."""
     found, floor = ratio(resting(80.0, 6.0, 6), seed=6, hunting=hunting)
     np.testing.assert_allclose(found, 1.0, atol=off)
@@ -124,7 +146,9 @@ def test_rests_with_more_than_all_that_is_left_are_passed_over(*, slow: bool) ->
     q = resting(80.0, 6.0, 6)
     still = np.all(np.gradient(q, axis=0) == 0.0, axis=1)
     white, more = np.random.default_rng(0).standard_normal((2, *q.shape))
-    tau = white + still[:, None] * (0.5 * np.cumsum(more, axis=0) if slow else 30.0 * more)
+    tau = white + still[:, None] * (
+        0.5 * np.cumsum(more, axis=0) if slow else 30.0 * more
+    )
     log = recording(q, tau)
     seen = scene_of(log)
     slides = seen[0].slides
@@ -145,7 +169,9 @@ def test_what_spectra_hold_beside_noise_is_no_noise(flicker: float) -> None:
     spectra = []
     for more in (1.0, hump, 20.0):  # with the scatter of 20 periodograms
         scatter = rng.gamma(20.0, 1.0 / 20.0, len(law))
-        spectra.append(Spectrum(FREQUENCY, law * more * scatter, np.full(len(law), 20.0)))
+        spectra.append(
+            Spectrum(FREQUENCY, law * more * scatter, np.full(len(law), 20.0))
+        )
     scene, _ = scene_of(recording(wander(60.0, 1), np.zeros((30000, 2))))
     slid = [(scene.motion, 60.0)]
     alone = level_of(spectra[:1], CUTOFF_HZ).rms(slid)
@@ -177,7 +203,9 @@ IN_BAND = np.sqrt(2 * CUTOFF_HZ / RATE_HZ)  # RMS of unit white noise after the 
 
 
 def rejected(q: Array, extra: Array | float, draws: int, seed: int) -> float:
-    """Share of residuals, low-passed noise and `extra` (N, 2), that are called coloured."""
+    """Share of residuals, low-passed noise and `extra` (N, 2), that are called
+    coloured.
+    """
     scene, rows = scene_of(recording(q, np.zeros_like(q)))
     rng = np.random.default_rng(seed)
     called = [
@@ -197,7 +225,9 @@ def test_low_passed_white_noise_passes_at_the_promised_rate(
 
 
 @pytest.mark.parametrize("hz", [0.0, 0.4, 3.0, 6.0])
-def test_a_sine_of_half_the_noise_and_slow_noise_of_its_size_are_seen(hz: float) -> None:
+def test_a_sine_of_half_the_noise_and_slow_noise_of_its_size_are_seen(
+    hz: float,
+) -> None:
     moving = wander(30.0, 1)
     t = np.arange(len(moving)) / RATE_HZ
     wave = 0.5 * np.sqrt(2) * np.sin(2 * np.pi * hz * t)[:, None]
@@ -223,21 +253,30 @@ def test_the_encoders_part_is_smaller_than_what_is_left(rig: Rig) -> None:
     log = rig.logs("validation")[0]
     (scene,) = scenes_of([log], rig.robot, rig.simultaneous, options=InertiaOptions())
     (echo,) = encoder_residuals([log], [scene])
-    for left, own, slides in zip(residual_of(scene).T, echo.T, scene.slides.T, strict=True):
+    for left, own, slides in zip(
+        residual_of(scene).T, echo.T, scene.slides.T, strict=True
+    ):
         assert 0.01 * rms(left[slides]) < rms(own[slides]) < rms(left[slides])
 
 
 @pytest.mark.slow
-def test_a_log_whose_encoders_are_too_coarse_is_filtered_at_its_own_cutoff(rig: Rig) -> None:
+def test_a_log_whose_encoders_are_too_coarse_is_filtered_at_its_own_cutoff(
+    rig: Rig,
+) -> None:
     robot, stages, log = rig.robot, rig.simultaneous, rig.logs("validation")[0]
     own = estimate_motion(log, robot, MotionOptions()).cutoff.hz
-    larger = replace(log, tau=log.tau + 20.0 * np.std(log.tau, axis=0) * np.sin(3.0 * log.q))
+    larger = replace(
+        log, tau=log.tau + 20.0 * np.std(log.tau, axis=0) * np.sin(3.0 * log.q)
+    )
     for given, origin, expected in (
         (log, "of the inertia stage", own),
         (log, "as given", 4.0 * own),
-        (larger, "of the inertia stage", 4.0 * own),  # noise is no part of what is left there
+        # noise is no part of what is left there
+        (larger, "of the inertia stage", 4.0 * own),
     ):
-        options = InertiaOptions(MotionOptions(4.0 * own, origin=origin), source="needed")
+        options = InertiaOptions(
+            MotionOptions(4.0 * own, origin=origin), source="needed"
+        )
         options = with_own_cutoffs([given], robot, stages, options)
         (scene,) = scenes_of([given], robot, stages, options=options)
         assert scene.motion.cutoff.hz == pytest.approx(expected)

@@ -59,7 +59,8 @@ def test_what_the_held_out_logs_do_not_confirm_does_not_stay() -> None:
     assert low < 0.0
     assert "held-out logs" in gone.reason
 
-    # The file has what is confirmed, fitted again to the training logs without the rest.
+    # The file has what is confirmed, fitted again to the training logs without the
+    # rest.
     written = {(x.effect, x.joint): x for x in done.stages.effects}
     assert set(written) == {(x.effect, x.joint) for x in done.loop.rounds}
     elbow = [s.friction.joints["elbow"].parameters for s in (done.stages, found.stages)]
@@ -67,7 +68,8 @@ def test_what_the_held_out_logs_do_not_confirm_does_not_stay() -> None:
     known = {told.joint for told in done.loop.rounds}
     assert known == {"shoulder"}
 
-    # The error after is that of the model that is written, on the same samples as before.
+    # The error after is that of the model that is written, on the same samples as
+    # before.
     motion = on_the_same_samples(DiscoverOptions(), file.stages, robot).motion
     for told, stages in (
         (done.loop.before, file.stages),
@@ -112,7 +114,9 @@ NONE = np.zeros((16, 1))
 
 @dataclass
 class Path:
-    """Stands in for a refinement of one joint: a model is the set of effects that it has."""
+    """Stands in for a refinement of one joint: a model is the set of effects that it
+    has.
+    """
 
     steps: list[Step]
     fitted: list[tuple[str, ...]] = field(default_factory=list)

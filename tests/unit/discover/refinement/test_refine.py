@@ -1,4 +1,6 @@
-"""Refinement of the one-joint sample arm: when an effect came, and what follows from it."""
+"""Refinement of the one-joint sample arm: when an effect came, and what follows from
+it.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +13,13 @@ from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import held_out
 from seqid_cli.discover.refinement.confirm import confirm, excess_note
-from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of, likelier
+from seqid_cli.discover.refinement.held_out import (
+    Gain,
+    HeldOutError,
+    gain,
+    gain_of,
+    likelier,
+)
 from seqid_cli.discover.refinement.loop import ALL_ALONG, LATE
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, quiet, refine
 from seqid_cli.discover.survey.events import Interval
@@ -35,12 +43,15 @@ OPTIONS = DiscoverOptions()
 
 
 def identified(earlier: Earlier) -> ParameterFile:
-    alone = earlier | {"gravity": earlier["gravity"][:1]}  # the trials of friction are read anyway
+    # the trials of friction are read anyway
+    alone = earlier | {"gravity": earlier["gravity"][:1]}
     return file_of(RIG.robot, sequential(alone, RIG.robot), {})
 
 
 def first_logs() -> Earlier:
-    friction, gravity, inertia = (RIG.logs(stage) for stage in ("friction", "gravity", "inertia"))
+    friction, gravity, inertia = (
+        RIG.logs(stage) for stage in ("friction", "gravity", "inertia")
+    )
     return {"friction": friction, "gravity": [*gravity, *friction], "inertia": inertia}
 
 
@@ -59,10 +70,16 @@ def test_what_came_late_leaves_the_file_as_it_is(
 ) -> None:
     unseen = changed("held_out")
     found = refine(
-        changed("fourier", "trapezoids"), RIG.robot, before, earlier=first_logs(), options=OPTIONS
+        changed("fourier", "trapezoids"),
+        RIG.robot,
+        before,
+        earlier=first_logs(),
+        options=OPTIONS,
     )
     stages, loop = found.stages, confirm(found, unseen).loop
-    assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, LATE)]
+    assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [
+        ("spring", True, LATE)
+    ]
     for name in ("friction", "gravity", "inertia"):
         assert getattr(stages, name) == getattr(before.stages, name)
     value = {p.name: p.value for p in stages.effects[0].parameters}
@@ -76,9 +93,15 @@ def test_what_came_late_leaves_the_file_as_it_is(
     assert not any("doubtful" in note for note in loop.notes)
     left = np.array([loop.after["joint_1"].rmse])
     above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left)
-    monkeypatch.setattr("seqid_cli.discover.refinement.confirm.noise_floor", lambda *_, **__: above)
+    monkeypatch.setattr(
+        "seqid_cli.discover.refinement.confirm.noise_floor", lambda *_, **__: above
+    )
     doubtful = confirm(found, unseen).loop
-    assert doubtful.noise_floor["joint_1"] == 2.0 * left[0] > doubtful.after["joint_1"].rmse
+    assert (
+        doubtful.noise_floor["joint_1"]
+        == 2.0 * left[0]
+        > doubtful.after["joint_1"].rmse
+    )
     assert any("doubtful" in note for note in doubtful.notes)
 
 
@@ -96,7 +119,9 @@ def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:
     training = changed("fourier", "trapezoids")
     found = refine(training, RIG.robot, file, earlier=logs, options=OPTIONS)
     stages, loop = found.stages, confirm(found, changed("held_out")).loop
-    assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, ALL_ALONG)]
+    assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [
+        ("spring", True, ALL_ALONG)
+    ]
     assert stages.gravity != file.stages.gravity
     assert stages.inertia != file.stages.inertia
     assert loop.verdict == "good"
@@ -130,7 +155,9 @@ def test_what_one_joint_gains_counts_as_much_as_what_another_loses(
 
 
 def test_what_extrapolation_misses_hides_no_gain() -> None:
-    """Half of the samples lie beyond the identified friction, with ten times the error there."""
+    """Half of the samples lie beyond the identified friction, with ten times the error
+    there.
+    """
     rng, samples = np.random.default_rng(0), np.full((16, 1), 200.0)
     beyond = 10.0 * rng.uniform(0.2, 1.8, (16, 1))
     old = HeldOutError(0.2 + beyond, samples, beyond, 0.5 * samples)
@@ -153,7 +180,9 @@ def test_a_certain_loss_at_one_joint_is_seen() -> None:
 
 @pytest.mark.parametrize("memory", [1, 4])
 def test_the_interval_of_a_gain_covers_it(memory: int) -> None:
-    """Of errors that are independent from block to block, and of such that last for four blocks."""
+    """Of errors that are independent from block to block, and of such that last for
+    four blocks.
+    """
     rng = np.random.default_rng(7)
     covered, draws, count = 0, 2000, 96
     for _ in range(draws):
@@ -169,7 +198,9 @@ def test_the_interval_of_a_gain_covers_it(memory: int) -> None:
 def test_a_few_seconds_are_enough_for_a_large_effect(before: ParameterFile) -> None:
     log = changed("fourier")[0]
     short = log.t < log.t[0] + 6.0
-    cut = replace(log, **{x: getattr(log, x)[short] for x in ("t", "q", "tau", "valid")})
+    cut = replace(
+        log, **{x: getattr(log, x)[short] for x in ("t", "q", "tau", "valid")}
+    )
     found = refine([cut], RIG.robot, before, earlier={}, options=OPTIONS)
     loop = confirm(found, changed("held_out")).loop
     assert [(r.effect, r.accepted) for r in loop.rounds] == [("spring", True)]
@@ -187,7 +218,9 @@ def test_smooth_terms_are_proposed_where_they_were_not_allowed_yet() -> None:
 @pytest.mark.slow
 def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) -> None:
     effects = (("load_dependent_friction", 0, 1.0),)
-    logs = recorded(Condition("starts", "two", 12, effects, "sequential_with"), tmp_path)
+    logs = recorded(
+        Condition("starts", "two", 12, effects, "sequential_with"), tmp_path
+    )
     first, *rest = logs.robot.joints
     reflected = first.gear_ratio**2 * first.rotor_inertia
     robot = replace(logs.robot, joints=(replace(first, rotor_inertia=None), *rest))
@@ -195,7 +228,8 @@ def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) ->
     found = refine(logs.training, robot, file, earlier=logs.earlier, options=OPTIONS)
     (loss,) = found.stages.effects
     assert (loss.effect, loss.joint) == ("load_dependent_friction", first.name)
-    assert loss.parameters[0].value == pytest.approx(0.1, rel=0.04)  # of the load, in all logs
+    # of the load, in all logs
+    assert loss.parameters[0].value == pytest.approx(0.1, rel=0.04)
     assert loss.settings[ROTOR] == pytest.approx(reflected, rel=0.15)
 
 
@@ -213,9 +247,16 @@ def test_logs_too_long_to_be_held_are_fitted_in_pieces_and_judged_as_a_whole(
         monkeypatch.setattr(place, name, value)
     training, unseen = (long_case(("stribeck", 1, 1.0), seed=seed) for seed in (1, 11))
     fitted = training.pieces(tmp_path / "fitted.parquet", places=False)
-    held, path = unseen.pieces(tmp_path / "held.parquet", places=False), tmp_path / "held.parquet"
+    held, path = (
+        unseen.pieces(tmp_path / "held.parquet", places=False),
+        tmp_path / "held.parquet",
+    )
     assert len(fitted.recordings) == 2
-    robot, file, options = training.robot, training.file, replace(OPTIONS, max_effects=1)
+    robot, file, options = (
+        training.robot,
+        training.file,
+        replace(OPTIONS, max_effects=1),
+    )
     found = refine(fitted.recordings, robot, file, earlier={}, options=options)
     done = confirm(found, held.recordings, held_out.WholeLogs((path,), robot))
     loop = done.loop
@@ -228,6 +269,8 @@ def test_logs_too_long_to_be_held_are_fitted_in_pieces_and_judged_as_a_whole(
     log = read_recording(path, robot)
     for errors, stages in ((loop.before, file.stages), (loop.after, found.stages)):
         whole = held_out.held_out_error([log], robot, stages, options=motion)
-        np.testing.assert_allclose([x.rmse for x in errors.values()], whole.rmse(), rtol=1e-8)
+        np.testing.assert_allclose(
+            [x.rmse for x in errors.values()], whole.rmse(), rtol=1e-8
+        )
     assert loop.evaluated_on == [str(path)]
     assert any("errors are of the whole held-out logs" in note for note in loop.notes)

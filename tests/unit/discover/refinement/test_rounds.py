@@ -1,4 +1,6 @@
-"""Rounds of a refinement: one effect at all its joints, what is not worth it, the limit."""
+"""Rounds of a refinement: one effect at all its joints, what is not worth it, the
+limit.
+"""
 
 from __future__ import annotations
 

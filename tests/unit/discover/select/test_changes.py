@@ -1,4 +1,6 @@
-"""Changes of the file's values: told by name and size though the base or waves contain them."""
+"""Changes of the file's values: told by name and size though the base or waves contain
+them.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,9 @@ LAWS = ("friction_change", "position_dependent_friction", "nonlinear_viscous")
 
 
 def known_friction(scene: Scene) -> Stages:
-    """A parameter file whose Coulomb and viscous friction are known to a part in a hundred."""
+    """A parameter file whose Coulomb and viscous friction are known to a part in a
+    hundred.
+    """
     joints = {}
     for joint, name in enumerate(scene.robot.joint_names):
         half = 0.5 * VISCOUS[joint] * TOP
@@ -50,7 +54,9 @@ def scenes() -> list[Scene]:
     return arm_scenes(at_joint(0, worn), noise=(0.02, 0.02))
 
 
-def test_friction_that_has_grown_is_told_by_its_name_and_size(scenes: list[Scene]) -> None:
+def test_friction_that_has_grown_is_told_by_its_name_and_size(
+    scenes: list[Scene],
+) -> None:
     found = selected(scenes, LAWS, stages=known_friction(scenes[0]))
     told = {taken.term.key: taken for taken in found.taken}
     assert ("friction_change", 0) in told

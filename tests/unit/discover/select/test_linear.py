@@ -28,7 +28,9 @@ def drawn_rows() -> Rows:
 
 
 ROWS = drawn_rows()
-WEIGHT = [np.random.default_rng(4 + c).uniform(0.5, 2.0, m) for c, m in enumerate(LENGTHS)]
+WEIGHT = [
+    np.random.default_rng(4 + c).uniform(0.5, 2.0, m) for c, m in enumerate(LENGTHS)
+]
 # Three parameters that both channels share, and two of the first channel's own.
 BASE = [
     Part(columns(2, 3), np.diag([1.0, 2.0, 0.5])),
@@ -53,7 +55,10 @@ def log_density(parts: list[Part], without: int | None = None) -> float:
     return float(multivariate_normal.logpdf(y, cov=covariance[np.ix_(at, at)]))
 
 
-IN_FILE = {0: np.array([[0.7, -2.0], [0.0, 1.5], [3.0, 0.4]]), 1: np.array([[1.1, 0.0]])}
+IN_FILE = {
+    0: np.array([[0.7, -2.0], [0.0, 1.5], [3.0, 0.4]]),
+    1: np.array([[1.1, 0.0]]),
+}
 
 
 def _less_in_file(base: list[Part], part: Part) -> Part:
@@ -70,14 +75,20 @@ def test_what_a_file_has_of_a_term_is_as_if_taken_off_its_columns(beside: bool) 
     base = [replace(part, apart=0.4 * part.precision) for part in BASE]
     other = Part({0: np.ones((LENGTHS[0], 1))}, np.eye(1), in_file={0: np.ones((3, 1))})
     absorbed, model = replace(TERM, in_file=IN_FILE), [*base, *[other] * beside]
-    less, same = _less_in_file(base, absorbed), [_less_in_file(base, part) for part in model]
+    less, same = (
+        _less_in_file(base, absorbed),
+        [_less_in_file(base, part) for part in model],
+    )
 
     tried, expected = linear(model), linear(same)
     one, two = tried.gained([TERM, absorbed])[1], expected.gained([less])[0]
     assert one.evidence == pytest.approx(two.evidence, abs=1e-6)
     np.testing.assert_allclose(one.coefficients, two.coefficients, atol=1e-7)
     np.testing.assert_allclose(one.covariance, two.covariance, atol=1e-7)
-    left_out, as_well = tried.predicted([TERM, absorbed])[1], expected.predicted([less])[0]
+    left_out, as_well = (
+        tried.predicted([TERM, absorbed])[1],
+        expected.predicted([less])[0],
+    )
     np.testing.assert_allclose(left_out.density, as_well.density, atol=1e-6)
     assert left_out.file == pytest.approx(as_well.file, abs=1e-6)
 
@@ -107,14 +118,18 @@ def test_gain_of_a_block_is_that_of_its_density_given_all_others() -> None:
     told = linear(BASE).predicted([TERM])[0]
     for b in range(BLOCKS):
         without, with_it = (
-            log_density(parts) - log_density(parts, without=b) for parts in (BASE, [*BASE, TERM])
+            log_density(parts) - log_density(parts, without=b)
+            for parts in (BASE, [*BASE, TERM])
         )
         assert told.density[b] == pytest.approx(with_it - without, abs=1e-6)
 
 
 def test_gain_of_the_file_is_what_the_term_gains_less_without_it() -> None:
     alone = [Part(part.columns, 0.1 * part.precision) for part in BASE]
-    held = [Part(a.columns, b.precision, a.precision) for a, b in zip(alone, BASE, strict=True)]
+    held = [
+        Part(a.columns, b.precision, a.precision)
+        for a, b in zip(alone, BASE, strict=True)
+    ]
     with_file, without = (
         log_density([*parts, TERM]) - log_density(parts) for parts in (BASE, alone)
     )

@@ -1,4 +1,6 @@
-"""A model under selection: how far its base moves, its time offsets, and what it leaves."""
+"""A model under selection: how far its base moves, its time offsets, and what it
+leaves.
+"""
 
 import numpy as np
 import pytest
@@ -27,13 +29,16 @@ def test_a_held_base_moves_within_the_files_errors_only() -> None:
     models = [model_of(scenes, hold, stages) for hold in (FREE, HELD, FIRM)]
     at = list(models[0].ground.base.basis.names).index("mx_1")
     free, held, firm = (abs(float(m.linear.theta[at])) for m in models)
-    assert free == pytest.approx(OUT * MASS, rel=0.2)  # m l of what hangs on the first link
+    # m l of what hangs on the first link
+    assert free == pytest.approx(OUT * MASS, rel=0.2)
     assert firm < held < 0.2 * free
     assert models[1].rms().max() > 2.0 * models[0].rms().max()
 
 
 @pytest.mark.parametrize(("extra", "loose"), [(None, False), (payload, True)])
-def test_the_evidence_says_how_loosely_the_base_is_held(extra: Extra | None, loose: bool) -> None:
+def test_the_evidence_says_how_loosely_the_base_is_held(
+    extra: Extra | None, loose: bool
+) -> None:
     scenes = arm_scenes(extra)
     model = model_of(scenes, HELD, file_of(scenes[0]))
     said = (model.rescale(), model.hold.rigid > 1.0, model.hold.doubt(2) > 0.0)
@@ -59,11 +64,16 @@ def test_an_ordinary_time_offset_belongs_to_the_base() -> None:
 
 
 def test_a_lines_frequency_is_sharpened_beside_all_else() -> None:
-    scenes = arm_scenes(at_joint(0, lambda s: 3.0 * np.sin(2 * np.pi * 3.7 * s.time) + drag(s)))
+    scenes = arm_scenes(
+        at_joint(0, lambda s: 3.0 * np.sin(2 * np.pi * 3.7 * s.time) + drag(s))
+    )
     model, span = model_of(scenes), float(scenes[-1].time[-1])
-    for off in (3.7 + 0.3 / span, 3.9):  # a part of a turn over the session; another line
+    # a part of a turn over the session; another line
+    for off in (3.7 + 0.3 / span, 3.9):
         model.terms.clear()
-        line = candidate("periodic_disturbance", 0, frequency=off, clocks=0.0, span=span)
+        line = candidate(
+            "periodic_disturbance", 0, frequency=off, clocks=0.0, span=span
+        )
         model.add([line, candidate("quadratic_drag", 0)])
         found = model.candidates[0].settings["frequency"]
         assert found == (off if off == 3.9 else pytest.approx(3.7, abs=0.02 / span))
@@ -72,7 +82,9 @@ def test_a_lines_frequency_is_sharpened_beside_all_else() -> None:
 def test_errors_are_no_narrower_than_the_scatter_over_blocks() -> None:
     def lasting(scene: Scene) -> Array:
         rng = np.random.default_rng(scene.log)
-        slow = np.convolve(rng.normal(size=scene.samples + 239), np.ones(240) / 12.0, "valid")
+        slow = np.convolve(
+            rng.normal(size=scene.samples + 239), np.ones(240) / 12.0, "valid"
+        )
         return np.asarray(drag(scene) + 0.1 * slow)
 
     errors = []
@@ -80,5 +92,7 @@ def test_errors_are_no_narrower_than_the_scatter_over_blocks() -> None:
         model = model_of(arm_scenes(at_joint(0, law)))
         model.add([candidate("quadratic_drag", 0)])
         errors.append(float(np.sqrt(model.covariance(model.terms[0])[0, 0])))
-        assert model.coefficients(model.terms[0])[0] == pytest.approx(DRAG, abs=4.0 * errors[-1])
+        assert model.coefficients(model.terms[0])[0] == pytest.approx(
+            DRAG, abs=4.0 * errors[-1]
+        )
     assert errors[1] > 1.3 * errors[0]

@@ -30,7 +30,13 @@ from tests.unit.discover.arms import (
     stribeck,
 )
 
-SOME = ("stribeck", "spring", "quadratic_drag", "torque_bias", "load_dependent_friction")
+SOME = (
+    "stribeck",
+    "spring",
+    "quadratic_drag",
+    "torque_bias",
+    "load_dependent_friction",
+)
 SPEED = 0.3  # rad/s, of the hump
 WAVE, LOOP = 2.0, 80.0  # N m; rad/s, of the position loop
 LATE_S = 0.02
@@ -48,7 +54,9 @@ def keys(found: Selected) -> list[tuple[str, int | None]]:
 
 @pytest.fixture(scope="module")
 def pair() -> Selected:
-    return selected(arm_scenes(lambda s: at_joint(0, drag)(s) + stribeck(SPEED)(s)), SOME)
+    return selected(
+        arm_scenes(lambda s: at_joint(0, drag)(s) + stribeck(SPEED)(s)), SOME
+    )
 
 
 def test_nothing_is_taken_where_the_model_is_right() -> None:
@@ -70,7 +78,11 @@ def test_what_no_effect_explains_is_a_smooth_function() -> None:
     one = found.taken[0]
     assert (one.term.smooth, one.term.joint) == (True, 0)
     with_it, without = found.model.linear.left_out[0], one.left[0]
-    assert Options.improvement < one.share <= 1.0 - np.sum(with_it**2) / np.sum(without**2) + 1e-9
+    assert (
+        Options.improvement
+        < one.share
+        <= 1.0 - np.sum(with_it**2) / np.sum(without**2) + 1e-9
+    )
 
 
 def gain_and_losses(scene: Scene) -> Array:
@@ -96,7 +108,9 @@ def test_the_lesser_of_two_that_look_alike_may_be_the_error_of_the_other(
     gain.apart = moves_apart
     scenes = arm_scenes(at_joint(0, gain_and_losses))
     found = selected(scenes, [gain, "load_dependent_friction"], options)
-    assert keys(found) == [("torque_constant", 0), ("load_dependent_friction", 0)][:told]
+    assert (
+        keys(found) == [("torque_constant", 0), ("load_dependent_friction", 0)][:told]
+    )
     assert moves_apart or len(found.model.terms) == 2  # for the other one's sake
 
 
@@ -131,7 +145,9 @@ def test_a_coupled_pair_is_named_once(drive: int) -> None:
 
 
 def shaken(scene: Scene) -> Array:
-    """A ripple of the second drive whose fast waves move the arm instead of the drive's current."""
+    """A ripple of the second drive whose fast waves move the arm instead of the drive's
+    current.
+    """
     wave = WAVE * np.sin(scene.gear[1] * scene.motion.q[:, 1])
     return wave / (1.0 + (scene.gear[1] * scene.motion.dq[:, 1] / LOOP) ** 4)
 
@@ -143,16 +159,21 @@ def test_a_ripple_is_told_where_the_drive_holds_against_it() -> None:
     term = found.taken[0].term
     assert term.what.settings == {"order": 1.0, "law": 0.0, "lag": 0.0}
     amplitude = np.hypot(*found.model.coefficients(term))
-    assert amplitude == pytest.approx(WAVE, rel=0.05)  # above the cut-off the arm gives way
+    # above the cut-off the arm gives way
+    assert amplitude == pytest.approx(WAVE, rel=0.05)
 
 
 def lagging(scene: Scene) -> Array:
-    return np.asarray(LATE_S * scene.motion.rate_hz * np.gradient(scene.modelled, axis=0))
+    return np.asarray(
+        LATE_S * scene.motion.rate_hz * np.gradient(scene.modelled, axis=0)
+    )
 
 
 def stamped_late(scene: Scene) -> Array:
     n = np.arange(scene.samples)
-    late = [np.interp(n - LATE_S * scene.motion.rate_hz, n, tau) for tau in scene.modelled.T]
+    late = [
+        np.interp(n - LATE_S * scene.motion.rate_hz, n, tau) for tau in scene.modelled.T
+    ]
     return np.asarray(np.stack(late, axis=1) - scene.modelled)
 
 
@@ -167,12 +188,19 @@ def test_one_lag_of_all_drives_is_no_skew_of_the_log(extra: Extra, name: str) ->
     assert found.model.coefficients(term)[0] == pytest.approx(LATE_S, rel=0.1)
 
 
-def with_terms(extra: Extra, smooth: str, *effects: Candidate) -> tuple[Model, list[Term]]:
-    """Return a model that has the first effect and a smooth function, and the effects as terms."""
+def with_terms(
+    extra: Extra, smooth: str, *effects: Candidate
+) -> tuple[Model, list[Term]]:
+    """Return a model that has the first effect and a smooth function, and the effects
+    as terms.
+    """
     ground = ground_of(arm_scenes(extra))
     known = terms.effects(ground.stage, effects, ground.size)
     model = Model(ground, HELD)
-    model.terms = [known[0], next(t for t in ground.smooth_terms(1) if t.name == smooth)]
+    model.terms = [
+        known[0],
+        next(t for t in ground.smooth_terms(1) if t.name == smooth),
+    ]
     model.settle()
     return model, known
 

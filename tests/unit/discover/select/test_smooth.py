@@ -1,4 +1,6 @@
-"""Smooth functions: the right quantity is named first, though another moves along with it."""
+"""Smooth functions: the right quantity is named first, though another moves along with
+it.
+"""
 
 import numpy as np
 import pytest
@@ -9,7 +11,14 @@ from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import SmoothTerm
 from tests import Array
-from tests.unit.discover.arms import Extra, at_joint, coloured, ground_of, measuring, related_scenes
+from tests.unit.discover.arms import (
+    Extra,
+    at_joint,
+    coloured,
+    ground_of,
+    measuring,
+    related_scenes,
+)
 
 OTHER = "other_joint:joint_1"
 
@@ -21,7 +30,10 @@ def bump(scene: Scene) -> Array:
 LAWS = [
     (bump, {"position"}),
     (lambda s: 0.3 * np.sin(4 * s.motion.dq[:, 0] + 0.6), {OTHER}),
-    (lambda s: 0.3 * s.sign[:, 1] * np.cos(3 * s.motion.q[:, 1]), {"position", "direction"}),
+    (
+        lambda s: 0.3 * s.sign[:, 1] * np.cos(3 * s.motion.q[:, 1]),
+        {"position", "direction"},
+    ),
     # It rubs more where the other joint stands further out.
     (lambda s: 0.3 * s.sign[:, 1] * np.sin(2 * s.motion.q[:, 0]), {OTHER, "direction"}),
     (lambda s: 0.5 * (s.motion.ddq[:, 1] / 8) ** 3, {"acceleration"}),
@@ -36,7 +48,9 @@ def selection(seed: int, extra: Extra | None) -> Selection:
     """What is selected without any effect to choose from, beside coloured noise."""
     rng, scenes = np.random.default_rng(seed), []
     for scene in related_scenes(seed, logs=3):
-        whole = measuring(scene, scene.modelled + (0.0 if extra is None else extra(scene)))
+        whole = measuring(
+            scene, scene.modelled + (0.0 if extra is None else extra(scene))
+        )
         whole.motion.tau[:] += coloured(scene, rng)
         scenes.append(whole)
     return select(ground_of(scenes), None, [])
@@ -44,7 +58,9 @@ def selection(seed: int, extra: Extra | None) -> Selection:
 
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("extra", "quantities"), LAWS)
-def test_the_right_quantity_is_named_first(extra, quantities: set[str], seed: int) -> None:
+def test_the_right_quantity_is_named_first(
+    extra, quantities: set[str], seed: int
+) -> None:
     first = selection(seed, at_joint(1, extra)).model.terms[0].what
     assert isinstance(first, SmoothFunction)
     assert (first.joint, set(first.quantities)) == (1, quantities)
@@ -60,7 +76,9 @@ def test_the_term_is_the_torque_that_was_put_in() -> None:
     found = selection(1, at_joint(1, bump)).told()
     what, c = found.taken[0].term.what, found.taken[0].one.gained.coefficients
     scene = found.model.ground.stage.scenes[0]
-    term = SmoothTerm(what.joint, what.quantities, what.axes, what.factor, what.mixing @ c)
+    term = SmoothTerm(
+        what.joint, what.quantities, what.axes, what.factor, what.mixing @ c
+    )
     torque, inside = term.torques(scene)[1], np.abs(scene.motion.q[:, 1]) < 0.9
     assert np.corrcoef(torque[inside], bump(scene)[inside])[0, 1] > 0.95
     expected = scene.motion.filtered(torque, times=2)

@@ -40,7 +40,10 @@ def test_a_stribeck_speed_between_the_grids_is_found(humped: Model) -> None:
     ends = [tuner.tuned(one) for one in (tried, *tuner.tried([other]))]
     found = max(ends, key=lambda one: one.evidence)
     settings = found.candidate.settings
-    assert settings == {"stribeck_speed": pytest.approx(SPEED, rel=0.1), "exponent": 2.0}
+    assert settings == {
+        "stribeck_speed": pytest.approx(SPEED, rel=0.1),
+        "exponent": 2.0,
+    }
     assert found.gained.coefficients[0] == pytest.approx(HUMP, rel=0.1)
     assert found.evidence > tried.evidence
 
@@ -59,12 +62,16 @@ def sprung(gear: Gear, seed: int) -> Scene:
     seen = scene(log, cutoff_hz=12.0)
     motion = replace(seen.motion, usable=seen.motion.usable & (seen.motion.t > 3.0))
     torque = log.torque[:: round(LOG_HZ / motion.rate_hz)][: seen.samples, None]
-    return replace(seen, motion=motion, measured=torque, period=1.0 / motion.rate_hz, log=seed)
+    return replace(
+        seen, motion=motion, measured=torque, period=1.0 / motion.rate_hz, log=seed
+    )
 
 
 @pytest.mark.slow
 def test_a_resonance_is_met_and_followed_to_its_damping() -> None:
-    """The stiffness that the blunt shape fits best is off; the sharper one brings it back."""
+    """The stiffness that the blunt shape fits best is off; the sharper one brings it
+    back.
+    """
     gear = Gear(2500.0, 2.7)  # 8.9 Hz, 3 % of critical
     model = model_of([sprung(gear, seed) for seed in range(5)])
     met = best(model, "joint_elasticity", 0)

@@ -1,4 +1,6 @@
-"""Events: pushes are found where they were; what recurs, or may be the error of a law, is none."""
+"""Events: pushes are found where they were; what recurs, or may be the error of a law,
+is none.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,10 +35,14 @@ def found(rows: Rows, seed: int, *extra: Extra) -> list[Interval]:
         more = sum((one(number, scene) for one in extra), np.zeros_like(scene.motion.q))
         noise = coloured(scene, rng) / np.array(NOISE)
         values.append(noise + scene.motion.filtered(more, times=2))
-    return find_events(rows, [rows.of(j, [x[:, j] for x in values]) for j in range(rows.n)])
+    return find_events(
+        rows, [rows.of(j, [x[:, j] for x in values]) for j in range(rows.n)]
+    )
 
 
-def push(scene_number: int, start: float, length: float, height: float, joints: list[int]) -> Extra:
+def push(
+    scene_number: int, start: float, length: float, height: float, joints: list[int]
+) -> Extra:
     def extra(number: int, scene: Scene) -> Array:
         since = (scene.motion.t - start) / length
         inside = (since > 0.0) & (since < 1.0) & (number == scene_number)
@@ -58,7 +64,13 @@ def test_clean_noise_has_no_event_in_200_runs(many_rows: list[Rows]) -> None:
 
 @pytest.mark.parametrize(
     ("length", "height", "joints"),
-    [(0.2, 5.0, [0, 1]), (0.4, 4.0, [0, 1]), (0.6, 3.0, [0, 1]), (0.4, 5.0, [1]), (0.6, 4.0, [0])],
+    [
+        (0.2, 5.0, [0, 1]),
+        (0.4, 4.0, [0, 1]),
+        (0.6, 3.0, [0, 1]),
+        (0.4, 5.0, [1]),
+        (0.6, 4.0, [0]),
+    ],
 )
 def test_a_push_is_found_where_it_was(
     many_rows: list[Rows], length: float, height: float, joints: list[int]
@@ -67,7 +79,9 @@ def test_a_push_is_found_where_it_was(
     for k in range(8):
         start, number = float(rng.uniform(2.0, 13.0)), int(rng.integers(3))
         end = start + length
-        for event in found(many_rows[k % 4], 500 + k, push(number, start, length, height, joints)):
+        for event in found(
+            many_rows[k % 4], 500 + k, push(number, start, length, height, joints)
+        ):
             common = min(event.end, end) - max(event.start, start)
             assert event.scene == number
             assert common > 0.0
@@ -94,7 +108,9 @@ RECURRING = {
 
 
 @pytest.mark.parametrize("law", RECURRING.values(), ids=RECURRING)
-def test_what_recurs_is_no_event(many_rows: list[Rows], law: Callable[[Scene], Array]) -> None:
+def test_what_recurs_is_no_event(
+    many_rows: list[Rows], law: Callable[[Scene], Array]
+) -> None:
     for seed, rows in enumerate(many_rows):
         events = found(rows, seed, lambda _, scene: np.outer(law(scene), [0.0, 1.0]))
         assert all(one.certainty < TOLD for one in events)
@@ -132,12 +148,16 @@ def test_a_push_is_no_event_where_effects_may_have_any_torque(
 ) -> None:
     monkeypatch.setattr(investigate, "find_events", lambda *_: [PUSH])
     monkeypatch.setattr(investigate, "of_law", lambda *_: False)
-    sticks = [(s.motion.t > 4.9) & (s.motion.t < until) for s in model.ground.stage.scenes]
+    sticks = [
+        (s.motion.t > 4.9) & (s.motion.t < until) for s in model.ground.stage.scenes
+    ]
     guess = [np.outer(one, [False, True]) for one in sticks]
     assert investigate.events_of(model, guess) == events
 
 
-@pytest.mark.parametrize(("times", "expected"), [(0.9, False), (-0.1, True), (4.0, True)])
+@pytest.mark.parametrize(
+    ("times", "expected"), [(0.9, False), (-0.1, True), (4.0, True)]
+)
 def test_terms_that_add_more_than_the_file_leaves_make_an_event(
     model: Model, monkeypatch: pytest.MonkeyPatch, times: float, expected: bool
 ) -> None:

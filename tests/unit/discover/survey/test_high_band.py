@@ -28,7 +28,9 @@ def test_a_line_above_the_cutoff_is_found() -> None:
 
 
 def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:
-    """At slow speeds it lies in the band, at fast ones above; one order and size for both."""
+    """At slow speeds it lies in the band, at fast ones above; one order and size for
+    both.
+    """
     ripple = at_joint(
         JOINT, lambda s: RIPPLE * np.cos(ORDER * s.gear[JOINT] * s.motion.q[:, JOINT])
     )
@@ -52,7 +54,9 @@ def test_white_noise_has_no_line(seed: int) -> None:
 
 
 def test_a_stop_from_full_speed_is_no_row_above_the_cutoff() -> None:
-    """A jolt in the measured torque, with what the low-pass makes of it around, is left out."""
+    """A jolt in the measured torque, with what the low-pass makes of it around, is left
+    out.
+    """
     (scene,) = arm_scenes(logs=1)
     usual = high_band(rows_of([scene]))
     counted = np.flatnonzero(usual.used[0][:, JOINT])

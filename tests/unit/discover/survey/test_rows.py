@@ -59,11 +59,15 @@ def test_a_single_move_of_a_joint_does_not_count() -> None:
 def known_up_to(top: float, scene: Scene, order: int) -> Scene:
     """The scene with friction of the first joint from a curve that ends at a speed."""
     curve = friction_surface(2.0, 0.5, top=top, order=order, variance=1e-6)
-    return replace(scene, model=replace(scene.model, surfaces=(curve, scene.model.surfaces[1])))
+    return replace(
+        scene, model=replace(scene.model, surfaces=(curve, scene.model.surfaces[1]))
+    )
 
 
 def test_speeds_beyond_a_friction_curve_do_not_count() -> None:
-    """Coulomb and viscous friction go on beyond; a curve of higher order is only held there."""
+    """Coulomb and viscous friction go on beyond; a curve of higher order is only held
+    there.
+    """
     scene = scene_of(wander(12.0))
     speed = np.abs(scene.motion.dq[:, 0])
     for order in (1, 2):
@@ -72,7 +76,9 @@ def test_speeds_beyond_a_friction_curve_do_not_count() -> None:
         assert not beyond[:, 1].any()
 
 
-def test_a_log_that_stays_beyond_a_friction_curve_does_not_count_beside_others() -> None:
+def test_a_log_that_stays_beyond_a_friction_curve_does_not_count_beside_others() -> (
+    None
+):
     """Where one log alone is there, the curve is all there is."""
     usual = scene_of(wander(12.0))
     usual = known_up_to(1.1 * float(np.abs(usual.motion.dq[:, 0]).max()), usual, 2)
@@ -89,7 +95,9 @@ LATE, TAKES = 0.05, 0.6  # friction at a reversal, of the time for which it may 
 
 
 def sticking(scene: Scene) -> Array:
-    """Return what friction (N,) N m lacks of a joint that sticks a while where it turns back."""
+    """Return what friction (N,) N m lacks of a joint that sticks a while where it turns
+    back.
+    """
     rng = np.random.default_rng(scene.log)
     t, v = scene.motion.t, scene.motion.dq[:, JOINT]
     lacks = np.zeros(len(t))
@@ -97,7 +105,9 @@ def sticking(scene: Scene) -> Array:
         for at in start + np.flatnonzero(v[start : stop - 1] * v[start + 1 : stop] < 0):
             since = t[start:stop] - t[at] - (t[1] - t[0]) * v[at] / (v[at] - v[at + 1])
             slow = t[stop - 1] - t[start]
-            ramp = np.clip(2.0 * (since / slow - LATE * rng.normal()) / TAKES, -1.0, 1.0)
+            ramp = np.clip(
+                2.0 * (since / slow - LATE * rng.normal()) / TAKES, -1.0, 1.0
+            )
             change = COULOMB[JOINT] * np.sign(v[at + 1])
             lacks[start:stop] += change * (ramp - np.sign(since))
     return lacks
@@ -109,16 +119,25 @@ def size(values: Array) -> float:
 
 def test_sticking_is_left_to_nobody() -> None:
     """As it is it shows; whitened it counts little, and noise as before."""
-    clean, rough = (arm_scenes(x, noise=(0.01, 0.01)) for x in (None, at_joint(JOINT, sticking)))
+    clean, rough = (
+        arm_scenes(x, noise=(0.01, 0.01)) for x in (None, at_joint(JOINT, sticking))
+    )
     rows = rows_of(clean)
-    sticks = [(b.motion.tau - a.motion.tau)[:, JOINT] for a, b in zip(clean, rough, strict=True)]
+    sticks = [
+        (b.motion.tau - a.motion.tau)[:, JOINT]
+        for a, b in zip(clean, rough, strict=True)
+    ]
     assert size(rows.of(JOINT, sticks)) > 0.05
     assert size(rows.torque(JOINT, sticks)) < 0.5 * size(rows.of(JOINT, sticks))
     noise = np.random.default_rng(0).normal(size=rows.count(JOINT))
     assert size(rows.whitened(JOINT, noise)) > 0.9 * size(noise)
 
 
-def test_what_is_large_beside_a_reversal_is_still_seen(scenes: list[Scene], rows: Rows) -> None:
+def test_what_is_large_beside_a_reversal_is_still_seen(
+    scenes: list[Scene], rows: Rows
+) -> None:
     """A torque that rises with speed has its rows away from reversals."""
-    drag = [s.motion.filtered(s.motion.dq * np.abs(s.motion.dq))[:, JOINT] for s in scenes]
+    drag = [
+        s.motion.filtered(s.motion.dq * np.abs(s.motion.dq))[:, JOINT] for s in scenes
+    ]
     assert size(rows.torque(JOINT, drag)) > 0.95 * size(rows.of(JOINT, drag))

@@ -1,4 +1,6 @@
-"""Logs that say nothing are left out with a note; where nothing else is there, an error says so."""
+"""Logs that say nothing are left out with a note; where nothing else is there, an error
+says so.
+"""
 
 from dataclasses import replace
 
@@ -26,7 +28,12 @@ def test_echo_is_left_out_with_a_note() -> None:
     good, echo = log("good", 0, coulomb=0.8), log("hand.parquet", 1, coulomb=0.0)
     kept, (note,) = usable_logs(iter([good, echo]), ROBOT)
     assert kept == [good]
-    for fragment in ("hand.parquet", *ROBOT.joint_names, "echo of the command", "motor current"):
+    for fragment in (
+        "hand.parquet",
+        *ROBOT.joint_names,
+        "echo of the command",
+        "motor current",
+    ):
         assert fragment in note
 
 

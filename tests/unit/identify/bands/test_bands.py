@@ -44,7 +44,9 @@ def fitted(rows: BandRows) -> Fit:
     weight = np.where(rows.used, 1.0 / SIGMA, 0.0)
     X = (rows.H * weight[..., None]).reshape(-1, 3)
     bread: Array = np.asarray(np.linalg.inv(X.T @ X), dtype=np.float64)
-    return Fit(theta=bread @ (X.T @ (weight * rows.y).ravel()), bread=bread, sigma=SIGMA)
+    return Fit(
+        theta=bread @ (X.T @ (weight * rows.y).ravel()), bread=bread, sigma=SIGMA
+    )
 
 
 @pytest.mark.parametrize(("logs", "kind"), [(4, "logs"), (1, "stretches")])
@@ -55,7 +57,9 @@ def test_left_out_residuals_are_those_of_a_fit_anew(logs: int, kind: str) -> Non
     for fold in np.unique(found.fold):
         anew = fitted(rows.part(found.fold != fold))
         own = rows.part(found.fold == fold)
-        np.testing.assert_allclose(found.residual[found.fold == fold], own.y - own.H @ anew.theta)
+        np.testing.assert_allclose(
+            found.residual[found.fold == fold], own.y - own.H @ anew.theta
+        )
 
 
 def test_a_log_that_alone_shows_a_parameter_is_not_left_out_whole() -> None:
@@ -66,12 +70,16 @@ def test_a_log_that_alone_shows_a_parameter_is_not_left_out_whole() -> None:
 
 def drawn_errors(kind: str, rng: np.random.Generator, count: int) -> Array:
     heavy = rng.standard_t(4, count)
-    return {"normal": rng.normal(size=count), "heavy": heavy, "flat": rng.uniform(-1, 1, count)}[
-        kind
-    ]
+    return {
+        "normal": rng.normal(size=count),
+        "heavy": heavy,
+        "flat": rng.uniform(-1, 1, count),
+    }[kind]
 
 
-@pytest.mark.parametrize(("kind", "off"), [("normal", 0.015), ("heavy", 0.025), ("flat", 0.035)])
+@pytest.mark.parametrize(
+    ("kind", "off"), [("normal", 0.015), ("heavy", 0.025), ("flat", 0.035)]
+)
 def test_both_bands_hold_whatever_the_errors(kind: str, off: float) -> None:
     rng, count = np.random.default_rng(3), 4000
     variance = rng.uniform(0.0, 1.0, count)
@@ -167,7 +175,8 @@ def test_coverage_counts_a_block_once_however_a_log_is_parted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("share", "blocks", "below"), [(0.6, 30, True), (0.6, 2, False), (0.85, 1000, False)]
+    ("share", "blocks", "below"),
+    [(0.6, 30, True), (0.6, 2, False), (0.85, 1000, False)],
 )
 def test_a_band_fails_only_clearly(share: float, blocks: int, below: bool) -> None:
     coverage = BandCoverage(band_90=share, band_95=share, samples=100, blocks=blocks)
@@ -180,7 +189,9 @@ def test_bands_of_one_least_squares_hold_on_another_log() -> None:
     (found,) = predict([record(7, 20.0)], robot(), stages, options=InertiaOptions())
     error, counts = np.abs(found.residual), found.sliding
     for level, half_width in zip(LEVELS, (1.645, 1.96), strict=True):
-        held = (counts & (error <= half_width * found.std)).sum(axis=0) / counts.sum(axis=0)
+        held = (counts & (error <= half_width * found.std)).sum(axis=0) / counts.sum(
+            axis=0
+        )
         assert np.mean(held) == pytest.approx(level, abs=0.025)
         assert held.min() > level - 0.08
 

@@ -1,4 +1,6 @@
-"""Eq. 12-15: p_xi is recovered; direction-dependent friction is seen, and only where it is."""
+"""Eq. 12-15: p_xi is recovered; direction-dependent friction is seen, and only where it
+is.
+"""
 
 from dataclasses import replace
 from itertools import product
@@ -22,7 +24,9 @@ JOINT = 2
 SLICES = 64
 SPEEDS = np.geomspace(0.1, 2.0, 8)
 P_XI = np.array([[1.7, -0.2], [1.1, 0.4]])
-CONFIGURATIONS = np.array([[0.3, -0.8, 0.0, 0.5, 0.1, 0.0], [0.3, -2.0, 0.0, 1.5, -0.9, 0.0]])
+CONFIGURATIONS = np.array(
+    [[0.3, -0.8, 0.0, 0.5, 0.1, 0.0], [0.3, -2.0, 0.0, 1.5, -0.9, 0.0]]
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,15 +34,21 @@ def robot() -> Robot:
     return arm_6r()
 
 
-def trial(joint: int, velocity: float, q: Array, tau: Array, configuration: Array) -> Trial:
+def trial(
+    joint: int, velocity: float, q: Array, tau: Array, configuration: Array
+) -> Trial:
     places = np.tile(configuration, (len(q), 1))
     places[:, joint] = q
     motion = (joint, velocity, q, np.full(len(q), velocity), np.zeros(len(q)), tau)
-    return Trial(*motion, Ramps(), 20.0, configuration, places, np.arange(len(q)) * 0.01, 0.01)
+    return Trial(
+        *motion, Ramps(), 20.0, configuration, places, np.arange(len(q)) * 0.01, 0.01
+    )
 
 
 def trials_of(robot: Robot, seed: int, *, asymmetry: float = 0.0) -> list[Trial]:
-    """Trials of the elbow with friction that is larger forward by the share `asymmetry`."""
+    """Trials of the elbow with friction that is larger forward by the share
+    `asymmetry`.
+    """
     rng, trials = np.random.default_rng(seed), []
     groups = zip(CONFIGURATIONS, P_XI, strict=True)
     for (configuration, p), speed, direction in product(groups, SPEEDS, (1, -1)):
@@ -75,7 +85,9 @@ def test_p_xi_is_recovered_and_symmetric_friction_is_no_alarm(robot: Robot) -> N
 
 
 @pytest.mark.parametrize("asymmetry", [0.05, -0.05, 0.15])
-def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: float) -> None:
+def test_friction_that_depends_on_direction_is_seen(
+    robot: Robot, asymmetry: float
+) -> None:
     for seed in range(200, 210):
         trials = trials_of(robot, seed, asymmetry=asymmetry)
         fit = fit_gravity(robot, configurations(trials))
@@ -85,7 +97,9 @@ def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: flo
 
 
 @pytest.mark.parametrize("offset", [0.6, -1.2])
-def test_an_offset_is_told_from_gravity_and_friction(robot: Robot, offset: float) -> None:
+def test_an_offset_is_told_from_gravity_and_friction(
+    robot: Robot, offset: float
+) -> None:
     for seed in range(250, 260):
         trials = [replace(x, tau=x.tau + offset) for x in trials_of(robot, seed)]
         fit = fit_gravity(robot, configurations(trials))
@@ -102,18 +116,25 @@ def test_what_a_short_sweep_does_not_show_is_in_the_errors(robot: Robot) -> None
     fit = fit_gravity(robot, configurations(short))
     friction_rms = 7.0
     assert fit.groups[0].std_error.max() > 5.0 * whole.groups[0].std_error.max()
-    assert np.sqrt(fit.even.covariance[0, 0]) < 1.01 * PRIORS.even_std(friction_rms)[0] * 1.3
+    assert (
+        np.sqrt(fit.even.covariance[0, 0])
+        < 1.01 * PRIORS.even_std(friction_rms)[0] * 1.3
+    )
     for group, p in zip(fit.groups, P_XI, strict=True):
         assert np.all(np.abs(group.p_xi - p) < 4.0 * group.std_error)
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.1])
-def test_a_spring_is_no_friction_that_depends_on_direction(robot: Robot, asymmetry: float) -> None:
+def test_a_spring_is_no_friction_that_depends_on_direction(
+    robot: Robot, asymmetry: float
+) -> None:
     q = np.linspace(-1.9, 1.9, 50)
     for seed in range(300, 310):
         trials = trials_of(robot, seed, asymmetry=asymmetry)
         assert fit_gravity(robot, configurations(trials)).groups[0].beyond is None
-        sprung = [replace(x, tau=x.tau + 4.0 * (x.q - 0.3) + 0.5 * x.q**3) for x in trials]
+        sprung = [
+            replace(x, tau=x.tau + 4.0 * (x.q - 0.3) + 0.5 * x.q**3) for x in trials
+        ]
         fit = fit_gravity(robot, configurations(sprung))
         assert fit.asymmetry < asymmetry + 0.1  # no more than the prior lets it be
         for group in fit.groups:
@@ -122,12 +143,15 @@ def test_a_spring_is_no_friction_that_depends_on_direction(robot: Robot, asymmet
                 order = np.argsort(each.q)
                 own = (each.tau - group.torque(each.q))[order]
                 left[abs(each.velocity)] += np.interp(q, each.q[order], own)
-            assert all(np.std(both) < 0.3 for both in left.values())  # of 12 N m of the spring
+            # of 12 N m of the spring
+            assert all(np.std(both) < 0.3 for both in left.values())
 
 
 def test_trials_without_twins_are_counted(robot: Robot) -> None:
     both = [t for t in trials_of(robot, 0) if t.configuration[1] > -1]
-    alone = [t for t in trials_of(robot, 1) if t.configuration[1] < -1 and t.velocity > 0]
+    alone = [
+        t for t in trials_of(robot, 1) if t.configuration[1] < -1 and t.velocity > 0
+    ]
     for trials, groups in ((both + alone, 1), (alone, 0)):
         fit = fit_gravity(robot, configurations(trials))
         assert (len(fit.groups), fit.unpaired) == (groups, len(alone))

@@ -1,4 +1,6 @@
-"""Trials in which a joint stops and starts between counts of its encoder are no friction."""
+"""Trials in which a joint stops and starts between counts of its encoder are no
+friction.
+"""
 
 from pathlib import Path
 
@@ -30,7 +32,9 @@ ROBOT = Robot(
 
 
 def identified(log: HuntingLog) -> FrictionStage:
-    recording = made_recording(log.q[:, None], log.tau[:, None], rate_hz=RATE_HZ, path="log")
+    recording = made_recording(
+        log.q[:, None], log.tau[:, None], rate_hz=RATE_HZ, path="log"
+    )
     return identify_friction([recording], ROBOT, options=FrictionOptions())
 
 
@@ -89,7 +93,9 @@ def test_six_hundred_counts_leave_quick_trials_alone() -> None:
 
 def test_logs_in_which_nothing_slides_are_refused() -> None:
     log = run(HuntingJoint(counts=600), SPEEDS[1:3], seed=3, every=EVERY)
-    with pytest.raises(QualityError, match=r"a: the joint stops and starts .* finer encoder"):
+    with pytest.raises(
+        QualityError, match=r"a: the joint stops and starts .* finer encoder"
+    ):
         identified(log)
 
 

@@ -1,4 +1,6 @@
-"""The reduced fit against direct generalised least squares; orders and errors against truth."""
+"""The reduced fit against direct generalised least squares; orders and errors against
+truth.
+"""
 
 from dataclasses import replace
 from itertools import product
@@ -8,10 +10,19 @@ import pytest
 from scipy.linalg import block_diag
 
 from seqid_cli.identify.friction_surface import fit as fitting
-from seqid_cli.identify.friction_surface.fit import SurfaceFit, choose_orders, fit_surfaces
+from seqid_cli.identify.friction_surface.fit import (
+    SurfaceFit,
+    choose_orders,
+    fit_surfaces,
+)
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.reduction import MAX_POSITION_ORDER as HIGHEST
-from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData, edges_of, reduce_trials
+from seqid_cli.identify.friction_surface.reduction import (
+    Orders,
+    SpeedData,
+    edges_of,
+    reduce_trials,
+)
 from seqid_cli.identify.friction_surface.summary import Errors, errors_of
 from seqid_cli.model.friction_basis import Scaling
 from tests import Array
@@ -19,8 +30,16 @@ from tests import Array
 SCALING = Scaling((-2.0, 2.0), (0.2, 4.0))
 SPEEDS = np.geomspace(0.2, 4.0, 12)
 SLICES = 40
-COEFFICIENTS = np.array([[5.0, 0.8, -0.4], [0.5, 0.1, 0.0], [-0.7, 0.0, 0.2], [0.3, 0.2, 0.1]])
-SURFACE = {"position": 0.5, "speed": 0.5, "both": 0.2, "over_position": 3.0, "over_speed": 3.0}
+COEFFICIENTS = np.array(
+    [[5.0, 0.8, -0.4], [0.5, 0.1, 0.0], [-0.7, 0.0, 0.2], [0.3, 0.2, 0.1]]
+)
+SURFACE = {
+    "position": 0.5,
+    "speed": 0.5,
+    "both": 0.2,
+    "over_position": 3.0,
+    "over_speed": 3.0,
+}
 ERRORS = {"trial": 0.1, "slow": 0.1, "unsteady": 0.2, "edge": 0.1, "noise": 0.3}
 TRUE = Sizes(**SURFACE, **ERRORS, broad=15.0)
 WHITE = replace(TRUE, trial=0.0, slow=0.0, unsteady=0.0, edge=0.0)
@@ -29,7 +48,9 @@ WHITE = replace(TRUE, trial=0.0, slow=0.0, unsteady=0.0, edge=0.0)
 def data_of(
     D: Array, rng: np.random.Generator, sizes: Sizes = WHITE, doubt: float = 0.0
 ) -> list[SpeedData]:
-    """Both ways at twelve speeds; the inertia's error makes `doubt` N m times the speed."""
+    """Both ways at twelve speeds; the inertia's error makes `doubt` N m times the
+    speed.
+    """
     result = []
     for speed, direction in product(SPEEDS, (1, -1)):
         q = np.sort(rng.uniform(*SCALING.position, SLICES))
@@ -60,7 +81,9 @@ def chosen(fit: SurfaceFit) -> Orders:
 
 
 def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, Array]:
-    """Entries and covariance by one dense system over all slices, with their whole covariance."""
+    """Entries and covariance by one dense system over all slices, with their whole
+    covariance.
+    """
     columns, blocks = [], []
     for item in data:
         speed = np.full(len(item.q), item.speed)
@@ -72,13 +95,19 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
         shared = own * np.sqrt(variance)
         blocks.append(shared @ shared.T + np.diag(sizes.noise**2 / item.weight))
     A, V = np.vstack(columns), block_diag(*blocks)
-    for name in ("push", "doubt", "late", "warm"):  # each one and the same error in all trials
+    # each one and the same error in all trials
+    for name in ("push", "doubt", "late", "warm"):
         error = np.concatenate([getattr(item, name) for item in data])
         V += np.outer(error, error)
-    prior = sizes.prior(SCALING, orders.position + 1, orders)[: orders.position + 1].ravel()
+    prior = sizes.prior(SCALING, orders.position + 1, orders)[
+        : orders.position + 1
+    ].ravel()
     weighing = np.linalg.solve(V, A)
     covariance = np.linalg.inv(A.T @ weighing + np.diag(prior**-2.0))
-    return covariance @ (weighing.T @ np.concatenate([x.friction for x in data])), covariance
+    return (
+        covariance @ (weighing.T @ np.concatenate([x.friction for x in data])),
+        covariance,
+    )
 
 
 @pytest.mark.parametrize(("m", "l"), [(HIGHEST, 11), (0, 0), (3, 2), (1, 5)])
@@ -138,9 +167,14 @@ def test_orders_of_a_known_surface_are_never_too_low(m: int, l: int) -> None:
 
 
 def test_high_orders_do_not_swing_between_the_speeds() -> None:
-    """With the paper's orders the surface is as good between the speeds as at them (Runge)."""
+    """With the paper's orders the surface is as good between the speeds as at them
+    (Runge).
+    """
     fit = surface_fit(data_of(known_surface(3, 2), np.random.default_rng(9)))
-    q, v = (x.ravel() for x in np.meshgrid(np.linspace(-1.9, 1.9, 30), np.linspace(0.3, 3.8, 60)))
+    q, v = (
+        x.ravel()
+        for x in np.meshgrid(np.linspace(-1.9, 1.9, 30), np.linspace(0.3, 3.8, 60))
+    )
     true = SCALING.basis(q, v, 3, 2) @ known_surface(3, 2).ravel()
     entries = fit.entries(Orders(HIGHEST, 11))
     off = SCALING.basis(q, v, HIGHEST, 11) @ entries.ravel() - true
@@ -162,7 +196,9 @@ def test_eq_11_holds_for_the_right_orders_and_fails_for_too_low_ones() -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(7), replace(WHITE, noise=0.05))
     parts = [(data, surface_fit(data))]
     for unseen in (True, False):
-        good, poor = (errors_of(parts, Orders(m, l), unseen=unseen) for m, l in ((3, 2), (0, 1)))
+        good, poor = (
+            errors_of(parts, Orders(m, l), unseen=unseen) for m, l in ((3, 2), (0, 1))
+        )
         assert good.relative <= 0.01
         assert poor.relative > 0.1
         assert np.sqrt(np.mean(good.error**2)) < 0.01
@@ -179,7 +215,9 @@ def test_eq_11_is_the_largest_relative_error_and_nothing_is_taken_off() -> None:
         columns = SCALING.basis(item.q, np.full(SLICES, item.speed), 3, 2)
         error = columns @ D.ravel() - item.friction
         for group in np.array_split(np.arange(SLICES), 2):
-            largest = max(largest, abs(error[group].mean() / item.friction[group].mean()))
+            largest = max(
+                largest, abs(error[group].mean() / item.friction[group].mean())
+            )
     errors = errors_of([(data, fit)], orders, unseen=False)
     assert errors.relative == pytest.approx(largest, rel=1e-9)
     assert 0.0 < errors.relative_beyond_noise < errors.relative
@@ -189,7 +227,9 @@ def test_where_friction_approaches_zero_the_error_is_over_a_fifth_of_its_rms() -
     one = np.ones(4)
     friction = np.array([1.0, -1.0, 1e-9, 0.5])
     error = np.array([0.01, 0.02, 0.03, 0.0])
-    errors = Errors(u=one, error=error, friction=friction, noise=0.0 * one, trial_error=0.0 * one)
+    errors = Errors(
+        u=one, error=error, friction=friction, noise=0.0 * one, trial_error=0.0 * one
+    )
     rms = np.sqrt(np.mean(friction**2))
     assert errors.relative == pytest.approx(0.03 / (0.2 * rms))
     assert errors.relative_of_noise == 0.0
@@ -200,7 +240,9 @@ def test_what_noise_alone_makes_is_the_median_of_the_largest() -> None:
     friction = rng.uniform(1.0, 3.0, 80)
     noise, trial_error = rng.uniform(0.01, 0.1, (2, 80))
     one = np.ones(80)
-    errors = Errors(u=one, error=one, friction=friction, noise=noise, trial_error=trial_error)
+    errors = Errors(
+        u=one, error=one, friction=friction, noise=noise, trial_error=trial_error
+    )
     drawn_errors = np.hypot(noise, trial_error) * rng.standard_normal((20000, 80))
     largest = np.abs(drawn_errors / friction).max(axis=1)
     assert errors.relative_of_noise == pytest.approx(np.median(largest), rel=0.01)
@@ -211,7 +253,9 @@ def test_noise_of_the_right_size_explains_eq_11() -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(13), TRUE)
     errors = errors_of([(data, surface_fit(data))], Orders(3, 2), unseen=False)
     assert 0.6 < errors.relative / errors.relative_of_noise < 1.6
-    assert np.sqrt(np.mean(errors.trial_error**2)) > 2.0 * np.sqrt(np.mean(errors.noise**2))
+    assert np.sqrt(np.mean(errors.trial_error**2)) > 2.0 * np.sqrt(
+        np.mean(errors.noise**2)
+    )
 
 
 def test_orders_are_raised_until_eq_11_holds_or_no_orders_meet_it() -> None:

@@ -1,4 +1,6 @@
-"""Trials: gravity's columns, averages over slices, and what acceleration is left in them."""
+"""Trials: gravity's columns, averages over slices, and what acceleration is left in
+them.
+"""
 
 from dataclasses import replace
 
@@ -24,7 +26,12 @@ HOME = np.array([0.4, 0.0])
 INERTIA, COULOMB, VISCOUS = 0.8, 2.0, 0.5
 LINEAR = np.array([[COULOMB + 1.1 * VISCOUS, 0.9 * VISCOUS]])
 SURFACE = FrictionSurface(
-    Scaling((-1.6, 1.6), (0.2, 2.0)), 0.01, LINEAR, LINEAR, np.zeros((2, 2)), directional=False
+    Scaling((-1.6, 1.6), (0.2, 2.0)),
+    0.01,
+    LINEAR,
+    LINEAR,
+    np.zeros((2, 2)),
+    directional=False,
 )
 
 
@@ -42,11 +49,15 @@ def test_columns_times_p_xi_are_the_gravity_torque(seed: int) -> None:
         q = np.tile(where, (40, 1))
         q[:, joint] = own
         still = np.zeros_like(q)
-        tau = inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still)[:, joint]
+        tau = inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still)[
+            :, joint
+        ]
         p_xi = np.array([phi[joint:, 0].sum()])
         if not robot.chain.prismatic[joint]:
             arms = p[joint:] - p[joint]
-            moment = phi[joint:, 0] @ arms + np.einsum("kij,kj->i", R[joint:], phi[joint:, 1:4])
+            moment = phi[joint:, 0] @ arms + np.einsum(
+                "kij,kj->i", R[joint:], phi[joint:, 1:4]
+            )
             p_xi = np.array(plane_across(robot.chain.axis[joint])) @ R[joint].T @ moment
         found = gravity_columns(robot, joint, where, own) @ p_xi
         np.testing.assert_allclose(found, tau, rtol=1e-9, atol=1e-9)
@@ -82,7 +93,9 @@ def test_trials_know_how_warm_the_joint_was() -> None:
         assert own.celsius == pytest.approx(20.0 + own.t.mean(), abs=0.05)
     assert all(np.isnan(own.celsius) for own in collect_trials([cold], planar_2r()))
     known, unknown = (
-        identify_friction([log], planar_2r(), options=FrictionOptions()).joints["joint_2"]
+        identify_friction([log], planar_2r(), options=FrictionOptions()).joints[
+            "joint_2"
+        ]
         for log in (warm, cold)
     )
     assert trials[0].celsius < (known.temperature or 0.0) < trials[-1].celsius
@@ -90,11 +103,16 @@ def test_trials_know_how_warm_the_joint_was() -> None:
 
 
 def trials_of(*, wobble: float = 0.0, seed: int = 0) -> list[Trial]:
-    """Sweeps of the second joint, the speed wavering over the position, torque with white noise."""
+    """Sweeps of the second joint, the speed wavering over the position, torque with
+    white noise.
+    """
     rng, rate = np.random.default_rng(seed), 500.0
     path = sweeps(HOME, 1, (-1.5, 1.5), [0.3, 0.8, 1.8], 6.0, rate_hz=rate).q
     path[:, 1] += wobble * np.sin(3.0 * path[:, 1])
-    v, a = np.gradient(path[:, 1]) * rate, np.gradient(np.gradient(path[:, 1])) * rate**2
+    v, a = (
+        np.gradient(path[:, 1]) * rate,
+        np.gradient(np.gradient(path[:, 1])) * rate**2,
+    )
     tau = np.zeros_like(path)
     tau[:, 1] = INERTIA * a + (COULOMB + VISCOUS * np.abs(v)) * np.sign(v)
     tau[:, 1] += 0.05 * rng.standard_normal(len(path))
@@ -103,8 +121,12 @@ def trials_of(*, wobble: float = 0.0, seed: int = 0) -> list[Trial]:
 
 
 def friction_left(trials: list[Trial]) -> Array:
-    """What a trial at its mean velocity should not have beyond friction, away from its ends."""
-    left = [t.tau - SURFACE.torque(t.q, np.full(len(t.tau), t.velocity)) for t in trials]
+    """What a trial at its mean velocity should not have beyond friction, away from its
+    ends.
+    """
+    left = [
+        t.tau - SURFACE.torque(t.q, np.full(len(t.tau), t.velocity)) for t in trials
+    ]
     return np.concatenate([each[6:-6] for each in left])
 
 
@@ -122,18 +144,23 @@ def test_ramps_tell_the_inertia_and_its_torque_is_taken_off() -> None:
 def test_where_no_ramp_tells_anything_all_torque_may_be_that_of_acceleration() -> None:
     given = trials_of(wobble=0.01)
     blind = [replace(trial, ramps=Ramps()) for trial in given]
-    (told,), (unknown,) = (without_acceleration(planar_2r(), [t], SURFACE) for t in (given, blind))
+    (told,), (unknown,) = (
+        without_acceleration(planar_2r(), [t], SURFACE) for t in (given, blind)
+    )
     assert all(trial.inertia_error == told.std_error for trial in told.trials)
     assert unknown.inertia == 0.0
     for trial in unknown.trials:
         assert trial.inertia_error >= INERTIA
-        pushed = max(trial.inertia_error * np.sqrt(np.mean(t.ddq**2)) for t in unknown.trials)
+        pushed = max(
+            trial.inertia_error * np.sqrt(np.mean(t.ddq**2)) for t in unknown.trials
+        )
         assert pushed > 0.5 * np.median(np.abs(trial.tau))
 
 
 def test_slices_in_which_a_controller_still_settles_are_left_out() -> None:
-    (given, *_) = [t for t in trials_of() if t.velocity > 1.0]
-    pushed = np.where(np.arange(len(given.q)) < 3, 4.0, 0.0)  # rad/s^2 by a path that overshoots
+    given, *_ = [t for t in trials_of() if t.velocity > 1.0]
+    # rad/s^2 by a path that overshoots
+    pushed = np.where(np.arange(len(given.q)) < 3, 4.0, 0.0)
     trial = replace(given, ddq=pushed, tau=given.tau + 0.2 * INERTIA * pushed)
     (group,) = without_acceleration(planar_2r(), [[trial, *trials_of()]], SURFACE)
     kept = group.trials[0]

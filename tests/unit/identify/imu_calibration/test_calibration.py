@@ -13,7 +13,15 @@ from seqid_cli.motion.imu.array import calibrated as without_faults
 from seqid_cli.motion.options import MotionOptions
 from tests.plants import instruments as plants
 from tests.plants.arms.rigs import one_joint
-from tests.plants.instruments import COARSE, FINE, GYRO, Case, instruments, scene_of, scored
+from tests.plants.instruments import (
+    COARSE,
+    FINE,
+    GYRO,
+    Case,
+    instruments,
+    scene_of,
+    scored,
+)
 from tests.plants.motions.experiments import swing
 from tests.plants.motions.trajectories import hold, join
 from tests.plants.robots.lab import recording_of, robot_of
@@ -24,7 +32,9 @@ from tests.plants.simulate import simulate
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [COARSE, FINE], ids=lambda case: case.label)
 def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
-    """Four instruments: mounting, offset, gains and biases, all within their standard errors."""
+    """Four instruments: mounting, offset, gains and biases, all within their standard
+    errors.
+    """
     seen = [score for seed in range(4) for score in plants.scores((case, seed))]
     for name in ("z_turn", "z_delay", "z_gain", "z_bias"):
         z = np.concatenate([getattr(score, name) for score in seen])
@@ -38,7 +48,9 @@ def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
 
 @pytest.mark.slow
 def test_a_gyro_is_calibrated_with_its_triad() -> None:
-    """Its readings are those of a better instrument, in a frame turned by the common tilt."""
+    """Its readings are those of a better instrument, in a frame turned by the common
+    tilt.
+    """
     scene = scene_of(GYRO)
     imu, nominal = instruments(scene, 0)[1], scene.robot.imus[1]
     calibration = plants.calibrated(scene, 0).imus["imu_b"]
@@ -51,7 +63,9 @@ def test_a_gyro_is_calibrated_with_its_triad() -> None:
     assert calibration.time_offset_s == pytest.approx(0.002, abs=2e-4)
     assert np.abs(scored(imu, calibration).z_turn).max() < 4.0
     f = 10.0 * np.random.default_rng(0).standard_normal((200, 3))
-    readings = imu.faults.gains(3) * (f @ imu.faults.axes(imu.axes).T) + imu.faults.biases(3)
+    readings = imu.faults.gains(3) * (
+        f @ imu.faults.axes(imu.axes).T
+    ) + imu.faults.biases(3)
     better, mended, _ = without_faults(nominal, calibration, readings, None)
     turned = f @ imu.rotation.T @ plants.true_mounting(imu)
     before, after = readings - turned @ nominal.axes.T, mended - turned @ better.axes.T
@@ -66,7 +80,9 @@ def test_a_triad_without_a_gyro_is_calibrated_by_gravity_and_the_encoders() -> N
     ]
     imu = own.robot.imus[0]
     triad = replace(imu, positions=imu.positions[:3], axes=imu.axes[:3])
-    stage = calibrate_imus(logs, replace(own.robot, imus=(triad,)), options=MotionOptions())
+    stage = calibrate_imus(
+        logs, replace(own.robot, imus=(triad,)), options=MotionOptions()
+    )
     assert "does not see angular acceleration" in stage.verdicts[0].reason
     instrument = instruments(own, 1)[0]
     single = replace(instrument, positions=np.zeros((3, 3)), axes=instrument.axes[:3])
@@ -95,7 +111,11 @@ def test_gravity_at_rest_closes_the_angle_about_a_single_tilted_axis() -> None:
     plant, parts = one_joint(), []
     for angle in (-0.8, 0.9):
         motion = swing(plant, np.array([angle]), 0, 2, share=0.4, rate_hz=1000.0)
-        parts += [hold(motion.q[0], 1.2, 1000.0), motion, hold(motion.q[-1], 1.2, 1000.0)]
+        parts += [
+            hold(motion.q[0], 1.2, 1000.0),
+            motion,
+            hold(motion.q[-1], 1.2, 1000.0),
+        ]
     log = recording_of(plant, "rested", simulate(plant, join(parts), 0, every=4))
     stage = calibrate_imus([log], robot_of("one", plant), options=MotionOptions())
     found = stage.imus["imu_a"]
@@ -111,7 +131,9 @@ def test_without_an_imu_in_the_robot_file_there_is_nothing_to_calibrate() -> Non
 
 
 def test_axes_that_an_imu_does_not_see_are_no_pairs(two_joint: Rig) -> None:
-    """One of the arm's logs with an IMU that records noise alone: it says nothing of axes."""
+    """One of the arm's logs with an IMU that records noise alone: it says nothing of
+    axes.
+    """
     *seen, blind = two_joint.logs("imu")
     still = blind.accelerometers["imu_b"].mean(axis=0)
     noise = 0.1 * np.random.default_rng(0).standard_normal((len(blind.t), len(still)))

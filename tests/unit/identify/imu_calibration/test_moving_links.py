@@ -23,7 +23,11 @@ HUNTS = case_of("planar", 10039)  # joint 2 hunts in some swings of joint 1
 def test_a_joint_that_hunts_leaves_lever_scales_and_errors(tmp_path: Path) -> None:
     """With joint 2 taken for locked the scales are 0.1 % off."""
     drawn = draw(HUNTS)
-    record(HUNTS, replace(drawn, trials=[x for x in drawn.trials if x.stage == "imu"]), tmp_path)
+    record(
+        HUNTS,
+        replace(drawn, trials=[x for x in drawn.trials if x.stage == "imu"]),
+        tmp_path,
+    )
     file = identify.imu_calib(str(tmp_path / "imu"), tmp_path / "robot.toml")
     found = file.stages.imu.imus["imu_b"]
     lever, errors = np.array(found.lever[:2]), np.array(found.lever_std_errors[:2])
@@ -53,8 +57,13 @@ def test_the_joint_that_deflects_is_named_and_widens_errors(case: Case) -> None:
     assert deflecting(found.imus["imu_a"]) is None
     behind = found.imus["imu_b"]
     assert deflecting(behind).joint == "joint_2"
-    assert "the link after joint_2" in " ".join(verdict.reason for verdict in found.verdicts)
-    assert np.abs(plants.scored(plants.instruments(scene, 0)[1], behind).z_turn).max() < 3.0
+    assert "the link after joint_2" in " ".join(
+        verdict.reason for verdict in found.verdicts
+    )
+    assert (
+        np.abs(plants.scored(plants.instruments(scene, 0)[1], behind).z_turn).max()
+        < 3.0
+    )
     assert behind.std_error_deg > stage(STIFF).imus["imu_b"].std_error_deg
 
 

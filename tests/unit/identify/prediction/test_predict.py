@@ -1,4 +1,6 @@
-"""Predictions: long logs as held ones, blind to the measured torque, at rest what effects allow."""
+"""Predictions: long logs as held ones, blind to the measured torque, at rest what
+effects allow.
+"""
 
 import pickle
 from collections.abc import Iterable
@@ -9,7 +11,12 @@ import pytest
 from msgspec.structs import replace
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction, Predictor, predict
+from seqid_cli.identify.prediction.predict import (
+    LogPrediction,
+    LongPrediction,
+    Predictor,
+    predict,
+)
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.apply import scene_of_log
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage, fitted_effects
@@ -33,13 +40,17 @@ SAID = ("predicted", "low", "high", "sliding", "used", "q", "dq", "ddq")
 OPTIONS = InertiaOptions(source="encoder")
 EFFECTS = [
     EffectOfJoint(effect="torque_bias", joint="joint_2", coefficients=[0.4]),
-    EffectOfJoint(effect="load_dependent_friction", joint="joint_3", coefficients=[0.1]),
+    EffectOfJoint(
+        effect="load_dependent_friction", joint="joint_3", coefficients=[0.1]
+    ),
 ]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two logs of the same motion, a rest at its end, whose torques have nothing in common."""
+    """Two logs of the same motion, a rest at its end, whose torques have nothing in
+    common.
+    """
     folder = tmp_path_factory.mktemp("arm")
     path = write_log(folder / "log.parquet", load_robot(write_arm(folder)), ROWS)
     columns, rng = read_columns(path), np.random.default_rng(3)
@@ -69,7 +80,10 @@ def _many_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def long_of(path: Path, robot: Robot, stages: Stages) -> Iterable[LogPrediction]:
-    model, effects = TorqueModel.from_stages(stages, robot), fitted_effects(stages, robot)
+    model, effects = (
+        TorqueModel.from_stages(stages, robot),
+        fitted_effects(stages, robot),
+    )
     return Predictor(model, stages, OPTIONS, effects)(open_surveyed(path, robot), 0)
 
 
@@ -87,7 +101,9 @@ def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
         estimate_motion(recording, robot, MotionOptions()),
     )
     scene = scene_of_log(recording, robot, *given)
-    session = EffectSession(logs=[recording.sha256], starts=[0.0], origin=recording.start)
+    session = EffectSession(
+        logs=[recording.sha256], starts=[0.0], origin=recording.start
+    )
     found = []
     for effect in CATALOGUE.values():
         if effect.name == "external_contact":
@@ -97,15 +113,24 @@ def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
             columns = effect.columns(scene, joint, settings).values()
             size = max(float(np.sqrt(np.mean(X**2))) for X in columns)
             count = len(effect.coefficients(settings))
-            # What shifts torque in time takes its derivative, and that of rounding errors.
+            # What shifts torque in time takes its derivative, and that of rounding
+            # errors.
             values = np.full(count, (0.1 if effect.timing else 2.0) / max(size, 1e-9))
-            found.append(FittedEffect(effect, joint, settings, values, np.eye(count), session))
+            found.append(
+                FittedEffect(effect, joint, settings, values, np.eye(count), session)
+            )
     return [each for each in found if each.local]
 
 
-@pytest.mark.parametrize("with_effects", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "with_effects", [False, pytest.param(True, marks=pytest.mark.slow)]
+)
 def test_the_parts_are_the_held_log(
-    with_effects: bool, folder: Path, robot: Robot, stages: Stages, request: pytest.FixtureRequest
+    with_effects: bool,
+    folder: Path,
+    robot: Robot,
+    stages: Stages,
+    request: pytest.FixtureRequest,
 ) -> None:
     """Sent elsewhere, too, which takes no more than the model."""
     path, whole = folder / "log.parquet", stages
@@ -125,13 +150,19 @@ def test_the_parts_are_the_held_log(
         limit = 1e-9 * np.abs(expected).max()
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=limit, err_msg=name)
     for part in parts:
-        assert (part.path, part.sha256, part.samples) == (held.path, held.sha256, held.samples)
+        assert (part.path, part.sha256, part.samples) == (
+            held.path,
+            held.sha256,
+            held.samples,
+        )
         assert part.cutoff_hz == pytest.approx(held.cutoff_hz, rel=1e-9)
         assert part.start == pytest.approx(held.start, abs=1e-9)
     assert parts[-1].notes == held.notes
     assert parts[-1].motion.source == held.motion.source == "encoder"
     assert held.motion.acceleration_error
-    assert parts[-1].motion.acceleration_error == pytest.approx(held.motion.acceleration_error)
+    assert parts[-1].motion.acceleration_error == pytest.approx(
+        held.motion.acceleration_error
+    )
     if with_effects:
         bare = held_of(path, robot, stages)
         assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
@@ -149,10 +180,14 @@ def test_another_torque_changes_nothing_of_the_prediction(
         return [held_of(*given)] if way == "held" else long_of(*given)
 
     states = set()
-    for one, other in zip(predicted("log.parquet"), predicted("other.parquet"), strict=True):
+    for one, other in zip(
+        predicted("log.parquet"), predicted("other.parquet"), strict=True
+    ):
         assert not np.isclose(one.tau, other.tau).all()
         for name in SAID:
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+            np.testing.assert_array_equal(
+                getattr(one, name), getattr(other, name), err_msg=name
+            )
         states |= set(one.sliding[one.used].ravel().tolist())
         at_rest = ~one.sliding & one.used[:, None]
         assert np.all((one.high - one.low)[at_rest] > 0.0)
@@ -161,13 +196,21 @@ def test_another_torque_changes_nothing_of_the_prediction(
 
 
 def test_rest_holds_what_the_effects_allow() -> None:
-    """Above the friction surface, within it and the hump: no error once the hump is known."""
+    """Above the friction surface, within it and the hump: no error once the hump is
+    known.
+    """
     robot, top, hump, speed = two_joint_robot(), 4.0, 1.0, 0.3
-    half, own = 0.5 * top * np.array(VISCOUS), {"speed_range": [0.0, top], "sign_width": SIGN_WIDTH}
+    half, own = (
+        0.5 * top * np.array(VISCOUS),
+        {"speed_range": [0.0, top], "sign_width": SIGN_WIDTH},
+    )
     entries = np.column_stack([COULOMB + half, half])
     each = zip(robot.joint_names, entries, strict=True)
     joints = {name: friction_joint([entry], **own) for name, entry in each}
-    told = {"settings": {"stribeck_speed": speed, "exponent": 2.0}, "coefficients": [hump]}
+    told = {
+        "settings": {"stribeck_speed": speed, "exponent": 2.0},
+        "coefficients": [hump],
+    }
     stribeck = EffectOfJoint(effect="stribeck", joint="joint_1", **told)
     q = wander(20.0, seed=2)
     dq = np.gradient(q, 1.0 / RATE_HZ, axis=0)
@@ -175,7 +218,8 @@ def test_rest_holds_what_the_effects_allow() -> None:
     tau = s * np.array(COULOMB) + np.array(VISCOUS) * dq + [0.0, 0.4]
     tau[:, 0] += hump * np.exp(-((dq[:, 0] / speed) ** 2)) * s[:, 0]
     t = np.arange(len(q)) / RATE_HZ
-    tau[(t > 5.3) & (t < 6.7), 0] = COULOMB[0] + 0.95 * hump  # all that the joint can hold
+    # all that the joint can hold
+    tau[(t > 5.3) & (t < 6.7), 0] = COULOMB[0] + 0.95 * hump
     options = InertiaOptions(motion=MotionOptions(cutoff_hz=CUTOFF_HZ))
     still = (t > 5.6) & (t < 6.4)
     for effects, beyond, within in ((None, 0.95 * hump, 0.15), ([stribeck], 0.0, 1e-6)):

@@ -22,7 +22,9 @@ SAMPLES = 40
 
 
 def prediction(name: str, start: float) -> LogPrediction:
-    tau, predicted, q, dq = np.random.default_rng(0).normal(size=(4, SAMPLES, len(JOINTS)))
+    tau, predicted, q, dq = np.random.default_rng(0).normal(
+        size=(4, SAMPLES, len(JOINTS))
+    )
     bounds = {"low": predicted - 0.5, "high": predicted + 0.5}
     bounds["std"] = np.full(tau.shape, 0.3)
     return made_prediction(name, tau, predicted, **bounds, q=q, dq=dq, start=start)
@@ -55,7 +57,9 @@ def test_torques_read_back(tmp_path: Path, name: str) -> None:
         assert tuple(state.name) == JOINTS
         assert state.header.frame_id == name
         wanted = [x[k] for x in (expected[topic], log.q, log.dq)]
-        np.testing.assert_array_equal([state.effort, state.position, state.velocity], wanted)
+        np.testing.assert_array_equal(
+            [state.effort, state.position, state.velocity], wanted
+        )
         stamp = state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
         assert stamp == log_time_ns
         assert abs(stamp - (1_700_000_000_250_000_000 + k * 4_000_000)) < 1000
@@ -70,7 +74,9 @@ def times(path: Path) -> dict[str, list[float]]:
 
 
 def test_logs_without_a_clock_follow_each_other(tmp_path: Path) -> None:
-    logs = [prediction(name, start) for name, start in (("a", 0.0), ("b", 0.0), ("c", -5.0))]
+    logs = [
+        prediction(name, start) for name, start in (("a", 0.0), ("b", 0.0), ("c", -5.0))
+    ]
     path = save(tmp_path / "out.mcap", *logs)
     a, b, c = times(path).values()
     assert [a[0], b[0], c[0]] == pytest.approx([0.0, a[-1] + 1.0, b[-1] + 1.0])
@@ -80,7 +86,9 @@ def test_logs_without_a_clock_follow_each_other(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("start", [float("nan"), 1e30])
-def test_a_clock_that_no_stamp_holds_starts_from_zero(tmp_path: Path, start: float) -> None:
+def test_a_clock_that_no_stamp_holds_starts_from_zero(
+    tmp_path: Path, start: float
+) -> None:
     assert times(save(tmp_path / "out.mcap", prediction("a", start)))["a"][0] == 0.0
 
 

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Prior, solve
+from seqid_cli.identify.regression.least_squares import (
+    MOST_BLOCKS,
+    Accumulator,
+    Prior,
+    solve,
+)
 from seqid_cli.identify.regression.least_squares import whitened as rows_of
 from tests import Array
 
@@ -20,7 +25,9 @@ def accumulated(H: Array, y: Array, rows: int = 40) -> Accumulator:
     return joint
 
 
-def of(H: Array, theta: Array, noise: float, rng: np.random.Generator) -> tuple[Array, Array]:
+def of(
+    H: Array, theta: Array, noise: float, rng: np.random.Generator
+) -> tuple[Array, Array]:
     return H, H @ theta + noise * rng.standard_normal(len(H))
 
 
@@ -28,33 +35,48 @@ def of(H: Array, theta: Array, noise: float, rng: np.random.Generator) -> tuple[
 def test_the_solution_is_that_of_the_stacked_weighted_rows(*, known: bool) -> None:
     rng, shape = np.random.default_rng(11), (40 if known else 480, P)
     # Three joints of different noise, columns of very different size.
-    joints = [of(rng.standard_normal(shape) * SCALES, THETA, noise, rng) for noise in NOISES]
+    joints = [
+        of(rng.standard_normal(shape) * SCALES, THETA, noise, rng) for noise in NOISES
+    ]
     A = rng.standard_normal((3, P)) / SCALES * 4
     prior = Prior(A, A @ THETA + rng.standard_normal(3))
     given = prior if known else None
     got = solve([accumulated(*j, rows=10) for j in joints], prior=given, iterations=20)
-    rows = [np.column_stack([H, y]) / s for (H, y), s in zip(joints, got.sigma, strict=True)]
+    rows = [
+        np.column_stack([H, y]) / s for (H, y), s in zip(joints, got.sigma, strict=True)
+    ]
     rows += [np.column_stack([prior.A, prior.b])] * known
     stacked = np.vstack(rows)
     expected = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=None)[0]
     rtol, atol = (1e-7, 1e-9) if known else (1e-9, 1e-12)
     np.testing.assert_allclose(got.theta, expected, rtol=rtol, atol=atol)
     for (H, y), sigma in zip(joints, got.sigma, strict=True):
-        assert sigma == pytest.approx(np.sqrt(np.mean((y - H @ got.theta) ** 2)), rel=1e-9)
+        assert sigma == pytest.approx(
+            np.sqrt(np.mean((y - H @ got.theta) ** 2)), rel=1e-9
+        )
     assert got.rank == P
     assert got.determined.all()
 
 
 def test_memory_does_not_grow_with_the_log() -> None:
-    """Blocks hold the same number of rows up to the last, or the jackknife would weigh its end."""
+    """Blocks hold the same number of rows up to the last, or the jackknife would weigh
+    its end.
+    """
     rng = np.random.default_rng(7)
-    H, y = of(rng.standard_normal((5 * (5 * MOST_BLOCKS + 3), 3)), np.arange(1.0, 4.0), 0.1, rng)
+    H, y = of(
+        rng.standard_normal((5 * (5 * MOST_BLOCKS + 3), 3)),
+        np.arange(1.0, 4.0),
+        0.1,
+        rng,
+    )
     joint = Accumulator(3)
     for start in range(0, len(y), 5):
         joint.add(H[start : start + 5], y[start : start + 5])
         assert len(joint.blocks) == len(joint.rows) <= MOST_BLOCKS
     assert {block.shape for block in joint.blocks} == {(4, 4)}
-    np.testing.assert_allclose(solve([joint]).theta, np.linalg.lstsq(H, y)[0], rtol=1e-10)
+    np.testing.assert_allclose(
+        solve([joint]).theta, np.linalg.lstsq(H, y)[0], rtol=1e-10
+    )
     assert joint.samples == len(y)
     assert len(joint.blocks) > MOST_BLOCKS // 2
     assert len(set(joint.rows[:-1])) == 1
@@ -72,7 +94,9 @@ def test_what_cannot_be_told_apart_is_not_determined() -> None:
     np.testing.assert_array_equal(got.determined, expected)
     assert got.rank == P - 2
     np.testing.assert_allclose(got.theta[expected], THETA[expected], atol=0.01)
-    assert got.theta[1] + 2 * got.theta[4] == pytest.approx(THETA[1] + 2 * THETA[4], abs=0.01)
+    assert got.theta[1] + 2 * got.theta[4] == pytest.approx(
+        THETA[1] + 2 * THETA[4], abs=0.01
+    )
     assert got.theta[2] == 0.0
     assert np.isfinite(got.covariance).all()
     nothing = solve([Accumulator(3)])

@@ -1,4 +1,6 @@
-"""Stated errors are those that seeds show, though residuals and slow noise remember their past."""
+"""Stated errors are those that seeds show, though residuals and slow noise remember
+their past.
+"""
 
 from pathlib import Path
 
@@ -28,7 +30,10 @@ def coloured(rng: np.random.Generator, pole: float, shape: tuple[int, ...]) -> A
 def test_intervals_hold_the_truth_as_often_as_they_say(pole: float) -> None:
     errors = []
     for seed in range(SEEDS):
-        rng, joints = np.random.default_rng(seed), [Accumulator(len(THETA)) for _ in range(2)]
+        rng, joints = (
+            np.random.default_rng(seed),
+            [Accumulator(len(THETA)) for _ in range(2)],
+        )
         for joint, size in zip(joints, (0.3, 1.5), strict=True):
             H = coloured(rng, 0.97, (SAMPLES, len(THETA)))
             y = H @ THETA + size * coloured(rng, pole, (SAMPLES,))
@@ -42,7 +47,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say(pole: float) -> None:
 def trials(seed: int, *, flicker: float, offset: float) -> Rows:
     """Trials one behind the other, forward and back; noise averaged over the rows."""
     rng, count = np.random.default_rng(seed), TRIALS * ROWS
-    hiss = noise(rng, count * LENGTH, np.ones(1), coloured=flicker, rate_hz=RATE_HZ)[:, 0]
+    hiss = noise(rng, count * LENGTH, np.ones(1), coloured=flicker, rate_hz=RATE_HZ)[
+        :, 0
+    ]
     trial = np.repeat(np.arange(TRIALS), ROWS)
     q = np.linspace(-1.5, 1.5, ROWS)
     path = np.tile(np.concatenate([q, q[::-1]]), TRIALS // 2)
@@ -59,12 +66,18 @@ def trials(seed: int, *, flicker: float, offset: float) -> Rows:
     )
 
 
-def standardised(H: Array, y: Array, truth: Array, variance: float | None = 1.0) -> Array:
-    """Errors of plain least squares over their stated errors; the variance is that left if None."""
+def standardised(
+    H: Array, y: Array, truth: Array, variance: float | None = 1.0
+) -> Array:
+    """Errors of plain least squares over their stated errors; the variance is that left
+    if None.
+    """
     cov = np.linalg.inv(H.T @ H)
     theta = cov @ H.T @ y
     left = np.sum((y - H @ theta) ** 2) / (len(y) - len(theta))
-    return (theta - truth) / np.sqrt(np.diag(cov) * (left if variance is None else variance))
+    return (theta - truth) / np.sqrt(
+        np.diag(cov) * (left if variance is None else variance)
+    )
 
 
 def whitened(rows: Rows, truth: Array) -> Array:
@@ -74,7 +87,8 @@ def whitened(rows: Rows, truth: Array) -> Array:
 
 @pytest.mark.slow
 def test_an_offset_that_warms_up_is_no_gravity() -> None:
-    # A simulated pendulum of mx 0.039, mz -0.286 kg m; its torque has an offset of up to 0.3 N m.
+    # A simulated pendulum of mx 0.039, mz -0.286 kg m; its torque has an offset of up
+    # to 0.3 N m.
     with np.load(Path(__file__).parent / "data" / "warming_pendulum.npz") as file:
         rows = Rows(**file)
     assert np.all(np.abs(whitened(rows, np.array([0.039, -0.286]))) < 4.0)
@@ -86,9 +100,13 @@ def test_an_offset_that_warms_up_is_no_gravity() -> None:
     [(0.0, 0.0, 0.8, 1.2), (0.6, 0.0, 0.75, 1.3), (0.0, 0.3, 0.75, 1.3)],
     ids=["white", "flicker", "offsets of trials"],
 )
-def test_averages_of_trials_are_off(flicker: float, offset: float, low: float, high: float) -> None:
+def test_averages_of_trials_are_off(
+    flicker: float, offset: float, low: float, high: float
+) -> None:
     found = [trials(seed, flicker=flicker, offset=offset) for seed in range(60)]
     ours = np.sqrt(np.mean([whitened(rows, GRAVITY) ** 2 for rows in found]))
-    white = np.sqrt(np.mean([standardised(r.H, r.y, GRAVITY, None) ** 2 for r in found]))
+    white = np.sqrt(
+        np.mean([standardised(r.H, r.y, GRAVITY, None) ** 2 for r in found])
+    )
     assert low < ours < high
     assert low < white < high if flicker == offset == 0.0 else white > 1.5

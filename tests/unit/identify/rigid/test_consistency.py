@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from seqid_cli.identify.rigid.parameters import made_consistent, parameters_of, representative_of
+from seqid_cli.identify.rigid.parameters import (
+    made_consistent,
+    parameters_of,
+    representative_of,
+)
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params.schema import RigidStage, Stages
@@ -16,9 +20,13 @@ from tests.plants.simulate import Plant
 
 def stage_of(robot: Robot, plant: Plant, *, off: float, seed: int = 0) -> RigidStage:
     basis, standard = free_basis(robot), true_standard(plant)
-    theta = basis.expression @ np.array([standard[name] for name in standard_names(robot.n)])
+    theta = basis.expression @ np.array(
+        [standard[name] for name in standard_names(robot.n)]
+    )
     error = 0.02 * np.abs(theta) + 0.02 * np.median(np.abs(theta))
-    theta = theta + off * error * np.random.default_rng(seed).standard_normal(len(theta))
+    theta = theta + off * error * np.random.default_rng(seed).standard_normal(
+        len(theta)
+    )
     covariance, size = np.diag(error**2), basis.size
     return RigidStage(
         parameters=parameters_of(robot, basis, np.arange(size), theta, covariance),
@@ -36,10 +44,14 @@ def test_the_constrained_parameters_are_those_of_bodies(seed: int) -> None:
     stage = made_consistent(noisy, Stages(), robot)
     for each, bodies in ((noisy, False), (stage, True)):
         links, rotor = standard_parameters(each, robot.n)
-        least = min(float(np.linalg.eigvalsh(pseudo_inertia(links)).min()), float(rotor.min()))
+        least = min(
+            float(np.linalg.eigvalsh(pseudo_inertia(links)).min()), float(rotor.min())
+        )
         assert (least >= 0) is bodies
     values = free_basis(robot).expression @ np.concatenate([links.ravel(), rotor])
-    np.testing.assert_allclose([p.value for p in stage.parameters], values, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        [p.value for p in stage.parameters], values, rtol=1e-6, atol=1e-9
+    )
     assert "standard errors" in stage.notes[-1]
 
 

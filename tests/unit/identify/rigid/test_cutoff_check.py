@@ -25,7 +25,9 @@ def result(H: Array, y: Array) -> Result:
 
 
 def checked(seed: int, *, shrunk: float) -> tuple[Array, Differences, Array]:
-    """Errors and differences of the same rows, noisier and one column off; standard errors."""
+    """Errors and differences of the same rows, noisier and one column off; standard
+    errors.
+    """
     rng = np.random.default_rng(seed)
     H = rng.standard_normal((BLOCKS * ROWS, len(THETA)))
     y = H @ THETA + 0.5 * rng.standard_normal(len(H))

@@ -1,4 +1,6 @@
-"""The cut-off by the posterior: the least error of the torque, under a jackknife's bounds."""
+"""The cut-off by the posterior: the least error of the torque, under a jackknife's
+bounds.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -6,13 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqid_cli.identify.rigid.cutoff_choice import Candidate, CutoffChoice, choose_cutoff
+from seqid_cli.identify.rigid.cutoff_choice import (
+    Candidate,
+    CutoffChoice,
+    choose_cutoff,
+)
 
 START = 8.0
 
 
 def candidate(
-    hz: float, error: float, *, rank: int = 2, independent: float = 1000.0, bias: float = 0.0
+    hz: float,
+    error: float,
+    *,
+    rank: int = 2,
+    independent: float = 1000.0,
+    bias: float = 0.0,
 ) -> Candidate:
     """What logs tell below a cut-off: two parameters, each with half of the error."""
     return Candidate(
@@ -72,7 +83,9 @@ def test_a_cutoff_that_excites_less_is_refused_however_small_its_error() -> None
 
 def test_a_lower_cutoff_needs_several_samples_per_direction() -> None:
     error = valley(2.0)
-    assert chosen(lambda hz: candidate(hz, error(hz), independent=hz)).cutoff_hz == START
+    assert (
+        chosen(lambda hz: candidate(hz, error(hz), independent=hz)).cutoff_hz == START
+    )
     error = valley(32.0)
     found = chosen(lambda hz: candidate(hz, error(hz), independent=hz / 10.0))
     assert found.cutoff_hz == pytest.approx(32.0)
@@ -97,9 +110,14 @@ def test_noise_in_the_acceleration_bounds_the_cutoff() -> None:
     def noise(hz: float) -> float:
         return float(5e-3 * (hz / 17.0) ** 5)
 
-    assert chosen(lambda hz: candidate(hz, error(hz)), noise).cutoff_hz == pytest.approx(16.0)
+    assert chosen(
+        lambda hz: candidate(hz, error(hz)), noise
+    ).cutoff_hz == pytest.approx(16.0)
     # Where the start itself has too much of it, a lower one is taken.
-    assert chosen(lambda hz: candidate(hz, error(hz)), lambda hz: noise(3 * hz)).cutoff_hz < START
+    assert (
+        chosen(lambda hz: candidate(hz, error(hz)), lambda hz: noise(3 * hz)).cutoff_hz
+        < START
+    )
 
 
 def test_parameters_that_agree_with_no_neighbour_are_refused() -> None:

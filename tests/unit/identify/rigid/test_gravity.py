@@ -24,7 +24,9 @@ NOISE = 0.0005  # N m, of a slice
 
 def surface_of(positive: Array, negative: Array, covariance: Array) -> FrictionSurface:
     scaling = Scaling((-2.5, 2.5), (0.4, 8.0))
-    return FrictionSurface(scaling, 0.04, positive, negative, covariance, directional=True)
+    return FrictionSurface(
+        scaling, 0.04, positive, negative, covariance, directional=True
+    )
 
 
 POSITIVE = np.array([[0.030, 0.004], [0.001, 0.0], [-0.002, 0.0]])
@@ -48,7 +50,9 @@ def trials(rng: np.random.Generator) -> list[Trial]:
 
 
 def errors_of(seed: int) -> tuple[Array, Array, Array, Array]:
-    """Errors of (mx, my) and their variances, with offset and asymmetries free and held at zero."""
+    """Errors of (mx, my) and their variances, with offset and asymmetries free and held
+    at zero.
+    """
     rng = np.random.default_rng(seed)
     off = SPREAD * rng.standard_normal((2, *POSITIVE.shape))
     surface = surface_of(POSITIVE + off[0], NEGATIVE + off[1], SPREAD**2 * np.eye(12))
@@ -79,9 +83,13 @@ def errors_of(seed: int) -> tuple[Array, Array, Array, Array]:
 
 @pytest.mark.slow
 def test_errors_hold_with_what_friction_has_alike_both_ways_and_not_without() -> None:
-    """Errors of either direction's surface by itself look like an offset, and so like gravity."""
+    """Errors of either direction's surface by itself look like an offset, and so like
+    gravity.
+    """
     found = [errors_of(seed) for seed in range(150)]
-    error, total, error_held, held = (np.array(part) for part in zip(*found, strict=True))
+    error, total, error_held, held = (
+        np.array(part) for part in zip(*found, strict=True)
+    )
     assert np.mean(np.abs(error) < 1.96 * np.sqrt(total)) >= 0.90
     assert np.mean(error**2 / total) > 0.4
     assert np.mean(np.abs(error_held) < 1.96 * np.sqrt(held)) < 0.85

@@ -1,4 +1,6 @@
-"""A log, or a stretch of one, whose rigid body is not that of the others stands out by name."""
+"""A log, or a stretch of one, whose rigid body is not that of the others stands out by
+name.
+"""
 
 from dataclasses import replace
 
@@ -25,17 +27,25 @@ TOOL[5] = [1.0, 0.0, 0.0, 0.1, 0.011, 0.0, 0.011, 0.0, 0.0, 0.001]  # 1 kg, 0.1 
 
 
 def log(seed: int, load: Array, *, stribeck: float = 0.0) -> Recording:
-    """One Fourier series of the six-joint arm; `load` (N or 1,) says when it has the tool."""
+    """One Fourier series of the six-joint arm; `load` (N or 1,) says when it has the
+    tool.
+    """
     rng = np.random.default_rng(seed)
     end, top = np.full(6, 2.0), np.full(6, 2.0)
-    motion = fourier(rng, -end, end, top, 4 * top, seconds=30.0, harmonics=15, rate_hz=RATE)
+    motion = fourier(
+        rng, -end, end, top, 4 * top, seconds=30.0, harmonics=15, rate_hz=RATE
+    )
     arm, state = arm_6r(), (motion.q, motion.dq, motion.ddq)
     plain, loaded = (
         inverse_dynamics(arm.chain, arm.gravity, six_joint().arm.phi + part, *state)
         for part in (0.0 * TOOL, TOOL)
     )
     tau = np.where(load[:, None], loaded, plain)
-    tau += COULOMB * np.sign(motion.dq) * (1.0 + stribeck * np.exp(-np.abs(motion.dq) / 0.1))
+    tau += (
+        COULOMB
+        * np.sign(motion.dq)
+        * (1.0 + stribeck * np.exp(-np.abs(motion.dq) / 0.1))
+    )
     tau += motion.dq + 0.1 * rng.standard_normal(tau.shape)
     return made_recording(motion.q, tau, rate_hz=RATE, path=f"log_{seed}")
 
@@ -54,7 +64,9 @@ HALF = np.arange(round(30.0 * RATE)) >= 15.0 * RATE
 
 def test_a_tool_in_one_of_three_logs() -> None:
     (found,) = verdicts(log(1, WITHOUT), log(2, WITHOUT), log(3, WITH))
-    assert found.reason.startswith("log_3 differs from the others: one rigid body for all leaves")
+    assert found.reason.startswith(
+        "log_3 differs from the others: one rigid body for all leaves"
+    )
     assert (found.good, found.level) == (False, "poor")
     assert "seqid diagnose" in found.reason
 
@@ -64,7 +76,10 @@ def test_a_tool_in_one_of_three_logs() -> None:
     ("loads", "named"),
     [
         ((WITHOUT, WITH), "differs from log_"),
-        ((WITHOUT, WITH, WITHOUT, WITH, WITHOUT), "log_1, log_3 differ from the others"),
+        (
+            (WITHOUT, WITH, WITHOUT, WITH, WITHOUT),
+            "log_1, log_3 differ from the others",
+        ),
         ((HALF,), "log_0 (part 1 of 4, part 2 of 4) differs from the rest of the log"),
         ((WITHOUT, HALF), "log_1 (part 3 of 4, part 4 of 4) differs from the others"),
     ],
@@ -99,10 +114,13 @@ def test_friction_may_differ_and_few_rows_say_nothing() -> None:
         names = [f"{k}.csv" for k in range(len(logs))]
         squares = np.full(robot.n, 2.0 * rows * len(logs))
         sigma = np.full(robot.n, 0.1)
-        return agreement_verdicts(log_equations(names, joints), robot, sigma, squares, 1)
+        return agreement_verdicts(
+            log_equations(names, joints), robot, sigma, squares, 1
+        )
 
     (odd,) = told((1, 1), (1, 1), (1.6, 1))
     assert odd.reason.startswith("2.csv differs from the others")
     assert told((1, 1), (1, 1), (1, 1)) == []
     assert told((1, 1), (1, 1), (1, 1), rows=3) == []
-    assert told((1, 1), (2, 1), (3, 1), (4, 1)) == []  # no log stands out: the model is wrong
+    # no log stands out: the model is wrong
+    assert told((1, 1), (2, 1), (3, 1), (4, 1)) == []

@@ -22,7 +22,9 @@ AXES = {"perpendicular": np.pi / 2, "parallel": 0.0, "skew": 0.7}
 
 
 def plant_of(alpha: float, *, coupled: bool) -> Plant:
-    """Two joints whose axes stand at the angle `alpha`; light links, heavy rotors, no friction."""
+    """Two joints whose axes stand at the angle `alpha`; light links, heavy rotors, no
+    friction.
+    """
     links = [
         standard_parameters(2.0, (0.03, 0.01, -0.05), (0.08, 0.07, 0.09), np.eye(3)),
         standard_parameters(1.5, (0.15, 0.02, 0.03), (0.05, 0.1, 0.1), np.eye(3)),
@@ -51,13 +53,20 @@ def plant_of(alpha: float, *, coupled: bool) -> Plant:
     )
 
 
-def identified(plant: Plant, robot: Robot, seed: int = 0, logs: int | None = None) -> RigidStage:
-    trials = inertia_trials(plant, [np.array([0.2, 0.4])], np.random.default_rng(seed), seconds=6.0)
+def identified(
+    plant: Plant, robot: Robot, seed: int = 0, logs: int | None = None
+) -> RigidStage:
+    trials = inertia_trials(
+        plant, [np.array([0.2, 0.4])], np.random.default_rng(seed), seconds=6.0
+    )
     seen = [
-        (trial.name, simulate(plant, trial.reference, seed, every=4)) for trial in trials[:logs]
+        (trial.name, simulate(plant, trial.reference, seed, every=4))
+        for trial in trials[:logs]
     ]
     recordings = [recording_of(plant, *each) for each in seen]
-    none = friction_joint([[0.0]], speed_range=[0.05, 5.0], sign_width=0.005, covariance=[[1e-12]])
+    none = friction_joint(
+        [[0.0]], speed_range=[0.05, 5.0], sign_width=0.005, covariance=[[1e-12]]
+    )
     friction = FrictionStage(joints=dict.fromkeys(robot.joint_names, none))
     options = InertiaOptions()
     stages = Stages(friction=friction)
@@ -66,15 +75,23 @@ def identified(plant: Plant, robot: Robot, seed: int = 0, logs: int | None = Non
 
 def off(plant: Plant, stage: RigidStage) -> float:
     standard = true_standard(plant)
-    return max(abs(p.value - true_value(p.terms, standard)) / p.std_error for p in stage.parameters)
+    return max(
+        abs(p.value - true_value(p.terms, standard)) / p.std_error
+        for p in stage.parameters
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("axes", "coupled", "seen"),
     [
-        *((axes, real, real) for axes in ("skew", "parallel") for real in (False, True)),
-        # The second rotor's spin has no part along the first axis: both models are the same.
+        *(
+            (axes, real, real)
+            for axes in ("skew", "parallel")
+            for real in (False, True)
+        ),
+        # The second rotor's spin has no part along the first axis: both models are the
+        # same.
         ("perpendicular", True, False),
     ],
 )

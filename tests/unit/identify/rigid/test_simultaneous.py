@@ -23,7 +23,11 @@ from tests.plants.robots.small import arm_6r
 from tests.plants.robots.two_joint import two_joint_robot
 
 RATE = 100.0
-COULOMB, VISCOUS, OFFSET = 4.0 - 0.5 * np.arange(6), 2.0 - 0.2 * np.arange(6), 0.1 * np.arange(6)
+COULOMB, VISCOUS, OFFSET = (
+    4.0 - 0.5 * np.arange(6),
+    2.0 - 0.2 * np.arange(6),
+    0.1 * np.arange(6),
+)
 NOISE = 0.3
 PHI = six_joint().arm.phi
 LIMIT = np.full(2, 1.0)
@@ -31,25 +35,38 @@ LIMIT = np.full(2, 1.0)
 
 def robot() -> Robot:
     plain = arm_6r()
-    return replace(plain, joints=tuple(replace(j, rotor_inertia=0.0) for j in plain.joints))
+    return replace(
+        plain, joints=tuple(replace(j, rotor_inertia=0.0) for j in plain.joints)
+    )
 
 
 def record(seed: int, seconds: float = 60.0, half: float = 2.0) -> Recording:
-    """Exact inverse dynamics with the classical friction, on one Fourier series of +-`half` rad."""
+    """Exact inverse dynamics with the classical friction, on one Fourier series of
+    +-`half` rad.
+    """
     rng = np.random.default_rng(seed)
     end, top = np.full(6, half), np.full(6, 2.0)
-    motion = fourier(rng, -end, end, top, 4 * top, seconds=seconds, harmonics=25, rate_hz=RATE)
+    motion = fourier(
+        rng, -end, end, top, 4 * top, seconds=seconds, harmonics=25, rate_hz=RATE
+    )
     arm = robot()
     tau = inverse_dynamics(arm.chain, arm.gravity, PHI, motion.q, motion.dq, motion.ddq)
     tau += COULOMB * np.sign(motion.dq) + VISCOUS * motion.dq + OFFSET
     return made_recording(
-        motion.q, tau + NOISE * rng.standard_normal(tau.shape), rate_hz=RATE, path=f"log_{seed}"
+        motion.q,
+        tau + NOISE * rng.standard_normal(tau.shape),
+        rate_hz=RATE,
+        path=f"log_{seed}",
     )
 
 
-def identified(*logs: Recording, arm: Robot | None = None, offset: bool = True) -> Stages:
+def identified(
+    *logs: Recording, arm: Robot | None = None, offset: bool = True
+) -> Stages:
     options = MotionOptions(8.0)
-    friction, inertia = identify_simultaneous(logs, arm or robot(), options=options, offset=offset)
+    friction, inertia = identify_simultaneous(
+        logs, arm or robot(), options=options, offset=offset
+    )
     return Stages(friction=friction, inertia=inertia)
 
 
@@ -59,10 +76,15 @@ def test_rigid_body_and_friction_are_recovered_and_predict_a_new_motion() -> Non
     standard = dict(zip(names, PHI.ravel().tolist(), strict=True))
     stage = stages.inertia
     assert stage.rank == stage.structural_rank == len(stage.parameters) == 36
-    z = [(p.value - true_value(p.terms, standard)) / p.std_error for p in stage.parameters]
+    z = [
+        (p.value - true_value(p.terms, standard)) / p.std_error
+        for p in stage.parameters
+    ]
     assert np.mean(np.abs(z) < 3) >= 0.95
     assert np.abs(z).max() < 5
-    found = [[p.value for p in joint.parameters] for joint in stages.friction.joints.values()]
+    found = [
+        [p.value for p in joint.parameters] for joint in stages.friction.joints.values()
+    ]
     np.testing.assert_allclose(np.array(found).T, [COULOMB, VISCOUS, OFFSET], atol=0.06)
     options = InertiaOptions(motion=MotionOptions(8.0))
     predicted = list(predict([record(3, 20.0)], robot(), stages, options=options))
@@ -72,7 +94,9 @@ def test_rigid_body_and_friction_are_recovered_and_predict_a_new_motion() -> Non
 
 @pytest.mark.parametrize("offset", [True, False])
 def test_offsets_do_not_go_into_the_base_parameters(*, offset: bool) -> None:
-    """On short moves of one posture gravity takes what offsets would, and is sure of it."""
+    """On short moves of one posture gravity takes what offsets would, and is sure of
+    it.
+    """
     plain = record(1, 30.0, 0.5)
     found = [
         identified(log, offset=offset).inertia.parameters
@@ -94,7 +118,9 @@ def test_joints_that_rest_are_named() -> None:
     log = record(4, 20.0)
     log.q[:, 5] = 0.3
     found = identified(log)
-    still = [(v.joint, v.good) for v in found.inertia.verdicts if "does not move" in v.reason]
+    still = [
+        (v.joint, v.good) for v in found.inertia.verdicts if "does not move" in v.reason
+    ]
     assert still == [("joint_6", False)]
     assert "joint_6" not in found.friction.joints
 
@@ -111,7 +137,9 @@ def test_a_log_that_hardly_moves_a_joint_does_not_say_how_fast_it_slides() -> No
 
 def test_a_joint_that_slides_has_units_of_its_own() -> None:
     rng = np.random.default_rng(0)
-    motion = fourier(rng, -LIMIT, LIMIT, LIMIT, 4 * LIMIT, seconds=20.0, harmonics=10, rate_hz=RATE)
+    motion = fourier(
+        rng, -LIMIT, LIMIT, LIMIT, 4 * LIMIT, seconds=20.0, harmonics=10, rate_hz=RATE
+    )
     arm = two_joint_robot(prismatic=True, drives=False)
     phi = np.zeros((2, 10))
     phi[:, [0, 1, 4, 6, 9]] = 2.0, 0.3, 0.1, 0.2, 0.2
@@ -131,7 +159,9 @@ def test_a_joint_that_slides_has_units_of_its_own() -> None:
 
 def test_friction_that_drives_is_not_good() -> None:
     log = record(7, 20.0)
-    driven = log.tau - 2 * COULOMB * np.sign(np.gradient(log.q, axis=0)) * (np.arange(6) == 3)
+    driven = log.tau - 2 * COULOMB * np.sign(np.gradient(log.q, axis=0)) * (
+        np.arange(6) == 3
+    )
     verdicts = identified(replace(log, tau=driven)).inertia.verdicts
     driving = [v for v in verdicts if v.joint and "cannot be" in v.reason]
     assert [(v.joint, v.good) for v in driving] == [("joint_4", False)]

@@ -1,4 +1,6 @@
-"""The error of a torque constant moves all that was identified, counts once, and cancels again."""
+"""The error of a torque constant moves all that was identified, counts once, and
+cancels again.
+"""
 
 from dataclasses import replace
 
@@ -38,7 +40,9 @@ def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
     """All stages by the encoders, from logs whose torque of the first joint is scaled."""
     folders = ("friction", "gravity", "inertia")
     drills, slow, pairs = (scaled(rig.logs(name), step) for name in folders)
-    stages = Stages(friction=identify_friction(drills, robot, options=FrictionOptions()))
+    stages = Stages(
+        friction=identify_friction(drills, robot, options=FrictionOptions())
+    )
     result = identify_gravity(slow + drills, robot, stages)
     stages.gravity, stages.friction = result.gravity, result.friction
     options = InertiaOptions(source="encoder")
@@ -63,17 +67,25 @@ def seen_and_told(before: RigidStage, after: RigidStage) -> tuple[Array, Array]:
 @pytest.mark.slow
 def test_scaled_torque_moves_every_stage_as_told(known: list[Stages]) -> None:
     _, before, after = known
-    surfaces = [stages.friction.joints["joint_1"].positive for stages in (before, after)]
-    np.testing.assert_allclose(surfaces[1], (1.0 + STEP) * np.array(surfaces[0]), rtol=1e-9)
+    surfaces = [
+        stages.friction.joints["joint_1"].positive for stages in (before, after)
+    ]
+    np.testing.assert_allclose(
+        surfaces[1], (1.0 + STEP) * np.array(surfaces[0]), rtol=1e-9
+    )
     np.testing.assert_allclose(*seen_and_told(before.gravity, after.gravity), rtol=1e-6)
-    # The rotor's torque enters by thinned samples, and the weights of the rows move a little.
+    # The rotor's torque enters by thinned samples, and the weights of the rows move a
+    # little.
     seen, told = seen_and_told(before.inertia, after.inertia)
     np.testing.assert_allclose(seen, told, rtol=1e-3)
-    assert told[0] > 1.02 * STEP * before.inertia.parameters[0].value  # the rotor does not scale
+    # the rotor does not scale
+    assert told[0] > 1.02 * STEP * before.inertia.parameters[0].value
 
 
 @pytest.mark.slow
-def test_what_is_held_against_the_same_torque_does_not_change(known: list[Stages]) -> None:
+def test_what_is_held_against_the_same_torque_does_not_change(
+    known: list[Stages],
+) -> None:
     plain, with_error, _ = known
     for name in ("gravity", "inertia"):
         one, other = getattr(plain, name), getattr(with_error, name)
@@ -82,8 +94,13 @@ def test_what_is_held_against_the_same_torque_does_not_change(known: list[Stages
         assert [p.value for p in one.parameters] == [p.value for p in other.parameters]
         held = [p.std_error for p in _torque_constants_held(other)]
         assert held == pytest.approx([p.std_error for p in one.parameters], rel=1e-9)
-        total = np.diag(other.covariance) + np.array(other.torque_constant_moves["joint_1"]) ** 2
-        assert [p.std_error for p in other.parameters] == pytest.approx(np.sqrt(total), rel=1e-9)
+        total = (
+            np.diag(other.covariance)
+            + np.array(other.torque_constant_moves["joint_1"]) ** 2
+        )
+        assert [p.std_error for p in other.parameters] == pytest.approx(
+            np.sqrt(total), rel=1e-9
+        )
     verdicts = [stages.friction.verdicts for stages in (plain, with_error)]
     assert verdicts[0] == verdicts[1]
 
@@ -94,8 +111,12 @@ def test_export_counts_one_error_for_gravity_and_inertia(
 ) -> None:
     stages = known[1]
     demand = identified(stages, stated(one_joint.robot))
-    np.testing.assert_allclose(np.sqrt(np.diag(demand.covariance)), demand.errors, rtol=1e-9)
-    moves = [x.torque_constant_moves["joint_1"] for x in (stages.inertia, stages.gravity)]
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(demand.covariance)), demand.errors, rtol=1e-9
+    )
+    moves = [
+        x.torque_constant_moves["joint_1"] for x in (stages.inertia, stages.gravity)
+    ]
     first, second, *_ = np.concatenate(moves)
     assert demand.covariance[0, 1] == pytest.approx(first * second, rel=1e-9)
 
@@ -109,7 +130,9 @@ def test_the_simultaneous_way_tells_the_same(two_joint: Rig) -> None:
     ]
     (friction, before), (_, after) = found
     seen, told = seen_and_told(before, after)
-    np.testing.assert_allclose(seen, told, rtol=0.02, atol=0.01 * float(np.abs(told).max()))
+    np.testing.assert_allclose(
+        seen, told, rtol=0.02, atol=0.01 * float(np.abs(told).max())
+    )
     joint = friction.joints["joint_1"]
     assert joint.torque_constant_error == ERROR
     assert joint.parameters[0].std_error > 0.9 * ERROR * joint.parameters[0].value

@@ -1,4 +1,6 @@
-"""Whatever the layout of messages and file: the same arrays as by the formats' own readers."""
+"""Whatever the layout of messages and file: the same arrays as by the formats' own
+readers.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ QUANTITIES = ("position", "velocity", "effort")
 
 layouts = st.builds(  # what stays the same from message to message
     SimpleNamespace,
-    names=st.lists(st.sampled_from([*JOINTS, "x", "long_name_of_a_gripper", ""]), max_size=7),
+    names=st.lists(
+        st.sampled_from([*JOINTS, "x", "long_name_of_a_gripper", ""]), max_size=7
+    ),
     given=st.lists(st.booleans(), min_size=3, max_size=3),
     frame=st.text("ab", max_size=9),
 )
@@ -47,12 +51,17 @@ def logs(draw: st.DrawFn) -> list[Message]:
             stamp = int(rng.integers(1, 1 << 60))
             values = rng.normal(size=(3, len(layout.names)))
             values[values > 2.0] = special
-            content = SimpleNamespace(header=writers.header(stamp, layout.frame), name=layout.names)
+            content = SimpleNamespace(
+                header=writers.header(stamp, layout.frame), name=layout.names
+            )
             for name, row, there in zip(QUANTITIES, values, layout.given, strict=True):
                 setattr(content, name, row.tolist() if there else [])
             messages.append(("/joint_states", stamp, content))
     for imu in writers.imu_messages(
-        rng.integers(1, 1 << 60, 30), "/hand/data", rng.normal(size=(30, 3)), np.zeros((30, 3))
+        rng.integers(1, 1 << 60, 30),
+        "/hand/data",
+        rng.normal(size=(30, 3)),
+        np.zeros((30, 3)),
     ):
         messages.insert(int(rng.integers(0, len(messages) + 1)), imu)
     return messages
@@ -74,7 +83,9 @@ def official(path: Path) -> tuple[Rows, Rows]:
     imus: Rows = ([], [])
     with path.open("rb") as file:
         reader = NonSeekingReader(file, decoder_factories=[DecoderFactory()])
-        for _, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
+        for _, channel, _, message in reader.iter_decoded_messages(
+            log_time_order=False
+        ):
             found, row = joints, np.full((3, 3), np.nan)
             if channel.topic == "/hand/data":
                 a, w = message.linear_acceleration, message.angular_velocity
@@ -82,18 +93,27 @@ def official(path: Path) -> tuple[Rows, Rows]:
             else:
                 for k, quantity in enumerate(QUANTITIES):
                     values = list(getattr(message, quantity))
-                    for name, value in reversed(list(zip(message.name, values, strict=False))):
+                    for name, value in reversed(
+                        list(zip(message.name, values, strict=False))
+                    ):
                         if name in JOINTS:
                             row[k, JOINTS.index(name)] = value
-            if np.isfinite(row).any():  # else it is of other joints, and no sample of the robot's
-                found[0].append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+            # else it is of other joints, and no sample of the robot's
+            if np.isfinite(row).any():
+                found[0].append(
+                    message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+                )
                 found[1].append(row.ravel())
     return joints, imus
 
 
-def assert_joints(stream: Stream, stamps: Sequence[int], rows: Sequence[np.ndarray]) -> None:
+def assert_joints(
+    stream: Stream, stamps: Sequence[int], rows: Sequence[np.ndarray]
+) -> None:
     empty = np.full((len(stream), 3), np.nan)
-    found = [stream.channels.get(name, empty) for name in ("position", "velocity", "torque")]
+    found = [
+        stream.channels.get(name, empty) for name in ("position", "velocity", "torque")
+    ]
     np.testing.assert_array_equal(stream.stamp_ns, stamps)
     np.testing.assert_array_equal(np.hstack(found), rows)
 
@@ -101,16 +121,24 @@ def assert_joints(stream: Stream, stamps: Sequence[int], rows: Sequence[np.ndarr
 FIXTURE = HealthCheck.function_scoped_fixture
 
 
-@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=[FIXTURE])
+@settings(
+    max_examples=15, deadline=None, derandomize=True, suppress_health_check=[FIXTURE]
+)
 @given(messages=logs(), storage=storages, rows=st.sampled_from([None, 1, 100]))
 def test_cdr_and_json(
-    messages: list[Message], storage: dict[str, object], rows: int | None, tmp_path: Path
+    messages: list[Message],
+    storage: dict[str, object],
+    rows: int | None,
+    tmp_path: Path,
 ) -> None:
     source = write_messages(tmp_path / "source.mcap", messages, encoding="cdr")
     path = writers.rewrite(source, tmp_path / "log.mcap", **storage)  # type: ignore[arg-type]
     as_json = write_messages(tmp_path / "json.mcap", messages, encoding="json")
     joints, imus = official(source)
-    for blocks in (list(read_blocks(path, ROBOT, rows=rows)), [read_raw(as_json, ROBOT)]):
+    for blocks in (
+        list(read_blocks(path, ROBOT, rows=rows)),
+        [read_raw(as_json, ROBOT)],
+    ):
         assert_joints(joined([block.joints for block in blocks]), *joints)
         imu = joined([block.imus["hand"][0] for block in blocks if block.imus])
         np.testing.assert_array_equal(imu.stamp_ns, imus[0])
@@ -124,7 +152,8 @@ def test_protobuf(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     path = tmp_path / "log.mcap"
     wanted, stamps = np.full((500, 9), np.nan), rng.integers(1, 1 << 60, 500)
-    stamps[::7] -= stamps[::7] % 10**9  # nanoseconds that are left out, because they are zero
+    # nanoseconds that are left out, because they are zero
+    stamps[::7] -= stamps[::7] % 10**9
     with path.open("wb") as out, ProtobufWriter(out, chunk_size=20_000) as writer:
         for i, stamp in enumerate(stamps.tolist()):
             content = JointStates()
@@ -132,7 +161,11 @@ def test_protobuf(tmp_path: Path) -> None:
             for k in (rng.permutation(3) if i > 250 else np.arange(3)).tolist():
                 row = rng.normal(size=3) * (rng.random(3) > 0.1)
                 given = rng.random(3) > 0.1
-                fields = {q: float(v) for q, v, g in zip(QUANTITIES, row, given, strict=True) if g}
+                fields = {
+                    q: float(v)
+                    for q, v, g in zip(QUANTITIES, row, given, strict=True)
+                    if g
+                }
                 content.joints.append(JointState(name=JOINTS[k], **fields))
                 wanted[i, k::3] = np.where(given, row, np.nan)
             writer.write_message("/joint_states", content, i, i)
@@ -157,13 +190,17 @@ def test_padding_is_not_structure(tmp_path: Path) -> None:
         data[21:24] = rng.bytes(3)
         padded.append((topic, log_ns, bytes(data)))
     path = writers.write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, padded)
-    np.testing.assert_array_equal(read_raw(path, make_robot()).joints.channels["position"], q)
+    np.testing.assert_array_equal(
+        read_raw(path, make_robot()).joints.channels["position"], q
+    )
 
 
 @pytest.mark.parametrize("lie", [0, 1 << 62, 7])
 def test_index_that_lies_is_not_believed(lie: int, tmp_path: Path) -> None:
     messages, q = positions(200)
-    path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr", chunk_size=8_000)
+    path = write_messages(
+        tmp_path / "log.mcap", messages, encoding="cdr", chunk_size=8_000
+    )
     data = path.read_bytes()
     wrong, at = bytearray(data), 0
     while (at := wrong.find(b"\x07", at + 1)) >= 0:

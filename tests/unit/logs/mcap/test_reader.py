@@ -16,8 +16,22 @@ from seqid_cli.logs.mcap.reader import list_topics
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from tests.unit.logs import samples, writers
-from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, Motion, grid, make_motion, make_robot
-from tests.unit.logs.writers import JOINT_STATE, Message, imu_messages, write_messages, write_raw
+from tests.unit.logs.samples import (
+    ARRAY,
+    GYRO,
+    JOINTS,
+    Motion,
+    grid,
+    make_motion,
+    make_robot,
+)
+from tests.unit.logs.writers import (
+    JOINT_STATE,
+    Message,
+    imu_messages,
+    write_messages,
+    write_raw,
+)
 
 ROBOT = make_robot(imus=(ARRAY, GYRO))
 MOTION = make_motion(grid(200))
@@ -28,11 +42,17 @@ def stamps(t: np.ndarray) -> np.ndarray:
 
 
 def read(folder: Path, messages: list[Message], encoding: str = "cdr") -> Recording:
-    return read_recording(write_messages(folder / "log.mcap", messages, encoding=encoding), ROBOT)
+    return read_recording(
+        write_messages(folder / "log.mcap", messages, encoding=encoding), ROBOT
+    )
 
 
-def joints(motion: Motion = MOTION, names: Sequence[str] = JOINTS, **options: str) -> list[Message]:
-    return writers.joint_messages(stamps(motion.t), names, motion.q[:, : len(names)], **options)
+def joints(
+    motion: Motion = MOTION, names: Sequence[str] = JOINTS, **options: str
+) -> list[Message]:
+    return writers.joint_messages(
+        stamps(motion.t), names, motion.q[:, : len(names)], **options
+    )
 
 
 def hand(motion: Motion, late_s: float = 0.0) -> list[Message]:
@@ -44,10 +64,14 @@ def hand(motion: Motion, late_s: float = 0.0) -> list[Message]:
 def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) -> None:
     later = make_motion(MOTION.t + delay_s)
     parts = [
-        writers.joint_messages(stamps(m.t), JOINTS[own], m.q[:, own], effort=m.tau[:, own])
+        writers.joint_messages(
+            stamps(m.t), JOINTS[own], m.q[:, own], effort=m.tau[:, own]
+        )
         for m, own in ((MOTION, slice(1)), (later, slice(1, None)))
     ]
-    recording = read(tmp_path, [message for pair in zip(*parts, strict=True) for message in pair])
+    recording = read(
+        tmp_path, [message for pair in zip(*parts, strict=True) for message in pair]
+    )
     assert recording.rate_hz == pytest.approx(100.0)
     assert recording.health.duplicates == 0
     expected = make_motion(recording.t + (0.01 if delay_s else 0.0))
@@ -88,7 +112,9 @@ def test_imu_with_its_own_rate_span_and_clock(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.valid, inside)
     assert "array" not in recording.accelerometers
     wanted = motion.accelerometers["hand"][inside][3:-3]
-    np.testing.assert_allclose(recording.accelerometers["hand"][inside][3:-3], wanted, atol=1e-4)
+    np.testing.assert_allclose(
+        recording.accelerometers["hand"][inside][3:-3], wanted, atol=1e-4
+    )
     assert any("/hand/data covers" in warning for warning in recording.health.warnings)
     recording = read(tmp_path, joints() + hand(MOTION, late_s=1e6))  # of another clock
     assert recording.accelerometers == {}
@@ -110,7 +136,9 @@ HALF = imu_messages(stamps(MOTION.t), "/array/accel_1", MOTION.q)
     ],
     ids=["topic", "names", "a joint less", "half an array"],
 )
-def test_what_is_missing_is_said(tmp_path: Path, messages: list[Message], said: str) -> None:
+def test_what_is_missing_is_said(
+    tmp_path: Path, messages: list[Message], said: str
+) -> None:
     with pytest.raises(InputError) as caught:
         read(tmp_path, messages)
     assert said in caught.value.message
@@ -120,16 +148,22 @@ def test_what_is_missing_is_said(tmp_path: Path, messages: list[Message], said: 
         assert (topic.topic, topic.messages) == ("/arm/joint_states", 200)
 
 
-def test_what_cannot_be_decoded_is_counted_and_its_encoding_named(tmp_path: Path) -> None:
+def test_what_cannot_be_decoded_is_counted_and_its_encoding_named(
+    tmp_path: Path,
+) -> None:
     messages = joints()
     for _, _, content in messages[50:53]:
         content.position = [1.0, 2.0]
     recording = read(tmp_path, messages)
-    assert "3 of 200 messages of /joint_states could not be decoded" in recording.partial
+    assert (
+        "3 of 200 messages of /joint_states could not be decoded" in recording.partial
+    )
     np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-4)
     rows = [("/joint_states", i, b"\0" * 40) for i in range(50)]
     with pytest.raises(InputError, match="cbor"):
-        read_recording(write_raw(tmp_path / "log.mcap", {"/joint_states": "cbor"}, rows), ROBOT)
+        read_recording(
+            write_raw(tmp_path / "log.mcap", {"/joint_states": "cbor"}, rows), ROBOT
+        )
 
 
 def test_json_with_other_spellings_of_the_stamp(tmp_path: Path) -> None:
@@ -178,16 +212,24 @@ def test_cdr_of_both_byte_orders_and_of_another_representation(tmp_path: Path) -
     assert partial == "1 of 200 messages of /joint_states could not be decoded"
 
 
-TYPES = {  # their fields: type, or the name of a message; repeated where it ends with []
+# their fields: type, or the name of a message; repeated where it ends with []
+TYPES = {
     "Stamp": {"sec": Field.TYPE_INT32, "nanosec": Field.TYPE_UINT32},
     "Header": {"stamp": "Stamp"},
     "JointState": {
         "header": "Header",
         "name[]": Field.TYPE_STRING,
-        **{f"{name}[]": Field.TYPE_DOUBLE for name in ("position", "velocity", "effort")},
+        **{
+            f"{name}[]": Field.TYPE_DOUBLE
+            for name in ("position", "velocity", "effort")
+        },
     },
     "Vector3": dict.fromkeys("xyz", Field.TYPE_DOUBLE),
-    "Imu": {"header": "Header", "angular_velocity": "Vector3", "linear_acceleration": "Vector3"},
+    "Imu": {
+        "header": "Header",
+        "angular_velocity": "Vector3",
+        "linear_acceleration": "Vector3",
+    },
 }
 
 
@@ -199,7 +241,9 @@ def described() -> FileDescriptorSet:
         message = file.message_type.add(name=name)
         for number, (key, kind) in enumerate(fields.items(), start=1):
             label = Field.LABEL_REPEATED if key.endswith("[]") else Field.LABEL_OPTIONAL
-            one = message.field.add(name=key.removesuffix("[]"), number=number, label=label)
+            one = message.field.add(
+                name=key.removesuffix("[]"), number=number, label=label
+            )
             if isinstance(kind, str):
                 one.type, one.type_name = Field.TYPE_MESSAGE, f".ros.{kind}"
             else:
@@ -213,14 +257,22 @@ def test_protobuf_with_the_fields_of_sensor_msgs(tmp_path: Path) -> None:
     state, imu = types["ros.JointState"], types["ros.Imu"]
     for i, t in enumerate(MOTION.t):
         header = {"stamp": {"sec": T0 + int(t), "nanosec": round(t % 1 * 1e9)}}
-        joints = state(header=header, name=JOINTS, position=MOTION.q[i], effort=MOTION.tau[i])
+        joints = state(
+            header=header, name=JOINTS, position=MOTION.q[i], effort=MOTION.tau[i]
+        )
         w, a = MOTION.gyros["hand"][i], MOTION.accelerometers["hand"][i]
         vectors = {"angular_velocity": w, "linear_acceleration": a}
-        named = {name: dict(zip("xyz", own, strict=True)) for name, own in vectors.items()}
+        named = {
+            name: dict(zip("xyz", own, strict=True)) for name, own in vectors.items()
+        }
         messages.append(("/joint_states", i, joints.SerializeToString()))
-        messages.append(("/hand/data", i, imu(header=header, **named).SerializeToString()))
+        messages.append(
+            ("/hand/data", i, imu(header=header, **named).SerializeToString())
+        )
     topics = {"/joint_states": "ros.JointState", "/hand/data": "ros.Imu"}
-    channels = {topic: ("protobuf", kind, "protobuf", text) for topic, kind in topics.items()}
+    channels = {
+        topic: ("protobuf", kind, "protobuf", text) for topic, kind in topics.items()
+    }
     path = write_raw(tmp_path / "log.mcap", channels, messages)
     recording = read_recording(path, make_robot(imus=(GYRO,)))
     assert recording.dq is None

@@ -21,7 +21,13 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.toml_schema import Channels
 from tests.unit.logs import format_writers as formats
-from tests.unit.logs.format_writers import T0_NS, Data, rosbag1, rosbag2_sqlite, write_bag
+from tests.unit.logs.format_writers import (
+    T0_NS,
+    Data,
+    rosbag1,
+    rosbag2_sqlite,
+    write_bag,
+)
 from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
 from tests.unit.logs.writers import arm_messages
 
@@ -44,7 +50,9 @@ def test_joints_and_imus(tmp_path: Path, version: int) -> None:
     np.testing.assert_array_equal(recording.q, MOTION.q)
     assert recording.dq is None
     for name in ("array", "hand"):
-        np.testing.assert_array_equal(recording.accelerometers[name], MOTION.accelerometers[name])
+        np.testing.assert_array_equal(
+            recording.accelerometers[name], MOTION.accelerometers[name]
+        )
     np.testing.assert_array_equal(recording.gyros["hand"], MOTION.gyros["hand"])
     assert (recording.partial, recording.format) == ("", f"rosbag{version}")
     assert recording.start == pytest.approx(T0_NS * 1e-9, abs=1e-6)
@@ -57,12 +65,16 @@ def test_dynamic_joint_states(tmp_path: Path, defined: bool) -> None:
     messages = formats.dynamic_states(DATA)
     for _, _, content in messages:
         for one in content.interface_values:
-            one.interface_names = [current.get(name, name) for name in one.interface_names]
+            one.interface_names = [
+                current.get(name, name) for name in one.interface_names
+            ]
     write_bag(tmp_path / "bag", messages)
     path = storage(tmp_path)
     if not defined:
         executed(path, "UPDATE message_definitions SET encoded_message_definition = ''")
-    robot = make_robot(constants=0.1, gear_ratio=10.0, channels=Channels(effort="current"))
+    robot = make_robot(
+        constants=0.1, gear_ratio=10.0, channels=Channels(effort="current")
+    )
     recording = read_recording(path, robot)
     np.testing.assert_array_equal(recording.q, MOTION.q)
     np.testing.assert_allclose(recording.tau, MOTION.tau, rtol=1e-15)
@@ -91,7 +103,9 @@ def outcome(path: Path) -> Recording | InputError:
         return error
 
 
-def test_damaged_page_is_refused_with_a_remedy_unless_it_is_not_needed(tmp_path: Path) -> None:
+def test_damaged_page_is_refused_with_a_remedy_unless_it_is_not_needed(
+    tmp_path: Path,
+) -> None:
     path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
     whole = path.read_bytes()
     refused = 0
@@ -109,19 +123,27 @@ def test_damaged_page_is_refused_with_a_remedy_unless_it_is_not_needed(tmp_path:
     assert refused > 10
 
 
-ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x FROM c"
+ENDLESS = (
+    "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x FROM c"
+)
 CHANGES = {
     "": "cannot be read",  # the file is cut
     "UPDATE topics SET type = x'00ff'": "cannot be read",
     "DROP TABLE messages; DROP TABLE topics": "missing tables",
     f"CREATE VIEW a AS {ENDLESS}": "computes values",
-    "CREATE TABLE a(a, b BLOB GENERATED ALWAYS AS (zeroblob(900000000)))": "computes values",
-    "CREATE TRIGGER a AFTER INSERT ON messages BEGIN DELETE FROM topics; END": "computes values",
+    "CREATE TABLE a(a, b BLOB GENERATED ALWAYS AS (zeroblob(900000000)))": (
+        "computes values"
+    ),
+    "CREATE TRIGGER a AFTER INSERT ON messages BEGIN DELETE FROM topics; END": (
+        "computes values"
+    ),
 }
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=range(len(CHANGES)))
-def test_a_database_that_is_no_sound_bag_is_refused(change: str, tmp_path: Path) -> None:
+def test_a_database_that_is_no_sound_bag_is_refused(
+    change: str, tmp_path: Path
+) -> None:
     path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
     assert isinstance(outcome(path), Recording)
     if change:
@@ -134,7 +156,9 @@ def test_a_database_that_is_no_sound_bag_is_refused(change: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("pack", [bz2.compress, lz4.frame.compress], ids=["bz2", "lz4"])
-def test_a_chunk_that_unpacks_to_gigabytes_is_refused(pack: Callable[[bytes], bytes]) -> None:
+def test_a_chunk_that_unpacks_to_gigabytes_is_refused(
+    pack: Callable[[bytes], bytes],
+) -> None:
     unpack = _bounded(pytest.fail)
     assert unpack(pack(b"sound" * 1000)) == b"sound" * 1000
     bomb = pack(bytes(allowed(0) + (1 << 22) if pack is bz2.compress else 300 << 20))
@@ -171,8 +195,13 @@ def test_damaged_ros1_bag(tmp_path: Path, change: str) -> None:
         assert found.partial
 
 
-def test_a_missing_library_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, second = rosbag1(tmp_path / "log", DATA), rosbag2_sqlite(tmp_path / "sqlite", DATA)
+def test_a_missing_library_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = (
+        rosbag1(tmp_path / "log", DATA),
+        rosbag2_sqlite(tmp_path / "sqlite", DATA),
+    )
     needless = formats.rosbag2_mcap(tmp_path / "mcap", DATA)
     for name in [name for name in sys.modules if name.split(".")[0] == "rosbags"]:
         monkeypatch.delitem(sys.modules, name)

@@ -67,7 +67,9 @@ def test_reading_goes_on_behind_garbage(
 
 
 @pytest.mark.parametrize("chunking", [True, False])
-def test_garbage_where_chunks_are_not_told(tmp_path: Path, source: Path, chunking: bool) -> None:
+def test_garbage_where_chunks_are_not_told(
+    tmp_path: Path, source: Path, chunking: bool
+) -> None:
     path = rewrite(source, tmp_path / "log", chunking=chunking, chunk_size=20_000)
     data = bytearray(path.read_bytes())
     data = data[: records(data, 0x0F)[0]]
@@ -80,12 +82,15 @@ def test_garbage_where_chunks_are_not_told(tmp_path: Path, source: Path, chunkin
 
 @compressions
 @pytest.mark.parametrize(
-    ("chunk_size", "share"), [(20_000, 0.3), (20_000, 0.6), (20_000, 0.9), (1 << 22, 0.6)]
+    ("chunk_size", "share"),
+    [(20_000, 0.3), (20_000, 0.6), (20_000, 0.9), (1 << 22, 0.6)],
 )
 def test_blocks_of_a_cut_file(
     tmp_path: Path, source: Path, compression: str, chunk_size: int, share: float
 ) -> None:
-    path = rewrite(source, tmp_path / "log", compression=compression, chunk_size=chunk_size)
+    path = rewrite(
+        source, tmp_path / "log", compression=compression, chunk_size=chunk_size
+    )
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
     blocks = list(read_blocks(path, ROBOT, rows=100))
@@ -98,7 +103,9 @@ def test_blocks_of_a_cut_file(
     assert re.search("breaks off.*messages were read", last)
 
 
-def test_recording_that_was_not_closed_or_holds_nothing(tmp_path: Path, source: Path) -> None:
+def test_recording_that_was_not_closed_or_holds_nothing(
+    tmp_path: Path, source: Path
+) -> None:
     path = rewrite(source, tmp_path / "log", chunking=False, index=False, summary=False)
     data = path.read_bytes()
     path.write_bytes(data[: records(data, 0x0F)[-1]])
@@ -114,7 +121,9 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
     def peak(count: int) -> int:
         path = write_cdr(tmp_path / str(count), count)
         tracemalloc.start()
-        assert all(len(block.joints) < 8_000 for block in read_blocks(path, robot, rows=2_000))
+        assert all(
+            len(block.joints) < 8_000 for block in read_blocks(path, robot, rows=2_000)
+        )
         size = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return size

@@ -25,7 +25,9 @@ def write(folder: Path, names: str) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    return write(tmp_path, "run10.parquet run2.parquet sub/run1.MCAP .hidden.mcap notes.txt")
+    return write(
+        tmp_path, "run10.parquet run2.parquet sub/run1.MCAP .hidden.mcap notes.txt"
+    )
 
 
 def names(paths: list[Path], folder: Path) -> list[str]:
@@ -46,11 +48,15 @@ ALL = ["run2.parquet", "run10.parquet", "sub/run1.MCAP"]
         (["run?.parquet"], ALL[:1]),
     ],
 )
-def test_logs_come_once_in_order(folder: Path, arguments: list[str], expected: list[str]) -> None:
+def test_logs_come_once_in_order(
+    folder: Path, arguments: list[str], expected: list[str]
+) -> None:
     assert names(expand([str(folder / each) for each in arguments]), folder) == expected
 
 
-@pytest.mark.parametrize("missing", ["run3.parquet", "*.csv", "empty", "x" * 5000, "a\0b"])
+@pytest.mark.parametrize(
+    "missing", ["run3.parquet", "*.csv", "empty", "x" * 5000, "a\0b"]
+)
 def test_nothing_found_names_the_argument(folder: Path, missing: str) -> None:
     (folder / "empty").mkdir()
     argument = str(folder / missing)
@@ -68,14 +74,19 @@ def test_nothing_found_names_the_argument(folder: Path, missing: str) -> None:
         (b"\x00\x01\x02\x03", "neither Parquet nor MCAP, no ROS bag and no CSV"),
         (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "neither Parquet"),
         (b"#ROSBAG V1.2\n", "ROS bag of an old version"),
-        (b"hello", "neither Parquet nor MCAP.*: the table has names but no line of data"),
+        (
+            b"hello",
+            "neither Parquet nor MCAP.*: the table has names but no line of data",
+        ),
         (b"\x28\xb5\x2f\xfdxxxx", "zstd"),
         (b"version https://git-lfs.github.com/spec/v1", "LFS"),
         (b"PAR1", "footer"),
         (b"PAR1" + b"\0" * 50, "footer"),
     ],
 )
-def test_other_files_are_refused_by_name(tmp_path: Path, content: bytes, fragment: str) -> None:
+def test_other_files_are_refused_by_name(
+    tmp_path: Path, content: bytes, fragment: str
+) -> None:
     path = tmp_path / "log.parquet"
     path.write_bytes(content)
     with pytest.raises(InputError, match=fragment) as caught:
@@ -106,13 +117,18 @@ def tables(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("argument", ["", "a", "a/*", "**"])
-def test_tables_in_a_folder_that_are_no_logs_are_left_out(tables: Path, argument: str) -> None:
+def test_tables_in_a_folder_that_are_no_logs_are_left_out(
+    tables: Path, argument: str
+) -> None:
     notes: list[str] = []
     found = expand([str(tables / argument)], notes.append)
     assert names(found, tables) == ["a/log.csv", "a/times.csv"]
     assert len(notes) == 4
     told = dict.fromkeys(("result.csv", "points.csv"), "no column of time")
-    told |= {"numbers.tsv": "no line of names", "torques.parquet": "seqid predict wrote it"}
+    told |= {
+        "numbers.tsv": "no line of names",
+        "torques.parquet": "seqid predict wrote it",
+    }
     for name, said in told.items():
         assert any(name in note and said in note for note in notes), notes
     for name in ("a/log.csv", "a/times.csv"):
@@ -135,7 +151,10 @@ def test_bag_folder_stands_for_its_files(tmp_path: Path) -> None:
         check_log(bag)
     for k in (10, 9):
         (bag / f"bag_{k}.db3").write_bytes(b"SQLite format 3\0" + bytes(84))
-    assert names(expand([str(tmp_path)]), tmp_path) == ["bag/bag_9.db3", "bag/bag_10.db3"]
+    assert names(expand([str(tmp_path)]), tmp_path) == [
+        "bag/bag_9.db3",
+        "bag/bag_10.db3",
+    ]
     with pytest.raises(InputError, match="bag of 2 files"):
         check_log(bag)
     (bag / "bag_9.db3").unlink()
@@ -143,7 +162,10 @@ def test_bag_folder_stands_for_its_files(tmp_path: Path) -> None:
 
 
 def test_description_of_a_data_set_is_no_log(tmp_path: Path) -> None:
-    write(tmp_path, "meta/info.json meta/tasks.parquet meta/episodes/x.parquet data/e.parquet")
+    write(
+        tmp_path,
+        "meta/info.json meta/tasks.parquet meta/episodes/x.parquet data/e.parquet",
+    )
     assert names(expand([str(tmp_path)]), tmp_path) == ["data/e.parquet"]
 
 
@@ -180,7 +202,9 @@ def test_copies_that_killed_runs_left_are_removed(room: Path) -> None:
     assert not folder.exists()
 
 
-def test_no_room_for_a_copy_is_told(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_room_for_a_copy_is_told(
+    room: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

@@ -1,4 +1,6 @@
-"""Logs on object storage: found, read through a copy, named by their URL; refusals in words."""
+"""Logs on object storage: found, read through a copy, named by their URL; refusals in
+words.
+"""
 
 import json
 import pickle
@@ -23,7 +25,14 @@ from tests import ROOT
 fsspec = pytest.importorskip("fsspec")
 
 RIG = ROOT / "sample_logs" / "two_joint"
-GIVEN = ("-r", str(RIG / "robot.toml"), "-p", str(RIG / "golden.json"), "--motion", "encoder")
+GIVEN = (
+    "-r",
+    str(RIG / "robot.toml"),
+    "-p",
+    str(RIG / "golden.json"),
+    "--motion",
+    "encoder",
+)
 GIVEN += ("--jobs", "1")  # a store in memory is of one process
 Captured, Patch = pytest.CaptureFixture[str], pytest.MonkeyPatch
 
@@ -44,7 +53,9 @@ def store(tmp_path: Path, monkeypatch: Patch) -> Iterator[str]:
 
 def test_a_url_stays_one_and_is_no_windows_drive() -> None:
     assert is_url("s3://bucket/a.parquet")
-    assert not any(map(is_url, ("logs/a.parquet", "C://a.parquet", "file:///a.parquet", "s3:/a")))
+    assert not any(
+        map(is_url, ("logs/a.parquet", "C://a.parquet", "file:///a.parquet", "s3:/a"))
+    )
     url = "s3://bucket/robot=a/x y.parquet"
     for log in (StoredLog(url), pickle.loads(pickle.dumps(StoredLog(url)))):
         assert (str(log), type(log)) == (url, StoredLog)
@@ -54,12 +65,16 @@ def test_a_url_stays_one_and_is_no_windows_drive() -> None:
 @pytest.mark.parametrize("end", ["", "/", "/**", "/robot=*/*/*.parquet"])
 def test_folders_and_globs_find_the_logs(store: str, end: str) -> None:
     found = [str(path) for path in expand([store + end], stored=True)]
-    assert [path.partition("/date")[0] for path in found] == [f"{store}/robot=r{k}" for k in (0, 1)]
+    assert [path.partition("/date")[0] for path in found] == [
+        f"{store}/robot=r{k}" for k in (0, 1)
+    ]
     one = f"{store}/readme.txt"  # whatever its suffix
     assert [str(path) for path in expand([one], stored=True)] == [one]
 
 
-def test_the_result_is_that_of_local_logs(store: str, tmp_path: Path, capsys: Captured) -> None:
+def test_the_result_is_that_of_local_logs(
+    store: str, tmp_path: Path, capsys: Captured
+) -> None:
     found = []
     for logs in (str(RIG / "inertia"), store):
         assert run(["inertia", logs, *GIVEN, "--json"]) == 0
@@ -68,7 +83,9 @@ def test_the_result_is_that_of_local_logs(store: str, tmp_path: Path, capsys: Ca
     assert [name.partition("=")[0] for name in named] == ["memory://lab/robot"] * 2
     for stage in found:  # notes and verdicts name the logs
         del stage["motion"], stage["motion_use"]
-    local, stored = (re.sub(r"[^\s\"']+\.parquet", "", json.dumps(stage)) for stage in found)
+    local, stored = (
+        re.sub(r"[^\s\"']+\.parquet", "", json.dumps(stage)) for stage in found
+    )
     assert local == stored
     options = identify.RigidOptions(source="encoder")
     file = identify.inertia(store, GIVEN[1], GIVEN[3], options, output=tmp_path / "o")
@@ -76,22 +93,34 @@ def test_the_result_is_that_of_local_logs(store: str, tmp_path: Path, capsys: Ca
 
 
 def test_damage_has_the_name_of_the_object(store: str, capsys: Captured) -> None:
-    fsspec.filesystem("memory").pipe_file("/lab/robot=r1/bad.parquet", b"PAR1" + b"\0" * 50)
+    fsspec.filesystem("memory").pipe_file(
+        "/lab/robot=r1/bad.parquet", b"PAR1" + b"\0" * 50
+    )
     assert run(["inertia", store, *GIVEN]) == 2
     told = capsys.readouterr().err
-    assert "error: memory://lab/robot=r1/bad.parquet: the Parquet file is cut short" in told
+    assert (
+        "error: memory://lab/robot=r1/bad.parquet: the Parquet file is cut short"
+        in told
+    )
     assert run(["inertia", store, *GIVEN, "--skip-failed"]) == 3
     assert "left out: memory://lab/robot=r1/bad.parquet: " in capsys.readouterr().err
 
 
-def test_a_long_log_keeps_its_copy(store: str, monkeypatch: Patch, capsys: Captured) -> None:
+def test_a_long_log_keeps_its_copy(
+    store: str, monkeypatch: Patch, capsys: Captured
+) -> None:
     monkeypatch.setattr(inertia, "open_if_long", partial(open_if_long, least=1))
     assert run(["inertia", store, *GIVEN, "--json"]) == 0
     stage = json.loads(capsys.readouterr().out)["stages"]["inertia"]
-    assert [use["log"].split("/")[3] for use in stage["motion_use"]] == ["robot=r0", "robot=r1"]
+    assert [use["log"].split("/")[3] for use in stage["motion_use"]] == [
+        "robot=r0",
+        "robot=r1",
+    ]
 
 
-def test_what_is_not_there_and_what_reads_local_files_only(store: str, capsys: Captured) -> None:
+def test_what_is_not_there_and_what_reads_local_files_only(
+    store: str, capsys: Captured
+) -> None:
     for url in (f"{store}/none", f"{store}/*.mcap"):
         with pytest.raises(InputError, match="no log at this place") as caught:
             expand([url], stored=True)
@@ -99,7 +128,9 @@ def test_what_is_not_there_and_what_reads_local_files_only(store: str, capsys: C
     with pytest.raises(InputError, match="does not exist"):
         local_copy(StoredLog(f"{store}/none.parquet")).__enter__()
     assert run(["inspect", store, *GIVEN[:2]]) == 2
-    assert "on object storage, which this command does not read" in capsys.readouterr().err
+    assert (
+        "on object storage, which this command does not read" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.parametrize(
@@ -124,7 +155,9 @@ class NoCredentialsError(Exception):
     """As the library of S3 has it, which is not needed here."""
 
 
-def test_a_refusing_store_is_told_once(store: str, monkeypatch: Patch, capsys: Captured) -> None:
+def test_a_refusing_store_is_told_once(
+    store: str, monkeypatch: Patch, capsys: Captured
+) -> None:
     def refuse(*arguments: object, **named: object) -> None:
         raise NoCredentialsError("Unable to locate credentials")
 
@@ -132,6 +165,9 @@ def test_a_refusing_store_is_told_once(store: str, monkeypatch: Patch, capsys: C
     assert run(["inertia", store, *GIVEN, "--skip-failed"]) == 2
     told = capsys.readouterr().err
     assert told.count("refuses access") == 1
-    assert ".parquet: the store refuses access (NoCredentialsError: Unable to locate" in told
+    assert (
+        ".parquet: the store refuses access (NoCredentialsError: Unable to locate"
+        in told
+    )
     with pytest.raises(ConfigError):
         local_copy(StoredLog(f"{store}/1.parquet")).__enter__()

@@ -63,7 +63,9 @@ SPELLINGS |= {
     "quotes": text(ROWS, ",".join(f'"{name}"' for name in NAMES)),
     "spaces": text(ROWS, ", ".join(NAMES)),
     "delimiter at the end": text([row + "," for row in ROWS]),
-    "delimiter at the end of the names": text([row + "," for row in ROWS], HEADER + ","),
+    "delimiter at the end of the names": text(
+        [row + "," for row in ROWS], HEADER + ","
+    ),
     "latin-1": beside("20", "temp [\xb0C]").decode().encode("latin-1"),
     "texts": beside("moving", "state"),
     "empty columns": beside(",0.1", "shoulder.velocity,gripper.position"),
@@ -75,7 +77,11 @@ def test_every_spelling_gives_the_same(tmp_path: Path, content: bytes) -> None:
     recording = read(tmp_path, content)
     np.testing.assert_array_equal(recording.q, MOTION.q)
     assert recording.dq is None
-    assert (recording.format, recording.partial, recording.health.warnings) == ("csv", "", ())
+    assert (recording.format, recording.partial, recording.health.warnings) == (
+        "csv",
+        "",
+        (),
+    )
 
 
 WORDS = ("", "nan", "NaN", "-nan", "null", "None", "inf", "1e400", "NA", "9" * 400)
@@ -92,7 +98,9 @@ def test_missing_values_and_too_large_numbers(tmp_path: Path, word: str) -> None
 
 
 START = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)
-WHOLE_NS = (np.rint(MOTION.t * 1e9).astype(np.int64) + 1_700_000_000_000_000_000).tolist()
+WHOLE_NS = (
+    np.rint(MOTION.t * 1e9).astype(np.int64) + 1_700_000_000_000_000_000
+).tolist()
 SECONDS = [repr(float(t)) for t in MOTION.t]
 CLOCK = [START + dt.timedelta(seconds=float(t)) for t in MOTION.t]
 TIMES = {
@@ -101,13 +109,17 @@ TIMES = {
     "time_ms": [str(round(t * 1e3)) for t in MOTION.t],
     "t_us": [str(round(t * 1e6)) for t in MOTION.t],
     "timestamp [ns]": [str(round(t * 1e9)) for t in MOTION.t],
-    "header.stamp.sec,header.stamp.nanosec": [f"{ns // 10**9},{ns % 10**9}" for ns in WHOLE_NS],
+    "header.stamp.sec,header.stamp.nanosec": [
+        f"{ns // 10**9},{ns % 10**9}" for ns in WHOLE_NS
+    ],
 }
 
 
 @pytest.mark.parametrize("name", TIMES)
 def test_names_and_units_of_time(tmp_path: Path, name: str) -> None:
-    rows = [f"{t},{row.split(',', 1)[1]}" for t, row in zip(TIMES[name], ROWS, strict=True)]
+    rows = [
+        f"{t},{row.split(',', 1)[1]}" for t, row in zip(TIMES[name], ROWS, strict=True)
+    ]
     recording = read(tmp_path, text(rows, ",".join([name, *NAMES[1:]])))
     np.testing.assert_allclose(recording.t, MOTION.t, atol=2e-6)
     np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-5)
@@ -118,8 +130,13 @@ def test_names_and_units_of_time(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("pattern", ["a_{index}", "actual_q_{index0}", "{name}/pos"])
 def test_names_of_the_robot_file_win(tmp_path: Path, pattern: str) -> None:
-    each = (pattern.format(name=name, index=k + 1, index0=k) for k, name in enumerate(JOINTS))
-    content = text([row + ",9.0" for row in ROWS], ",".join(["clock", *each, "shoulder.position"]))
+    each = (
+        pattern.format(name=name, index=k + 1, index0=k)
+        for k, name in enumerate(JOINTS)
+    )
+    content = text(
+        [row + ",9.0" for row in ROWS], ",".join(["clock", *each, "shoulder.position"])
+    )
     recording = read(tmp_path, content, Channels(time="clock", position=pattern))
     np.testing.assert_array_equal(recording.q, MOTION.q)
     with pytest.raises(InputError, match="b_1"):
@@ -127,7 +144,9 @@ def test_names_of_the_robot_file_win(tmp_path: Path, pattern: str) -> None:
 
 
 @pytest.mark.parametrize("torque", ["{}.torque", "effort.{}", "{}/tau"])
-def test_what_the_robot_file_leaves_out_is_found_by_name(tmp_path: Path, torque: str) -> None:
+def test_what_the_robot_file_leaves_out_is_found_by_name(
+    tmp_path: Path, torque: str
+) -> None:
     header = ["t", "enc_0", "enc_1", "enc_2", *(torque.format(name) for name in JOINTS)]
     content = text(lines(table=np.column_stack([TABLE, MOTION.tau])), ",".join(header))
     recording = read(tmp_path, content, Channels(position="enc_{index0}"))
@@ -155,25 +174,37 @@ def test_libfranka_names_with_time_in_seconds_are_noticed(tmp_path: Path) -> Non
 
 def test_columns_without_names_are_read_by_their_numbers(tmp_path: Path) -> None:
     content = "\n".join([*ROWS, ""]).encode()
-    with pytest.raises(InputError, match="has no line of names: its columns are numbered 1 to 4"):
+    with pytest.raises(
+        InputError, match="has no line of names: its columns are numbered 1 to 4"
+    ):
         read(tmp_path, content)
-    for columns, order in (((2, 3, 4), slice(None)), ((4, 3, 2), slice(None, None, -1))):
+    for columns, order in (
+        ((2, 3, 4), slice(None)),
+        ((4, 3, 2), slice(None, None, -1)),
+    ):
         recording = read(tmp_path, content, Channels(time=1, position=columns))
         np.testing.assert_array_equal(recording.q, MOTION.q[:, order])
 
 
-def test_lines_left_out_are_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_lines_left_out_are_told(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     recording = read(tmp_path, text(ROWS)[:-5])
     np.testing.assert_array_equal(recording.q, MOTION.q[:-1])
     assert recording.partial == ""
     assert any("may be cut short" in warning for warning in recording.health.warnings)
     recording = read(tmp_path, text([*ROWS[:-1], ROWS[-1].split(",")[0] + ",0.1"]))
     assert len(recording.t) == 199
-    assert recording.partial == "line 201 has 2 fields, the header 4; 1 of 200 lines were left out"
+    assert (
+        recording.partial
+        == "line 201 has 2 fields, the header 4; 1 of 200 lines were left out"
+    )
     parts = text(ROWS).split(b"\n")
     parts[20] = b"\xff\xfe\xbe"
     recording = read(tmp_path, b"\n".join(parts))
-    assert recording.partial.startswith("line 21 has 1 fields, the header 4; 1 of 200 lines")
+    assert recording.partial.startswith(
+        "line 21 has 1 fields, the header 4; 1 of 200 lines"
+    )
     np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-6)
     assert capfd.readouterr() == ("", "")
 
@@ -182,17 +213,37 @@ NUL = text(ROWS)[:3000] + b"\0" * 50 + text(ROWS)[3000:]
 FAULT = "'fault' is no number"
 REFUSED = [
     (text([row.replace(".", ",") for row in ROWS]), "decimal commas", "semicolons"),
-    (text(changed(0, {99: "later"})), "line 101, column 't': 'later' is no number", "Correct"),
-    (text(changed(2, {40: "fault"})), f"line 42, column 'elbow.position': {FAULT}", "Correct"),
-    (text(["\n", *changed(2, {40: "fault"})]), f"line 44, column 'elbow.position': {FAULT}", ""),
+    (
+        text(changed(0, {99: "later"})),
+        "line 101, column 't': 'later' is no number",
+        "Correct",
+    ),
+    (
+        text(changed(2, {40: "fault"})),
+        f"line 42, column 'elbow.position': {FAULT}",
+        "Correct",
+    ),
+    (
+        text(["\n", *changed(2, {40: "fault"})]),
+        f"line 44, column 'elbow.position': {FAULT}",
+        "",
+    ),
     (
         text([row + ",1.0" * (i in (10, 50, 90)) for i, row in enumerate(ROWS)]),
         "line 12 has 5 fields, the header 4; so do 3 of 200",
         "as many fields",
     ),
     (text(ROWS, "time,a,b,c"), "no column", "[channels]"),
-    (text([row + ",0" for row in ROWS], ",".join(["time", *NAMES[1:], "stamp"])), "or stamp", ""),
-    (beside("0.0", "elbow.position"), "'elbow.position' is there 2 times", "a name of its own"),
+    (
+        text([row + ",0" for row in ROWS], ",".join(["time", *NAMES[1:], "stamp"])),
+        "or stamp",
+        "",
+    ),
+    (
+        beside("0.0", "elbow.position"),
+        "'elbow.position' is there 2 times",
+        "a name of its own",
+    ),
     (NUL, f"line {text(ROWS)[:3000].count(10) + 1} holds NUL bytes", "tr -d"),
     (text(ROWS).decode().encode("utf-16"), "UTF-16", "iconv"),
     (text(ROWS) + b"1," * (20 << 20), "a line is longer than 8 MB", "line feed"),

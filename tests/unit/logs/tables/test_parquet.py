@@ -1,4 +1,6 @@
-"""Parquet logs: names, types, lists, episodes that are never joined, missing values, damage."""
+"""Parquet logs: names, types, lists, episodes that are never joined, missing values,
+damage.
+"""
 
 import datetime as dt
 import json
@@ -16,7 +18,15 @@ from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robot.types import Channels
 from tests.unit.logs import samples
 from tests.unit.logs.format_writers import Data, lerobot_table
-from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, curve, grid, make_motion, make_robot
+from tests.unit.logs.samples import (
+    ARRAY,
+    GYRO,
+    JOINTS,
+    curve,
+    grid,
+    make_motion,
+    make_robot,
+)
 
 MOTION = make_motion(grid())
 LISTS = pa.list_(pa.float32())
@@ -33,19 +43,27 @@ def read(folder: Path, columns: Table, channels: Channels | None = None) -> Reco
     path = folder / "log.parquet"
     pq.write_table(pa.table(columns), path)
     imus = (ARRAY, GYRO)
-    robot = make_robot(constants=[0.1, 0.2, 0.3], gear_ratio=10.0, channels=channels, imus=imus)
+    robot = make_robot(
+        constants=[0.1, 0.2, 0.3], gear_ratio=10.0, channels=channels, imus=imus
+    )
     return read_recording(path, robot)
 
 
 def warned(recording: Recording, *words: str) -> bool:
-    return any(all(word in text for word in words) for text in recording.health.warnings)
+    return any(
+        all(word in text for word in words) for text in recording.health.warnings
+    )
 
 
 def test_default_names(tmp_path: Path) -> None:
-    path = samples.write_motion(tmp_path / "log.parquet", MOTION, temperature=MOTION.q + 30.0)
+    path = samples.write_motion(
+        tmp_path / "log.parquet", MOTION, temperature=MOTION.q + 30.0
+    )
     recording = read_recording(path, make_robot(imus=(ARRAY, GYRO)))
     found = (recording.q, recording.dq, recording.tau, recording.temperature)
-    np.testing.assert_array_equal(found, (MOTION.q, MOTION.dq, MOTION.tau, MOTION.q + 30.0))
+    np.testing.assert_array_equal(
+        found, (MOTION.q, MOTION.dq, MOTION.tau, MOTION.q + 30.0)
+    )
     for imu, values in MOTION.accelerometers.items():
         np.testing.assert_array_equal(recording.accelerometers[imu], values)
     np.testing.assert_array_equal(recording.gyros["hand"], MOTION.gyros["hand"])
@@ -97,7 +115,9 @@ def test_integer_decimal_and_nested_columns(tmp_path: Path) -> None:
     columns = {"t": MOTION.t, "elbow": [{"position": int(k)} for k in counts]}
     columns |= {"wrist": pa.StructArray.from_arrays([wrist], ["position"])}
     columns |= {"shoulder.position": shoulder}
-    np.testing.assert_array_equal(read(tmp_path, columns).q, np.tile(counts[:, None], (1, 3)))
+    np.testing.assert_array_equal(
+        read(tmp_path, columns).q, np.tile(counts[:, None], (1, 3))
+    )
 
 
 TWICE = pa.StructArray.from_arrays([pa.array(MOTION.t)] * 2, ["position"] * 2)
@@ -111,11 +131,19 @@ OTHERS = "neither torque nor current of joint shoulder, wrist, but of others"
             ({"elbow.position": [value] * 200}, None, "elbow.position")
             for value in ("a", dt.date(2026, 1, 1), [1.0], True)
         ),
-        ({"elbow.position": None, "Elbow.positions": MOTION.t}, None, "Elbow.positions"),
+        (
+            {"elbow.position": None, "Elbow.positions": MOTION.t},
+            None,
+            "Elbow.positions",
+        ),
         ({"elbow": TWICE}, None, "'elbow.position' is there"),
         ({}, Channels(current="i_{index}"), "'i_1'"),
         ({"elbow.torque": MOTION.t}, None, OTHERS),
-        (dict.fromkeys(COLUMNS, pa.array([], pa.float64())), None, ": 0 samples, all without it"),
+        (
+            dict.fromkeys(COLUMNS, pa.array([], pa.float64())),
+            None,
+            ": 0 samples, all without it",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_refused(
@@ -147,18 +175,28 @@ def test_torque_wins_unless_current_is_declared(
 
 
 FORMS = [
-    (f"hand{mark}a{{}}", f"hand{mark}g{{}}", ends) for mark in "./_" for ends in ("xyz", "123")
+    (f"hand{mark}a{{}}", f"hand{mark}g{{}}", ends)
+    for mark in "./_"
+    for ends in ("xyz", "123")
 ]
 FORMS += [
-    (f"{stem}linear_acceleration{stem[-1]}{{}}", f"{stem}angular_velocity{stem[-1]}{{}}", "xyz")
+    (
+        f"{stem}linear_acceleration{stem[-1]}{{}}",
+        f"{stem}angular_velocity{stem[-1]}{{}}",
+        "xyz",
+    )
     for stem in ("hand.", "hand/", "/hand/data/")
 ]
 
 
 @pytest.mark.parametrize(("accelerometer", "gyro", "ends"), FORMS)
-def test_names_of_imus(tmp_path: Path, accelerometer: str, gyro: str, ends: str) -> None:
+def test_names_of_imus(
+    tmp_path: Path, accelerometer: str, gyro: str, ends: str
+) -> None:
     a, w = MOTION.accelerometers["hand"], MOTION.gyros["hand"]
-    columns = COLUMNS | {accelerometer.format(end): a[:, k] for k, end in enumerate(ends)}
+    columns = COLUMNS | {
+        accelerometer.format(end): a[:, k] for k, end in enumerate(ends)
+    }
     columns |= {gyro.format(axis): w[:, k] for k, axis in enumerate("xyz")}
     recording = read(tmp_path, columns)
     assert list(recording.accelerometers) == ["hand"]
@@ -179,7 +217,9 @@ def test_missing_values_are_bridged_or_marked(tmp_path: Path) -> None:
     elbow: list[float | None] = list(MOTION.q[:, 1])
     elbow[20:22] = [None, float("nan")]
     elbow[100:130] = [None] * 30
-    recording = read(tmp_path, COLUMNS | {"elbow.position": pa.array(elbow, pa.float64())})
+    recording = read(
+        tmp_path, COLUMNS | {"elbow.position": pa.array(elbow, pa.float64())}
+    )
     np.testing.assert_array_equal(np.flatnonzero(~recording.valid), np.arange(100, 130))
     valid = recording.valid
     np.testing.assert_allclose(recording.q[valid], MOTION.q[valid], atol=1e-6)
@@ -191,7 +231,9 @@ def test_optional_channel_of_some_joints(tmp_path: Path) -> None:
     names = ("velocity", "load", "temperature")
     recording = read(tmp_path, COLUMNS | {f"elbow.{name}": own for name in names})
     for name in ("velocity", "load"):
-        assert warned(recording, f"{name} is logged for some joints only; it is left out")
+        assert warned(
+            recording, f"{name} is logged for some joints only; it is left out"
+        )
     assert recording.dq is recording.load is None
     assert recording.valid.all()
     assert np.isnan(recording.temperature[:, [0, 2]]).all()
@@ -251,10 +293,15 @@ MOTORS = ["wrist", "shoulder", "gripper", "elbow"]
     [
         ([f"{name}.pos" for name in MOTORS], ORDER),
         ({"motors": MOTORS}, ORDER),
-        *((names, [0, 1, 2]) for names in (None, 7, ["a", "b"], [["a"]], {"x": [], "y": []})),
+        *(
+            (names, [0, 1, 2])
+            for names in (None, 7, ["a", "b"], [["a"]], {"x": [], "y": []})
+        ),
     ],
 )
-def test_joints_are_matched_by_names(tmp_path: Path, names: object, columns: list[int]) -> None:
+def test_joints_are_matched_by_names(
+    tmp_path: Path, names: object, columns: list[int]
+) -> None:
     recording = read_set(tmp_path, names, 4)
     np.testing.assert_allclose(recording.q, curve(MOTION.t, 4)[:, columns], atol=1e-6)
     assert warned(recording, "in the order of the robot file") == (columns != ORDER)
@@ -266,12 +313,16 @@ def test_lists_of_another_length_are_refused(tmp_path: Path) -> None:
     rows = [row.tolist() for row in MOTION.q]
     rows[17] = rows[17][:2]
     table = {"t": MOTION.t, "observation.state": pa.array(rows, LISTS)}
-    with pytest.raises(InputError, match=r"row 18: 'observation\.state' holds 2 values") as caught:
+    with pytest.raises(
+        InputError, match=r"row 18: 'observation\.state' holds 2 values"
+    ) as caught:
         read(tmp_path, table)
     assert caught.value.hint
 
 
-@pytest.mark.parametrize("kind", [LISTS, pa.list_(pa.float64(), 3), pa.large_list(pa.float64())])
+@pytest.mark.parametrize(
+    "kind", [LISTS, pa.list_(pa.float64(), 3), pa.large_list(pa.float64())]
+)
 def test_missing_lists_and_values(tmp_path: Path, kind: pa.DataType) -> None:
     rows: list[object] = [row.tolist() for row in MOTION.q]
     rows[0] = None

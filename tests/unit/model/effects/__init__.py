@@ -1,1 +1,3 @@
-"""Effects: their columns, and that their parameters come back from torque made another way."""
+"""Effects: their columns, and that their parameters come back from torque made another
+way.
+"""

@@ -15,7 +15,8 @@ from tests import Array
 from tests.plants.robots.two_joint import SIGN_WIDTH
 from tests.unit.model.effects.scenes import motion_of, scene_of, wander
 
-Law = Callable[[Array, Array, Array], Array]  # t (N,), q (N, n), dq (N, n) -> torque (N, n)
+# t (N,), q (N, n), dq (N, n) -> torque (N, n)
+Law = Callable[[Array, Array, Array], Array]
 
 FINE_HZ, STEP = 2400.0, 10
 SHARPENED = 4  # times at most that settings are moved
@@ -36,7 +37,8 @@ def trial(
     start: float = 0.0,
     noise: float = 0.05,
 ) -> Scene:
-    """Add a law to the model's torque, of the true motion; a scene sees it filtered and decimated.
+    """Add a law to the model's torque, of the true motion; a scene sees it filtered and
+    decimated.
 
     The scene's direction and rest are those of the filtered motion.
     """
@@ -49,10 +51,14 @@ def trial(
     assert motion.tau is not None
     plain = scene_of(motion.q, log=seed, start=start, shared_clock=True)
     scene = replace(plain, motion=motion)
-    return replace(scene, motion=replace(motion, tau=scene.modelled_filtered + motion.tau))
+    return replace(
+        scene, motion=replace(motion, tau=scene.modelled_filtered + motion.tau)
+    )
 
 
-def trials(law: Law, logs: int = 2, *, noise: float = 0.05, top_hz: float = 0.8) -> list[Scene]:
+def trials(
+    law: Law, logs: int = 2, *, noise: float = 0.05, top_hz: float = 0.8
+) -> list[Scene]:
     """Return logs of the two-joint arm with a law's torque."""
     return [trial(law, seed=k, noise=noise, top_hz=top_hz) for k in range(logs)]
 
@@ -61,7 +67,9 @@ def moved_by(scene: Scene, truth: TorqueModel) -> Scene:
     """Return the scene with the rigid torque of another model in what it measured."""
     motion = scene.motion
     extra = truth.rigid(motion.q, motion.dq, motion.ddq) - scene.rigid
-    return replace(scene, motion=replace(motion, tau=motion.tau + motion.filtered(extra)))
+    return replace(
+        scene, motion=replace(motion, tau=motion.tau + motion.filtered(extra))
+    )
 
 
 def left_over(scene: Scene) -> Array:
@@ -81,7 +89,8 @@ def fitted(
     settings: Settings,
     free: Sequence[str] = (),
 ) -> tuple[Array, float]:
-    """Coefficients (k,) by least squares, and the RMS of what is left on the touched joints.
+    """Coefficients (k,) by least squares, and the RMS of what is left on the touched
+    joints.
 
     Beside the effect the direction, velocity or offset of each joint are `free`.
     """
@@ -92,7 +101,9 @@ def fitted(
             terms = {"direction": scene.sign[:, j], "velocity": scene.motion.dq[:, j]}
             terms["offset"] = np.ones(scene.samples)
             base = [scene.motion.filtered(terms[name][:, None], 2) for name in free]
-            X.append(np.hstack([scene.motion.filtered(column, effect.passes), *base])[rows])
+            X.append(
+                np.hstack([scene.motion.filtered(column, effect.passes), *base])[rows]
+            )
             y.append(residual[rows, j])
     A, b = np.concatenate(X), np.concatenate(y)
     c = np.linalg.lstsq(A, b, rcond=None)[0]
@@ -102,7 +113,9 @@ def fitted(
 def fit(
     effect: Effect, scenes: Sequence[Scene], joint: int, *, offset: bool = True
 ) -> tuple[Settings, Array]:
-    """Search the grid, then between its points; direction, velocity and offset are free."""
+    """Search the grid, then between its points; direction, velocity and offset are
+    free.
+    """
     free = ("direction", "velocity", "offset")[: 2 + offset]
     silence = [np.zeros_like(scene.motion.q) for scene in scenes]
 
@@ -115,13 +128,19 @@ def fit(
     def moved(x: Array) -> Settings:
         settings = dict(best)
         for one, shift in zip(between, x - 1.0, strict=True):
-            value = best[one.name] * np.exp(shift) if one.logarithmic else best[one.name] + shift
+            value = (
+                best[one.name] * np.exp(shift)
+                if one.logarithmic
+                else best[one.name] + shift
+            )
             settings[one.name] = float(np.clip(value, one.low, one.high))
         return settings
 
     if between:
         start, within = np.ones(len(between)), {"xatol": 1e-3, "fatol": 1e-6}
-        search = minimize(lambda x: left(moved(x)), start, method="Nelder-Mead", options=within)
+        search = minimize(
+            lambda x: left(moved(x)), start, method="Nelder-Mead", options=within
+        )
         best = dict(moved(search.x))
     return best, fitted(effect, scenes, joint, best, free)[0]
 
@@ -131,8 +150,9 @@ def best_fitted(
 ) -> tuple[Mapping[str, float], Array, float]:
     """Return the best plausible settings, their coefficients, and the RMS of the rest.
 
-    Settings are the grid's, and then those to which the effect sharpens them: the first time in any
-    case where the grid's columns are of first order, then while that leaves less.
+    Settings are the grid's, and then those to which the effect sharpens them: the first
+    time in any case where the grid's columns are of first order, then while that leaves
+    less.
     """
     grid = effect.grid(scenes, joint, [left_over(scene) for scene in scenes])
     tried = [(*fitted(effect, scenes, joint, settings), settings) for settings in grid]
@@ -144,7 +164,9 @@ def best_fitted(
             break
         again, left = fitted(effect, scenes, joint, nearer)
         stands = number == 0 and effect.first_order
-        if not effect.plausible(scenes, joint, nearer, again) or not (stands or left < rms):
+        if not effect.plausible(scenes, joint, nearer, again) or not (
+            stands or left < rms
+        ):
             break
         c, rms, settings = again, left, nearer
     return settings, c, rms

@@ -32,29 +32,39 @@ def wander(
 ) -> Array:
     """Return smooth random positions (N, 2) rad.
 
-    All joints stand still together during `rests` (from, to) s, and those in `still` always; the
-    motion sets in and dies away within half a second.
+    All joints stand still together during `rests` (from, to) s, and those in `still`
+    always; the motion sets in and dies away within half a second.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * rate_hz)) / rate_hz
     pace = np.ones_like(t)
     for begin, end in rests:
-        pace *= 1.0 - 0.25 * (1 + np.tanh((t - begin) / 0.1)) * (1 - np.tanh((t - end) / 0.1))
+        pace *= 1.0 - 0.25 * (1 + np.tanh((t - begin) / 0.1)) * (
+            1 - np.tanh((t - end) / 0.1)
+        )
     pace[pace < 1e-6] = 0.0
     phase = np.cumsum(pace) / rate_hz
     omega = 2 * np.pi * rng.uniform(0.08, top_hz, size=(6, 2))
     weight = rng.normal(size=(6, 2)) / omega
     weight /= np.sqrt(np.sum(weight**2, axis=0))
     angle = rng.uniform(0, 2 * np.pi, size=(6, 2))
-    q: Array = amplitude * np.sum(weight * np.sin(omega * phase[:, None, None] + angle), axis=1)
+    q: Array = amplitude * np.sum(
+        weight * np.sin(omega * phase[:, None, None] + angle), axis=1
+    )
     q[:, list(still)] = q[:1, list(still)]
     return q
 
 
 def motion_of(
-    q: Array, *, rate_hz: float = RATE_HZ, cutoff_hz: float = CUTOFF_HZ, tau: Array | None = None
+    q: Array,
+    *,
+    rate_hz: float = RATE_HZ,
+    cutoff_hz: float = CUTOFF_HZ,
+    tau: Array | None = None,
 ) -> Motion:
-    """Wrap positions q (N, n): low-passed once, differentiated; raw torque tau twice low-passed."""
+    """Wrap positions q (N, n): low-passed once, differentiated; raw torque tau twice
+    low-passed.
+    """
     lowpass = Lowpass(cutoff_hz, rate_hz)
     smooth = lowpass(q)
     dq, ddq = differentiate(smooth, rate_hz)
@@ -62,7 +72,9 @@ def motion_of(
     usable[2 * lowpass.settling : -2 * lowpass.settling] = True
     torque = None if tau is None else lowpass(lowpass(tau))
     moving = np.abs(dq) > 1e-3
-    return made_motion(smooth, dq, ddq, lowpass, tau=torque, moving=moving, usable=usable)
+    return made_motion(
+        smooth, dq, ddq, lowpass, tau=torque, moving=moving, usable=usable
+    )
 
 
 def scene_of(
@@ -75,7 +87,9 @@ def scene_of(
     shared_clock: bool = False,
     temperature: Array | None = None,
 ) -> Scene:
-    """Return the scene of positions q (N, n), its measured torque being the model's own."""
+    """Return the scene of positions q (N, n), its measured torque being the model's
+    own.
+    """
     robot = robot or two_joint_robot()
     motion = motion_of(q)
     scene = Scene(
@@ -99,12 +113,18 @@ def scenes_of_logs() -> list[Scene]:
         q, start = wander(20.0, seed=number), 300.0 * number
         warm = 40.0 - 15.0 * np.exp(-(start + np.arange(len(q)) / RATE_HZ) / 400.0)
         heat = np.stack([warm, 0.5 * warm + 12.0], axis=1)
-        scenes.append(scene_of(q, log=number, start=start, shared_clock=True, temperature=heat))
+        scenes.append(
+            scene_of(q, log=number, start=start, shared_clock=True, temperature=heat)
+        )
     return scenes
 
 
-def settings_of(effect: Effect, scenes: Sequence[Scene], joint: int | None) -> list[Settings]:
-    """Return the grid of an effect; its residual is what the effect itself need not know, noise."""
+def settings_of(
+    effect: Effect, scenes: Sequence[Scene], joint: int | None
+) -> list[Settings]:
+    """Return the grid of an effect; its residual is what the effect itself need not
+    know, noise.
+    """
     rng = np.random.default_rng(1)
     residual = [s.motion.filtered(rng.normal(size=s.motion.q.shape)) for s in scenes]
     return list(effect.grid(scenes, joint, residual))

@@ -1,4 +1,6 @@
-"""Effects and smooth terms of a parameter file: restored exactly, put on any log, taken out."""
+"""Effects and smooth terms of a parameter file: restored exactly, put on any log, taken
+out.
+"""
 
 from dataclasses import replace
 
@@ -15,7 +17,12 @@ from seqid_cli.model.effects.apply import (
     session_of,
     without_effects,
 )
-from seqid_cli.model.effects.fitted import FittedEffect, as_stage, effect_notes, fitted_effects
+from seqid_cli.model.effects.fitted import (
+    FittedEffect,
+    as_stage,
+    effect_notes,
+    fitted_effects,
+)
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis, SmoothTerm
@@ -42,20 +49,28 @@ def logs() -> list[Scene]:
     return scenes_of_logs()
 
 
-def fitted(name: str, joint: int | None, c: list[float], **settings: float) -> FittedEffect:
-    return FittedEffect(CATALOGUE[name], joint, settings, np.array(c), 1e-4 * np.eye(len(c)))
+def fitted(
+    name: str, joint: int | None, c: list[float], **settings: float
+) -> FittedEffect:
+    return FittedEffect(
+        CATALOGUE[name], joint, settings, np.array(c), 1e-4 * np.eye(len(c))
+    )
 
 
 def stribeck(level: float = 1.0) -> FittedEffect:
     return fitted("stribeck", 0, [level], stribeck_speed=0.1, exponent=2.0)
 
 
-def recording_of(q: Array, tau: Array | None, sha256: str = "a", start: float = 0.0) -> Recording:
+def recording_of(
+    q: Array, tau: Array | None, sha256: str = "a", start: float = 0.0
+) -> Recording:
     return made_recording(q, tau, rate_hz=RATE_HZ, sha256=sha256, start=start)
 
 
 def through_a_file(*effects: EffectOfJoint) -> Stages:
-    return msgspec.json.decode(msgspec.json.encode(Stages(effects=list(effects))), type=Stages)
+    return msgspec.json.decode(
+        msgspec.json.encode(Stages(effects=list(effects))), type=Stages
+    )
 
 
 @pytest.mark.parametrize("name", sorted(set(CATALOGUE) - {"external_contact"}))
@@ -63,7 +78,9 @@ def test_a_file_restores_the_torque_exactly(name: str, logs: list[Scene]) -> Non
     """Whatever `values` makes of the coefficients."""
     effect = CATALOGUE[name]
     joint = None if effect.arm else 0
-    grid = settings_of(effect, logs, joint) or [{s.name: max(s.low, 0.5) for s in effect.settings}]
+    grid = settings_of(effect, logs, joint) or [
+        {s.name: max(s.low, 0.5) for s in effect.settings}
+    ]
     count = len(effect.coefficients(grid[-1]))
     c = 0.01 * np.random.default_rng(3).normal(size=count)
     given = FittedEffect(effect, joint, grid[-1], c, 1e-6 * np.eye(count), SESSION)
@@ -74,7 +91,9 @@ def test_a_file_restores_the_torque_exactly(name: str, logs: list[Scene]) -> Non
     np.testing.assert_array_equal(again, before)
 
 
-def test_coefficients_that_came_later_are_zero_in_earlier_files(logs: list[Scene]) -> None:
+def test_coefficients_that_came_later_are_zero_in_earlier_files(
+    logs: list[Scene],
+) -> None:
     """A cubic spring had no square."""
     now = fitted("spring", 0, [3.0, -0.5, 0.8, 0.0], cubic=1.0)
     earlier = as_stage(now, ROBOT)
@@ -83,17 +102,29 @@ def test_coefficients_that_came_later_are_zero_in_earlier_files(logs: list[Scene
     (restored,) = fitted_effects(through_a_file(earlier), ROBOT)
     assert restored.covariance.shape == (4, 4)
     assert not restored.covariance[3].any()
-    np.testing.assert_array_equal(effect_torque(logs[1], [restored]), effect_torque(logs[1], [now]))
+    np.testing.assert_array_equal(
+        effect_torque(logs[1], [restored]), effect_torque(logs[1], [now])
+    )
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"effect": "phlogiston"}, r"effects\[1\]\.effect: no effect named 'phlogiston'"),
-        ({"joint": None}, r"\.joint: stribeck is an effect of one joint"),
-        ({"joint": "knee"}, r"\.joint: 'knee' is none of the robot's joints: joint_1, joint_2"),
         (
-            {"effect": "payload", "settings": {"from_log": 0.0}, "coefficients": [0.0] * 10}
+            {"effect": "phlogiston"},
+            r"effects\[1\]\.effect: no effect named 'phlogiston'",
+        ),
+        ({"joint": None}, r"\.joint: stribeck is an effect of one joint"),
+        (
+            {"joint": "knee"},
+            r"\.joint: 'knee' is none of the robot's joints: joint_1, joint_2",
+        ),
+        (
+            {
+                "effect": "payload",
+                "settings": {"from_log": 0.0},
+                "coefficients": [0.0] * 10,
+            }
             | {"covariance": []},
             r"\.joint: payload is of the whole arm",
         ),
@@ -102,9 +133,18 @@ def test_coefficients_that_came_later_are_zero_in_earlier_files(logs: list[Scene
             {"settings": {"stribeck_speed": 0.1, "exponent": 2.0, "colour": 1.0}},
             r"settings\.colour: stribeck takes stribeck_speed, exponent",
         ),
-        ({"settings": {"stribeck_speed": -1.0, "exponent": 2.0}}, "must lie within .*, is -1.0"),
-        ({"settings": {"stribeck_speed": "fast", "exponent": 2.0}}, "must be a number, is 'fast'"),
-        ({"coefficients": [1.0, 2.0]}, r"\.coefficients: stribeck takes 1 numbers, has 2"),
+        (
+            {"settings": {"stribeck_speed": -1.0, "exponent": 2.0}},
+            "must lie within .*, is -1.0",
+        ),
+        (
+            {"settings": {"stribeck_speed": "fast", "exponent": 2.0}},
+            "must be a number, is 'fast'",
+        ),
+        (
+            {"coefficients": [1.0, 2.0]},
+            r"\.coefficients: stribeck takes 1 numbers, has 2",
+        ),
         ({"coefficients": [], "parameters": []}, r"\.coefficients: stribeck lacks"),
         ({"covariance": [[1.0, 0.0]]}, r"\.covariance: must have 1 rows of 1"),
     ],
@@ -122,7 +162,8 @@ UNCLOCKED = EffectSession(logs=["a", "b", "c"])
 @pytest.mark.parametrize(
     ("session", "sha256", "start", "expected"),
     [
-        (SESSION, "b", 5.0, (1, 100.0, True)),  # known by its contents, whatever its clock
+        # known by its contents, whatever its clock
+        (SESSION, "b", 5.0, (1, 100.0, True)),
         (SESSION, "x", 1.7e9 + 150.0, (1, 150.0, True)),
         (SESSION, "x", 1.7e9 - 50.0, (-1, -50.0, True)),
         (SESSION, "x", 1.7e9 + 900.0, (2, 900.0, True)),
@@ -156,10 +197,14 @@ def test_a_session_is_described_by_its_logs(logs: list[Scene]) -> None:
 
 
 def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
-    """Stribeck friction at the slowest speed, either way; a spring or an offset does not."""
+    """Stribeck friction at the slowest speed, either way; a spring or an offset does
+    not.
+    """
     scene = logs[0]
     log, slowest = recording_of(scene.motion.q, None), np.full(2, 0.02)
-    added = added_torque(scene, log, [stribeck(), fitted("torque_bias", 1, [3.0])], slowest)
+    added = added_torque(
+        scene, log, [stribeck(), fitted("torque_bias", 1, [3.0])], slowest
+    )
     held = np.exp(-0.04) * np.tanh(0.02 / SIGN_WIDTH)
     np.testing.assert_allclose(added.high[:, 0], held, rtol=1e-9)
     np.testing.assert_allclose(added.low, -added.high, atol=1e-12)
@@ -174,7 +219,11 @@ def test_a_recording_is_freed_of_its_effects() -> None:
     clean = scene.model.friction(q, dq)
     hump = np.exp(-((dq[:, 0] / 0.1) ** 2)) * np.tanh(dq[:, 0] / 0.01)
     dirty = clean + np.column_stack([hump + 0.3, 0.05 * clean[:, 1]])
-    effects = [stribeck(), fitted("torque_bias", 0, [0.3]), fitted("torque_constant", 1, [0.05])]
+    effects = [
+        stribeck(),
+        fitted("torque_bias", 0, [0.3]),
+        fitted("torque_constant", 1, [0.05]),
+    ]
     joints = {
         name: friction_joint(
             surface.positive,
@@ -190,7 +239,9 @@ def test_a_recording_is_freed_of_its_effects() -> None:
     usable = scene.motion.usable
     np.testing.assert_allclose(freed.tau[usable, 1], clean[usable, 1], atol=1e-9)
     left = freed.tau[usable, 0] - clean[usable, 0]
-    assert np.sqrt(np.mean(left**2)) < 0.05 * np.sqrt(np.mean((hump[usable] + 0.3) ** 2))
+    assert np.sqrt(np.mean(left**2)) < 0.05 * np.sqrt(
+        np.mean((hump[usable] + 0.3) ** 2)
+    )
     assert freed.q is q
 
 
@@ -224,12 +275,18 @@ def test_a_term_survives_the_file_and_counts_when_asked() -> None:
     assert len(fitted_effects(stages, ROBOT)) == 1
     back = fitted_effects(stages, ROBOT, unexplained=True)[1]
     parts = ("joint", "quantities", "axes", "factor")
-    assert [getattr(back, name) for name in parts] == [getattr(term, name) for name in parts]
-    np.testing.assert_array_equal(effect_torque(scene, [back])[:, 1], term.torques(scene)[1])
+    assert [getattr(back, name) for name in parts] == [
+        getattr(term, name) for name in parts
+    ]
+    np.testing.assert_array_equal(
+        effect_torque(scene, [back])[:, 1], term.torques(scene)[1]
+    )
     without, with_it = (effect_notes(stages, unexplained=x) for x in (False, True))
     assert without[0] == "effects in the prediction: stribeck (joint_1)"
     assert "--with-unexplained" in without[1]
-    assert with_it == ["effects in the prediction: stribeck (joint_1), unexplained (joint_2)"]
+    assert with_it == [
+        "effects in the prediction: stribeck (joint_1), unexplained (joint_2)"
+    ]
 
 
 @pytest.mark.parametrize(

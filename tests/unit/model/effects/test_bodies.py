@@ -19,7 +19,14 @@ from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.robots.two_joint import two_joint_robot
-from tests.unit.model.effects.fitting import Law, best_fitted, fitted, moved_by, rms_left, trials
+from tests.unit.model.effects.fitting import (
+    Law,
+    best_fitted,
+    fitted,
+    moved_by,
+    rms_left,
+    trials,
+)
 from tests.unit.model.effects.scenes import scene_of, wander
 
 MASS, AT = 2.5, np.array([0.05, -0.1, 0.15])  # kg, m
@@ -28,7 +35,9 @@ MASS, AT = 2.5, np.array([0.05, -0.1, 0.15])  # kg, m
 def point_mass() -> Array:
     """Inertial parameters of a small body, about the flange's origin."""
     I = MASS * (AT @ AT * np.eye(3) - np.outer(AT, AT))
-    return np.array([MASS, *(MASS * AT), I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]])
+    return np.array(
+        [MASS, *(MASS * AT), I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]]
+    )
 
 
 def test_mass_moment_and_log_come_back() -> None:
@@ -44,12 +53,16 @@ def test_mass_moment_and_log_come_back() -> None:
 
 
 def test_the_lean_comes_back() -> None:
-    """A true rotation of gravity by two degrees, of which the columns are the first order."""
+    """A true rotation of gravity by two degrees, of which the columns are the first
+    order.
+    """
     scene = scene_of(wander(15.0))
     axes = np.array(tilt_axes(scene.robot.gravity))
     lean = np.array([0.03, -0.02])
     turned = Rotation.from_rotvec(lean @ axes).apply(scene.robot.gravity)
-    seen = moved_by(scene, replace(scene.model, robot=replace(scene.robot, gravity=turned)))
+    seen = moved_by(
+        scene, replace(scene.model, robot=replace(scene.robot, gravity=turned))
+    )
     settings = {"upright": 0.0}
     c, rms = fitted(BaseTilt(), [seen], None, settings)
     assert c == pytest.approx(lean, rel=0.05)
@@ -68,7 +81,9 @@ def upright_robot() -> Robot:
 
 
 def test_the_first_links_moment_shows_once_its_axis_leans() -> None:
-    """Oracle: the rigid body with that moment, with gravity turned, less the same upright."""
+    """Oracle: the rigid body with that moment, with gravity turned, less the same
+    upright.
+    """
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 2))
     robot = upright_robot()
     assert first_joint_upright(robot)
@@ -98,17 +113,23 @@ K, REST, CUBIC = 12.0, 0.3, 4.0  # N m/rad, rad, N m/rad^3
 
 def of_energy(energy: Callable[[Array], Array]) -> Law:
     """Torque of the first joint as the slope of an energy of its angle, by differences."""
-    return lambda t, q, dq: (energy(q + 1e-4) - energy(q - 1e-4)) / 2e-4 * np.array([1.0, 0.0])
+    return lambda t, q, dq: (
+        (energy(q + 1e-4) - energy(q - 1e-4)) / 2e-4 * np.array([1.0, 0.0])
+    )
 
 
 @pytest.mark.parametrize("cubic", [0.0, 1.0])
 def test_stiffness_and_rest_come_back(cubic: float) -> None:
     scenes = trials(of_energy(lambda q: 0.5 * K * (q - REST) ** 2))
     c, rms = fitted(Spring(), scenes, 0, {"cubic": cubic})
-    values = Spring().values(scenes[0].robot, 0, {"cubic": cubic}, c, 1e-4 * np.eye(len(c)))
+    values = Spring().values(
+        scenes[0].robot, 0, {"cubic": cubic}, c, 1e-4 * np.eye(len(c))
+    )
     assert values[0].value == pytest.approx(K, rel=0.01)
     assert values[1].value == pytest.approx(REST, abs=0.01)
-    assert values[1].std_error == pytest.approx(1e-2 / K * np.hypot(1.0, REST), rel=0.05)
+    assert values[1].std_error == pytest.approx(
+        1e-2 / K * np.hypot(1.0, REST), rel=0.05
+    )
     assert rms < 0.05
 
 

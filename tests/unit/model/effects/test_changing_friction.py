@@ -50,11 +50,17 @@ def test_slopes_come_back_from_logged_temperature(trials: list[Scene]) -> None:
     assert c == pytest.approx([COULOMB_SLOPE, VISCOUS_SLOPE], rel=0.1)
 
 
-def test_a_change_is_counted_from_the_temperature_of_the_file(trials: list[Scene]) -> None:
-    """Friction was identified at 12 degC: even logs of one temperature are warmer than that."""
+def test_a_change_is_counted_from_the_temperature_of_the_file(
+    trials: list[Scene],
+) -> None:
+    """Friction was identified at 12 degC: even logs of one temperature are warmer than
+    that.
+    """
     scene = logged(trials[-1])
     warm = replace(scene, temperature=np.full((scene.samples, 2), 52.0))
-    surfaces = tuple(replace(surface, temperature=12.0) for surface in scene.model.surfaces)
+    surfaces = tuple(
+        replace(surface, temperature=12.0) for surface in scene.model.surfaces
+    )
     known = replace(warm, model=replace(scene.model, surfaces=surfaces))
     effect = ThermalFriction()
     assert {point["logged"] for point in effect.grid([warm], 0, [])} <= {0.0}
@@ -103,7 +109,9 @@ def test_logs_on_one_clock_cover_a_warm_up_together(trials: list[Scene]) -> None
 
 def test_a_logged_temperature_needs_no_time(trials: list[Scene]) -> None:
     effect, warm = ThermalFriction(), logged(trials[-1])
-    surfaces = tuple(replace(surface, temperature=12.0) for surface in warm.model.surfaces)
+    surfaces = tuple(
+        replace(surface, temperature=12.0) for surface in warm.model.surfaces
+    )
     known = replace(warm, model=replace(warm.model, surfaces=surfaces))
     (point,) = effect.grid([known], 0, [])
     assert point["logged"] == 1.0
@@ -125,9 +133,13 @@ def test_what_no_channel_tells_cannot_be_ruled_out() -> None:
     """Where file and logs know the temperature, and it is the same, it can."""
     short = scene_of(wander(10.0))
     known = replace(short, temperature=np.full((short.samples, 2), AMBIENT))
-    surfaces = [replace(surface, temperature=AMBIENT) for surface in short.model.surfaces]
+    surfaces = [
+        replace(surface, temperature=AMBIENT) for surface in short.model.surfaces
+    ]
     same = replace(known, model=replace(known.model, surfaces=surfaces))
-    possible = [ThermalFriction().possible([scene], 0) for scene in (short, known, same)]
+    possible = [
+        ThermalFriction().possible([scene], 0) for scene in (short, known, same)
+    ]
     assert possible == [True, True, False]
 
 
@@ -150,6 +162,8 @@ def test_the_change_comes_back(joint: int) -> None:
 def test_friction_that_nobody_knew_has_not_changed() -> None:
     scene = scene_of(wander(10.0))
     known = torque_model(scene.robot)
-    half = scene_of(wander(10.0), model=replace(known, surfaces=[known.surfaces[0], None]))
+    half = scene_of(
+        wander(10.0), model=replace(known, surfaces=[known.surfaces[0], None])
+    )
     assert FrictionChange().available([scene, half], 0)
     assert not FrictionChange().available([scene, half], 1)

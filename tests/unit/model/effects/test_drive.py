@@ -1,4 +1,6 @@
-"""Drive and measurement effects: parameters come back from torque distorted at a finer rate."""
+"""Drive and measurement effects: parameters come back from torque distorted at a finer
+rate.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +18,8 @@ from tests.plants.robots.two_joint import torque_model, two_joint_robot
 from tests.unit.model.effects.fitting import best_fitted, fitted, rms_left
 from tests.unit.model.effects.scenes import RATE_HZ, motion_of, scene_of, wander
 
-Distortion = Callable[[Array, Array], Array]  # t (M,), torque (M, n) at the fine rate -> torque
+# t (M,), torque (M, n) at the fine rate -> torque
+Distortion = Callable[[Array, Array], Array]
 
 FINE = 10
 FINE_HZ = FINE * RATE_HZ
@@ -29,13 +32,18 @@ def scenes(distortion: Distortion, logs: int = 2) -> list[Scene]:
     for log in range(logs):
         q = wander(22.0, seed=log, rate_hz=FINE_HZ, rests=())
         dq, ddq = differentiate(q, FINE_HZ)
-        inside = slice(round(FINE_HZ), -round(FINE_HZ))  # derivatives and motion set in before
+        # derivatives and motion set in before
+        inside = slice(round(FINE_HZ), -round(FINE_HZ))
         true = (model.rigid(q, dq, ddq) + model.friction(q, dq))[inside]
         t = 100.0 * log + np.arange(len(true)) / FINE_HZ
         # Read as a drive reads: the mean over a sample, centred on it.
-        read = uniform_filter1d(distortion(t, true), FINE + 1, axis=0, mode="nearest")[::FINE]
+        read = uniform_filter1d(distortion(t, true), FINE + 1, axis=0, mode="nearest")[
+            ::FINE
+        ]
         logged = read + NOISE * np.random.default_rng(100 + log).normal(size=read.shape)
-        scene = scene_of(q[inside][::FINE], log=log, start=100.0 * log, shared_clock=True)
+        scene = scene_of(
+            q[inside][::FINE], log=log, start=100.0 * log, shared_clock=True
+        )
         seen.append(replace(scene, motion=motion_of(q[inside][::FINE], tau=logged)))
     return seen
 
@@ -52,7 +60,9 @@ def late(samples: int) -> Distortion:
 def lagging(constant: float) -> Distortion:
     """Return the command whose lagged version is the torque, by the inverse recursion."""
     past = np.exp(-1.0 / (FINE_HZ * constant))
-    return lambda t, tau: np.vstack([tau[:1], (tau[1:] - past * tau[:-1]) / (1.0 - past)])
+    return lambda t, tau: np.vstack(
+        [tau[:1], (tau[1:] - past * tau[:-1]) / (1.0 - past)]
+    )
 
 
 def saturating(b: float) -> Distortion:
@@ -93,7 +103,12 @@ LAG = 0.5 / FINE_HZ  # s: a lagging torque is held over a fine sample
     ],
 )
 def test_the_size_comes_back_down_to_the_floor(
-    floor: Array, name: str, joint: int | None, distortion: Distortion, c: float, off: float
+    floor: Array,
+    name: str,
+    joint: int | None,
+    distortion: Distortion,
+    c: float,
+    off: float,
 ) -> None:
     _, found, left = best_fitted(CATALOGUE[name], scenes(distortion), joint)
     assert found[0] == pytest.approx(c, abs=off)
@@ -103,7 +118,10 @@ def test_the_size_comes_back_down_to_the_floor(
 
 def test_lag_and_delay_part_in_the_second_order() -> None:
     lagged = scenes(lagging(0.02))
-    left = [best_fitted(CATALOGUE[name], lagged, 0)[2] for name in ("actuator_lag", "time_skew")]
+    left = [
+        best_fitted(CATALOGUE[name], lagged, 0)[2]
+        for name in ("actuator_lag", "time_skew")
+    ]
     assert left[1] > 1.5 * left[0]
 
 
@@ -146,6 +164,8 @@ def test_true_torque_undoes_the_distortion(
     effect = CATALOGUE[name]
     assert isinstance(effect, TorqueMeasurement)
     t = np.arange(5000) / FINE_HZ
-    tau = np.stack([80 * np.sin(3 * t) + 20 * np.cos(11 * t), 40 * np.cos(5 * t)], axis=1)
+    tau = np.stack(
+        [80 * np.sin(3 * t) + 20 * np.cos(11 * t), 40 * np.cos(5 * t)], axis=1
+    )
     undone = effect.true_torque(distortion(t, tau), FINE_HZ, settings, np.array(c))
     np.testing.assert_allclose(undone[200:-200], tau[200:-200], atol=5e-3)

@@ -1,4 +1,6 @@
-"""Friction of many laws: their coefficients and settings come back, and no others are believed."""
+"""Friction of many laws: their coefficients and settings come back, and no others are
+believed.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -69,7 +71,10 @@ def one_sided(t: Array, q: Array, dq: Array) -> Array:
 def link_torque(q: Array, dq: Array) -> Array:
     """Torque (N, n) N m behind the gears."""
     ddq = np.gradient(dq, 1.0 / FINE_HZ, axis=0)
-    return torque_model(two_joint_robot()).rigid(q, dq, ddq) - np.square(GEAR) * ROTOR * ddq
+    return (
+        torque_model(two_joint_robot()).rigid(q, dq, ddq)
+        - np.square(GEAR) * ROTOR * ddq
+    )
 
 
 def loaded(t: Array, q: Array, dq: Array) -> Array:
@@ -85,7 +90,9 @@ def lossy(t: Array, q: Array, dq: Array) -> Array:
 
 
 def dahl(q: Array, distance: float, substeps: int = 20) -> Array:
-    """Integrate z' = v - |v| z / z_max by the midpoint rule, the speed constant in each sample."""
+    """Integrate z' = v - |v| z / z_max by the midpoint rule, the speed constant in each
+    sample.
+    """
     z, out = 0.0, np.zeros(len(q))
     for k, way in enumerate(np.diff(q) / substeps):
         for _ in range(substeps):
@@ -101,8 +108,12 @@ def bristled(t: Array, q: Array, dq: Array) -> Array:
     return np.stack(bristles, axis=1) + 0.5 * dq
 
 
-LAWS = [  # effect, joint, torque by the law, logs, noise N m, coefficient, how well, settings
-    *((Stribeck(), 0, humped(a), 3, 0.2, HEIGHT, 0.06, (SPEED, a)) for a in (0.5, 1.0, 2.0)),
+# effect, joint, torque by the law, logs, noise N m, coefficient, how well, settings
+LAWS = [
+    *(
+        (Stribeck(), 0, humped(a), 3, 0.2, HEIGHT, 0.06, (SPEED, a))
+        for a in (0.5, 1.0, 2.0)
+    ),
     *((QuadraticDrag(), j, dragged, 2, 0.05, DRAG, 0.03, ()) for j in (0, 1)),
     *(
         (NonlinearViscous(), 0, powered(size, a), 3, 0.05, size, 0.25, (a,))
@@ -114,7 +125,9 @@ LAWS = [  # effect, joint, torque by the law, logs, noise N m, coefficient, how 
 
 
 @pytest.mark.parametrize("case", LAWS, ids=lambda case: f"{case[0].name} {case[5]}")
-def test_the_law_comes_back(case: tuple[Effect, int, Law, int, float, float, float, Any]) -> None:
+def test_the_law_comes_back(
+    case: tuple[Effect, int, Law, int, float, float, float, Any],
+) -> None:
     effect, joint, law, logs, noise, c, rel, settings = case
     found, coefficients = fit(effect, trials(law, logs, noise=noise), joint)
     assert coefficients[0] == pytest.approx(c, rel=rel)
@@ -127,8 +140,12 @@ def test_the_law_comes_back(case: tuple[Effect, int, Law, int, float, float, flo
 @pytest.mark.parametrize("offset", [False, True])
 def test_half_differences_come_back(offset: bool) -> None:
     """Also beside a free offset, by the rests and reversals."""
-    _, c = fit(AsymmetricFriction(), trials(one_sided, 3, noise=0.1), joint=0, offset=offset)
-    assert c == pytest.approx([0.5 * (a - b) for a, b in zip(FORTH, BACK, strict=True)], rel=0.1)
+    _, c = fit(
+        AsymmetricFriction(), trials(one_sided, 3, noise=0.1), joint=0, offset=offset
+    )
+    assert c == pytest.approx(
+        [0.5 * (a - b) for a, b in zip(FORTH, BACK, strict=True)], rel=0.1
+    )
 
 
 def test_drag_is_not_called_nonlinear_viscous() -> None:
@@ -143,18 +160,27 @@ def test_drag_is_not_called_nonlinear_viscous() -> None:
     [
         ("stribeck", {"stribeck_speed": 0.1, "exponent": 2.0}, 1.0, True),
         ("stribeck", {"stribeck_speed": 0.1, "exponent": 2.0}, -1.0, False),
-        ("stribeck", {"stribeck_speed": 50.0, "exponent": 2.0}, 1.0, False),  # than the motion
+        # than the motion
+        ("stribeck", {"stribeck_speed": 50.0, "exponent": 2.0}, 1.0, False),
         ("presliding_hysteresis", {"presliding_distance": DISTANCE}, 1.0, True),
         ("presliding_hysteresis", {"presliding_distance": DISTANCE}, -1.0, False),
-        ("presliding_hysteresis", {"presliding_distance": 0.3}, 1.0, False),  # nor covered by it
-        *(("backlash", {"trial_gap": 1e-3}, c, c == 1.2e-3) for c in (1.2e-3, 1e-4, 1e-2)),
+        # nor covered by it
+        ("presliding_hysteresis", {"presliding_distance": 0.3}, 1.0, False),
+        *(
+            ("backlash", {"trial_gap": 1e-3}, c, c == 1.2e-3)
+            for c in (1.2e-3, 1e-4, 1e-2)
+        ),
         *(("joint_elasticity", SOFT, c / 900.0, c == 1.0) for c in (1.0, 0.1, -1.0)),
     ],
 )
 def test_what_motion_or_shape_contradicts_is_not_believed(
     name: str, settings: Mapping[str, float], c: float, believed: bool
 ) -> None:
-    scenes = [scene_of(wander(10.0, amplitude=0.1 if name == "presliding_hysteresis" else 1.0))]
+    scenes = [
+        scene_of(
+            wander(10.0, amplitude=0.1 if name == "presliding_hysteresis" else 1.0)
+        )
+    ]
     assert CATALOGUE[name].plausible(scenes, 0, settings, np.array([c])) == believed
 
 
@@ -162,11 +188,17 @@ def test_what_motion_or_shape_contradicts_is_not_believed(
 def test_efficiencies_come_back(joint: int) -> None:
     effect, logs = GearEfficiency(), trials(lossy, noise=0.2)
     _, c = fit(effect, logs, joint)
-    values = {v.name: v for v in effect.values(logs[0].robot, joint, {}, c, 1e-6 * np.eye(2))}
+    values = {
+        v.name: v for v in effect.values(logs[0].robot, joint, {}, c, 1e-6 * np.eye(2))
+    }
     assert c == pytest.approx([1 / DRIVING - 1, 1 - BACKDRIVING], rel=0.05)
     assert values["driving_efficiency"].value == pytest.approx(DRIVING, rel=0.01)
-    assert values["backdriving_efficiency"].value == pytest.approx(BACKDRIVING, rel=0.01)
-    assert values["driving_efficiency"].std_error == pytest.approx(DRIVING**2 * 1e-3, rel=0.03)
+    assert values["backdriving_efficiency"].value == pytest.approx(
+        BACKDRIVING, rel=0.01
+    )
+    assert values["driving_efficiency"].std_error == pytest.approx(
+        DRIVING**2 * 1e-3, rel=0.03
+    )
 
 
 def test_without_a_rigid_body_there_is_no_load() -> None:
@@ -178,13 +210,20 @@ def test_without_a_rigid_body_there_is_no_load() -> None:
 
 
 def test_a_rotor_that_nobody_knows_does_not_load_the_gear() -> None:
-    """The first joint's rotor stands in its link's inertia; what is lost tells them apart."""
+    """The first joint's rotor stands in its link's inertia; what is lost tells them
+    apart.
+    """
     robot, reflected = two_joint_robot(), GEAR[0] ** 2 * ROTOR[0]
     first = replace(robot.joints[0], rotor_inertia=None)
-    robot, model = replace(robot, joints=(first, *robot.joints[1:])), torque_model(robot)
+    robot, model = (
+        replace(robot, joints=(first, *robot.joints[1:])),
+        torque_model(robot),
+    )
     lumped = model.phi.copy()
     lumped[0, STANDARD.index("Izz")] += reflected
-    model = replace(model, robot=robot, phi=lumped, rotor=np.array([0.0, model.rotor[1]]))
+    model = replace(
+        model, robot=robot, phi=lumped, rotor=np.array([0.0, model.rotor[1]])
+    )
     logs = trials(loaded, noise=0.2, top_hz=1.5)
     logs = [replace(one, robot=robot, model=model) for one in logs]
     settings, c = fit(LoadDependentFriction(), logs, 0)

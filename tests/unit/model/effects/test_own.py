@@ -25,7 +25,9 @@ class Mine(Stribeck):
     name = "mine"
 
 
-def asked(text: str, joint: int | None = None, **settings: tuple[float, float]) -> OwnEffect:
+def asked(
+    text: str, joint: int | None = None, **settings: tuple[float, float]
+) -> OwnEffect:
     return OwnEffect("drag", joint, parse_formula(text, 2, settings), settings)
 
 
@@ -35,23 +37,32 @@ def place() -> Scene:
 
 
 def effect_of(own_effect: OwnEffect) -> Effect:
-    return catalogue_of(replace(two_joint_robot(), effects=(own_effect,)))[own_effect.name]
+    return catalogue_of(replace(two_joint_robot(), effects=(own_effect,)))[
+        own_effect.name
+    ]
 
 
 def test_columns_are_what_the_formula_says(place: Scene) -> None:
     q, dq = place.motion.q, place.motion.dq
-    text = "c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2 + 3*c2*min(q, 0.1) + c3*sign(dq_1)"
+    text = (
+        "c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2 + 3*c2*min(q, 0.1) + c3*sign(dq_1)"
+    )
     columns = effect_of(asked(text, w=(0.1, 1.0))).columns(place, 1, {"w": 0.5})
     first = place.sign[:, 1] * np.abs(place.load[:, 1])
     second = 3.0 * np.minimum(q[:, 1], 0.1) - np.tanh(dq[:, 0] / 0.5) ** 2
     assert columns.keys() == {1}
-    assert columns[1] == pytest.approx(np.column_stack([first, second, place.sign[:, 0]]))
+    assert columns[1] == pytest.approx(
+        np.column_stack([first, second, place.sign[:, 0]])
+    )
 
 
-@pytest.mark.parametrize("name", ["q", "dq", "ddq", "theta", "load", "friction", "tau", "t"])
+@pytest.mark.parametrize(
+    "name", ["q", "dq", "ddq", "theta", "load", "friction", "tau", "t"]
+)
 def test_every_symbol_is_a_quantity_of_its_joint(place: Scene, name: str) -> None:
     own, second = (
-        effect_of(asked(f"c*{text}")).columns(place, 1, {})[1] for text in (name, f"{name}_2")
+        effect_of(asked(f"c*{text}")).columns(place, 1, {})[1]
+        for text in (name, f"{name}_2")
     )
     assert np.ptp(own) > 0.0
     assert np.array_equal(own, second)
@@ -69,7 +80,9 @@ def test_it_is_written_and_restored_and_sent_to_other_processes(place: Scene) ->
     fitted = FittedEffect(effect, 1, {"p": 2.0}, np.array([0.3]), np.eye(1))
     stages = Stages(effects=[as_stage(fitted, robot)])
     (back,) = fitted_effects(stages, robot)
-    assert back.torques(place)[1] == pytest.approx(0.3 * np.sin(2.0 * place.motion.dq[:, 0]))
+    assert back.torques(place)[1] == pytest.approx(
+        0.3 * np.sin(2.0 * place.motion.dq[:, 0])
+    )
     with pytest.raises(ConfigError, match="drag") as caught:  # its robot file lacks it
         fitted_effects(stages, two_joint_robot())
     assert "[[effect]]" in str(caught.value.hint)
@@ -90,7 +103,9 @@ def offer(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
     monkeypatch.setattr(own, "entry_points", entry_points)
 
 
-def test_an_effect_of_a_package_is_loaded_when_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_effect_of_a_package_is_loaded_when_it_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     offer(monkeypatch, f"{__name__}:Mine")
     assert isinstance(effect_of(OwnEffect("mine")), Mine)
     assert catalogue_of(two_joint_robot()) == CATALOGUE
@@ -116,7 +131,9 @@ def test_it_asks_for_the_temperature_that_it_names(place: Scene) -> None:
     assert not effect.available([place], 1)
     warm = replace(place, temperature=np.full_like(place.motion.q, 30.0))
     assert effect.available([warm], 1)
-    assert effect.columns(warm, 1, {})[1][:, 0] == pytest.approx(5.0 * warm.motion.dq[:, 1])
+    assert effect.columns(warm, 1, {})[1][:, 0] == pytest.approx(
+        5.0 * warm.motion.dq[:, 1]
+    )
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,31 @@ from seqid_cli.model.effects.effect import Columns, Effect, Settings
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from tests.plants.robots.two_joint import two_joint_robot
-from tests.unit.model.effects.scenes import RATE_HZ, scene_of, scenes_of_logs, settings_of, wander
+from tests.unit.model.effects.scenes import (
+    RATE_HZ,
+    scene_of,
+    scenes_of_logs,
+    settings_of,
+    wander,
+)
 
 CONTRACT = {
     *("stribeck", "asymmetric_friction", "load_dependent_friction", "gear_efficiency"),
-    *("thermal_friction", "quadratic_drag", "nonlinear_viscous", "presliding_hysteresis"),
+    *(
+        "thermal_friction",
+        "quadratic_drag",
+        "nonlinear_viscous",
+        "presliding_hysteresis",
+    ),
     *("torque_ripple", "joint_elasticity", "backlash", "transmission_coupling"),
     *("encoder_eccentricity", "spring", "payload", "base_tilt", "rotor_inertia"),
-    *("torque_constant", "torque_saturation", "torque_bias", "time_skew", "actuator_lag"),
+    *(
+        "torque_constant",
+        "torque_saturation",
+        "torque_bias",
+        "time_skew",
+        "actuator_lag",
+    ),
     *("periodic_disturbance", "drift", "external_contact"),
 }
 ADDED = {"friction_change", "position_dependent_friction"}
@@ -54,7 +71,9 @@ def points(grids: Grids) -> Iterator[tuple[int | None, Settings]]:
             yield joint, grid[k]
 
 
-def assert_sound(effect: Effect, scene: Scene, settings: Settings, columns: Columns) -> None:
+def assert_sound(
+    effect: Effect, scene: Scene, settings: Settings, columns: Columns
+) -> None:
     count = len(effect.coefficients(settings))
     assert columns
     assert set(columns) <= set(range(scene.robot.n))
@@ -84,14 +103,18 @@ def test_parameters_have_names_units_and_bounds(effect: Effect, grids: Grids) ->
         assert all(re.fullmatch(r"[a-z][a-zA-Z0-9_]*", name) for name in names)
 
 
-def test_the_grid_names_all_settings_within_bounds(effect: Effect, grids: Grids) -> None:
+def test_the_grid_names_all_settings_within_bounds(
+    effect: Effect, grids: Grids
+) -> None:
     asked = {one.name for one in effect.settings if one.asked}
     known = {one.name: one for one in effect.settings}
     for grid in grids.values():
         assert len({tuple(sorted(point.items())) for point in grid}) == len(grid) <= 200
         for point in grid:
             assert asked <= set(point) <= set(known)
-            assert all(known[name].low <= x <= known[name].high for name, x in point.items())
+            assert all(
+                known[name].low <= x <= known[name].high for name, x in point.items()
+            )
 
 
 def test_columns_are_sound(effect: Effect, logs: list[Scene], grids: Grids) -> None:
@@ -106,8 +129,12 @@ def test_columns_are_sound(effect: Effect, logs: list[Scene], grids: Grids) -> N
             assert joint is None or joint in columns
 
 
-def test_sharpened_settings_keep_the_rules(effect: Effect, logs: list[Scene], grids: Grids) -> None:
-    """They name all settings within bounds, do not depend on what they were, and take any size."""
+def test_sharpened_settings_keep_the_rules(
+    effect: Effect, logs: list[Scene], grids: Grids
+) -> None:
+    """They name all settings within bounds, do not depend on what they were, and take
+    any size.
+    """
     for joint, settings in points(grids):
         count = len(effect.coefficients(settings))
         for size in (0.0, 1e-3, -1e-3, 1e6, -1e6):
@@ -118,7 +145,9 @@ def test_sharpened_settings_keep_the_rules(effect: Effect, logs: list[Scene], gr
             for setting in effect.settings:
                 assert setting.low <= nearer[setting.name] <= setting.high
             assert effect.sharpened(nearer, np.full(count, size)) == nearer
-            assert_sound(effect, logs[0], nearer, effect.columns(logs[0], joint, nearer))
+            assert_sound(
+                effect, logs[0], nearer, effect.columns(logs[0], joint, nearer)
+            )
 
 
 def cut(scene: Scene, first: int) -> Scene:
@@ -161,11 +190,16 @@ def test_values_are_finite_and_in_the_joints_units(
             assert not force or all("N m" not in one.unit for one in values)
 
 
-def test_plausibility_is_decided(effect: Effect, logs: list[Scene], grids: Grids) -> None:
+def test_plausibility_is_decided(
+    effect: Effect, logs: list[Scene], grids: Grids
+) -> None:
     """Nothing at all is within bounds that hold zero; what is beyond them is not."""
     for joint, settings in points(grids):
         specs = effect.coefficients(settings)
-        assert effect.plausible(logs, joint, settings, np.zeros(len(specs))) in {True, False}
+        assert effect.plausible(logs, joint, settings, np.zeros(len(specs))) in {
+            True,
+            False,
+        }
         for k, spec in enumerate(specs):
             for bound, beyond in ((spec.low, -1.0), (spec.high, 1.0)):
                 if np.isfinite(bound):

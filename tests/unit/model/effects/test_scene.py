@@ -10,12 +10,18 @@ from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, scene_of
 SPEED, HUNTS_HZ = 0.3, 3.0 * CUTOFF_HZ
 
 
-@pytest.mark.parametrize(("swing", "stops"), [(0.0, False), (0.5, False), (1.1, True), (1.5, True)])
+@pytest.mark.parametrize(
+    ("swing", "stops"), [(0.0, False), (0.5, False), (1.1, True), (1.5, True)]
+)
 def test_a_joint_that_stops_above_the_cut_off(swing: float, stops: bool) -> None:
-    """It hunts by `swing` of its speed between 4 and 6 s; the low-passed motion hardly shows it."""
+    """It hunts by `swing` of its speed between 4 and 6 s; the low-passed motion hardly
+    shows it.
+    """
     t = np.arange(0.0, 10.0, 1.0 / RATE_HZ)
     rate = 2.0 * np.pi * HUNTS_HZ
-    hunts = np.where((t > 4.0) & (t < 6.0), swing * SPEED * np.sin(rate * t) / rate, 0.0)
+    hunts = np.where(
+        (t > 4.0) & (t < 6.0), swing * SPEED * np.sin(rate * t) / rate, 0.0
+    )
     q = np.column_stack([SPEED * t + hunts, np.sin(t)])
     seen = replace(scene_of(q), encoder=q)
     inside, before = (t > 4.5) & (t < 5.5), (t > 2.0) & (t < 3.5)

@@ -1,4 +1,6 @@
-"""What lies between motor and link: a spring, play, rotors, an encoder, a drive of two joints."""
+"""What lies between motor and link: a spring, play, rotors, an encoder, a drive of two
+joints.
+"""
 
 from dataclasses import replace
 from typing import Literal
@@ -33,9 +35,16 @@ STIFFNESS = 4000.0  # N m/rad; resonance with the motor held: 11 Hz
 
 @pytest.mark.parametrize("cutoff_hz", [5.0, 20.0])
 @pytest.mark.parametrize("side", ["motor", "link"])
-def test_the_stiffness_comes_back(cutoff_hz: float, side: Literal["motor", "link"]) -> None:
-    """Also with the resonance inside the band; the robot file tells where the encoder sits."""
-    effect, logs = JointElasticity(), [run(Gear(STIFFNESS, 2.0), seed=seed) for seed in range(2)]
+def test_the_stiffness_comes_back(
+    cutoff_hz: float, side: Literal["motor", "link"]
+) -> None:
+    """Also with the resonance inside the band; the robot file tells where the encoder
+    sits.
+    """
+    effect, logs = (
+        JointElasticity(),
+        [run(Gear(STIFFNESS, 2.0), seed=seed) for seed in range(2)],
+    )
     scenes = [scene(log, cutoff_hz=cutoff_hz, side=side) for log in logs]
     settings, c, rms = best_fitted(effect, scenes, 0)
     value = effect.values(scenes[0].robot, 0, settings, c, np.array([[1e-14]]))[0]
@@ -48,7 +57,9 @@ def test_the_stiffness_comes_back(cutoff_hz: float, side: Literal["motor", "link
 @pytest.mark.parametrize("cutoff_hz", [10.0, 20.0])
 @pytest.mark.parametrize("gap", [1e-3, pytest.param(4e-3, marks=pytest.mark.slow)])
 def test_the_gap_comes_back(gap: float, cutoff_hz: float) -> None:
-    """One column takes more than nine tenths of what play does; an elastic gear does not."""
+    """One column takes more than nine tenths of what play does; an elastic gear does
+    not.
+    """
     logs = [run(Gear(5e4, 20.0, gap), seed=seed) for seed in range(2)]
     scenes = [scene(log, cutoff_hz=cutoff_hz) for log in logs]
     _, c, rms = best_fitted(Backlash(), scenes, 0)
@@ -63,17 +74,22 @@ SOFT = {"trial_stiffness": 900.0, "encoder_side": 0.0, "damping_ratio": 0.15}
 
 
 @pytest.mark.parametrize(
-    ("name", "settings"), [("joint_elasticity", SOFT), ("backlash", {"trial_gap": 1e-3})]
+    ("name", "settings"),
+    [("joint_elasticity", SOFT), ("backlash", {"trial_gap": 1e-3})],
 )
 def test_values_are_stated_where_a_rotor_is_known_apart_from_its_link(
     name: str, settings: dict[str, float]
 ) -> None:
-    """The first joint turns both alike in every motion; of the second it depends on the arm."""
+    """The first joint turns both alike in every motion; of the second it depends on the
+    arm.
+    """
     effect, known, c = CATALOGUE[name], two_joint_robot(), np.array([1e-3])
     (value,) = effect.reported(known, 0, settings, c, np.eye(1))
     assert value.value > 0.0
     assert not effect.lacking(known, 0)
-    robot = replace(known, joints=tuple(replace(x, rotor_inertia=None) for x in known.joints))
+    robot = replace(
+        known, joints=tuple(replace(x, rotor_inertia=None) for x in known.joints)
+    )
     assert effect.reported(robot, 0, settings, c, np.eye(1)) == []
     for part in ("rotor_inertia", robot.joint_names[0]):
         assert part in effect.lacking(robot, 0)
@@ -103,15 +119,21 @@ def test_the_spin_of_a_carried_rotor_comes_back() -> None:
     along = (chain.rotation[1] @ chain.axis[1])[2]  # link 1 turns about the base's z
     moment = np.gradient(GEAR[1] * motion.dq[:, 1] * along, 1.0 / motion.rate_hz)
     column = RotorInertia().columns(plain, 1, {"coupling": 1.0})[0][:, 0]
-    np.testing.assert_allclose(column[50:-50], moment[50:-50], atol=0.01 * np.ptp(moment))
+    np.testing.assert_allclose(
+        column[50:-50], moment[50:-50], atol=0.01 * np.ptp(moment)
+    )
 
 
 SIN, COS = 1.2e-4, -0.9e-4  # rad at the joint: 6 and 4.5 mrad at the motor
 
 
 def misread(order: float, seed: int) -> Scene:
-    """Torque of the true motion, slow enough for a ripple per motor turn to pass the low-pass."""
-    q = wander(24.0, seed=seed, rate_hz=4 * RATE_HZ, rests=(), amplitude=0.3, top_hz=0.3)
+    """Torque of the true motion, slow enough for a ripple per motor turn to pass the
+    low-pass.
+    """
+    q = wander(
+        24.0, seed=seed, rate_hz=4 * RATE_HZ, rests=(), amplitude=0.3, top_hz=0.3
+    )
     dq, ddq = differentiate(q, 4 * RATE_HZ)
     plain = scene_of(q[::4])
     tau = plain.model.rigid(q, dq, ddq) + plain.model.friction(q, dq)
@@ -127,7 +149,9 @@ def test_error_and_order_of_an_encoder_come_back(order: float) -> None:
     assert settings == {"order": order}
     assert c == pytest.approx([SIN, COS], rel=0.15)
     assert rms < 0.5 * rms_left(scenes)
-    values = EncoderEccentricity().values(scenes[0].robot, 1, settings, c, 1e-12 * np.eye(2))
+    values = EncoderEccentricity().values(
+        scenes[0].robot, 1, settings, c, 1e-12 * np.eye(2)
+    )
     assert values[0].value == pytest.approx(np.hypot(SIN, COS), rel=0.15)
     assert values[1].value == pytest.approx(np.arctan2(COS, SIN), abs=0.1)
     assert values[0].std_error == pytest.approx(1e-6)
@@ -142,11 +166,15 @@ def friction_and_inertia(rate: Array) -> Array:
 
 
 def with_both(ratio: float) -> Law:
-    """Power of the motor's friction and inertia, shared out as its rate is; else on joint 1."""
+    """Power of the motor's friction and inertia, shared out as its rate is; else on
+    joint 1.
+    """
 
     def law(t: Array, q: Array, dq: Array) -> Array:
         torque = friction_and_inertia(dq[:, 0] + ratio * dq[:, 1])
-        return np.stack([torque - friction_and_inertia(dq[:, 0]), ratio * torque], axis=1)
+        return np.stack(
+            [torque - friction_and_inertia(dq[:, 0]), ratio * torque], axis=1
+        )
 
     return law
 
@@ -154,10 +182,14 @@ def with_both(ratio: float) -> Law:
 @pytest.mark.parametrize("ratio", [1.0, -1.0, 0.3, -0.3])
 def test_friction_and_inertia_of_the_motor_come_back(ratio: float) -> None:
     scenes = trials(with_both(ratio))
-    c, rms = fitted(TransmissionCoupling(), scenes, 0, {"neighbour": 1.0, "ratio": ratio})
+    c, rms = fitted(
+        TransmissionCoupling(), scenes, 0, {"neighbour": 1.0, "ratio": ratio}
+    )
     assert c == pytest.approx([COULOMB, VISCOUS, INERTIA], rel=0.05)
     assert rms < 0.1
-    wrong = fitted(TransmissionCoupling(), scenes, 0, {"neighbour": 1.0, "ratio": -ratio})[1]
+    wrong = fitted(
+        TransmissionCoupling(), scenes, 0, {"neighbour": 1.0, "ratio": -ratio}
+    )[1]
     assert wrong > 5 * rms
 
 
@@ -182,7 +214,9 @@ def test_nobody_can_say_what_a_drive_that_sticks_has() -> None:
     q = np.hstack([slow, -slow])
     middle = len(q) // 2
     q[middle:, 1] *= -1.0
-    guessed = TransmissionCoupling().guessed(scene_of(q), 1, {"neighbour": -1.0, "ratio": 1.0})
+    guessed = TransmissionCoupling().guessed(
+        scene_of(q), 1, {"neighbour": -1.0, "ratio": 1.0}
+    )
     assert sorted(guessed) == [0, 1]
     assert guessed[0][200 : middle - 200].all()
     assert 0.0 < guessed[1][middle + 200 :].mean() < 0.6

@@ -1,4 +1,6 @@
-"""Waves: ripples by angle, lines in time; their frequency, law and size, and none of the motion."""
+"""Waves: ripples by angle, lines in time; their frequency, law and size, and none of
+the motion.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,22 +25,35 @@ def rippling(
 ) -> tuple[Scene, Array]:
     """Return a scene and its unfiltered residual: ripple, noise and a bump of position."""
     robot = two_joint_robot()
-    joints = (robot.joints[0], replace(robot.joints[1], gear_ratio=None if gear == 1.0 else gear))
-    scene = scene_of(wander(30.0, seed=seed, amplitude=1.5), robot=replace(robot, joints=joints))
+    joints = (
+        robot.joints[0],
+        replace(robot.joints[1], gear_ratio=None if gear == 1.0 else gear),
+    )
+    scene = scene_of(
+        wander(30.0, seed=seed, amplitude=1.5), robot=replace(robot, joints=joints)
+    )
     q, v, rng = scene.motion.q[:, 1], scene.motion.dq[:, 1], np.random.default_rng(seed)
     size = (1.0, 0.05 * scene.modelled[:, 1], np.sign(v), 0.05 * scene.load[:, 1])[law]
     p = order * gear * (q - lag * v)
     residual = rng.normal(size=scene.motion.q.shape)
-    residual[:, 1] += size * (SIN * np.sin(p) + COS * np.cos(p)) + 0.5 * np.exp(-((q - 0.4) ** 2))
+    residual[:, 1] += size * (SIN * np.sin(p) + COS * np.cos(p)) + 0.5 * np.exp(
+        -((q - 0.4) ** 2)
+    )
     residual[~scene.motion.usable] = 0.0
     return scene, residual
 
 
-def best_of(scenes: Sequence[Scene], residual: Sequence[Array]) -> tuple[Settings, Array]:
-    """The point of the ripple's grid that leaves least of the second joint's, and its sizes."""
+def best_of(
+    scenes: Sequence[Scene], residual: Sequence[Array]
+) -> tuple[Settings, Array]:
+    """The point of the ripple's grid that leaves least of the second joint's, and its
+    sizes.
+    """
     y, tried = np.concatenate([r[:, 1] for r in residual]), []
     for settings in TorqueRipple().grid(scenes, 1, residual):
-        X = np.concatenate([TorqueRipple().columns(scene, 1, settings)[1] for scene in scenes])
+        X = np.concatenate(
+            [TorqueRipple().columns(scene, 1, settings)[1] for scene in scenes]
+        )
         c = np.linalg.lstsq(X[y != 0.0], y[y != 0.0])[0]
         tried.append((float(np.sum((y - X @ c)[y != 0.0] ** 2)), settings, c))
     assert len(tried) <= 20
@@ -47,15 +62,21 @@ def best_of(scenes: Sequence[Scene], residual: Sequence[Array]) -> tuple[Setting
 
 
 @pytest.mark.parametrize("law", range(len(LAWS)), ids=LAWS)
-@pytest.mark.parametrize(("order", "gear"), [(2.0, GEAR[1]), (6.0, GEAR[1]), (13.7, 1.0)])
+@pytest.mark.parametrize(
+    ("order", "gear"), [(2.0, GEAR[1]), (6.0, GEAR[1]), (13.7, 1.0)]
+)
 def test_order_law_and_size_come_back(order: float, gear: float, law: int) -> None:
     """A whole number of cycles per motor turn is named as such."""
-    scenes, residual = zip(*(rippling(order, law, seed=k, gear=gear) for k in (0, 1)), strict=True)
+    scenes, residual = zip(
+        *(rippling(order, law, seed=k, gear=gear) for k in (0, 1)), strict=True
+    )
     best, c = best_of(scenes, residual)
     assert best["law"] == law
     assert best["order"] == pytest.approx(order, abs=0.0 if gear != 1.0 else 0.02)
     scale, unit = (0.05, "1") if LAWS[law] in ("torque", "load") else (1.0, "N m")
-    size, phase = TorqueRipple().values(scenes[0].robot, 1, best, c, 1e-6 * np.eye(2))[:2]
+    size, phase = TorqueRipple().values(scenes[0].robot, 1, best, c, 1e-6 * np.eye(2))[
+        :2
+    ]
     assert (size.value, size.unit) == (pytest.approx(scale, rel=0.1), unit)
     assert phase.value == pytest.approx(np.arctan2(COS, SIN), abs=0.15)
 
@@ -68,7 +89,8 @@ def test_a_ripple_that_comes_late_is_found_both_ways() -> None:
 
 
 def test_usual_orders_are_tried_where_logs_are_too_fast_for_their_spectrum() -> None:
-    """Two waves per turn of a large gear are above what most samples of a fast log resolve.
+    """Two waves per turn of a large gear are above what most samples of a fast log
+    resolve.
 
     Four waves per turn of the joint are a smooth function of position.
     """
@@ -103,7 +125,9 @@ def line(scene: Scene, frequency: float, phase: float = 0.7) -> Array:
     return torque
 
 
-def solved(scenes: Sequence[Scene], residual: Sequence[Array]) -> tuple[Settings, Array, Array]:
+def solved(
+    scenes: Sequence[Scene], residual: Sequence[Array]
+) -> tuple[Settings, Array, Array]:
     """The one line that is found, its columns' coefficients, and what they leave."""
     (settings,) = EFFECT.grid(scenes, 0, residual)
     X = np.concatenate([EFFECT.columns(s, 0, settings)[0] for s in scenes])
@@ -114,14 +138,20 @@ def solved(scenes: Sequence[Scene], residual: Sequence[Array]) -> tuple[Settings
 
 @pytest.mark.parametrize("frequency", [50.0, 49.987, 23.4567, 99.3])
 def test_a_line_comes_back(frequency: float) -> None:
-    """Its frequency to a fraction of the session; sizes within four of their standard errors."""
+    """Its frequency to a fraction of the session; sizes within four of their standard
+    errors.
+    """
     scenes = logs()
     settings, c, _ = solved(scenes, [line(s, frequency) for s in scenes])
-    assert settings["frequency"] == pytest.approx(frequency, abs=0.05 / scenes[-1].time[-1])
+    assert settings["frequency"] == pytest.approx(
+        frequency, abs=0.05 / scenes[-1].time[-1]
+    )
     assert settings["clocks"] == 0.0
     X = np.concatenate([EFFECT.columns(s, 0, settings)[0] for s in scenes])
     covariance = NOISE**2 * np.linalg.inv(X.T @ X)
-    values = {v.name: v for v in EFFECT.values(scenes[0].robot, 0, settings, c, covariance)}
+    values = {
+        v.name: v for v in EFFECT.values(scenes[0].robot, 0, settings, c, covariance)
+    }
     for name, truth in (("amplitude", AMPLITUDE), ("frequency", frequency)):
         assert 0.0 < values[name].std_error < 0.05 * truth
         assert abs(values[name].value - truth) < 4 * values[name].std_error
@@ -129,7 +159,9 @@ def test_a_line_comes_back(frequency: float) -> None:
 
 def test_logs_without_a_common_clock_have_their_own_phases() -> None:
     scenes = logs(shared=False)
-    settings, c, left = solved(scenes, [line(s, 50.0, phase=1.3 * s.log) for s in scenes])
+    settings, c, left = solved(
+        scenes, [line(s, 50.0, phase=1.3 * s.log) for s in scenes]
+    )
     assert settings["clocks"] == 4.0
     assert settings["frequency"] == pytest.approx(50.0, abs=0.005)
     assert np.std(left) < 1.02 * NOISE
@@ -141,7 +173,9 @@ def test_logs_without_a_common_clock_have_their_own_phases() -> None:
 
 
 def test_a_line_counts_where_the_joint_slides() -> None:
-    """A log in which the joint rests most of the time says as much of the line while it moves."""
+    """A log in which the joint rests most of the time says as much of the line while it
+    moves.
+    """
     moving = logs(shared=False)[0]
     resting = scene_of(wander(20.0, seed=7, rests=((2.0, 18.5),)), log=1)
     scenes = [moving, resting]
@@ -153,7 +187,10 @@ def test_a_line_counts_where_the_joint_slides() -> None:
 
 def test_nothing_in_noise_nor_on_the_other_joint() -> None:
     scenes = logs()
-    assert list(EFFECT.grid(scenes, 0, [noise_like(s, 50 + s.log, NOISE) for s in scenes])) == []
+    assert (
+        list(EFFECT.grid(scenes, 0, [noise_like(s, 50 + s.log, NOISE) for s in scenes]))
+        == []
+    )
     assert list(EFFECT.grid(scenes, 1, [line(s, 50.0) for s in scenes])) == []
 
 
@@ -164,12 +201,17 @@ def test_ripple_of_the_motor_is_no_line_in_time() -> None:
         t = np.arange(round(20 * RATE_HZ)) / RATE_HZ
         q = np.stack([speed * t, 0.0 * t], axis=1)
         scenes.append(scene_of(q, log=k, start=100.0 * k, shared_clock=True))
-    ripple = [noise_like(s, s.log, NOISE) + np.sin(2 * 50.0 * s.motion.q[:, :1]) for s in scenes]
+    ripple = [
+        noise_like(s, s.log, NOISE) + np.sin(2 * 50.0 * s.motion.q[:, :1])
+        for s in scenes
+    ]
     assert list(EFFECT.grid(scenes, 0, ripple)) == []
 
 
 def test_harmonics_of_the_motion_are_no_disturbance() -> None:
-    """A share of the model's own torque is missing: all lines of the residual are the motion's."""
+    """A share of the model's own torque is missing: all lines of the residual are the
+    motion's.
+    """
     t = np.arange(round(20 * RATE_HZ)) / RATE_HZ
     q = np.stack([0.5 * np.sin(2 * np.pi * t), 0.5 * np.cos(2 * np.pi * t)], axis=1)
     scenes = [scene_of(q, log=k, start=40.0 * k, shared_clock=True) for k in range(4)]

@@ -1,4 +1,6 @@
-"""A motor and a pendulum with a gear between them that gives or has play, in small time steps."""
+"""A motor and a pendulum with a gear between them that gives or has play, in small time
+steps.
+"""
 
 import math
 from collections.abc import Iterator
@@ -85,22 +87,34 @@ def _plan(seed: int, steps: int) -> Iterator[tuple[float, float, float]]:
 
 
 def scene(
-    log: Log, *, cutoff_hz: float, side: Literal["motor", "link"] = "motor", noise: float = 0.03
+    log: Log,
+    *,
+    cutoff_hz: float,
+    side: Literal["motor", "link"] = "motor",
+    noise: float = 0.03,
 ) -> Scene:
-    """Return what the log's reader sees, knowing all but the gear: encoder counts of 1e-5 rad."""
+    """Return what the log's reader sees, knowing all but the gear: encoder counts of
+    1e-5 rad.
+    """
     angle = log.motor if side == "motor" else log.link
     counts = np.round(angle / 1e-5)[:, None] * 1e-5
     hiss = noise * np.random.default_rng(7).normal(size=(len(angle), 1))
-    motion = motion_of(counts, rate_hz=LOG_HZ, cutoff_hz=cutoff_hz, tau=log.torque[:, None] + hiss)
+    motion = motion_of(
+        counts, rate_hz=LOG_HZ, cutoff_hz=cutoff_hz, tau=log.torque[:, None] + hiss
+    )
     settled = motion.usable.copy()
     settled[:500] = False
     motion = decimated(replace(motion, usable=settled), 24)
     chain = chain_from_dh([(0.0, 0.0, 0.0, 0.0)])
     robot = robot_from_chain(chain, gravity=np.array([0.0, -9.81, 0.0]))
-    joint = replace(robot.joints[0], rotor_inertia=MOTOR, gear_ratio=1.0, encoder_side=side)
+    joint = replace(
+        robot.joints[0], rotor_inertia=MOTOR, gear_ratio=1.0, encoder_side=side
+    )
     robot = replace(robot, joints=(joint,))
     phi = np.zeros((1, 10))
     phi[0, 2], phi[0, 9] = -WEIGHT / 9.81, LINK
     surface = friction_surface(COULOMB, VISCOUS, top=20.0)
     model = TorqueModel(robot, [surface], phi, np.array([MOTOR]), "diagonal")
-    return Scene(robot=robot, motion=motion, model=model, sign_width=np.array([SIGN_WIDTH]))
+    return Scene(
+        robot=robot, motion=motion, model=model, sign_width=np.array([SIGN_WIDTH])
+    )

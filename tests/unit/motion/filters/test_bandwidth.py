@@ -1,4 +1,6 @@
-"""The cut-off follows the encoder and the motion; its noise figures are those of quantisation."""
+"""The cut-off follows the encoder and the motion; its noise figures are those of
+quantisation.
+"""
 
 import numpy as np
 import pytest
@@ -18,11 +20,15 @@ def chosen(q: Array, rate_hz: float, resolution: Array | None = None) -> Cutoff:
     return Survey.of(q, rate_hz).cutoff(known)
 
 
-def motion(rng: np.random.Generator, seconds: float = 20.0, top_hz: float = 1.5) -> Array:
+def motion(
+    rng: np.random.Generator, seconds: float = 20.0, top_hz: float = 1.5
+) -> Array:
     t = np.arange(round(seconds * RATE)) / RATE
     frequency = rng.uniform(0.1, top_hz, (8, 2))
     phase = rng.uniform(0, 2 * np.pi, (8, 2))
-    return np.asarray(0.4 * np.sin(2 * np.pi * t[:, None, None] * frequency + phase).sum(axis=1))
+    return np.asarray(
+        0.4 * np.sin(2 * np.pi * t[:, None, None] * frequency + phase).sum(axis=1)
+    )
 
 
 def test_the_coarser_the_encoder_the_lower_the_cutoff() -> None:
@@ -44,17 +50,22 @@ def test_the_acceleration_noise_is_what_quantisation_makes(counts: int) -> None:
         _, ddq = differentiate(lowpass(rounded - q), RATE)
         errors.append(ddq[500:-500].std(axis=0))
         claimed.append(cutoff.acceleration_noise)
-    # The formula has a brick wall where the filter rolls off: their noises differ by sqrt 0.8.
+    # The formula has a brick wall where the filter rolls off: their noises differ by
+    # sqrt 0.8.
     roll_off = np.sqrt(5 / 8 * 1.4346 * 0.8889)
     seen = np.sqrt(np.mean(np.square(errors)))
-    assert roll_off * np.sqrt(np.mean(np.square(claimed))) == pytest.approx(seen, rel=0.15)
+    assert roll_off * np.sqrt(np.mean(np.square(claimed))) == pytest.approx(
+        seen, rel=0.15
+    )
 
 
 def test_white_noise_without_steps_is_measured() -> None:
     rng = np.random.default_rng(3)
     std = 2e-3
     q = motion(rng, 40.0) + std * rng.standard_normal((20000, 2))
-    np.testing.assert_allclose(chosen(q, RATE).noise_density, std**2 * 2 / RATE, rtol=0.2)
+    np.testing.assert_allclose(
+        chosen(q, RATE).noise_density, std**2 * 2 / RATE, rtol=0.2
+    )
 
 
 def test_the_motion_passes_below_the_cutoff() -> None:
@@ -86,7 +97,8 @@ def test_a_robot_file_overrules_the_step_seen() -> None:
 def test_a_coarse_encoder_is_no_fast_motion(rate_hz: float, counts: int) -> None:
     t = np.arange(round(20.0 * rate_hz)) / rate_hz
     sine = 0.8 * np.sin(2 * np.pi * t)
-    # Back and forth at a constant speed, counts pass at a constant rate: tones, no white noise.
+    # Back and forth at a constant speed, counts pass at a constant rate: tones, no
+    # white noise.
     speed = np.clip(4.0 * np.abs((0.3 * t) % 1.0 - 0.5) - 1.0, -0.2, 0.2) * 3.0
     q = np.column_stack([sine, np.cumsum(speed) / rate_hz])
     rounded = quantise(q, 2 * np.pi / counts)

@@ -1,4 +1,6 @@
-"""The low-pass: its response, its blocks, and thinning that commutes with it; derivatives."""
+"""The low-pass: its response, its blocks, and thinning that commutes with it;
+derivatives.
+"""
 
 import numpy as np
 import pytest
@@ -6,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, fftconvolve, sosfreqz
 
-from seqid_cli.motion.filters.butterworth import ORDER, SHORTEST, Lowpass, impulse_response, single
+from seqid_cli.motion.filters.butterworth import (
+    ORDER,
+    SHORTEST,
+    Lowpass,
+    impulse_response,
+    single,
+)
 from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.typing import Array, Mask
 
@@ -14,25 +22,37 @@ RATE = 500.0
 
 
 def convolved(values: Array, lowpass: Lowpass, valid: Mask | None = None) -> Array:
-    """The same filter at once on each whole run, prolonged by point reflections at its ends."""
+    """The same filter at once on each whole run, prolonged by point reflections at its
+    ends.
+    """
     found, reach = values.copy(), lowpass.memory
     around, h = ((reach, reach), (0, 0)), impulse_response(lowpass)[:, None]
     for start, stop in runs(valid, len(values)):
         if stop - start > SHORTEST:
-            wide = np.pad(values[start:stop], around, mode="reflect", reflect_type="odd")
+            wide = np.pad(
+                values[start:stop], around, mode="reflect", reflect_type="odd"
+            )
             found[start:stop] = fftconvolve(wide, h, mode="valid", axes=0)
     return found
 
 
 def walk(samples: int, channels: int = 2) -> Array:
     """Drifting signals with noise, as positions and torques are."""
-    return np.cumsum(np.random.default_rng(samples).normal(size=(samples, channels)), axis=0)
+    return np.cumsum(
+        np.random.default_rng(samples).normal(size=(samples, channels)), axis=0
+    )
 
 
 def with_gaps(samples: int) -> Mask:
     """Runs of many lengths, some too short to filter."""
     valid = np.ones(samples, dtype=bool)
-    for start, stop in ((100, 107), (112, 118), (140, 141), (900, 1300), (samples - 5, samples)):
+    for start, stop in (
+        (100, 107),
+        (112, 118),
+        (140, 141),
+        (900, 1300),
+        (samples - 5, samples),
+    ):
         valid[start:stop] = False
     return valid
 
@@ -48,7 +68,9 @@ LENGTHS = (1, 8, 9, 31, 32, 33, 511, 512, 513, 20_000)
         *((15.0, 500.0, samples, False) for samples in LENGTHS),
     ],
 )
-def test_it_filters_each_run(cutoff_hz: float, rate_hz: float, samples: int, *, gaps: bool) -> None:
+def test_it_filters_each_run(
+    cutoff_hz: float, rate_hz: float, samples: int, *, gaps: bool
+) -> None:
     values, lowpass = walk(samples, 3), Lowpass(cutoff_hz, rate_hz)
     valid = with_gaps(samples) if gaps else None
     found = lowpass(values, valid)
@@ -69,7 +91,11 @@ def test_a_cutoff_near_the_nyquist_rate_filters_nothing() -> None:
 @pytest.mark.parametrize("samples", [12, 300, 5003])
 @pytest.mark.parametrize("every", [1, 3, 4])
 def test_passes_at_once_are_passes_one_by_one(samples: int, every: int) -> None:
-    values, valid, lowpass = walk(samples), np.ones(samples, dtype=bool), Lowpass(10.0, 250.0)
+    values, valid, lowpass = (
+        walk(samples),
+        np.ones(samples, dtype=bool),
+        Lowpass(10.0, 250.0),
+    )
     valid[samples // 2 : samples // 2 + 2] = False
     expected = lowpass(lowpass(values, valid), valid)[::every]
     found = lowpass(values, valid, times=2, every=every)
@@ -107,7 +133,9 @@ def test_the_response_is_that_of_the_full_rate(every: int, per_cutoff: float) ->
 @pytest.mark.parametrize("degree", range(9))
 def test_derivatives_of_polynomials_are_exact_inside(degree: int) -> None:
     t = np.linspace(-1, 1, 81)
-    p = np.polynomial.Polynomial(np.random.default_rng(degree).standard_normal(degree + 1))
+    p = np.polynomial.Polynomial(
+        np.random.default_rng(degree).standard_normal(degree + 1)
+    )
     first, second = differentiate(p(t), 1 / (t[1] - t[0]))
     inner = slice(4, -4)
     np.testing.assert_allclose(first[inner], p.deriv()(t)[inner], atol=1e-9)
@@ -118,6 +146,8 @@ def test_derivatives_do_not_reach_across_a_gap() -> None:
     x, valid = np.sin(20 * np.arange(200) / RATE), np.ones(200, dtype=bool)
     valid[100] = False
     jump = x + 50.0 * (np.arange(200) >= 100)
-    plain, jumped = (np.array(differentiate(values, RATE, valid)) for values in (x, jump))
+    plain, jumped = (
+        np.array(differentiate(values, RATE, valid)) for values in (x, jump)
+    )
     np.testing.assert_allclose(jumped, plain, atol=1e-6)
     assert not jumped[:, 100].any()

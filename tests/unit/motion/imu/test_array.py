@@ -5,7 +5,12 @@ import pytest
 
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.imu import array as arrays
-from seqid_cli.motion.imu.array import array_matrix, layout, layout_statements, read_angular
+from seqid_cli.motion.imu.array import (
+    array_matrix,
+    layout,
+    layout_statements,
+    read_angular,
+)
 from seqid_cli.robot.types import Imu
 from seqid_cli.typing import Array
 from tests.plants.mechanics.rigid import LinkMotion
@@ -19,7 +24,9 @@ def imu_of(positions: Array, axes: Array, *, gyro: bool = False) -> Imu:
 
 
 def moved(imu: Imu, seed: int, samples: int = 50) -> tuple[Array, Array, Array]:
-    """Readings (N, K) of a rigid motion by the simulated instrument's own arithmetic; w and dw."""
+    """Readings (N, K) of a rigid motion by the simulated instrument's own arithmetic; w
+    and dw.
+    """
     f, w, dw = np.random.default_rng(seed).standard_normal((3, samples, 3))
     f, w, dw = 10 * f, 4 * w, 30 * dw
     array = AccelerometerArray("a", 0, imu.positions, imu.axes, np.eye(3), np.zeros(3))
@@ -48,7 +55,9 @@ def test_twelve_accelerometers_give_the_motion_exactly(imu: Imu) -> None:
     np.testing.assert_allclose(got.products, squared(w), atol=1e-7)
     inverse = arrays.array_inverse(imu)
     np.testing.assert_allclose(inverse @ array_matrix(imu), np.eye(12), atol=1e-8)
-    np.testing.assert_allclose(layout(imu).errors, np.linalg.norm(inverse, axis=1), rtol=1e-8)
+    np.testing.assert_allclose(
+        layout(imu).errors, np.linalg.norm(inverse, axis=1), rtol=1e-8
+    )
 
 
 @pytest.mark.parametrize("count", [*range(3, 15), "flat"])
@@ -88,8 +97,14 @@ def test_a_layout_is_described_in_words(imu: Imu) -> None:
     positions, axes = tetrahedral_array(0.05)
     point, few = imu_of(0.0 * positions, axes), imu_of(positions[:9], axes[:9])
     flat = imu_of(positions * [1.0, 1.0, 0.0], axes)
-    for given, said in ((point, "one point"), (few, "fewer than the 12"), (flat, "plane")):
+    for given, said in (
+        (point, "one point"),
+        (few, "fewer than the 12"),
+        (flat, "plane"),
+    ):
         assert any(said in text for text in layout_statements(given))
-    assert "the angular acceleration cannot be told from the rest" in layout_statements(point)
+    assert "the angular acceleration cannot be told from the rest" in layout_statements(
+        point
+    )
     assert np.isinf(layout(few).errors).any()
     assert layout_statements(imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)) == []

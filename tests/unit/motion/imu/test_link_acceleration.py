@@ -23,12 +23,16 @@ from tests.plants.simulate import simulate
 
 @pytest.fixture(scope="module")
 def scene() -> Case:
-    """The planar rig with its coarse encoders, three seconds at 250 Hz; perfect calibrations."""
+    """The planar rig with its coarse encoders, three seconds at 250 Hz; perfect
+    calibrations.
+    """
     plant, rng = two_joint(), np.random.default_rng
     trial = inertia_trials(plant, [np.array([0.0, 0.5])], rng(0), seconds=3.0)[0]
     log = simulate(plant, trial.reference, 0, every=4)
     robot, recording = robot_of("two_joint", plant), recording_of(plant, "log", log)
-    return Case(plant, robot, recording, stage_of(plant, rng(0), 0.0), log.truth.ddq, log)
+    return Case(
+        plant, robot, recording, stage_of(plant, rng(0), 0.0), log.truth.ddq, log
+    )
 
 
 def encoder(scene: Case) -> Motion:
@@ -36,7 +40,9 @@ def encoder(scene: Case) -> Motion:
 
 
 def by_imus(scene: Case) -> Motion:
-    return best_motion(scene.recording, scene.robot, scene.stage, encoder(scene), source="imu")
+    return best_motion(
+        scene.recording, scene.robot, scene.stage, encoder(scene), source="imu"
+    )
 
 
 def error(scene: Case, motion: Motion) -> Array:
@@ -45,7 +51,9 @@ def error(scene: Case, motion: Motion) -> Array:
 
 
 def test_imus_alone_say_their_error(scene: Case) -> None:
-    """Noise, and what calibrations usually leave; biases of a radian per second squared do not."""
+    """Noise, and what calibrations usually leave; biases of a radian per second squared
+    do not.
+    """
     found, before = by_imus(scene), encoder(scene)
     assert (found.source, found.imus, found.warnings) == ("imu", ("imu_a", "imu_b"), ())
     off, told = error(scene, found), found.acceleration_error
@@ -55,22 +63,30 @@ def test_imus_alone_say_their_error(scene: Case) -> None:
 
 
 @pytest.mark.parametrize("hz", [8.0, 20.0])
-def test_velocities_are_the_imus_and_as_well_known_as_said(scene: Case, hz: float) -> None:
+def test_velocities_are_the_imus_and_as_well_known_as_said(
+    scene: Case, hz: float
+) -> None:
     """Eq. 31 of joint 1, Eq. 41 of joint 2; positions stay the encoders'."""
     before = estimate_motion(scene.recording, scene.robot, MotionOptions(hz))
     found = best_motion(scene.recording, scene.robot, scene.stage, before, source="imu")
     true, _ = differentiate(before.lowpass(scene.log.truth.q), before.rate_hz)
 
     def velocity_error(motion: Motion) -> Array:
-        return np.asarray(np.sqrt(np.mean((motion.dq - true)[motion.usable] ** 2, axis=0)))
+        return np.asarray(
+            np.sqrt(np.mean((motion.dq - true)[motion.usable] ** 2, axis=0))
+        )
 
     np.testing.assert_array_equal(found.q, before.q)
     assert (velocity_error(found) < 0.95 * velocity_error(before)).all()
     assert (velocity_error(found) < 1.5 * found.velocity_error).all()
 
 
-def test_a_gyro_gives_velocities_and_an_array_that_sees_no_products_none(scene: Case) -> None:
-    """A gyro's noise of 0.005 rad/s against encoders of 600 counts; Eq. 31 without its sign."""
+def test_a_gyro_gives_velocities_and_an_array_that_sees_no_products_none(
+    scene: Case,
+) -> None:
+    """A gyro's noise of 0.005 rad/s against encoders of 600 counts; Eq. 31 without its
+    sign.
+    """
     rng, before = np.random.default_rng(4), encoder(scene)
     true, _ = differentiate(before.lowpass(scene.log.truth.q), before.rate_hz)
     robot = scene.robot
@@ -96,7 +112,9 @@ def test_a_gyro_gives_velocities_and_an_array_that_sees_no_products_none(scene: 
 def test_flipped_or_dead_imus_alone_are_named(scene: Case, factor: float) -> None:
     bad = {k: factor * v for k, v in scene.recording.accelerometers.items()}
     given = replace(scene, recording=replace(scene.recording, accelerometers=bad))
-    with pytest.raises(InputError, match=r"imu_a is left out.*imu_b is left out") as caught:
+    with pytest.raises(
+        InputError, match=r"imu_a is left out.*imu_b is left out"
+    ) as caught:
         by_imus(given)
     assert "--motion encoder" in caught.value.hint
     assert caught.value.where == "log"

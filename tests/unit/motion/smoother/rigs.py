@@ -1,4 +1,6 @@
-"""Rigs that the smoother is judged by: errors of its sources alone, and the bound of its model."""
+"""Rigs that the smoother is judged by: errors of its sources alone, and the bound of
+its model.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -68,9 +70,14 @@ def coverage(rig: Rig, got: Smoothed | None = None) -> Array:
 
 
 def differentiated(c: Case) -> Array:
-    """Errors (n,) of encoders' acceleration, by the best cut-off, which only the truth tells."""
+    """Errors (n,) of encoders' acceleration, by the best cut-off, which only the truth
+    tells.
+    """
     rate = c.recording.rate_hz
-    found = [differentiate(Lowpass(float(hz), rate)(c.recording.q), rate) for hz in ENCODER_HZ]
+    found = [
+        differentiate(Lowpass(float(hz), rate)(c.recording.q), rate)
+        for hz in ENCODER_HZ
+    ]
     return np.asarray(np.min([rms(ddq - c.truth) for _, ddq in found], axis=0))
 
 
@@ -88,11 +95,17 @@ def from_imus(c: Case) -> Array:
 
 
 def bound(c: Case, rig: Rig) -> Array:
-    """Cramer-Rao bound (n,) for a white jerk, of who knows its size, all sensors and the motion."""
+    """Cramer-Rao bound (n,) for a white jerk, of who knows its size, all sensors and
+    the motion.
+    """
     views = map(encoder_view, c.recording.q.T, c.plant.encoder_step.tolist())
     imus = []
-    for x, array in zip(mounted_imus(c.recording, c.robot, c.stage), c.plant.imus, strict=True):
-        noise = np.full(x.place.channels, np.hypot(array.noise, array.resolution / np.sqrt(12)))
+    for x, array in zip(
+        mounted_imus(c.recording, c.robot, c.stage), c.plant.imus, strict=True
+    ):
+        noise = np.full(
+            x.place.channels, np.hypot(array.noise, array.resolution / np.sqrt(12))
+        )
         noise[len(x.place.positions) :] = GYRO_NOISE
         place = replace(x.place, R=array.rotation, lever=array.lever)
         taken = read(x, c.recording, slice(None))
@@ -105,6 +118,8 @@ def bound(c: Case, rig: Rig) -> Array:
     jerk = Jerk(size, second / np.outer(size, size), np.ones_like(truth.q))
     q = truth.q - dt**2 * truth.ddq / 6
     coefficients = np.vstack([q[:1], q, q[-1:], q[-1:]])
-    solution = renewed(chunk, coefficients, jerk, linearised(chunk, coefficients), "place")
+    solution = renewed(
+        chunk, coefficients, jerk, linearised(chunk, coefficients), "place"
+    )
     found = probed_variance(solution, solution)[1]
     return np.asarray(np.sqrt(np.mean(found[:, :, 2], axis=0)))

@@ -1,9 +1,10 @@
-"""The smoother against a dense nonlinear least-squares problem, written down here once more.
+"""The smoother against a dense nonlinear least-squares problem, written down here once
+more.
 
-It follows docs/fused_motion.md: splines by scipy's B-splines, every reading at its own time, all
-unknowns in one vector, their slopes by differences. The size of the jerk and the noise are given,
-and an encoder's weights are those at the solution. Knots lie further apart than the smoother's
-cells, so that it shares no Jacobians either.
+It follows docs/fused_motion.md: splines by scipy's B-splines, every reading at its own
+time, all unknowns in one vector, their slopes by differences. The size of the jerk and
+the noise are given, and an encoder's weights are those at the solution. Knots lie
+further apart than the smoother's cells, so that it shares no Jacobians either.
 """
 
 from dataclasses import replace
@@ -45,12 +46,21 @@ TOLERANCE = 1e-6  # of the stated error
 def true_motion(t: Array) -> Array:
     w, a = np.array([3.1, 4.3]), np.array([0.9, 0.7])
     angle = np.outer(t, w) + np.array([0.3, -1.1])
-    return np.stack([a * np.sin(angle), a * w * np.cos(angle), -a * w**2 * np.sin(angle)])
+    return np.stack(
+        [a * np.sin(angle), a * w * np.cos(angle), -a * w**2 * np.sin(angle)]
+    )
 
 
-def readings(robot: Robot, place: Mounting, motion: Array, turn: Array | None = None) -> Array:
-    """Readings (N, K) without bias of an IMU by q, dq, ddq (3, N, 2), turned a little (3,)."""
-    turned = place.R @ Rotation.from_rotvec(np.zeros(3) if turn is None else turn).as_matrix()
+def readings(
+    robot: Robot, place: Mounting, motion: Array, turn: Array | None = None
+) -> Array:
+    """Readings (N, K) without bias of an IMU by q, dq, ddq (3, N, 2), turned a little
+    (3,).
+    """
+    turned = (
+        place.R
+        @ Rotation.from_rotvec(np.zeros(3) if turn is None else turn).as_matrix()
+    )
     state = link_state(robot, place.link, motion.swapaxes(1, 2))
     return np.asarray(state @ replace(place, R=turned).matrix.T)
 
@@ -67,7 +77,9 @@ def scene(step: float) -> Chunk:
         own = Mounting(imu.after, imu.positions, imu.axes, imu.rotation, imu.lever)
         clean = readings(robot, own, true_motion(t - LATE[imu.name]))
         bias = 0.1 * rng.standard_normal(12)
-        accelerometers[imu.name] = clean + bias + NOISE * rng.standard_normal(clean.shape)
+        accelerometers[imu.name] = (
+            clean + bias + NOISE * rng.standard_normal(clean.shape)
+        )
         off = Rotation.from_rotvec(np.radians(0.1) * rng.standard_normal(3)).as_matrix()
         calibrations[imu.name] = ImuCalibration(
             rotation=(imu.rotation @ off).tolist(),
@@ -79,7 +91,9 @@ def scene(step: float) -> Chunk:
             noise_density=0.05,
         )
     q = true_motion(t)[0] + (0.0 if step else 1e-4) * rng.standard_normal((SAMPLES, 2))
-    recording = made_recording(quantise(q, step), rate_hz=1.0 / DT, accelerometers=accelerometers)
+    recording = made_recording(
+        quantise(q, step), rate_hz=1.0 / DT, accelerometers=accelerometers
+    )
     known = mounted_imus(recording, robot, ImuStage(imus=calibrations))
     imus = tuple(read(x, recording, slice(None)) for x in known)
     views = tuple(encoder_view(recording.q[:, j], step) for j in range(2))
@@ -103,7 +117,9 @@ def smoothed(step: float) -> Solution:
 
 
 class Dense:
-    """All residuals, over their standard deviations, by coefficients and each IMU's constants."""
+    """All residuals, over their standard deviations, by coefficients and each IMU's
+    constants.
+    """
 
     def __init__(self, found: Solution, step: float) -> None:
         self.found, self.chunk, self.step = found, found.chunk, step
@@ -123,13 +139,20 @@ class Dense:
         return np.concatenate([np.ravel(p) for p in parts])
 
     def jerks(self, c: Array) -> list[Array]:
-        jerk = BSpline(self.knots, c, 3).derivative(3)(self.t + 0.5 * DT) / JERK.relative
+        jerk = (
+            BSpline(self.knots, c, 3).derivative(3)(self.t + 0.5 * DT) / JERK.relative
+        )
         covariance = JERK.correlation * np.outer(JERK.size, JERK.size)
         return [np.linalg.solve(np.linalg.cholesky(covariance), jerk.T)]
 
     def encoders(self, c: Array) -> list[Array]:
-        """Codes: known to a count's width, once while they last; edges: to where they lie."""
-        at_samples, at_edges = self.splines(c, self.t), self.splines(c, self.t + 0.5 * DT)
+        """Codes: known to a count's width, once while they last; edges: to where they
+        lie.
+        """
+        at_samples, at_edges = (
+            self.splines(c, self.t),
+            self.splines(c, self.t + 0.5 * DT),
+        )
         speed = np.abs(self.splines(self.found.c, self.t)[1]) * DT
         step, parts = self.step, []
         for j, view in enumerate(self.chunk.views):
@@ -161,7 +184,9 @@ class Dense:
 
 def jacobian(dense: Dense, x: Array) -> Array:
     changes = 1e-6 * np.diag(np.maximum(np.abs(x), 1.0))
-    return np.column_stack([(dense(x + h) - dense(x - h)) / (2 * h.sum()) for h in changes])
+    return np.column_stack(
+        [(dense(x + h) - dense(x - h)) / (2 * h.sum()) for h in changes]
+    )
 
 
 @pytest.mark.parametrize("step", [0.0, 2 * np.pi / 1000], ids=["fine", "coarse"])
@@ -169,7 +194,10 @@ def test_solution_and_stated_errors_are_those_of_the_dense_one(step: float) -> N
     """One step of Gauss-Newton on the dense problem changes nothing."""
     found = smoothed(step)
     count = found.c.size
-    dense, unknown = Dense(found, step), np.concatenate([found.c.ravel(), np.zeros(2 * 19)])
+    dense, unknown = (
+        Dense(found, step),
+        np.concatenate([found.c.ravel(), np.zeros(2 * 19)]),
+    )
     J = jacobian(dense, unknown)
     scale = np.linalg.norm(J, axis=0)
     Q, R = np.linalg.qr(J / scale)
@@ -183,8 +211,12 @@ def test_solution_and_stated_errors_are_those_of_the_dense_one(step: float) -> N
         assert off.max() < TOLERANCE
 
 
-def test_nothing_to_solve_for_is_kept_from_lapack(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_to_solve_for_is_kept_from_lapack(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Where constants move the motion in no direction, `dtbtrs` would corrupt memory."""
     monkeypatch.setattr("seqid_cli.motion.smoother.solve.dtbtrs", None)
     for transposed in (False, True):
-        assert halved(np.ones((4, 50)), np.zeros((50, 0)), transposed=transposed).shape == (50, 0)
+        assert halved(
+            np.ones((4, 50)), np.zeros((50, 0)), transposed=transposed
+        ).shape == (50, 0)

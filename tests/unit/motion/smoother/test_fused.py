@@ -1,4 +1,6 @@
-"""Fused motion on simulated rigs: its error, its cut-off, and when encoders are kept instead."""
+"""Fused motion on simulated rigs: its error, its cut-off, and when encoders are kept
+instead.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -27,7 +29,9 @@ pytestmark = pytest.mark.slow
 def scene(name: str) -> Case:
     """A rig of the smoother's own tests, with torque that is its acceleration."""
     made = simulated(name)
-    return replace(made, recording=replace(made.recording, tau=made.log.truth.ddq.copy()))
+    return replace(
+        made, recording=replace(made.recording, tau=made.log.truth.ddq.copy())
+    )
 
 
 def encoder(s: Case, hz: float | None = None) -> Motion:
@@ -110,13 +114,17 @@ def test_without_any_imu_the_encoders_stay_and_nobody_can_insist(lacks: str) -> 
 
 
 def test_a_link_that_does_not_follow_its_encoder_is_not_smoothed_over() -> None:
-    """The default falls back, and says which encoder; insisting goes on, and says so too."""
+    """The default falls back, and says which encoder; insisting goes on, and says so
+    too.
+    """
     s = scene("two")
     wavy = s.recording.q + 0.1 * np.sin(4 * s.recording.q) * np.array([0.0, 1.0])
     off = changed(s, q=wavy)
     got = best(off, "auto")
     assert got.source == "encoder"
-    assert any("the encoder of" in x and "encoders alone are used" in x for x in got.warnings)
+    assert any(
+        "the encoder of" in x and "encoders alone are used" in x for x in got.warnings
+    )
     np.testing.assert_array_equal(got.ddq, encoder(off).ddq)
     forced = best(off, "fused")
     assert forced.source == "fused"
@@ -126,11 +134,15 @@ def test_a_link_that_does_not_follow_its_encoder_is_not_smoothed_over() -> None:
 @pytest.mark.parametrize(
     ("name", "source"), [("one", "fused"), ("two", "fused"), ("six", "encoder")]
 )
-def test_effects_are_looked_for_by_imus_beside_coarse_encoders(name: str, source: str) -> None:
+def test_effects_are_looked_for_by_imus_beside_coarse_encoders(
+    name: str, source: str
+) -> None:
     assert best(scene(name), "needed").source == source
 
 
-def test_a_motion_is_smoothed_once_whatever_the_torque(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_motion_is_smoothed_once_whatever_the_torque(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Other torque changes nothing; other positions, readings or calibrations do."""
     s, counted = scene("one"), []
 
@@ -143,7 +155,10 @@ def test_a_motion_is_smoothed_once_whatever_the_torque(monkeypatch: pytest.Monke
     noisy[100] += 0.01
     first = changed(s, q=noisy)
     readings = {"imu_a": s.recording.accelerometers["imu_a"] + 1e-9}
-    turned = {k: msgspec.structs.replace(c, std_error_deg=0.2) for k, c in s.stage.imus.items()}
+    turned = {
+        k: msgspec.structs.replace(c, std_error_deg=0.2)
+        for k, c in s.stage.imus.items()
+    }
     plain, again = best(first, "fused"), best(changed(first, tau=0 * noisy), "fused")
     np.testing.assert_array_equal(again.ddq, plain.ddq)
     assert len(counted) == 1

@@ -1,4 +1,6 @@
-"""What encoders and IMUs say of each other: joints that bend, jolts, and the smaller error."""
+"""What encoders and IMUs say of each other: joints that bend, jolts, and the smaller
+error.
+"""
 
 from dataclasses import replace
 
@@ -25,7 +27,9 @@ FINE = 2**16  # counts per joint turn
 ANGLES = (0.0, 1.2, -0.9, 2.3, -1.9)
 
 
-def turning(rng: np.random.Generator, *, joints: int = 2, seconds: float = 12.0) -> Motion:
+def turning(
+    rng: np.random.Generator, *, joints: int = 2, seconds: float = 12.0
+) -> Motion:
     """Motion of joints in a few sines, by encoders that are nearly perfect."""
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     hz, phase = rng.uniform(0.3, 2.5, (5, joints)), rng.uniform(-3.0, 3.0, (5, joints))
@@ -35,19 +39,25 @@ def turning(rng: np.random.Generator, *, joints: int = 2, seconds: float = 12.0)
 
 
 def jolted(rng: np.random.Generator, motion: Motion, size: float) -> Array:
-    """Noise of the IMUs, and samples in which friction has turned over since the last one."""
+    """Noise of the IMUs, and samples in which friction has turned over since the last
+    one.
+    """
     noise = 0.05 * rng.standard_normal(motion.ddq.shape)
     jolts = rng.random(motion.ddq.shape) < 0.005
     return motion.lowpass(noise + jolts * size * rng.standard_normal(motion.ddq.shape))
 
 
 def test_a_bending_joint_is_found_beside_jolts_and_a_wrong_gain() -> None:
-    """Its compliance as it is, though the IMUs' gain is 1 % off and their clock 1 ms late."""
+    """Its compliance as it is, though the IMUs' gain is 1 % off and their clock 1 ms
+    late.
+    """
     rng = np.random.default_rng(1)
     motion = turning(rng)
     jerk, snap = differentiate(motion.ddq, motion.rate_hz)
     bends = np.array([[0.0, 0.0], [-2e-5, -5e-5]])
-    apart = snap @ bends.T + 0.01 * motion.ddq + 0.001 * jerk + jolted(rng, motion, 20.0)
+    apart = (
+        snap @ bends.T + 0.01 * motion.ddq + 0.001 * jerk + jolted(rng, motion, 20.0)
+    )
     found = compliance_of(apart, motion.ddq, motion)
     np.testing.assert_allclose(found.per_snap, bends, atol=5e-6)
     power = np.mean((snap @ bends.T)[motion.usable] ** 2, axis=0)
@@ -94,7 +104,9 @@ def scene(counts: int | None, bend: float) -> Case:
     stage = calibrate_imus(swings, robot, options=MotionOptions())
     trial = inertia_trials(plant, postures[:1], rng, seconds=8.0)[0]
     log = simulate(real, trial.reference, 100, every=EVERY)
-    return Case(plant, robot, recording_of(plant, "log", log), stage, log.truth.ddq, log)
+    return Case(
+        plant, robot, recording_of(plant, "log", log), stage, log.truth.ddq, log
+    )
 
 
 def error(motion: Motion, s: Case) -> Array:
@@ -110,7 +122,10 @@ def best(s: Case, source: str, hz: float | None = None) -> Motion:
 
 
 FOLDED = pytest.mark.xfail(
-    reason="accelerations fold jolts between samples as the torque does, the truth here does not",
+    reason=(
+        "accelerations fold jolts between samples as the torque does, the truth here"
+        " does not"
+    ),
     strict=False,
 )
 

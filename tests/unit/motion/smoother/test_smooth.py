@@ -1,4 +1,6 @@
-"""The smoother on simulated rigs and their faults, against the truth and its model's bound."""
+"""The smoother on simulated rigs and their faults, against the truth and its model's
+bound.
+"""
 
 from dataclasses import replace
 
@@ -36,8 +38,12 @@ def again(rig: Rig, *, chain: Chain | None = None, **changed: object) -> Smoothe
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_both_sources_together_come_near_the_bound_with_the_error_stated(name: str) -> None:
-    """The bound takes jerks for equally large all the time: the smoother may come below it."""
+def test_both_sources_together_come_near_the_bound_with_the_error_stated(
+    name: str,
+) -> None:
+    """The bound takes jerks for equally large all the time: the smoother may come below
+    it.
+    """
     rig, s = RIGS[name], rigs.scene(name)
     share = {"six": 0.75, "two": 0.06}.get(name, 0.05)
     assert (error(rig) < share * rigs.differentiated(s)).all()
@@ -48,7 +54,8 @@ def test_both_sources_together_come_near_the_bound_with_the_error_stated(name: s
     ratio = rms(off / np.sqrt(variance(got)))
     assert 0.5 < ratio.min() < ratio.max() < 1.8
     assert tuple(got.mounted) == tuple(imu.name for imu in s.plant.imus)
-    known = slice(0, 3 if name == "six" else 2)  # turns about z do not show how far along z it is
+    # turns about z do not show how far along z it is
+    known = slice(0, 3 if name == "six" else 2)
     for imu in s.plant.imus:
         lever = got.mounted[imu.name].place.lever
         np.testing.assert_allclose(lever[known], imu.lever[known], atol=2e-3)
@@ -111,7 +118,11 @@ def test_a_calibration_of_the_channels_is_used() -> None:
     gains, bias = 1.0 + 0.1 * np.linspace(-1, 1, 12), 0.5 * np.linspace(1, -1, 12)
     values = c.recording.accelerometers["imu_a"] * gains + bias
     array, own = c.plant.imus[0], c.stage.imus["imu_a"]
-    errors = {"scale_std_errors": 1e-3, "bias_std_errors": 0.02, "tilt_std_errors_deg": 0.05}
+    errors = {
+        "scale_std_errors": 1e-3,
+        "bias_std_errors": 0.02,
+        "tilt_std_errors_deg": 0.05,
+    }
     known = msgspec.structs.replace(
         own,
         lever=list(array.lever),
@@ -130,7 +141,10 @@ def test_a_calibration_of_the_channels_is_used() -> None:
 
 def test_damaged_readings_and_positions_cost_little() -> None:
     clipped = replace(TWO, fault=Fault(limit=20.0))
-    assert np.mean(np.abs(recorded(clipped).recording.accelerometers["imu_b"]) >= 20.0) > 1e-3
+    assert (
+        np.mean(np.abs(recorded(clipped).recording.accelerometers["imu_b"]) >= 20.0)
+        > 1e-3
+    )
     assert (error(clipped) < 1.5 * error(TWO)).all()
     log, truth = recorded(TWO).recording, recorded(TWO).log.truth
     values = log.accelerometers["imu_b"].copy()
@@ -162,13 +176,17 @@ def test_wrong_geometry_leaves_an_imu_out_and_says_so(joint: int, deg: float) ->
     R[joint] = R[joint] @ Rotation.from_euler("x", deg, degrees=True).as_matrix()
     got = again(rig, chain=replace(chain, rotation=R))
     assert tuple(got.mounted) == ("imu_a",)
-    assert any("imu_b is left out" in note and "times its noise" in note for note in got.notes)
+    assert any(
+        "imu_b is left out" in note and "times its noise" in note for note in got.notes
+    )
     assert (error(rig, got) < 1.05 * alone(rig)).all()
 
 
 def test_a_badly_fitting_imu_is_named() -> None:
     chain = recorded(TWO).robot.chain
-    got = again(TWO, chain=replace(chain, position=chain.position * np.array([[1.0], [1.2]])))
+    got = again(
+        TWO, chain=replace(chain, position=chain.position * np.array([[1.0], [1.2]]))
+    )
     assert any("imu_b" in note and "times its noise" in note for note in got.notes)
     assert (error(TWO, got) < alone(TWO)).all()
 
@@ -191,7 +209,9 @@ def test_chunks_join_without_a_seam() -> None:
 
 
 def test_a_slower_log_is_smoothed_on_finer_knots() -> None:
-    """Accelerations jump between samples; what a quarter of the readings tell is not lost."""
+    """Accelerations jump between samples; what a quarter of the readings tell is not
+    lost.
+    """
     rig = RIGS["two"]
     log = recorded(rig).recording
     fewer = {name: getattr(log, name)[::4] for name in ("t", "q", "valid")}

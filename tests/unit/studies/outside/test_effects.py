@@ -14,34 +14,55 @@ from tests.studies.outside.simulate import Effect, Log, built, simulate
 from tests.unit.studies.outside.bench import pendulum, quiet_arm, sweeps
 
 
-def made(kind: str, arm: Arm, joint: int = 0, scale: float = 1.0, seed: int = 3) -> Effect:
+def made(
+    kind: str, arm: Arm, joint: int = 0, scale: float = 1.0, seed: int = 3
+) -> Effect:
     return KINDS[kind](arm, joint, np.random.default_rng(seed)).make(scale)
 
 
 def sweep(arm: Arm, speeds: tuple[float, ...], *effects: Effect) -> Log:
-    motion = motions.trial(arm, 0, np.zeros(arm.n), np.array(speeds) / arm.links[0].speed)
+    motion = motions.trial(
+        arm, 0, np.zeros(arm.n), np.array(speeds) / arm.links[0].speed
+    )
     return simulate(arm, motion, 1, effects, start=30.0)
 
 
 def halves(kind: str, at: float = 0.6, speed: float = 0.6) -> tuple[float, float]:
-    """What an effect adds at a place, up and down: half the difference and half the sum."""
+    """What an effect adds at a place, up and down: half the difference and half the
+    sum.
+    """
     arm = pendulum(coulomb=1.0)
     plain, changed = sweep(arm, (speed,)), sweep(arm, (speed,), made(kind, arm))
     up, down = sweeps(plain.t, plain.q[:, 0], speed, at)
     more = (changed.torque - plain.torque)[:, 0]
-    return 0.5 * (more[up].mean() - more[down].mean()), 0.5 * (more[up].mean() + more[down].mean())
+    return 0.5 * (more[up].mean() - more[down].mean()), 0.5 * (
+        more[up].mean() + more[down].mean()
+    )
 
 
-ODD = ("load_dependent_friction", "friction_change", "quadratic_drag", "thermal_friction")
-ODD += ("stribeck", "nonlinear_viscous", "position_dependent_friction", "presliding_hysteresis")
+ODD = (
+    "load_dependent_friction",
+    "friction_change",
+    "quadratic_drag",
+    "thermal_friction",
+)
+ODD += (
+    "stribeck",
+    "nonlinear_viscous",
+    "position_dependent_friction",
+    "presliding_hysteresis",
+)
 EVEN = ("spring", "payload", "base_tilt", "torque_bias", "asymmetric_friction")
 
 
 @pytest.mark.parametrize("kind", [*ODD, *EVEN])
 def test_friction_alone_turns_with_the_direction(kind: str) -> None:
-    odd, even = halves(kind, speed={"stribeck": 0.2, "nonlinear_viscous": 1.2}.get(kind, 0.6))
+    odd, even = halves(
+        kind, speed={"stribeck": 0.2, "nonlinear_viscous": 1.2}.get(kind, 0.6)
+    )
     own, other = (odd, even) if kind in ODD else (even, odd)
-    if kind == "presliding_hysteresis":  # far from a reversal the bristles carry all of their part
+    # far from a reversal the bristles carry all of their part
+    if kind == "presliding_hysteresis":
         assert abs(own) < 0.03
     else:
         assert abs(own) > 0.03
@@ -49,7 +70,9 @@ def test_friction_alone_turns_with_the_direction(kind: str) -> None:
 
 
 def twist(arm: Arm, effect: Effect, torque: float) -> float:
-    """Angle of the link beyond its motor, which is held, under a torque (without weight)."""
+    """Angle of the link beyond its motor, which is held, under a torque (without
+    weight).
+    """
     model = built(arm, [effect])
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
@@ -73,18 +96,33 @@ def test_gears_twist_and_have_gaps() -> None:
 
 def test_what_sensors_say() -> None:
     """Sensors' effects as functions of the true torque and time, exactly."""
-    arm = replace(quiet_arm(6), drives=tuple(replace(d, coulomb=2.0) for d in quiet_arm(6).drives))
+    arm = replace(
+        quiet_arm(6), drives=tuple(replace(d, coulomb=2.0) for d in quiet_arm(6).drives)
+    )
     t = 100.0 + np.arange(0.0, 4.0, 1e-3)
     own, more = np.sin(3.0 * t), {}
-    for kind in ("torque_constant", "torque_saturation", "torque_bias", "drift", "time_skew"):
+    for kind in (
+        "torque_constant",
+        "torque_saturation",
+        "torque_bias",
+        "drift",
+        "time_skew",
+    ):
         more[kind] = made(kind, arm).told(1.0, own, t) - own
-    np.testing.assert_allclose(np.abs(more["torque_constant"]), 0.05 * np.abs(own), atol=1e-12)
-    np.testing.assert_allclose(more["torque_saturation"], 0.05 * own**3 / 400.0, atol=1e-12)
+    np.testing.assert_allclose(
+        np.abs(more["torque_constant"]), 0.05 * np.abs(own), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        more["torque_saturation"], 0.05 * own**3 / 400.0, atol=1e-12
+    )
     np.testing.assert_allclose(np.abs(more["torque_bias"]), 0.8, atol=1e-12)
     np.testing.assert_allclose(np.abs(more["drift"]), 2.0 * t / 60.0, atol=1e-9)
     late = np.abs(np.interp(t - 0.003, t, own) - own)
     early = np.abs(np.interp(t + 0.003, t, own) - own)
-    assert min(np.abs(np.abs(more["time_skew"]) - x)[10:-10].max() for x in (late, early)) < 1e-9
+    assert (
+        min(np.abs(np.abs(more["time_skew"]) - x)[10:-10].max() for x in (late, early))
+        < 1e-9
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -92,5 +130,9 @@ def test_every_effect_comes_in_the_size_that_was_drawn(kind: str) -> None:
     arm, rng = quiet_arm(8), np.random.default_rng(list(kind.encode()))
     effect, share = sized(arm, KINDS[kind](arm, 1, rng), rng)
     assert effect.name == kind
-    least = 0.002 if kind in ("presliding_hysteresis", "actuator_lag", "backlash") else LEAST
+    least = (
+        0.002
+        if kind in ("presliding_hysteresis", "actuator_lag", "backlash")
+        else LEAST
+    )
     assert 0.8 * least < share < 1.2 * MOST

@@ -10,17 +10,39 @@ import pytest
 from seqid_cli.model.effects.registry import CATALOGUE
 from tests.studies.outside.__main__ import answers
 from tests.studies.outside.effects import KINDS
-from tests.studies.outside.plan import COMES_LATER, MANY, PUBLISHED, drawn, kinds_of, outlined
+from tests.studies.outside.plan import (
+    COMES_LATER,
+    MANY,
+    PUBLISHED,
+    drawn,
+    kinds_of,
+    outlined,
+)
 from tests.studies.outside.score import QUANTITIES, label, silent, surely_wrong
 
 
 def answer(**changed: Any) -> dict[str, Any]:
-    row = {"seed": 1, "kinds": ["stribeck"], "joints": ["j2"], "shares": [0.05], "flow": "late"}
-    row |= {"arm": "drawn", "n": 2, "imu": False, "error": "", "findings": [], "unexplained": []}
+    row = {
+        "seed": 1,
+        "kinds": ["stribeck"],
+        "joints": ["j2"],
+        "shares": [0.05],
+        "flow": "late",
+    }
+    row |= {
+        "arm": "drawn",
+        "n": 2,
+        "imu": False,
+        "error": "",
+        "findings": [],
+        "unexplained": [],
+    }
     return row | {"events": [], "residuals": {"j2": [0.3, 0.1, 0.3]}} | changed
 
 
-def finding(effect: str, joint: str = "j2", confidence: float = 0.95, **own: Any) -> dict[str, Any]:
+def finding(
+    effect: str, joint: str = "j2", confidence: float = 0.95, **own: Any
+) -> dict[str, Any]:
     return {"effect": effect, "joint": joint, "confidence": confidence, "alike": []} | {
         "name_confidence": confidence,
         **own,
@@ -42,7 +64,8 @@ def test_a_seed_is_one_case() -> None:
     assert first.shares == again.shares
     coarse = drawn(11, coarser=3.0)
     np.testing.assert_allclose(coarse.arm.of("count"), 3.0 * first.arm.of("count"))
-    assert {outlined(seed, whole=True).n for seed in range(20)} == {5, 6, 7}  # joints of whole arms
+    # joints of whole arms
+    assert {outlined(seed, whole=True).n for seed in range(20)} == {5, 6, 7}
     outlines = [outlined(seed) for seed in range(100)]
     flows = {"late", "early", "step_late", "step_early", "single"}
     assert {each.flow for each in outlines} == flows
@@ -64,19 +87,31 @@ def test_a_seed_is_one_case() -> None:
         ({"findings": [finding("stribeck", "j1")], "joints": ["j2 j1"]}, "right"),
         ({"unexplained": [["j2", ["velocity"]]]}, "quantity"),
         ({"unexplained": [["j2", ["position", "direction"]]]}, "quantity"),
-        ({"unexplained": [["j2", ["position", "direction"]]], "flow": "single"}, "silent"),
+        (
+            {"unexplained": [["j2", ["position", "direction"]]], "flow": "single"},
+            "silent",
+        ),
         ({"unexplained": [["j2", ["time"]]]}, "other"),
         ({"residuals": {"j2": [0.11, 0.1, 0.1], "j1": [0.9, 0.1, 0.9]}}, "little left"),
         ({"residuals": {"j2": [0.3, 0.1, 0.11]}}, "little left"),
-        ({"findings": [finding("position_dependent_friction")], "flow": "single"}, "silent"),
+        (
+            {"findings": [finding("position_dependent_friction")], "flow": "single"},
+            "silent",
+        ),
     ],
 )
-def test_an_answer_is_worth_its_best_part(changed: dict[str, Any], expected: str) -> None:
+def test_an_answer_is_worth_its_best_part(
+    changed: dict[str, Any], expected: str
+) -> None:
     assert label(answer(**changed), 0) == expected
 
 
 def test_the_name_of_one_effect_is_no_answer_about_the_other() -> None:
-    both = {"kinds": ["stribeck", "spring"], "joints": ["j2", "j2"], "shares": [0.1, 0.1]}
+    both = {
+        "kinds": ["stribeck", "spring"],
+        "joints": ["j2", "j2"],
+        "shares": [0.1, 0.1],
+    }
     row = answer(findings=[finding("stribeck")], **both)
     assert [label(row, k) for k in range(2)] == ["right", "silent"]
     row = answer(findings=[finding("stribeck"), finding("torque_bias")], **both)
@@ -90,7 +125,9 @@ def test_a_wrong_name_counts_where_it_is_sure() -> None:
     clean = answer(kinds=[], joints=[], shares=[])
     assert silent(clean)
     assert not silent(clean | {"unexplained": [["j1", ["position", "direction"]]]})
-    assert silent(clean | {"unexplained": [["j1", ["position", "direction"]]], "flow": "single"})
+    assert silent(
+        clean | {"unexplained": [["j1", ["position", "direction"]]], "flow": "single"}
+    )
 
 
 def test_a_case_goes_the_way_of_a_user_and_is_kept(tmp_path: Path) -> None:

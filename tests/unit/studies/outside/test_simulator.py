@@ -22,7 +22,9 @@ from tests.unit.studies.outside.bench import pendulum, quiet_arm
 
 @pytest.mark.parametrize("label", [*PUBLISHED, "drawn"])
 def test_simulator_and_urdf_are_one_arm(label: str) -> None:
-    """Weight and mass matrix in MuJoCo, and by Pinocchio from the URDF, some links locked."""
+    """Weight and mass matrix in MuJoCo, and by Pinocchio from the URDF, some links
+    locked.
+    """
     rng = np.random.default_rng(1)
     arm = drawn_arm(rng, label, 3, imus=False)
     model = built(arm)
@@ -38,7 +40,9 @@ def test_simulator_and_urdf_are_one_arm(label: str) -> None:
         symmetric = pin.crba(other, theirs, data.qpos)
         np.testing.assert_allclose(rigid, symmetric, atol=1e-6 * np.abs(rigid).max())
         weight = pin.computeGeneralizedGravity(other, theirs, data.qpos)
-        np.testing.assert_allclose(data.qfrc_bias, weight, atol=1e-6 * np.abs(weight).max() + 1e-9)
+        np.testing.assert_allclose(
+            data.qfrc_bias, weight, atol=1e-6 * np.abs(weight).max() + 1e-9
+        )
 
 
 def test_logged_torque_is_inverse_dynamics_and_friction() -> None:
@@ -61,24 +65,33 @@ def test_logged_torque_is_inverse_dynamics_and_friction() -> None:
     slides = np.abs(dq).min(axis=1) > 0.1
     apart = (log.true_torque - rigid - friction)[slides]
     assert slides.sum() > 300
-    assert np.median(np.abs(apart), axis=0) == pytest.approx(0.0, abs=0.05 * coulomb.min())
+    assert np.median(np.abs(apart), axis=0) == pytest.approx(
+        0.0, abs=0.05 * coulomb.min()
+    )
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "mcap"])
-def test_a_clean_pendulum_is_identified_to_within_its_errors(tmp_path: Path, suffix: str) -> None:
+def test_a_clean_pendulum_is_identified_to_within_its_errors(
+    tmp_path: Path, suffix: str
+) -> None:
     arm = replace(pendulum(coulomb=1.0), noise=0.05)
     robot = tmp_path / "robot.toml"
     robot.write_text(robot_toml(arm))
     (tmp_path / "arm.urdf").write_text(urdf(arm))
     rng, logs = np.random.default_rng(2), []
     sweeping = motions.trial(arm, 0, np.zeros(1), SPEEDS)
-    for name, motion in (("trial", sweeping), ("moves", motions.multisine(arm, rng, 15.0))):
+    for name, motion in (
+        ("trial", sweeping),
+        ("moves", motions.multisine(arm, rng, 15.0)),
+    ):
         log = simulate(arm, motion, seed=1)
         logs.append(tmp_path / f"{name}.{suffix}")
         write(logs[-1], arm, log, log.t + 5.0)
     files = [tmp_path / f"{k}.json" for k in range(2)]
     identify.friction(logs[:1], robot, output=files[0])
-    gravity = identify.gravity(logs[:1], robot, files[0], output=files[1]).stages.gravity
+    gravity = identify.gravity(
+        logs[:1], robot, files[0], output=files[1]
+    ).stages.gravity
     inertia = identify.inertia(logs[1:], robot, files[1]).stages.inertia
     weight = max(gravity.parameters, key=lambda p: abs(p.value))
     assert abs(abs(weight.value) - 2.0 * 0.4) < 4.0 * weight.std_error + 0.004
@@ -88,14 +101,22 @@ def test_a_clean_pendulum_is_identified_to_within_its_errors(tmp_path: Path, suf
 
 
 def test_a_held_joint_that_another_shakes_is_not_judged(tmp_path: Path) -> None:
-    """Its torque is the controller's law, -k_p (q - q_0) - k_d dq, whatever its friction."""
+    """Its torque is the controller's law, -k_p (q - q_0) - k_d dq, whatever its
+    friction.
+    """
     arm = replace(
-        drawn_arm(np.random.default_rng(2), "drawn", 3, imus=False), bandwidth=12.0, forward=0.3
+        drawn_arm(np.random.default_rng(2), "drawn", 3, imus=False),
+        bandwidth=12.0,
+        forward=0.3,
     )
     (tmp_path / "robot.toml").write_text(robot_toml(arm))
     (tmp_path / "arm.urdf").write_text(urdf(arm))
-    log = simulate(arm, motions.trial(arm, 0, np.array([0.4, -0.3, 0.2]), SPEEDS[2:]), seed=1)
+    log = simulate(
+        arm, motions.trial(arm, 0, np.array([0.4, -0.3, 0.2]), SPEEDS[2:]), seed=1
+    )
     write(tmp_path / "t.parquet", arm, log, log.t)
-    screened = read_screened(tmp_path / "t.parquet", load_robot(tmp_path / "robot.toml"))
+    screened = read_screened(
+        tmp_path / "t.parquet", load_robot(tmp_path / "robot.toml")
+    )
     assert np.ptp(screened.recording.q, axis=0)[1:].min() > 0.02
     assert screened.findings == ()

@@ -42,7 +42,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, spread_of
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations
-from seqid_cli.identify.rigid.simultaneous import SimultaneousEquations
+from seqid_cli.identify.rigid.simultaneous_equations import SimultaneousEquations
 from seqid_cli.identify.settings import CutoffSettings, InertiaSettings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion

@@ -425,7 +425,7 @@ class InertiaTrial:
             covariance=posterior.covariance,
             joints=[joint.with_fixed(joint.size - 1, 0.0) for joint in rows.joints],
             torque_squares=rows.torque_squares,
-            independent=float(rows.counts[0]),
+            independent=float(rows.sample_counts[0]),
             nuisances=own.nuisances.all,
         )
 

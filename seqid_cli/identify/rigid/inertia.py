@@ -257,11 +257,11 @@ def _stage(
         multiple: equations.solved(other, share)
         for multiple, other in neighbours.items()
     }
-    by_cutoff, differences = cutoff_check(
+    by_cutoff = cutoff_check(
         (solution, posterior), at_neighbours, equations.surfaces, settings.cutoff_check
     )
     by_imus = _imu_moves(equations, rows, solution)
-    posterior = posterior.with_error(by_cutoff).with_error(by_imus)
+    posterior = posterior.with_error(by_cutoff.directions).with_error(by_imus)
     tolerances = tolerance_moves(equations, rows, solution)
     posterior = replace(posterior, tolerances=tolerances)
 
@@ -285,7 +285,9 @@ def _stage(
         verdicts=verdicts,
         notes=[*stage.notes, *drives.notes, *coupling.notes],
     )
-    stage = with_cutoff_check(stage, differences, basis, settings.cutoff_check)
+    stage = with_cutoff_check(
+        stage, by_cutoff.differences, basis, settings.cutoff_check
+    )
     model = msgspec.structs.replace(
         equations.stages, friction=drives.friction, inertia=stage
     )

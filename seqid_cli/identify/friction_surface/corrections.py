@@ -24,7 +24,6 @@ torque by the base parameters of gravity, of which a first estimate is enough:
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -42,96 +41,139 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array
 
+# Windows of ramps that a configuration needs, for its inertia to be determined.
+MIN_WINDOWS = 6
+# Slices are left out that are pushed by more than so many times noise and usual push.
+MAX_PUSH_RATIO = 2.0
 
-class SteadyGroup(NamedTuple):
-    """Trials in one configuration with the torque of acceleration taken off."""
+
+@dataclass(frozen=True, kw_only=True)
+class SteadyGroup:
+    """Trials in one configuration with the torque of acceleration taken off.
+
+    `inertia` is d_kk as it was used, kg m^2 (kg where prismatic).
+    """
 
     trials: list[Trial]
-    inertia: float  # d_kk as it was used, kg m^2 (kg where prismatic)
+    inertia: float
     std_error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RampInertia:
+    """The inertia d_kk of one configuration, by its ramps.
+
+    `white_variance` is its variance for white noise, `robust_variance` that robust
+    within trials, of which there are `trials`.
+    """
+
+    value: float
+    white_variance: float
+    robust_variance: float
+    trials: int
 
 
 def without_acceleration(
     robot: Robot, groups: Sequence[list[Trial]], surface: FrictionSurface
 ) -> list[SteadyGroup]:
-    """Take the torque of what acceleration is left (Eq. 25) off a joint's `configurations`."""
-    # So is what friction, by a first estimate, differs by as the speed is not quite
-    # constant.
-    found = [_inertia_of(robot, group, surface) for group in groups]
-    known = np.array([one for one in found if one is not None]).reshape(-1, 4)
-    value, white, robust, count = known.T
-    usual = float(np.sqrt(np.mean(value**2))) if len(known) else 0.0
-    # How many times the variance is that of white noise, by all configurations: few
-    # trials by themselves do not show what they share.
-    inflation = (
-        max(float(count @ robust / (count @ white)), 1.0) if (white > 0).any() else 1.0
-    )
+    """Take the torque of what acceleration is left (Eq. 25) off a joint's `configurations`.
+
+    So is what friction, by a first estimate, differs by as the speed is not quite
+    constant.
+    """
+    by_group = [_inertia_of(robot, group, surface) for group in groups]
+    determined = [inertia for inertia in by_group if inertia is not None]
+    usual = 0.0
+    if determined:
+        usual = float(np.sqrt(np.mean([inertia.value**2 for inertia in determined])))
+    inflation = _inflation(determined)
+
     result = []
-    for group, own in zip(groups, found, strict=True):
-        inertia, error = 0.0, usual
-        if own is not None:
-            inertia, error = (
-                max(own[0], 0.0),
-                float(np.sqrt(max(own[2], own[1] * inflation))),
-            )
-        largest = error
-        if not len(known):  # all torque of the trials could be acceleration's
+    for group, ramp_inertia in zip(groups, by_group, strict=True):
+        inertia = 0.0
+        std_error = usual
+        if ramp_inertia is not None:
+            inertia = max(ramp_inertia.value, 0.0)
+            white = ramp_inertia.white_variance * inflation
+            std_error = float(np.sqrt(max(ramp_inertia.robust_variance, white)))
+        largest_error = std_error
+        if not determined:  # all torque of the trials could be acceleration's
             torque = max(float(np.median(np.abs(trial.tau))) for trial in group)
             accelerated = max(float(np.sqrt(np.mean(trial.ddq**2))) for trial in group)
-            largest = torque / accelerated if accelerated > 0.0 else 0.0
-        steady = [
-            replace(_steady(t, inertia, surface), inertia_error=largest) for t in group
+            largest_error = torque / accelerated if accelerated > 0.0 else 0.0
+        trials = [
+            replace(_steady(trial, inertia, surface), inertia_error=largest_error)
+            for trial in group
         ]
-        result.append(SteadyGroup(steady, inertia, error))
+        result.append(SteadyGroup(trials=trials, inertia=inertia, std_error=std_error))
     return result
 
 
-def _steady(
-    trial: Trial, inertia: float, surface: FrictionSurface, *, max_ratio: float = 2.0
-) -> Trial:
-    """The trial at its mean velocity, without the slices of more than noise and usual push."""
+def _inflation(inertias: Sequence[RampInertia]) -> float:
+    """Return how many times the variance is that of white noise, by all configurations.
+
+    Few trials by themselves do not show what they share.
+    """
+    trials = np.array([inertia.trials for inertia in inertias], dtype=np.float64)
+    white = np.array([inertia.white_variance for inertia in inertias])
+    robust = np.array([inertia.robust_variance for inertia in inertias])
+    if not (white > 0).any():
+        return 1.0
+    return max(float(trials @ robust / (trials @ white)), 1.0)
+
+
+def _steady(trial: Trial, inertia: float, surface: FrictionSurface) -> Trial:
+    """Return the trial at its mean velocity, without slices that are pushed too much."""
     # At its ends a trial settles faster than its path: what is taken off is as wrong as
     # large.
-    mean, pushed = np.full(len(trial.q), trial.velocity), inertia * trial.ddq
-    tau = trial.tau - (
-        pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean)
+    mean_velocity = np.full(len(trial.q), trial.velocity)
+    push = inertia * trial.ddq
+    friction_change = surface.torque(trial.q, trial.dq) - surface.torque(
+        trial.q, mean_velocity
     )
+    tau = trial.tau - (push + friction_change)
     noise = PER_MEDIAN * float(np.median(np.abs(np.diff(tau, 2)))) / np.sqrt(6.0)
-    kept = np.abs(pushed) <= max_ratio * np.hypot(
-        noise, float(np.median(np.abs(pushed)))
-    )
-    return replace(trial, tau=tau).part(kept)
+    usual_push = float(np.median(np.abs(push)))
+    is_steady = np.abs(push) <= MAX_PUSH_RATIO * np.hypot(noise, usual_push)
+    return replace(trial, tau=tau).part(is_steady)
 
 
 def _inertia_of(
-    robot: Robot, group: list[Trial], surface: FrictionSurface, *, min_windows: int = 6
-) -> tuple[float, float, float, int] | None:
-    """d_kk of one configuration, None where its ramps do not determine it."""
-    # Its variance for white noise follows, that robust within trials, and the number of
-    # these.
+    robot: Robot, group: list[Trial], surface: FrictionSurface
+) -> RampInertia | None:
+    """Return d_kk of one configuration; None where its ramps do not determine it."""
     low, high = surface.scaling.speed
-    # columns: ddq, a, torque, each by the root of the weight; trial
-    rows, windows = [], 0
+    all_rows: list[Array] = []  # [ddq, a | torque], by the root of the weight
+    trial_numbers: list[int] = []
+    n_windows = 0
     for number, trial in enumerate(group):
         # Windows at speeds at which friction was seen; the others hold a reversal or a
         # rest.
         speed = np.abs(trial.ramps.dq)
-        kept = (speed >= low) & (speed <= high)
-        windows += int(kept.sum())
-        for part, own in ((trial, slice(None)), (trial.ramps, kept)):
-            q = part.q[own]
+        seen = (speed >= low) & (speed <= high)
+        n_windows += int(seen.sum())
+        for part, chosen in ((trial, slice(None)), (trial.ramps, seen)):
+            q = part.q[chosen]
             a = gravity_columns(robot, trial.joint, group[0].configuration, q)
-            y = part.tau[own] - surface.torque(q, part.dq[own])
-            weighted = np.column_stack([part.ddq[own], a, y]) * np.sqrt(part.weight)
-            rows.append(np.column_stack([weighted, np.full(len(q), number)]))
-    if windows < min_windows:
+            y = part.tau[chosen] - surface.torque(q, part.dq[chosen])
+            rows = np.column_stack([part.ddq[chosen], a, y]) * np.sqrt(part.weight)
+            all_rows.append(rows)
+            trial_numbers += [number] * len(q)
+    if n_windows < MIN_WINDOWS:
         return None
-    table = np.vstack(rows)
-    found = Clustered.of(table[:, :-2], table[:, -2], table[:, -1].astype(np.intp))
-    count, spare = len(found.moves), len(found.left) - len(found.theta)
-    robust = count / max(count - 1, 1) * float(np.sum(found.moves[:, 0] ** 2))
-    white = float(found.left @ found.left) / max(spare, 1) * float(found.bread[0, 0])
-    return float(found.theta[0]), white, robust, count
+
+    table = np.vstack(all_rows)
+    fit = Clustered.of(table[:, :-1], table[:, -1], np.array(trial_numbers, np.intp))
+    n_trials = len(fit.moves)
+    n_spare = len(fit.left) - len(fit.theta)
+    residual_variance = float(fit.left @ fit.left) / max(n_spare, 1)
+    squared_moves = float(np.sum(fit.moves[:, 0] ** 2))
+    return RampInertia(
+        value=float(fit.theta[0]),
+        white_variance=residual_variance * float(fit.bread[0, 0]),
+        robust_variance=n_trials / max(n_trials - 1, 1) * squared_moves,
+        trials=n_trials,
+    )
 
 
 @dataclass(frozen=True)
@@ -151,82 +193,87 @@ class HeldJoints:
     ) -> "HeldJoints":
         """Estimate gravity by the trials of joints whose friction is known, None of the others."""
         basis = base_parameters(robot, rotor=())
-        none = cls(robot, basis, np.zeros(int(basis.gravity.sum())))
-        joints = [Accumulator(len(none.theta)) for _ in range(robot.n)]
-        for j, surface in enumerate(surfaces if len(none.theta) else ()):
-            own = [trial for trial in trials if trial.joint == j]
-            if surface is None or not own:
+        size = int(basis.gravity.sum())
+        unloaded = cls(robot, basis, np.zeros(size))
+        if not size:
+            return unloaded
+        all_trials = list(trials)
+        joints = [Accumulator(size) for _ in range(robot.n)]
+        for j, surface in enumerate(surfaces):
+            joint_trials = [trial for trial in all_trials if trial.joint == j]
+            if surface is None or not joint_trials:
                 continue
-            each = none.columns_of(j, [trial.places for trial in own])
-            for trial, H in zip(own, each, strict=True):
+            columns = unloaded.columns_of(j, [trial.places for trial in joint_trials])
+            for trial, H in zip(joint_trials, columns, strict=True):
                 joints[j].add(H, trial.tau - surface.torque(trial.q, trial.dq))
-        return replace(none, theta=solve(joints).theta) if len(none.theta) else none
+        return replace(unloaded, theta=solve(joints).theta)
 
     def means(self, group: Sequence[Trial]) -> list[Array]:
-        """H_g (K, p) of one joint's trials, means over their slices."""
+        """Return H_g (K, p) of one joint's trials, means over their slices."""
         # Gauss's two points: a slice is wide enough to take 1e-4 off gravity at its
         # middle.
-        joint, ends = group[0].joint, []
+        joint = group[0].joint
+        direction = np.eye(1, self.robot.n, joint)
+        points: list[Array] = []
         for trial in group:
-            ahead = (
-                np.eye(1, self.robot.n, joint)
-                * trial.velocity
-                * trial.seconds
-                / np.sqrt(12.0)
-            )
-            ends += [trial.places - ahead, trial.places + ahead]
-        every = self.columns_of(joint, ends)
-        return [(a + b) / 2.0 for a, b in zip(every[::2], every[1::2], strict=True)]
+            offset = direction * trial.velocity * trial.seconds / np.sqrt(12.0)
+            points += [trial.places - offset, trial.places + offset]
+        columns = self.columns_of(joint, points)
+        pairs = zip(columns[::2], columns[1::2], strict=True)
+        return [(before + after) / 2.0 for before, after in pairs]
 
     def columns_of(self, joint: int, places: Sequence[Array]) -> list[Array]:
-        """H_g (K, p) of a joint at each of several sets of positions (K, n)."""
+        """Return H_g (K, p) of a joint at each of several sets of positions (K, n)."""
         # All at once: a call costs as much as a thousand positions.
-        H = gravity_base_regressor(self.robot, self.basis, np.concatenate(places))[
-            :, joint
-        ]
-        return np.split(H, np.cumsum([len(q) for q in places])[:-1])
+        H = gravity_base_regressor(self.robot, self.basis, np.concatenate(places))
+        ends = np.cumsum([len(q) for q in places])
+        return np.split(H[:, joint], ends[:-1])
 
     def standing(self, group: Sequence[Trial]) -> list[Trial]:
-        """The trials of one joint as if the others had stood where they did in the first."""
-        joint, first = group[0].joint, group[0].configuration
-        moves = np.arange(self.robot.n) == joint
-        stood = [np.where(moves, trial.q[:, None], first) for trial in group]
-        was = self.columns_of(joint, [trial.places for trial in group])
-        pairs = zip(group, was, self.columns_of(joint, stood), strict=True)
+        """Return one joint's trials as if the others had stood where they did in the first."""
+        joint = group[0].joint
+        is_moving = np.arange(self.robot.n) == joint
+        first = group[0].configuration
+        stood = [np.where(is_moving, trial.q[:, None], first) for trial in group]
+        logged = self.columns_of(joint, [trial.places for trial in group])
+        as_in_first = self.columns_of(joint, stood)
         return [
-            replace(trial, tau=trial.tau - (H - G) @ self.theta)
-            for trial, H, G in pairs
+            replace(trial, tau=trial.tau - (H - H_first) @ self.theta)
+            for trial, H, H_first in zip(group, logged, as_in_first, strict=True)
         ]
 
     def doubt(self, group: Sequence[Trial]) -> list[Array]:
-        """Torque (K,) N m of one standard error of how far joints gave way, trial by trial."""
-        # Readings of both directions have errors of their own, of which friction feels
-        # half the difference. Those of joints whose readings never change are no part
-        # of it.
-        moved = np.ptp(np.concatenate([trial.places for trial in group]), axis=0) > 0.0
-        each = [own * moved / np.sqrt(2.0) for own in self.unseen(group)]
-        signed = zip(
-            each, [int(np.argmax(np.sum(own**2, axis=0))) for own in each], strict=True
-        )
-        return [
-            np.copysign(np.linalg.norm(own, axis=1), own[:, k]) for own, k in signed
-        ]
+        """Return the torque (K,) N m of one standard error of how far joints gave way.
+
+        It is that of each trial. Readings of both directions have errors of their own,
+        of which friction feels half the difference. Those of joints whose readings
+        never change are no part of it.
+        """
+        places = np.concatenate([trial.places for trial in group])
+        has_moved = np.ptp(places, axis=0) > 0.0
+        doubts = []
+        for torque in self.unseen(group):
+            of_joints = torque * has_moved / np.sqrt(2.0)
+            largest = int(np.argmax(np.sum(of_joints**2, axis=0)))
+            size = np.linalg.norm(of_joints, axis=1)
+            doubts.append(np.copysign(size, of_joints[:, largest]))
+        return doubts
 
     def unseen(self, group: Sequence[Trial]) -> list[Array]:
-        """Torque (K, n) N m of one standard deviation of where others stand, trial by trial."""
-        joint, n = group[0].joint, self.robot.n
-        about = []
+        """Return the torque (K, n) N m of one standard deviation of where others stand.
+
+        It is that of each trial, by the counts of the joints' encoders.
+        """
+        joint = group[0].joint
+        n = self.robot.n
+        places = []
         for trial in group:
-            others = (np.arange(n) != joint) & (trial.count > 0.0)
-            aside = np.diag(np.where(others, trial.count / np.sqrt(12.0), 0.0))[
-                :, None, :
-            ]
-            about.append(
-                np.concatenate([trial.places[None], trial.places + aside]).reshape(
-                    -1, n
-                )
-            )
-        torques = [
-            (H @ self.theta).reshape(n + 1, -1) for H in self.columns_of(joint, about)
-        ]
-        return [(torque[1:] - torque[0]).T for torque in torques]
+            has_count = (np.arange(n) != joint) & (trial.count > 0.0)
+            std = np.where(has_count, trial.count / np.sqrt(12.0), 0.0)
+            aside = trial.places + np.diag(std)[:, None, :]
+            places.append(np.concatenate([trial.places[None], aside]).reshape(-1, n))
+        torques = []
+        for H in self.columns_of(joint, places):
+            torque = (H @ self.theta).reshape(n + 1, -1)
+            torques.append((torque[1:] - torque[0]).T)
+        return torques

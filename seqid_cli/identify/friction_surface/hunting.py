@@ -48,16 +48,18 @@ def sliding_trials(
     if first is not None:
         groups = [group.trials for group in first.gravity.groups]
         steady = without_acceleration(robot, groups, first.surface)
-        for one, group in zip(steady, groups, strict=True):
+        for steady_group, group in zip(steady, groups, strict=True):
             share = _accelerated_share(group, first.surface)
-            if one.inertia > min_sigma * one.std_error and share > min_share:
-                inertia |= {id(trial): one.inertia / share for trial in group}
+            is_known = steady_group.inertia > min_sigma * steady_group.std_error
+            if is_known and share > min_share:
+                inertia |= {id(trial): steady_group.inertia / share for trial in group}
     # The inertia of a configuration that does not show it is like that of the others.
     usual = float(np.median(list(inertia.values()))) if inertia else np.inf
 
     def hunts(trial: Trial) -> bool:
-        most = settings.max_speed_swing * inertia.get(id(trial), usual) * trial.speed
-        return trial.stopped or trial.swing > most
+        trial_inertia = inertia.get(id(trial), usual)
+        max_swing = settings.max_speed_swing * trial_inertia * trial.speed
+        return trial.stopped or trial.swing > max_swing
 
     return [trial for trial in trials if not hunts(trial)]
 
@@ -84,18 +86,19 @@ def note_on_hunting(
     joint: Joint, trials: Sequence[Trial], slides: Sequence[Trial]
 ) -> str:
     """Say at which speeds a joint hunts, what is not known then, and what helps."""
-    there = {id(trial) for trial in slides}
+    sliding = {id(trial) for trial in slides}
     unit = joint.unit("rad/s")
-    speeds, lost = [], 0
+    speeds: list[str] = []
+    n_lost = 0
     for level in speed_levels(list(trials)):
-        count = sum(id(trial) not in there for trial in level)
-        if count:
+        n_hunting = sum(id(trial) not in sliding for trial in level)
+        if n_hunting:
             mean = float(np.mean([trial.speed for trial in level]))
-            speeds.append(f"{mean:.3g} ({count} of {len(level)})")
-            lost += count
+            speeds.append(f"{mean:.3g} ({n_hunting} of {len(level)})")
+            n_lost += n_hunting
     text = (
         f"{joint.name}: the joint stops and starts between counts of its encoder at"
-        f" {', '.join(speeds)} {unit}: {lost} trial(s), whose mean torque is less than"
+        f" {', '.join(speeds)} {unit}: {n_lost} trial(s), whose mean torque is less than"
         " friction, were left out"
     )
     if slides:

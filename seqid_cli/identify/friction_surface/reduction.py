@@ -32,11 +32,23 @@ EDGES = 2  # ends of a trial
 # Errors that all trials have in common: inertia, where others gave way, delay,
 # temperature.
 SHARED = 4
-# places of the last two behind the functions of position
-LATE, WARM = EDGES + 2, EDGES + 3
+# Places of the last two behind the functions of position.
+LATE = EDGES + 2
+WARM = EDGES + 3
 EXTRA = EDGES + SHARED  # columns beside those of position
-COUNTS = 0.1  # of a trial's largest weight, from which a slice counts as one
-MAX_POSITION_ORDER, MAX_VELOCITY_ORDER = 10, 11
+# Share of a trial's largest weight from which a slice counts as measured.
+MEASURED_WEIGHT = 0.1
+MAX_POSITION_ORDER = 10
+MAX_VELOCITY_ORDER = 11
+# Bins of positions over which medians are taken before there is a surface.
+MEDIAN_BINS = 24
+# No scatter below this share of the usual friction is believed.
+MIN_SCATTER = 1e-9
+# Tukey's weight is zero beyond so many scales: 95 % efficient for normal errors.
+MAX_RATIO = 4.685
+# Rows below this share of a trial's factor are rounding.
+EMPTY_SHARE = 1e-12
+EDGE_S = 0.05  # s, over which an unsteady speed fades from the ends of a trial
 
 
 @dataclass(frozen=True)
@@ -47,79 +59,96 @@ class Orders:
     velocity: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SpeedData:
-    """One trial, by K slices."""
+    """One trial, by K slices.
+
+    `speed` rad/s and `direction` (1 or -1) are of the joint, `q` (K,) rad its
+    positions, `friction` (K,) N m its friction in the direction of motion. `weight`
+    (K,) are samples, `edges` (K, 2) how near, in time, slices are to the begin and to
+    the end. `push`, `doubt`, `late` and `warm` (K,) N m are what friction is wrong by
+    for one standard error of the inertia, of how far other joints gave way, of the
+    torque's delay, and of friction's change per kelvin.
+    """
 
     speed: float
     direction: int
-    q: Array  # (K,) rad
-    friction: Array  # (K,) N m
-    weight: Array  # (K,) samples
-    edges: Array  # (K, 2) how near, in time, they are to the begin and to the end
-    # (K,) N m that friction is wrong by if the inertia is by one standard error
+    q: Array
+    friction: Array
+    weight: Array
+    edges: Array
     push: Array
-    doubt: Array  # (K,) N m likewise if it is how far other joints gave way
-    late: Array  # (K,) N m likewise if the torque is late by one standard deviation
-    # (K,) N m likewise if friction falls by one standard deviation per kelvin
+    doubt: Array
+    late: Array
     warm: Array
 
     @property
     def belongs(self) -> Mask:
         """Slices (K,) that count as measured."""
-        return np.asarray(self.weight > COUNTS * self.weight.max(initial=0.0))
+        return np.asarray(self.weight > MEASURED_WEIGHT * self.weight.max(initial=0.0))
 
 
-def around_medians(data: list[SpeedData], *, bins: int = 24) -> list[Array]:
-    """Distances (K,) N m of slices from medians over positions and over trials."""
-    middles = [item.friction - np.median(item.friction) for item in data]
-    q, values = np.concatenate([item.q for item in data]), np.concatenate(middles)
-    middle, edges, _ = binned_statistic(q, values, "median", bins)
-    centres, known = 0.5 * (edges[1:] + edges[:-1]), np.isfinite(middle)
-    off = [
-        own - np.interp(item.q, centres[known], middle[known])
-        for item, own in zip(data, middles, strict=True)
-    ]
-    return [each - np.median(each) for each in off]
+def around_medians(data: list[SpeedData]) -> list[Array]:
+    """Return distances (K,) N m of slices from medians over positions and over trials."""
+    around_trial = [item.friction - np.median(item.friction) for item in data]
+    q = np.concatenate([item.q for item in data])
+    median, edges, _ = binned_statistic(
+        q, np.concatenate(around_trial), "median", MEDIAN_BINS
+    )
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    filled = np.isfinite(median)
+    distances = []
+    for item, friction in zip(data, around_trial, strict=True):
+        over_position = np.interp(item.q, centres[filled], median[filled])
+        distance = friction - over_position
+        distances.append(distance - np.median(distance))
+    return distances
 
 
-def weighted(
-    data: list[SpeedData],
-    off: list[Array],
-    *,
-    min_scatter: float = 1e-9,
-    max_ratio: float = 4.685,
-) -> list[SpeedData]:
-    """Weight slices that are `off` (K,) N m: by noise, and little where they do not belong."""
-    # No scatter below `min_scatter` of the usual friction is believed. Tukey's weight
-    # is zero beyond `max_ratio` scales: 95 % efficient for normal errors.
+def weighted(data: list[SpeedData], distances: list[Array]) -> list[SpeedData]:
+    """Weight slices by the noise of their trial, and little where they do not belong.
+
+    Parameters
+    ----------
+    data : list of SpeedData
+        Trials.
+    distances : list of (K,) arrays
+        Distances of their slices from the surface [N m].
+    """
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
-    found = [median_abs_deviation(own, scale="normal") for own in off]
-    scales = np.maximum(found, max(min_scatter * level, 1e-300))
-    variances = scales**2 * np.array([float(np.median(item.weight)) for item in data])
-    shares = np.minimum(float(np.median(variances)) / variances, 1.0)
-    tukey = [
-        np.clip(1.0 - (own / (max_ratio * scale)) ** 2, 0.0, None) ** 2
-        for own, scale in zip(off, scales, strict=True)
-    ]
-    return [
-        replace(item, weight=item.weight * share * own)
-        for item, share, own in zip(data, shares, tukey, strict=True)
-    ]
+    deviations = [median_abs_deviation(x, scale="normal") for x in distances]
+    scales = np.maximum(deviations, max(MIN_SCATTER * level, 1e-300))
+    samples = np.array([float(np.median(item.weight)) for item in data])
+    variances = scales**2 * samples
+    noise_weights = np.minimum(float(np.median(variances)) / variances, 1.0)
+
+    result = []
+    for item, distance, scale, noise_weight in zip(
+        data, distances, scales, noise_weights, strict=True
+    ):
+        ratio = distance / (MAX_RATIO * scale)
+        tukey = np.clip(1.0 - ratio**2, 0.0, None) ** 2
+        result.append(replace(item, weight=item.weight * noise_weight * tukey))
+    return result
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Reduced:
-    """Trials after step 1: T of them, p functions of position and six columns more each."""
+    """Trials after step 1: T of them, p functions of position and six columns more each.
+
+    `speeds` (T,) rad/s and `u` (T,) scaled are of the trials; `R` (T, p + 6, p + 6) and
+    `z` (T, p + 6) their factors, `rest` (T,) the squares that no such function takes.
+    `total` (T,) are sums of weights, `slices` (T,) how many slices there are.
+    """
 
     scaling: Scaling
-    speeds: Array  # (T,) rad/s
-    u: Array  # (T,) scaled
-    R: Array  # (T, p + 6, p + 6)
-    z: Array  # (T, p + 6)
-    rest: Array  # (T,) squares that no such function takes
-    total: Array  # (T,) sums of weights
-    slices: Array  # (T,) how many
+    speeds: Array
+    u: Array
+    R: Array
+    z: Array
+    rest: Array
+    total: Array
+    slices: Array
 
     @property
     def size(self) -> int:
@@ -132,51 +161,61 @@ class Reduced:
         return np.unique(self.u)
 
     def over_speed(self, order: int) -> Array:
-        """Chebyshev values (T, order + 1) at the trials' speeds."""
+        """Return Chebyshev values (T, order + 1) at the trials' speeds."""
         return np.asarray(chebvander(self.u, order), dtype=np.float64)
 
     def subset(self, kept: Mask) -> "Reduced":
-        """Some of the trials."""
-        parts = (
-            self.speeds,
-            self.u,
-            self.R,
-            self.z,
-            self.rest,
-            self.total,
-            self.slices,
+        """Return some of the trials, by a mask (T,)."""
+        return Reduced(
+            scaling=self.scaling,
+            speeds=self.speeds[kept],
+            u=self.u[kept],
+            R=self.R[kept],
+            z=self.z[kept],
+            rest=self.rest[kept],
+            total=self.total[kept],
+            slices=self.slices[kept],
         )
-        return Reduced(self.scaling, *(part[kept] for part in parts))
 
 
-def reduce_trials(
-    data: list[SpeedData], scaling: Scaling, *, empty_share: float = 1e-12
-) -> Reduced:
-    """Reduce every trial to its R factor (Eq. 8); rows below `empty_share` of it are rounding."""
-    parts = []
+def reduce_trials(data: list[SpeedData], scaling: Scaling) -> Reduced:
+    """Reduce every trial to its R factor (Eq. 8)."""
+    factors: list[Array] = []
+    right_sides: list[Array] = []
+    rests: list[float] = []
     for item in data:
         over_position = scaling.over_position.values(item.q, MAX_POSITION_ORDER)
         shared = [item.push, item.doubt, item.late, item.warm]
         columns = [over_position, item.edges, *shared, item.friction]
         rows = np.column_stack(columns) * np.sqrt(item.weight)[:, None]
         size = rows.shape[1] - 1
-        # filled up with rows of zeros
-        few = np.zeros((max(size + 1 - len(rows), 0), size + 1))
-        factor: Array = np.asarray(
-            np.linalg.qr(np.vstack([rows, few]), mode="r"), dtype=np.float64
+        # Rows of zeros make a factor of few slices as large as any.
+        missing = np.zeros((max(size + 1 - len(rows), 0), size + 1))
+        factor = np.asarray(
+            np.linalg.qr(np.vstack([rows, missing]), mode="r"), dtype=np.float64
         )
-        R, z = factor[:size, :size], factor[:size, size]
-        empty = np.linalg.norm(R, axis=1) <= empty_share * np.linalg.norm(R)
-        rest = float(factor[size, size] ** 2 + np.sum(z[empty] ** 2))
-        total, slices = float(item.weight.sum()), float(np.count_nonzero(item.belongs))
-        parts.append((R, np.where(empty, 0.0, z), rest, total, slices))
+        R = factor[:size, :size]
+        z = factor[:size, size]
+        empty = np.linalg.norm(R, axis=1) <= EMPTY_SHARE * np.linalg.norm(R)
+        factors.append(R)
+        right_sides.append(np.where(empty, 0.0, z))
+        rests.append(float(factor[size, size] ** 2 + np.sum(z[empty] ** 2)))
     speeds = np.array([item.speed for item in data])
     return Reduced(
-        scaling, speeds, scaling.u(speeds), *map(np.array, zip(*parts, strict=True))
+        scaling=scaling,
+        speeds=speeds,
+        u=scaling.u(speeds),
+        R=np.array(factors),
+        z=np.array(right_sides),
+        rest=np.array(rests),
+        total=np.array([float(item.weight.sum()) for item in data]),
+        slices=np.array([float(np.count_nonzero(item.belongs)) for item in data]),
     )
 
 
-def edges_of(t: Array, seconds: float, *, edge_s: float = 0.05) -> Array:
-    """How near slices at times t (K,), each so many seconds long, are to both ends (K, 2)."""
-    begin, end = t[0] - seconds / 2.0, t[-1] + seconds / 2.0
-    return np.asarray(np.exp(-np.stack([t - begin, end - t], axis=1) / edge_s))
+def edges_of(t: Array, seconds: float) -> Array:
+    """Return how near slices at times t (K,) s, each of `seconds`, are to both ends (K, 2)."""
+    begin = t[0] - seconds / 2.0
+    end = t[-1] + seconds / 2.0
+    distances = np.stack([t - begin, end - t], axis=1)
+    return np.asarray(np.exp(-distances / EDGE_S))

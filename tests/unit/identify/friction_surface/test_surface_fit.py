@@ -64,10 +64,19 @@ def data_of(
         spread = np.sqrt(sizes.own(SCALING, size, np.array([speed])).sum(axis=0)[0])
         error = own @ (spread[: own.shape[1]] * rng.standard_normal(own.shape[1]))
         error += sizes.noise / np.sqrt(weight) * rng.standard_normal(SLICES)
-        given = q, A @ D.ravel() + error, weight, edges, push, doubt * np.cos(q)
-        late = doubt * speed * np.sin(q)
-        warm = doubt * np.full(SLICES, np.sin(len(result)))
-        result.append(SpeedData(float(speed), direction, *given, late, warm))
+        trial = SpeedData(
+            speed=float(speed),
+            direction=direction,
+            q=q,
+            friction=A @ D.ravel() + error,
+            weight=weight,
+            edges=edges,
+            push=push,
+            doubt=doubt * np.cos(q),
+            late=doubt * speed * np.sin(q),
+            warm=doubt * np.full(SLICES, np.sin(len(result))),
+        )
+        result.append(trial)
     return result
 
 

@@ -14,7 +14,12 @@ from functools import cached_property
 import numpy as np
 
 from seqid_cli.identify.friction_surface import reduction
-from seqid_cli.identify.friction_surface.prior import Evidence, Normal, Sizes
+from seqid_cli.identify.friction_surface.prior import (
+    EntryPosterior,
+    Evidence,
+    Normal,
+    Sizes,
+)
 from seqid_cli.identify.friction_surface.reduction import Orders, Reduced, SpeedData
 from seqid_cli.model.friction_basis import tensor
 from seqid_cli.typing import Array, Mask
@@ -39,6 +44,18 @@ class SharedTerm:
 
 
 @dataclass(frozen=True)
+class ErrorGrid:
+    """Cells over both ranges, at which surfaces are compared.
+
+    `columns` (CELLS^2, k) is the basis there, `std_error` (CELLS^2,) N m the standard
+    error of the surface of the highest orders.
+    """
+
+    columns: Array
+    std_error: Array
+
+
+@dataclass(frozen=True)
 class SurfaceFit:
     """One surface from trials, to be had with any orders up to the `highest`."""
 
@@ -48,7 +65,7 @@ class SurfaceFit:
 
     @cached_property
     def prior(self) -> Array:
-        """Standard deviations (size, l + 1) of the entries of the whole surface."""
+        """Standard deviations (size + 6, l + 1) of the entries of the whole surface."""
         return self.sizes.prior(self.reduced.scaling, self.reduced.size, self.highest)
 
     @cached_property
@@ -57,26 +74,27 @@ class SurfaceFit:
         return Normal.of(self.reduced, self.sizes, self.highest.velocity)
 
     @cached_property
-    def whole(self) -> tuple[Array, Array]:
-        """Entries (k,) of the whole surface and their covariance (k, k)."""
-        return self.normal.posterior(self.prior.ravel())[:2]
+    def whole(self) -> EntryPosterior:
+        """Entries (k,) of the surface of the highest orders, with their covariance (k, k)."""
+        return self.normal.posterior(self.prior.ravel())
 
     def entries(self, orders: Orders) -> Array:
-        """Entries (size, l + 1) N m of a surface of fewer orders."""
+        """Return the entries (size, l + 1) N m of a surface of fewer orders."""
         return self._solved(self.normal.N, self.normal.b, orders)
 
     def covariance(self, orders: Orders) -> Array:
-        """Covariance of those entries, row-major."""
-        # With the mean variance of the whole surface over both ranges: what is left out
-        # errs too.
-        kept = np.flatnonzero(self._kept(orders))
-        found = self.whole[1][np.ix_(kept, kept)]
-        columns, error = self._grid
-        own = np.einsum(
-            "nk,kl,nl->", columns[:, kept], found, columns[:, kept], optimize=True
-        )
+        """Return the covariance of those entries, row-major.
+
+        It has the mean variance of the whole surface over both ranges: what is left out
+        errs too.
+        """
+        places = np.flatnonzero(self._mask(orders))
+        covariance = self.whole.covariance[np.ix_(places, places)]
+        columns = self._grid.columns[:, places]
+        squares = np.einsum("nk,kl,nl->", columns, covariance, columns, optimize=True)
+        whole_squares = float(np.sum(self._grid.std_error**2))
         return np.asarray(
-            found * max(float(np.sum(error**2)) / max(float(own), 1e-300), 1.0)
+            covariance * max(whole_squares / max(float(squares), 1e-300), 1.0)
         )
 
     def shared_term(self, orders: Orders, place: int) -> "SharedTerm":
@@ -91,113 +109,129 @@ class SurfaceFit:
             `reduction.WARM`.
         """
         row = (self.reduced.size + place) * (self.highest.velocity + 1)
-        mean, covariance = self.whole
+        mean = self.whole.mean
+        covariance = self.whole.covariance
         variance = float(covariance[row, row])
-        kept = np.flatnonzero(self._kept(orders))
-        moves = covariance[kept, row] / max(variance, 1e-300)
-        return SharedTerm(float(mean[row]), float(np.sqrt(variance)), moves)
-
-    def leaving_out(self, orders: Orders) -> Iterator[tuple[float, Array]]:
-        """Each inner speed u, with the entries of a surface fitted to the others."""
-        for u in self.reduced.levels[1:-1]:
-            own = self.reduced.subset(self.reduced.u == u)
-            part = Normal.of(own, self.sizes, self.highest.velocity)
-            yield (
-                float(u),
-                self._solved(self.normal.N - part.N, self.normal.b - part.b, orders),
-            )
-
-    def deviation(self, orders: Orders) -> float:
-        """RMS difference from the whole surface, in its standard errors, over both ranges."""
-        entries = np.zeros(self.prior.size)
-        entries[self._kept(orders)] = self.entries(orders).ravel()
-        columns, error = self._grid
-        return float(
-            np.sqrt(np.mean((columns @ (entries - self.whole[0]) / error) ** 2))
+        places = np.flatnonzero(self._mask(orders))
+        return SharedTerm(
+            value=float(mean[row]),
+            std_error=float(np.sqrt(variance)),
+            moves=covariance[places, row] / max(variance, 1e-300),
         )
 
+    def leaving_out(self, orders: Orders) -> Iterator[tuple[float, Array]]:
+        """Yield each inner speed u, with the entries of a surface fitted to the others."""
+        for u in self.reduced.levels[1:-1]:
+            at_speed = self.reduced.subset(self.reduced.u == u)
+            part = Normal.of(at_speed, self.sizes, self.highest.velocity)
+            N = self.normal.N - part.N
+            b = self.normal.b - part.b
+            yield float(u), self._solved(N, b, orders)
+
+    def deviation(self, orders: Orders) -> float:
+        """Return the RMS difference from the whole surface, in its standard errors."""
+        entries = np.zeros(self.prior.size)
+        entries[self._mask(orders)] = self.entries(orders).ravel()
+        difference = self._grid.columns @ (entries - self.whole.mean)
+        return float(np.sqrt(np.mean((difference / self._grid.std_error) ** 2)))
+
     def distances(self, data: Sequence[SpeedData]) -> list[Array]:
-        """Distances (K,) N m of slices from the whole surface and their trial's own offset."""
+        """Return distances (K,) N m of slices from the whole surface and their trial's offset."""
         over_position = self.reduced.scaling.over_position
         order = over_position.order(self.reduced.size)
-        D = self.whole[0].reshape(self.prior.shape)[: self.reduced.size]
+        D = self.whole.mean.reshape(self.prior.shape)[: self.reduced.size]
         levels = D @ self.reduced.over_speed(self.highest.velocity).T
-        off = [
-            item.friction - over_position.values(item.q, order) @ levels[:, k]
-            for k, item in enumerate(data)
-        ]
-        return [each - np.median(each) for each in off]
+        distances = []
+        for k, item in enumerate(data):
+            surface = over_position.values(item.q, order) @ levels[:, k]
+            distance = item.friction - surface
+            distances.append(distance - np.median(distance))
+        return distances
 
     def trial_columns(self, item: SpeedData) -> Array:
-        """Functions (K, size + 2) of what a trial has for itself, at its slices."""
+        """Return functions (K, size + 2) of what a trial has for itself, at its slices."""
         over_position = self.reduced.scaling.over_position
         values = over_position.values(item.q, over_position.order(self.reduced.size))
         return np.hstack([values, item.edges])
 
     def trial_variances(self, k: int) -> Array:
-        """Variances (size + 2,) of the coefficients of `trial_columns` of trial k."""
-        variances = self.sizes.own(
+        """Return variances (size + 2,) of the coefficients of `trial_columns` of trial k."""
+        variances = self.sizes.trial_variances(
             self.reduced.scaling, self.reduced.size, self.reduced.speeds[[k]]
         )
-        return np.asarray(
-            variances.sum(axis=0)[0, : self.reduced.size + reduction.EDGES]
-        )
+        of_trial = variances.sum(axis=0)[0]
+        return np.asarray(of_trial[: self.reduced.size + reduction.EDGES])
 
     @cached_property
-    def _grid(self) -> tuple[Array, Array]:
-        """Basis (CELLS^2, k) over both ranges, and the whole surface's standard errors there."""
-        over_position, share = (
-            self.reduced.scaling.over_position,
-            np.linspace(0.0, 1.0, CELLS),
-        )
-        X = over_position.values(
-            over_position.at(share), over_position.order(self.reduced.size)
-        )
+    def _grid(self) -> ErrorGrid:
+        """Cells over both ranges, with the whole surface's standard errors there."""
+        over_position = self.reduced.scaling.over_position
+        share = np.linspace(0.0, 1.0, CELLS)
+        order = over_position.order(self.reduced.size)
+        X = over_position.values(over_position.at(share), order)
         T = np.polynomial.chebyshev.chebvander(2.0 * share - 1.0, self.highest.velocity)
         X = np.hstack([X, np.zeros((CELLS, len(self.prior) - X.shape[1]))])
         columns = tensor(np.repeat(X, CELLS, axis=0), np.tile(T, (CELLS, 1)))
         variance = np.einsum(
-            "nk,kl,nl->n", columns, self.whole[1], columns, optimize=True
+            "nk,kl,nl->n", columns, self.whole.covariance, columns, optimize=True
         )
-        return columns, np.sqrt(np.maximum(variance, 1e-300))
+        return ErrorGrid(columns, np.sqrt(np.maximum(variance, 1e-300)))
 
-    def _kept(self, orders: Orders) -> Mask:
-        """Which of the surface's entries have these orders, row-major."""
-        kept = np.zeros(self.prior.shape, dtype=np.bool_)
+    def _mask(self, orders: Orders) -> Mask:
+        """Return which of the surface's entries have these orders, row-major."""
+        mask = np.zeros(self.prior.shape, dtype=np.bool_)
         size = self.reduced.scaling.over_position.size(orders.position)
-        kept[:size, : orders.velocity + 1] = True
-        return kept.ravel()
+        mask[:size, : orders.velocity + 1] = True
+        return mask.ravel()
 
     def _solved(self, N: Array, b: Array, orders: Orders) -> Array:
-        """Entries (size, l + 1) of a surface; what all trials share is fitted beside them."""
-        kept, fitted = self._kept(orders), self.prior > 0.0
-        fitted[: self.reduced.size] = False
-        both = kept | fitted.ravel()
-        prior = self.prior.ravel()[both]
-        inner = N[np.ix_(both, both)] * np.outer(prior, prior)
+        """Return entries (size, l + 1) of a surface, beside what all trials share."""
+        of_surface = self._mask(orders)
+        shared = self.prior > 0.0
+        shared[: self.reduced.size] = False
+        fitted = of_surface | shared.ravel()
+        prior = self.prior.ravel()[fitted]
+        inner = N[np.ix_(fitted, fitted)] * np.outer(prior, prior)
         inner[np.diag_indices_from(inner)] += 1.0
-        solved: Array = prior * np.linalg.solve(inner, prior * b[both])
-        return solved[kept[both]].reshape(-1, orders.velocity + 1)
+        solved: Array = prior * np.linalg.solve(inner, prior * b[fitted])
+        return solved[of_surface[fitted]].reshape(-1, orders.velocity + 1)
 
 
 def highest_orders(sets: Sequence[Reduced], asked: Asked) -> Orders:
-    """The orders that the data, or the user, allow at most."""
-    levels = min(len(own.levels) for own in sets)
-    most = min(reduction.MAX_VELOCITY_ORDER, max(levels - 1, 0))
+    """Return the orders that the data, or the user, allow at most."""
     position, velocity = asked
-    allowed = reduction.MAX_POSITION_ORDER if position is None else position
-    return Orders(allowed, most if velocity is None else velocity)
+    if position is None:
+        position = reduction.MAX_POSITION_ORDER
+    if velocity is None:
+        n_speeds = min(len(trials.levels) for trials in sets)
+        velocity = min(reduction.MAX_VELOCITY_ORDER, max(n_speeds - 1, 0))
+    return Orders(position, velocity)
 
 
 def fit_surfaces(
     sets: Sequence[Reduced], asked: Asked = (None, None), near: Sizes | None = None
 ) -> tuple[list[SurfaceFit], float]:
-    """Fit one surface to each set of trials, with sizes of terms and errors in common."""
-    # Sizes are searched from those `near`. Twice the log marginal likelihood comes
-    # second.
+    """Fit one surface to each set of trials, with sizes of terms and errors in common.
+
+    Parameters
+    ----------
+    sets : sequence of Reduced
+        Sets of trials.
+    asked : tuple of int or None
+        Orders over position and velocity that the user fixes.
+    near : Sizes, optional
+        Sizes that the search starts from.
+
+    Returns
+    -------
+    fits : list of SurfaceFit
+        One for each set.
+    evidence : float
+        Twice the log marginal likelihood.
+    """
     highest = highest_orders(sets, asked)
     sizes, evidence = Evidence(sets, highest).strongest(near)
-    return [SurfaceFit(own, sizes, highest) for own in sets], evidence
+    return [SurfaceFit(trials, sizes, highest) for trials in sets], evidence
 
 
 def choose_orders(
@@ -219,7 +253,8 @@ def choose_orders(
         the data decide as they do without it: within `DEVIATION` of the surface of the
         highest orders.
     """
-    highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
+    highest = fits[0].highest
+    size = fits[0].reduced.scaling.over_position.size
     position, velocity = asked
     lowest = min(1, highest.velocity) if velocity is None else velocity
     steps = [

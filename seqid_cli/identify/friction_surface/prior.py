@@ -26,7 +26,7 @@ do not tell stays near what is usual.
 """
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor
@@ -43,105 +43,152 @@ from seqid_cli.identify.friction_surface.reduction import (
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array
 
-DECAY_SPREAD = float(np.log(2.0))  # standard deviation of its logarithm
-# standard deviation of a size's logarithm about the usual one
+# Sizes in shares of the RMS friction that are usual: of position, speed, surface, trial,
+# slow, unsteady and edge, in the order of `Sizes`.
+USUAL_SHARES = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1)
+USUAL_DECAY = 3.0  # power with which variances fall with the degree
+BROAD = 3.0  # of Coulomb and viscous friction, in RMS frictions
+# Standard deviation of a size's logarithm about the usual one, and of a power's.
 SPREAD = float(np.log(10.0))
+DECAY_SPREAD = float(np.log(2.0))
+# Noise is no smaller than this share of the RMS friction.
+LEAST_NOISE = 1e-6
+# The covariance of a trial gets this share of its largest variance, against rounding.
+ROUNDING = 1e-14
+# The search goes no further than so many spreads from the usual sizes.
+SEARCH_LIMIT = 5.0
+# Newton's method is believed within this reach of its start, in logarithms.
+NEWTON_REACH = 0.3
+NEWTON_ROUNDS = 20
+CAUSES = 4  # of what a trial has for itself: offset, slow changes, speed, edges
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Sizes:
-    """Standard deviations, N m, of the surface's terms over `position`, `speed` and `both`.
+    """Standard deviations [N m] of the surface's terms and of the errors of trials.
 
-    Then of a `trial`'s own offset, of its `slow` changes, of its `unsteady` speed if it
-    is the fastest, of its `edge`s; of the white `noise` of one sample. `over_position`
-    and `over_speed` are the powers with which variances fall. `broad`, of Coulomb and
+    Terms are those over `position`, over `speed`, and over both (`surface`). Errors are
+    a `trial`'s own offset, its `slow` changes, its `unsteady` speed if it is the
+    fastest, its `edge`s, and the white `noise` of one sample. `position_decay` and
+    `speed_decay` are the powers with which variances fall. `broad`, of Coulomb and
     viscous friction, is fixed.
     """
 
     position: float
     speed: float
-    both: float
+    surface: float
     trial: float
     slow: float
     unsteady: float
     edge: float
     noise: float
-    over_position: float
-    over_speed: float
+    position_decay: float
+    speed_decay: float
     broad: float
 
     def prior(self, scaling: Scaling, size: int, orders: Orders) -> Array:
-        """Standard deviations (size + 6, l + 1) of a surface's entries."""
-        # They are 0 above position order m, and for the ends of a trial, which the
-        # surface has not. The last four are those of errors that are one and the same
-        # in all trials.
+        """Return standard deviations (size + 6, l + 1) of a surface's entries.
+
+        They are 0 above position order m, and for the ends of a trial, which the
+        surface has not. The last four are those of errors that are one and the same in
+        all trials.
+        """
         over_position = scaling.over_position
         j = over_position.degrees(over_position.order(size))[:, None]
         r = np.arange(orders.velocity + 1.0)[None, :]
-        fall = np.maximum(j, 1.0) ** (-self.over_position / 2.0)
-        fall = fall * np.maximum(r, 1.0) ** (-self.over_speed / 2.0)
-        kind = np.where(j == 0, self.speed, np.where(r == 0, self.position, self.both))
-        found = np.where((j == 0) & (r <= 1), self.broad, kind * fall)
-        found[over_position.size(orders.position) :] = 0.0
-        shared = np.tile(np.eye(1, found.shape[1]), (SHARED, 1))
-        return np.vstack([found, np.zeros((EDGES, found.shape[1])), shared])
+        decay = np.maximum(j, 1.0) ** (-self.position_decay / 2.0)
+        decay = decay * np.maximum(r, 1.0) ** (-self.speed_decay / 2.0)
+        of_position = np.where(r == 0, self.position, self.surface)
+        kind = np.where(j == 0, self.speed, of_position)
+        is_broad = (j == 0) & (r <= 1)
+        entries = np.where(is_broad, self.broad, kind * decay)
+        entries[over_position.size(orders.position) :] = 0.0
+        edges = np.zeros((EDGES, entries.shape[1]))
+        shared = np.tile(np.eye(1, entries.shape[1]), (SHARED, 1))
+        return np.vstack([entries, edges, shared])
 
-    def own(self, scaling: Scaling, size: int, speeds: Array) -> Array:
-        """Variances (4, T, size + 6) of own terms of trials at speeds (T,), by their causes."""
+    def trial_variances(self, scaling: Scaling, size: int, speeds: Array) -> Array:
+        """Return variances (4, T, size + 6) of own terms of trials at speeds (T,), by causes."""
         degree = scaling.over_position.degrees(scaling.over_position.order(size))
-        found = np.zeros((4, len(speeds), size + EXTRA))
-        found[0, :, :size] = self.trial**2 * (degree == 0)
-        found[1, :, :size] = self.slow**2 * (degree > 0) / np.maximum(degree, 1.0)
+        at_least_one = np.maximum(degree, 1.0)
+        variances = np.zeros((CAUSES, len(speeds), size + EXTRA))
+        variances[0, :, :size] = np.where(degree == 0, self.trial**2, 0.0)
+        variances[1, :, :size] = np.where(degree > 0, self.slow**2 / at_least_one, 0.0)
         fast = (speeds / scaling.speed[1]) ** 4
-        found[2, :, :size] = self.unsteady**2 * np.outer(
-            fast, 1.0 / np.maximum(degree, 1.0)
-        )
-        found[3, :, size : size + EDGES] = self.edge**2
-        return found
+        variances[2, :, :size] = self.unsteady**2 * np.outer(fast, 1.0 / at_least_one)
+        variances[3, :, size : size + EDGES] = self.edge**2
+        return variances
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class EntryPosterior:
+    """Mean (k,) and covariance (k, k) of a surface's entries beside their prior.
+
+    `log_size` is log det(1 + P^1/2 N P^1/2), with P the prior's variances.
+    """
+
+    mean: Array
+    covariance: Array
+    log_size: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Normal:
-    """Normal equations of a surface's entries, row-major: N (k, k) d = b (k,)."""
+    """Normal equations of a surface's k entries, row-major: N (k, k) d = b (k,).
+
+    With T trials of p functions of position and r of speed, `phi` (T, r) are the
+    trials' functions of speed, `trial_variances` (4, T, p) those of their own terms,
+    `inverse` (T, p, p) the inverses of their covariances V_k, `S` (T, p, p) = R' V^-1 R.
+    `log_size` is the sum of log det V_k, `power` the sum of z' V^-1 z.
+    """
 
     N: Array
     b: Array
-    phi: Array  # (T, r) the trials' functions of speed
-    own: Array  # (4, T, p) variances of their own terms (`Sizes.own`)
-    inverse: Array  # (T, p, p) of their covariances V_k
-    S: Array  # (T, p, p) = R' V^-1 R
-    log_size: float  # sum of log det V_k
-    power: float  # sum of z' V^-1 z
+    phi: Array
+    trial_variances: Array
+    inverse: Array
+    S: Array
+    log_size: float
+    power: float
 
     @classmethod
-    def of(
-        cls, trials: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14
-    ) -> "Normal":
-        """Add up the trials; `order` is that over speed."""
-        R, z, phi = trials.R, trials.z, trials.over_speed(order)
-        own = sizes.own(trials.scaling, trials.size, trials.speeds)
-        scaled = R * np.sqrt(own.sum(axis=0))[:, None, :]
+    def of(cls, trials: Reduced, sizes: Sizes, velocity_order: int) -> "Normal":
+        """Add up the trials."""
+        R = trials.R
+        z = trials.z
+        phi = trials.over_speed(velocity_order)
+        variances = sizes.trial_variances(trials.scaling, trials.size, trials.speeds)
+        scaled = R * np.sqrt(variances.sum(axis=0))[:, None, :]
         V = scaled @ scaled.transpose(0, 2, 1)
         diagonal = np.arange(V.shape[1])
-        rounding = min_share * V[:, diagonal, diagonal].max(axis=1, keepdims=True)
+        rounding = ROUNDING * V[:, diagonal, diagonal].max(axis=1, keepdims=True)
         V[:, diagonal, diagonal] += sizes.noise**2 + rounding
-        inverse = np.asarray(np.linalg.inv(V), dtype=np.float64)
-        toward = R.transpose(0, 2, 1) @ inverse
-        S: Array = toward @ R
-        t = (toward @ z[:, :, None])[:, :, 0]
-        p, r = V.shape[1], phi.shape[1]
-        both = S.reshape(-1, p * p).T @ _products(phi)
-        N = both.reshape(p, p, r, r).transpose(0, 2, 1, 3).reshape(p * r, p * r)
-        log_size = float(np.linalg.slogdet(V)[1].sum())
-        power = float(np.sum(z * (inverse @ z[:, :, None])[:, :, 0]))
-        return cls(N, (t.T @ phi).ravel(), phi, own, inverse, S, log_size, power)
 
-    def posterior(self, prior: Array) -> tuple[Array, Array, float]:
-        """Mean (k,), covariance (k, k) and log det(1 + P^1/2 N P^1/2), P = diag(prior^2) (k,)."""
+        inverse = np.asarray(np.linalg.inv(V), dtype=np.float64)
+        weighted_R = R.transpose(0, 2, 1) @ inverse
+        S: Array = weighted_R @ R
+        t = (weighted_R @ z[:, :, None])[:, :, 0]
+        p = V.shape[1]
+        r = phi.shape[1]
+        summed = S.reshape(-1, p * p).T @ _products(phi)
+        N = summed.reshape(p, p, r, r).transpose(0, 2, 1, 3).reshape(p * r, p * r)
+        return cls(
+            N=N,
+            b=(t.T @ phi).ravel(),
+            phi=phi,
+            trial_variances=variances,
+            inverse=inverse,
+            S=S,
+            log_size=float(np.linalg.slogdet(V)[1].sum()),
+            power=float(np.sum(z * (inverse @ z[:, :, None])[:, :, 0])),
+        )
+
+    def posterior(self, prior: Array) -> EntryPosterior:
+        """Return what is known of the entries, given their standard deviations before (k,)."""
         free = np.flatnonzero(prior)  # of the others nothing is left open
-        across = np.ix_(free, free)
+        among_free = np.ix_(free, free)
         scale = np.outer(prior[free], prior[free])
-        inner = self.N[across] * scale
+        inner = self.N[among_free] * scale
         inner[np.diag_indices_from(inner)] += 1.0
         try:
             factor, _ = cho_factor(inner, lower=True, check_finite=False)
@@ -152,106 +199,135 @@ class Normal:
             # No eigenvalue is below 1, but by rounding, where sizes are far apart.
             values, vectors = np.linalg.eigh(inner)
             values = np.maximum(values, 1.0)
-            inverse, log_size = (
-                (vectors / values) @ vectors.T,
-                float(np.log(values).sum()),
-            )
+            inverse = (vectors / values) @ vectors.T
+            log_size = float(np.log(values).sum())
         covariance = np.zeros_like(self.N)
-        covariance[across] = scale * inverse
-        return covariance @ self.b, covariance, log_size
+        covariance[among_free] = scale * inverse
+        return EntryPosterior(
+            mean=covariance @ self.b, covariance=covariance, log_size=log_size
+        )
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Twice the negative logarithm of a likelihood, and its gradient (10,)."""
+
+    value: float
+    gradient: Array
+
+    def __add__(self, other: "Cost") -> "Cost":
+        return Cost(self.value + other.value, self.gradient + other.gradient)
 
 
 class Evidence:
-    """Marginal likelihood of sets of trials, a surface each and the sizes in common."""
+    """Marginal likelihood of sets of trials, a surface each and the sizes in common.
 
-    def __init__(
-        self,
-        sets: Sequence[Reduced],
-        highest: Orders,
-        *,
-        broad: float = 3.0,
-        decay: float = 3.0,
-        usual_shares: tuple[float, ...] = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1),
-    ) -> None:
-        squares = [
-            (np.sum(own.z**2) + own.rest.sum()) / own.total.sum() for own in sets
-        ]
-        level = max(float(np.sqrt(max(squares))), 1e-300)
-        rest = sum(own.rest.sum() for own in sets)
-        free = sum(np.maximum(own.slices - own.z.shape[1], 0.0).sum() for own in sets)
-        noise = max(float(np.sqrt(rest / free)) if free > 0 else 0.0, 1e-6 * level)
-        self.sets, self.highest, self.broad = sets, highest, broad * level
-        self.usual = np.array([*(level * np.array(usual_shares)), noise, decay, decay])
-        self.spread = np.array([SPREAD] * (len(usual_shares) + 1) + [DECAY_SPREAD] * 2)
+    It is a function of the logarithms (10,) of the sizes over the usual ones: seven
+    sizes of terms and errors, the noise, and the two powers of decay.
+    """
+
+    def __init__(self, sets: Sequence[Reduced], highest: Orders) -> None:
+        mean_squares = []
+        rest = 0.0
+        n_free = 0.0
+        for trials in sets:
+            squares = np.sum(trials.z**2) + trials.rest.sum()
+            mean_squares.append(squares / trials.total.sum())
+            rest += float(trials.rest.sum())
+            spare = trials.slices - trials.z.shape[1]
+            n_free += float(np.maximum(spare, 0.0).sum())
+        level = max(float(np.sqrt(max(mean_squares))), 1e-300)
+        noise = float(np.sqrt(rest / n_free)) if n_free > 0 else 0.0
+        noise = max(noise, LEAST_NOISE * level)
+
+        self.sets = sets
+        self.highest = highest
+        self.broad = BROAD * level
+        usual_sizes = level * np.array(USUAL_SHARES)
+        self.usual = np.array([*usual_sizes, noise, USUAL_DECAY, USUAL_DECAY])
+        spreads = [SPREAD] * (len(USUAL_SHARES) + 1) + [DECAY_SPREAD] * 2
+        self.spread = np.array(spreads)
 
     def sizes(self, logs: Array) -> Sizes:
-        """Sizes from the logarithms (10,) of what they are times the usual ones."""
-        return Sizes(*np.append(self.usual * np.exp(logs), self.broad).tolist())
+        """Return sizes from the logarithms (10,) of what they are times the usual ones."""
+        values = (self.usual * np.exp(logs)).tolist()
+        return Sizes(**dict(zip(SEARCHED, values, strict=True)), broad=self.broad)
 
     def __call__(self, logs: Array) -> tuple[float, Array]:
-        """Twice the negative logarithm, but for a constant, and its gradient (10,)."""
+        """Return twice the negative logarithm, but for a constant, and its gradient (10,)."""
         sizes = self.sizes(logs)
-        cost, gradient = (
-            float(np.sum((logs / self.spread) ** 2)),
-            2.0 * logs / self.spread**2,
-        )
-        for own in self.sets:
-            prior = sizes.prior(own.scaling, own.size, self.highest)
-            normal = Normal.of(own, sizes, self.highest.velocity)
-            mean, covariance, log_size = normal.posterior(prior.ravel())
-            beyond = float(np.sum(own.slices - own.z.shape[1]))
-            rest = float(own.rest.sum()) / sizes.noise**2
-            more = normal.log_size + normal.power + log_size - float(mean @ normal.b)
-            more += 2.0 * beyond * np.log(sizes.noise) + rest
-            square = (np.diag(covariance) + mean**2).reshape(prior.shape)
-            share = np.where(
-                prior > 0, 1.0 - square / np.where(prior > 0, prior, 1.0) ** 2, 0.0
-            )
-            share[own.size :] = 0.0
-            slope = np.empty(len(self.usual))
-            slope[:3] = share[1:, 0].sum(), share[0, 2:].sum(), share[1:, 1:].sum()
-            slope[3:8] = self._of_errors(own, sizes, normal, mean, covariance)
-            slope[7] += beyond - rest
-            share[0, :2] = 0.0  # of broad ones, whose variances do not fall
-            degrees = own.scaling.over_position.degrees(
-                own.scaling.over_position.order(own.size)
-            )
-            over_position = np.log(np.maximum(degrees, 1.0)) @ share[: own.size].sum(
-                axis=1
-            )
-            order = np.log(np.maximum(np.arange(share.shape[1]), 1.0))
-            slope[8] = -0.5 * (sizes.over_position * over_position)
-            slope[9] = -0.5 * (
-                sizes.over_speed * (share[: own.size].sum(axis=0) @ order)
-            )
-            cost, gradient = cost + more, gradient + 2.0 * slope
-        return cost, gradient
+        deviation = logs / self.spread
+        cost = Cost(float(np.sum(deviation**2)), 2.0 * logs / self.spread**2)
+        for trials in self.sets:
+            cost += self._of_set(trials, sizes)
+        return cost.value, cost.gradient
 
-    def strongest(
-        self, near: Sizes | None = None, *, limit: float = 5.0
-    ) -> tuple[Sizes, float]:
-        """The sizes of the largest marginal likelihood, from those `near`; twice its logarithm."""
-        start, furthest, logs = np.zeros(len(self.usual)), limit * self.spread, None
+    def _of_set(self, trials: Reduced, sizes: Sizes) -> Cost:
+        """Return the cost of one set of trials."""
+        prior = sizes.prior(trials.scaling, trials.size, self.highest)
+        normal = Normal.of(trials, sizes, self.highest.velocity)
+        posterior = normal.posterior(prior.ravel())
+        n_beyond = float(np.sum(trials.slices - trials.z.shape[1]))
+        rest = float(trials.rest.sum()) / sizes.noise**2
+        value = normal.log_size + normal.power + posterior.log_size
+        value -= float(posterior.mean @ normal.b)
+        value += 2.0 * n_beyond * np.log(sizes.noise) + rest
+
+        # How much of each entry's prior variance the data have taken away.
+        second_moment = np.diag(posterior.covariance) + posterior.mean**2
+        has_prior = prior > 0
+        variance = np.where(has_prior, prior, 1.0) ** 2
+        share = 1.0 - second_moment.reshape(prior.shape) / variance
+        share = np.where(has_prior, share, 0.0)
+        share[trials.size :] = 0.0
+
+        slope = np.empty(len(self.usual))
+        slope[0] = share[1:, 0].sum()
+        slope[1] = share[0, 2:].sum()
+        slope[2] = share[1:, 1:].sum()
+        slope[3:8] = self._error_slopes(trials, sizes, normal, posterior)
+        slope[7] += n_beyond - rest
+        share[0, :2] = 0.0  # of broad ones, whose variances do not fall
+        surface_share = share[: trials.size]
+        over_position = trials.scaling.over_position
+        degrees = over_position.degrees(over_position.order(trials.size))
+        log_degrees = np.log(np.maximum(degrees, 1.0))
+        log_orders = np.log(np.maximum(np.arange(share.shape[1]), 1.0))
+        by_position = float(log_degrees @ surface_share.sum(axis=1))
+        by_speed = float(surface_share.sum(axis=0) @ log_orders)
+        slope[8] = -0.5 * (sizes.position_decay * by_position)
+        slope[9] = -0.5 * (sizes.speed_decay * by_speed)
+        return Cost(value, 2.0 * slope)
+
+    def strongest(self, near: Sizes | None = None) -> tuple[Sizes, float]:
+        """Return the sizes of the largest marginal likelihood, and twice its logarithm.
+
+        They are searched from those `near`, or from the usual ones.
+        """
+        start = np.zeros(len(self.usual))
+        furthest = SEARCH_LIMIT * self.spread
+        logs: Array | None = None
         if near is not None:
-            start = np.log(np.array(astuple(near)[:-1]) / self.usual).clip(
-                -furthest, furthest
-            )
+            values = np.array([getattr(near, name) for name in SEARCHED])
+            start = np.log(values / self.usual).clip(-furthest, furthest)
             logs = self._polished(start)
         if logs is None:
-            bounds = [(-far, far) for far in furthest.tolist()]
-            about: Array = minimize(
+            bounds = [(-limit, limit) for limit in furthest.tolist()]
+            climbed: Array = minimize(
                 self, start, jac=True, method="L-BFGS-B", bounds=bounds
             ).x
-            logs = self._polished(about)
-            logs = about if logs is None else logs
+            logs = self._polished(climbed)
+            if logs is None:
+                logs = climbed
         return self.sizes(logs), -self(logs)[0]
 
-    def _polished(self, logs: Array, *, reach: float = 0.3) -> Array | None:
-        """The maximum, by Newton's method: the likelihood is flat about it.
+    def _polished(self, logs: Array) -> Array | None:
+        """Return the maximum by Newton's method: the likelihood is flat about it.
 
-        None beyond `reach`.
+        None beyond `NEWTON_REACH`, and where the likelihood is not curved down.
         """
-        slope, difference = self(logs)[1], 1e-4
+        slope = self(logs)[1]
+        difference = 1e-4
         steps = difference * np.eye(len(logs))
         curvature = np.stack(
             [(self(logs + step)[1] - slope) / difference for step in steps]
@@ -259,43 +335,69 @@ class Evidence:
         curvature = 0.5 * (curvature + curvature.T)
         if np.linalg.eigvalsh(curvature)[0] <= 0.0:
             return None
-        for _ in range(20):
+        for _ in range(NEWTON_ROUNDS):
             step = np.linalg.solve(curvature, slope)
-            if np.abs(step).max() > reach:
+            if np.abs(step).max() > NEWTON_REACH:
                 return None
-            logs, before = logs - step, slope
+            logs = logs - step
+            slope_before = slope
             if np.abs(step).max() < 1e-10:
                 break
             slope = self(logs)[1]
-            bent, change = curvature @ step, before - slope
+            change = slope_before - slope
             if change @ step > 0.0:  # the secant of BFGS; rounding has none
+                bent = curvature @ step
                 curvature += np.outer(change, change) / (change @ step)
                 curvature -= np.outer(bent, bent) / (step @ bent)
         return logs
 
-    def _of_errors(
-        self, own: Reduced, sizes: Sizes, normal: Normal, mean: Array, covariance: Array
+    def _error_slopes(
+        self,
+        trials: Reduced,
+        sizes: Sizes,
+        normal: Normal,
+        posterior: EntryPosterior,
     ) -> Array:
-        """Derivatives (5,) by half the logarithms of trial ... noise, but for the rest."""
+        """Return derivatives (5,) by half the logarithms of trial ... noise, but for the rest."""
+        R = trials.R
         phi = normal.phi
-        p, r = own.z.shape[1], phi.shape[1]
-        left = own.z - (own.R @ (phi @ mean.reshape(p, r).T)[:, :, None])[:, :, 0]
-        by_speed = (
-            covariance.reshape(p, r, p, r).transpose(1, 3, 0, 2).reshape(r * r, p * p)
-        )
-        variance = (_products(phi) @ by_speed).reshape(-1, p, p)
-        white = (normal.inverse @ left[:, :, None])[:, :, 0]
-        pulled = (own.R.transpose(0, 2, 1) @ white[:, :, None])[:, :, 0] ** 2
-        pulled += np.sum((normal.S @ variance) * normal.S, axis=2)
+        p = trials.z.shape[1]
+        r = phi.shape[1]
+        entries = posterior.mean.reshape(p, r)
+        at_trials = (phi @ entries.T)[:, :, None]
+        residual = trials.z - (R @ at_trials)[:, :, 0]
+        # Covariance (T, p, p) of the surface at each trial's speed.
+        blocks = posterior.covariance.reshape(p, r, p, r)
+        by_speed = blocks.transpose(1, 3, 0, 2).reshape(r * r, p * p)
+        covariance = (_products(phi) @ by_speed).reshape(-1, p, p)
+
+        white = (normal.inverse @ residual[:, :, None])[:, :, 0]
+        pulled = (R.transpose(0, 2, 1) @ white[:, :, None])[:, :, 0] ** 2
+        pulled += np.sum((normal.S @ covariance) * normal.S, axis=2)
         by_term = np.diagonal(normal.S, axis1=1, axis2=2) - pulled
-        weighed = normal.inverse @ own.R
+        by_cause = np.sum(by_term * normal.trial_variances, axis=(1, 2))
+
+        weighted_R = normal.inverse @ R
         by_noise = np.trace(normal.inverse, axis1=1, axis2=2).sum() - np.sum(white**2)
-        by_noise -= np.sum((weighed @ variance) * weighed)
-        return np.append(
-            np.sum(by_term * normal.own, axis=(1, 2)), sizes.noise**2 * by_noise
-        )
+        by_noise -= np.sum((weighted_R @ covariance) * weighted_R)
+        return np.append(by_cause, sizes.noise**2 * by_noise)
+
+
+# What `Evidence` searches, in its order.
+SEARCHED = (
+    "position",
+    "speed",
+    "surface",
+    "trial",
+    "slow",
+    "unsteady",
+    "edge",
+    "noise",
+    "position_decay",
+    "speed_decay",
+)
 
 
 def _products(phi: Array) -> Array:
-    """Products (T, r^2) of every two functions (T, r)."""
+    """Return the products (T, r^2) of every two functions (T, r)."""
     return (phi[:, :, None] * phi[:, None, :]).reshape(len(phi), -1)

@@ -36,9 +36,9 @@ COEFFICIENTS = np.array(
 SURFACE = {
     "position": 0.5,
     "speed": 0.5,
-    "both": 0.2,
-    "over_position": 3.0,
-    "over_speed": 3.0,
+    "surface": 0.2,
+    "position_decay": 3.0,
+    "speed_decay": 3.0,
 }
 ERRORS = {"trial": 0.1, "slow": 0.1, "unsteady": 0.2, "edge": 0.1, "noise": 0.3}
 TRUE = Sizes(**SURFACE, **ERRORS, broad=15.0)
@@ -61,7 +61,9 @@ def data_of(
         push = doubt * speed * np.linspace(1.0, -0.5, SLICES)
         own = np.hstack([SCALING.over_position.values(q, HIGHEST), edges])
         size = own.shape[1] - edges.shape[1]
-        spread = np.sqrt(sizes.own(SCALING, size, np.array([speed])).sum(axis=0)[0])
+        spread = np.sqrt(
+            sizes.trial_variances(SCALING, size, np.array([speed])).sum(axis=0)[0]
+        )
         error = own @ (spread[: own.shape[1]] * rng.standard_normal(own.shape[1]))
         error += sizes.noise / np.sqrt(weight) * rng.standard_normal(SLICES)
         trial = SpeedData(
@@ -100,7 +102,9 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
         values = SCALING.over_position.values(item.q, HIGHEST)
         shared_errors = [item.push, item.doubt, item.late, item.warm]
         own = np.column_stack([values, item.edges, *shared_errors])
-        variance = sizes.own(SCALING, HIGHEST + 1, np.array([item.speed])).sum(axis=0)
+        variance = sizes.trial_variances(
+            SCALING, HIGHEST + 1, np.array([item.speed])
+        ).sum(axis=0)
         shared = own * np.sqrt(variance)
         blocks.append(shared @ shared.T + np.diag(sizes.noise**2 / item.weight))
     A, V = np.vstack(columns), block_diag(*blocks)

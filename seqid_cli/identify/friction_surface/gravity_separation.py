@@ -30,6 +30,8 @@ from seqid_cli.robot.kinematics import gravity_columns
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index, Mask
 
+# Slices at positions of both trials, that a pair needs.
+LEAST_SHARED_SLICES = 4
 NO_EVEN_PART = EvenPart(
     values=np.zeros(EVEN_TERMS), covariance=np.zeros((EVEN_TERMS, EVEN_TERMS))
 )
@@ -71,19 +73,16 @@ class GravityGroup:
         return self.trials[0].configuration
 
     def torque(self, q: Array) -> Array:
-        """Torque (K,) N m that both ways have at positions q (K,) of the moving joint (Eq. 12)."""
-        columns = gravity_columns(
-            self.robot, self.trials[0].joint, self.configuration, q
-        )
-        more = (
-            self.beyond(np.clip(q, *self.beyond.domain))
-            if self.beyond is not None
-            else 0.0
-        )
-        return np.asarray(columns @ self.p_xi + more)
+        """Return the torque (K,) N m that both ways have at positions q (K,) (Eq. 12)."""
+        joint = self.trials[0].joint
+        columns = gravity_columns(self.robot, joint, self.configuration, q)
+        torque = columns @ self.p_xi
+        if self.beyond is not None:
+            torque = torque + self.beyond(np.clip(q, *self.beyond.domain))
+        return np.asarray(torque)
 
     def slope(self, q: Array, *, step: float = 1e-4) -> Array:
-        """Derivative (K,) N m/rad of gravity's torque by the position of the moving joint."""
+        """Return the derivative (K,) N m/rad of gravity's torque by the moving joint's position."""
         joint = self.trials[0].joint
         ahead = gravity_columns(self.robot, joint, self.configuration, q + step)
         back = gravity_columns(self.robot, joint, self.configuration, q - step)
@@ -100,7 +99,7 @@ class GravityFit:
     friction: SmoothFriction | None = None  # that the asymmetries are shares of
 
     def even_torque(self, q: Array, speed: float) -> Array:
-        """Torque (K,) N m that is no gravity and the same both ways at positions q (K,)."""
+        """Return the torque (K,) N m that is no gravity and alike both ways at q (K,)."""
         if self.friction is None:
             return np.zeros(len(q))
         columns = self.friction.even_columns(q, np.full(len(q), speed))
@@ -150,17 +149,16 @@ class Clustered:
         free = cls._solved(A, y, cluster, 1.0, unknown)
         if prior_std is None:
             return free
-        spare = max(len(y) - A.shape[1], 1)
-        white = float(free.left @ free.left) / spare * np.diag(free.bread)
+        n_spare = max(len(y) - A.shape[1], 1)
+        white_variance = float(free.left @ free.left) / n_spare
+        white = white_variance * np.diag(free.bread)
         shared = np.diag(free.covariance)
-        seen = white > 0.0
-        design = (
-            max(float(np.median(shared[seen] / white[seen])), 1.0)
-            if seen.any()
-            else 1.0
-        )
-        variance = design * float(free.left @ free.left) / spare
-        return cls._solved(A, y, cluster, variance, prior_std)
+        # How many times the clusters' variance is that of white noise.
+        design = 1.0
+        is_seen = white > 0.0
+        if is_seen.any():
+            design = max(float(np.median(shared[is_seen] / white[is_seen])), 1.0)
+        return cls._solved(A, y, cluster, design * white_variance, prior_std)
 
     @classmethod
     def _solved(
@@ -211,31 +209,36 @@ def configurations(
 
 
 def _half_sums(group: list[Trial]) -> list[Array]:
-    """Half-sums of forward and backward trials of one configuration (Eq. 15), pair by pair."""
-    # Columns (K, 5): position rad, half-sum N m, half the difference N m, speed,
-    # samples per slice.
-    result = []
+    """Return half-sums of forward and backward trials of one configuration (Eq. 15).
+
+    Each pair has columns (K, 5): position [rad], half the sum and half the difference
+    of the torques [N m], speed [rad/s], samples per slice.
+    """
+    pairs = []
     for level in speed_levels(group):
-        back = [t for t in level if t.velocity < 0]
-        for ahead in (t for t in level if t.velocity > 0):
-            met = [
-                (ahead.q >= twin.q.min()) & (ahead.q <= twin.q.max()) for twin in back
-            ]
-            best = max(range(len(back)), key=lambda k: int(met[k].sum()), default=-1)
-            if best < 0 or met[best].sum() < 4:
+        backward = [trial for trial in level if trial.velocity < 0]
+        for forward in level:
+            if forward.velocity <= 0 or not backward:
                 continue
-            at, twin = met[best], back.pop(best)
+            shared = [
+                (forward.q >= twin.q.min()) & (forward.q <= twin.q.max())
+                for twin in backward
+            ]
+            best = max(range(len(backward)), key=lambda k: int(shared[k].sum()))
+            inside = shared[best]
+            if inside.sum() < LEAST_SHARED_SLICES:
+                continue
+            twin = backward.pop(best)
             order = np.argsort(twin.q)
-            q, tau = ahead.q[at], ahead.tau[at]
-            other = np.interp(q, twin.q[order], twin.tau[order])
-            speed, weight = (
-                np.full(len(q), level[0].speed),
-                np.full(len(q), ahead.weight),
-            )
-            result.append(
-                np.stack([q, (tau + other) / 2, (tau - other) / 2, speed, weight], 1)
-            )
-    return result
+            q = forward.q[inside]
+            tau = forward.tau[inside]
+            twin_tau = np.interp(q, twin.q[order], twin.tau[order])
+            speed = np.full(len(q), level[0].speed)
+            weight = np.full(len(q), forward.weight)
+            half_sum = (tau + twin_tau) / 2
+            half_difference = (tau - twin_tau) / 2
+            pairs.append(np.stack([q, half_sum, half_difference, speed, weight], 1))
+    return pairs
 
 
 def fit_gravity(
@@ -297,7 +300,8 @@ class _Pairs:
         self.root = np.sqrt(weight)
         self.lengths = [len(pair) for pair in pairs]
         self.pair = np.repeat(np.arange(len(pairs)), self.lengths)
-        self.degree, self.clear = degree, clear
+        self.degree = degree
+        self.clear = clear
 
     def smooth_friction(self) -> SmoothFriction:
         """Return friction, smooth over the position and straight over the speed."""
@@ -310,9 +314,10 @@ class _Pairs:
         entries = np.linalg.lstsq(
             columns * root, self.friction * self.root, rcond=1e-10
         )[0]
-        slowest, slope = float(self.speed.min()), float(entries[-1])
-        dry = Chebyshev(entries[:-1], domain=domain) + slope * slowest
-        return SmoothFriction(dry, slope, slowest)
+        slowest = float(self.speed.min())
+        per_speed = float(entries[-1])
+        dry = Chebyshev(entries[:-1], domain=domain) + per_speed * slowest
+        return SmoothFriction(dry, per_speed, slowest)
 
     def both_ways(
         self, gravity: Array, even: Array, even_std: Array, *, enough_pairs: int = 8
@@ -338,9 +343,9 @@ class _Pairs:
         beyond : Chebyshev or None
             Torque over the position that half-sums have beyond all of it.
         """
-        cut = 1 if len(self.lengths) >= enough_pairs else 4
+        cuts = 1 if len(self.lengths) >= enough_pairs else 4
         block = np.hstack(
-            [k * cut + np.arange(n) * cut // n for k, n in enumerate(self.lengths)]
+            [k * cuts + np.arange(n) * cuts // n for k, n in enumerate(self.lengths)]
         )
         columns = np.hstack([gravity, even])
         prior_std = np.concatenate([np.full(gravity.shape[1], np.inf), even_std])
@@ -361,34 +366,41 @@ class _Pairs:
         place = np.interp(self.q, beyond.domain, [-1.0, 1.0])
         terms = np.column_stack([even, chebyshev.chebvander(place, self.degree)])
         terms_std = np.concatenate([even_std, np.full(self.degree + 1, np.inf)])
-        rest = (self.tau - gravity @ fit.theta[:first]) * root
-        split = Clustered.of(terms * root[:, None], rest, block, terms_std)
+        without_gravity = (self.tau - gravity @ fit.theta[:first]) * root
+        split = Clustered.of(terms * root[:, None], without_gravity, block, terms_std)
         count = len(even_std)
         even_part = EvenPart(
             values=split.theta[:count], covariance=split.covariance[:count, :count]
         )
         return fit, even_part, Chebyshev(split.theta[count:], domain=beyond.domain)
 
-    def _beyond(self, left: Array) -> Chebyshev | None:
-        """Return the torque over the position that is in what is `left` (N,) N m, or None."""
-        # None, unless of pairs that are left out it leaves less than `clear` of the
-        # squares.
+    def _beyond(self, residual: Array) -> Chebyshev | None:
+        """Return the torque over the position that is in a residual (N,) N m.
+
+        None, unless of pairs that are left out it leaves less than `clear` of the
+        squares.
+        """
         domain = [float(self.q.min()), float(self.q.max())]
 
-        def fitted(some: Mask) -> Chebyshev:
-            q, w = self.q[some], self.root[some]
-            return Chebyshev.fit(q, left[some], self.degree, domain=domain, w=w)
+        def fitted(rows: Mask) -> Chebyshev:
+            return Chebyshev.fit(
+                self.q[rows],
+                residual[rows],
+                self.degree,
+                domain=domain,
+                w=self.root[rows],
+            )
 
-        others = [self.pair != k for k in range(len(self.lengths))]
-        if min(np.count_nonzero(some) for some in others) <= self.degree:
+        without_pair = [self.pair != k for k in range(len(self.lengths))]
+        if min(np.count_nonzero(rows) for rows in without_pair) <= self.degree:
             return None
-        rest = left.copy()
-        for some in others:
-            inside = (self.q >= self.q[some].min()) & (self.q <= self.q[some].max())
-            left_out = ~some & inside
-            rest[left_out] -= fitted(some)(self.q[left_out])
-        if np.sum((rest * self.root) ** 2) >= self.clear * np.sum(
-            (left * self.root) ** 2
-        ):
+        predicted = residual.copy()
+        for rows in without_pair:
+            low = self.q[rows].min()
+            high = self.q[rows].max()
+            left_out = ~rows & (self.q >= low) & (self.q <= high)
+            predicted[left_out] -= fitted(rows)(self.q[left_out])
+        squares = np.sum((residual * self.root) ** 2)
+        if np.sum((predicted * self.root) ** 2) >= self.clear * squares:
             return None
         return fitted(self.pair >= 0)

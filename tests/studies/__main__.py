@@ -14,29 +14,29 @@ from tests.studies.planned import errors, separation
 from tests.studies.rigs import one_joint, six_joint, table_two, two_joint
 from tests.studies.undeclared import study as undeclared
 
-USUAL = "measured.md"  # its studies run where none is named
-COSTS = "benchmarks.md"
+USUAL = "evidence/measured.md"  # its studies run where none is named
+COSTS = "evidence/benchmarks.md"
 # page of docs/, study
 STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "one_joint": (USUAL, one_joint.study),
     "two_joint": (USUAL, two_joint.study),
     "six_joint": (USUAL, six_joint.study),
     "recorded": (USUAL, recorded.classical),
-    "table_two": ("motion.md", table_two.study),
-    "undeclared": ("effects_study.md", undeclared.study),
-    "closed_loop": ("closed_loop_study.md", closed_loop.study),
-    "coverage": ("coverage.md", coverage.study),
-    "bands": ("coverage.md", bands.study),
-    "unseen": ("method.md", unseen.study),
-    "planned_errors": ("plan.md", errors.study),
-    "planned_separation": ("plan.md", separation.study),
-    "recorded_effects": ("effects_study.md", recorded.effects),
+    "table_two": ("explanation/motion.md", table_two.study),
+    "undeclared": ("evidence/effects_study.md", undeclared.study),
+    "closed_loop": ("evidence/closed_loop_study.md", closed_loop.study),
+    "coverage": ("evidence/coverage.md", coverage.study),
+    "bands": ("evidence/coverage.md", bands.study),
+    "unseen": ("explanation/method.md", unseen.study),
+    "planned_errors": ("how-to/plan.md", errors.study),
+    "planned_separation": ("how-to/plan.md", separation.study),
+    "recorded_effects": ("evidence/effects_study.md", recorded.effects),
     "ingestion": (COSTS, ingestion.study),
     "kernels": (COSTS, kernels.study),
     "whole_run": (COSTS, whole_run.study),
     "smoother": (COSTS, kernels.smoother),
     "discovery": (COSTS, discovery.study),
-    "exported_step": ("export.md", exported.study),
+    "exported_step": ("how-to/export.md", exported.study),
 }
 SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig
 

@@ -34,7 +34,7 @@ from tests.unit.docs.markdown import PAGES, ROOT, Step, anchors, blocks, links, 
 
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # Pages whose commands `make test` runs: the way of a user who has read no more.
-FIRST = ("README.md", "docs/tutorial.md")
+FIRST = ("README.md", "docs/tutorial/first_model.md")
 RUN = [n if n in FIRST else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
 FULL = bool(os.environ.get("SEQID_DOCS"))
 ABOUT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -44,23 +44,25 @@ SIX = SAMPLES / "six_joint"
 # the samples.
 PREPARED: dict[str, dict[str, Path]] = {
     # the simulated arm records the plan for minutes
-    "docs/afternoon.md": {"recorded": SIX},
-    "docs/own_robot.md": {
+    "docs/how-to/afternoon.md": {"recorded": SIX},
+    "docs/how-to/own_robot.md": {
         **{
             f"logs/{x}": SIX / x
             for x in ("friction", "gravity", "imu", "inertia", "validation")
         },
         "my_arm.urdf": SIX / "six_joint.urdf",
     },
-    "docs/inspect.md python": {
+    "docs/reference/inspect.md python": {
         "run.parquet": SAMPLES / "one_joint" / "imu" / "joint_1_posture_1.parquet",
         "robot.toml": SAMPLES / "one_joint" / "robot.toml",
     },
 }
-STRANGERS = ("docs/from_files.md", "docs/robots.md")
+STRANGERS = ("docs/how-to/from_files.md", "docs/how-to/robots.md")
 # What the reader is told to write between two blocks, after the first TOML of the page.
 COMPLETED: dict[str, dict[str, Path]] = {
-    "docs/own_robot.md": {name: SIX / name for name in ("robot.toml", "six_joint.urdf")}
+    "docs/how-to/own_robot.md": {
+        name: SIX / name for name in ("robot.toml", "six_joint.urdf")
+    }
 }
 # Commands with made-up logs and files: they are parsed only.
 MADE_UP = ("logs/monday", "logs/tuesday", "logs/friday", "LOG", "load.json")
@@ -263,7 +265,7 @@ def test_the_keys_of_the_files_are_told() -> None:
 
 
 def test_the_makefile_of_the_page_runs_what_the_program_takes(tmp_path: Path) -> None:
-    page = ROOT / "docs" / "pipelines.md"
+    page = ROOT / "docs" / "how-to" / "pipelines.md"
     text = next(block.text for block in blocks(page) if block.language == "make")
     (tmp_path / "Makefile").write_text(text + "\n", encoding="utf-8")
     shutil.copytree(SAMPLES / "one_joint", tmp_path / "robots" / "arm")
@@ -278,7 +280,7 @@ def test_the_makefile_of_the_page_runs_what_the_program_takes(tmp_path: Path) ->
 
 
 def test_every_function_is_told() -> None:
-    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
     told = set(re.findall(r"^\| `(\w+\.\w+)` \|", text, flags=re.MULTILINE))
     names = {name.replace("-", "_") for name in COMMANDS}
     there = {
@@ -320,7 +322,7 @@ def test_the_first_page_names_every_command_and_links_every_page() -> None:
     text = first.read_text(encoding="utf-8")
     assert [name for name in COMMANDS if f"| `{name}` |" not in text] == []
     linked = {(ROOT / link.partition("#")[0]).resolve() for link in links(first)}
-    layouts = ROOT / "docs" / "layouts" / "README.md"
+    layouts = ROOT / "docs" / "how-to" / "layouts" / "README.md"
     assert {page.resolve() for page in PAGES} - linked <= {first, layouts.resolve()}
 
 
@@ -343,6 +345,10 @@ def test_the_figure_of_proof_is_that_of_the_study() -> None:
         row[0]
         for row in re.finditer(rf"^\| (?:{names}) \|.*", text, flags=re.MULTILINE)
     ]
-    measured = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8").splitlines()
+    measured = (
+        (ROOT / "docs" / "evidence" / "measured.md")
+        .read_text(encoding="utf-8")
+        .splitlines()
+    )
     assert len(rows) == 3
     assert set(rows) <= set(measured)

@@ -98,7 +98,7 @@ types: $(DEV) ## check the types
 	$(BIN)/mypy
 
 .PHONY: study
-study: $(DEV) ## measure against truth and bounds, rewrite the tables in docs/evidence/measured.md (minutes)
+study: $(DEV) ## measure against truth and bounds, rewrite the tables in docs/evidence/{measured,recorded}.md (minutes)
 	$(BIN)/python -m tests.studies
 
 .PHONY: study-effects
@@ -110,7 +110,7 @@ study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind
 	$(BIN)/python -m tests.studies --only coverage --processes $(WORKERS)
 
 .PHONY: study-plan
-study-plan: $(DEV) ## predicted errors and pairs told apart against plants, into docs/how-to/plan.md (an hour)
+study-plan: $(DEV) ## predicted errors and pairs told apart against plants, into docs/evidence/planned.md (an hour)
 	$(BIN)/python -m tests.studies --only planned_errors planned_separation --cache $(CACHE)
 
 .PHONY: study-outside
@@ -133,7 +133,7 @@ fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $
 	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS) --seed $$RANDOM --keep $(OUT)/fuzz
 
 .PHONY: study-trust
-study-trust: $(DEV) ## damaged files, two hours of log, into docs/explanation/trust.md (hours)
+study-trust: $(DEV) ## damaged files, two hours of log, into docs/evidence/damage.md (hours)
 	$(BIN)/python -m tests.studies.fuzz --count 10000 --keep $(OUT)/fuzz --write
 	$(BIN)/python -m tests.studies.soak --write
 
@@ -175,7 +175,9 @@ REFINED := $(RIGS:%=$(OUT)/%/refined.html)
 
 .PHONY: demo demo-refine
 demo: $(REPORTS) $(filter $(OUT)/two_joint/%,$(REFINED)) ## identify the sample robots, refine one that has changed
-	@echo 'reports: $^ (refine the other robots as well: make demo-refine)'
+	@$(if $(word 2,$^),echo 'more reports: $(filter-out $(lastword $^),$^)')
+	@echo 'refine the other robots as well: make demo-refine'
+	@echo 'open this page: $(lastword $^)'
 
 demo-refine: $(REFINED) ## refine all sample robots, each of which has changed (minutes)
 
@@ -184,7 +186,7 @@ $(OUT)/%/report.html: sample_logs/%/robot.toml $(call logs,$(RUN_LOGS)) | $(RUN)
 
 $(OUT)/%/inertia.json: $(OUT)/%/report.html ;
 
-# After that something on the arm changed, and nobody told: what, and the model that knows it.
+# Then something on the arm changed that its robot file does not say: what, and a model with it.
 $(OUT)/%/refined.html: sample_logs/%/robot.toml $(OUT)/%/report.html $(call logs,changed) | $(RUN)
 	$(SEQID) diagnose sample_logs/$*/changed -r $< -p $(@D)/inertia.json -o $(@D)/changed_diagnosis.json
 	$(SEQID) refine sample_logs/$*/changed/fourier.parquet sample_logs/$*/changed/trapezoids.parquet \
@@ -195,7 +197,7 @@ $(OUT)/%/refined.html: sample_logs/%/robot.toml $(OUT)/%/report.html $(call logs
 	done
 	$(SEQID) report $(@D)/{inertia,refined,changed_diagnosis,inertia-held_out,refined-held_out}.json \
 		$(@D)/{inertia,refined}-held_out.parquet -o $@
-	@echo 'loop closed on $*: diagnose named what changed, refine added it, the held-out log confirms it: $@'
+	@echo '$*: diagnose named what changed, refine added it, the held-out log confirms it'
 
 .PHONY: pictures
 pictures: $(OUT)/two_joint/refined.html ## take the pictures of docs/how-to/report.md anew (needs chromium)

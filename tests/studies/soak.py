@@ -101,7 +101,7 @@ def main() -> int:
     parser.add_argument(
         "--write",
         action="store_true",
-        help="put the table into docs/explanation/trust.md",
+        help="put the table into docs/evidence/damage.md",
     )
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as work:
@@ -110,7 +110,7 @@ def main() -> int:
             f"{write_log(log, chosen.hours)} rows, {log.stat().st_size >> 20} MiB\n"
         )
         cells = [measured(line) for line in lines(log)]
-    show("explanation/trust.md", "soak", table(HEADER, cells), kept=chosen.write)
+    show("evidence/damage.md", "soak", table(HEADER, cells), kept=chosen.write)
     return 1 if {code for _, _, code, *_ in cells} - {"0", "1"} else 0
 
 

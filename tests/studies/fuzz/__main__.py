@@ -4,7 +4,7 @@ S]`.
 Damages sound files of every kind at random and gives them to the commands that read
 them. Every one must end with a result or a message: no traceback, no exit code 70, no
 warning of a library, at most 10 s of CPU time and 1 GiB. What is not answered so is
-kept in the folder of --keep. With --write the table goes into docs/explanation/trust.md.
+kept in the folder of --keep. With --write the table goes into docs/evidence/damage.md.
 """
 
 import argparse
@@ -48,7 +48,7 @@ def main() -> int:
     parser.add_argument(
         "--write",
         action="store_true",
-        help="put the table into docs/explanation/trust.md",
+        help="put the table into docs/evidence/damage.md",
     )
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -66,7 +66,7 @@ def main() -> int:
                 sys.stderr.write(f"{target.name}: {told}\n")
             done += ROUND
     show(
-        "explanation/trust.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write
+        "evidence/damage.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write
     )
     return 1 if _kept(tallies, chosen.keep) else 0
 

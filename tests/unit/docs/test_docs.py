@@ -337,18 +337,46 @@ def test_the_paths_of_the_map_exist() -> None:
         assert path == "seqid_cli/" or (ROOT / "seqid_cli" / path).exists(), path
 
 
-def test_the_figure_of_proof_is_that_of_the_study() -> None:
-    """The rows of README's first table stand in the tables that the study writes."""
+FIGURES = re.compile(r"<!-- figures of (\S+) -->\n((?:\|.*\n)+)")
+RESULTS = ROOT / "docs" / "results.md"
+
+
+def numbers(text: str) -> set[str]:
+    return set(re.findall(r"\d+(?:\.\d+)?", text))
+
+
+def test_the_figures_of_the_results_are_those_of_the_evidence() -> None:
+    """Every number of a table of results stands in the tables of the page it names."""
+    tables = FIGURES.findall(RESULTS.read_text(encoding="utf-8"))
+    assert len(tables) >= 7
+    for page, rows in tables:
+        evidence = (ROOT / "docs" / page).read_text(encoding="utf-8").splitlines()
+        known = numbers("\n".join(line for line in evidence if line.startswith("|")))
+        for row in rows.splitlines()[2:]:
+            cells = " ".join(row.split("|")[2:])
+            assert numbers(cells) <= known, f"{page}: {row}"
+
+
+def test_the_figures_of_the_first_page_are_those_of_the_results() -> None:
+    """The first table of README stands in the results, which the studies back."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    names = "sequential, sliding|simultaneous, sliding|current noise alone"
-    rows = [
-        row[0]
-        for row in re.finditer(rf"^\| (?:{names}) \|.*", text, flags=re.MULTILINE)
-    ]
-    measured = (
-        (ROOT / "docs" / "evidence" / "measured.md")
-        .read_text(encoding="utf-8")
-        .splitlines()
-    )
-    assert len(rows) == 3
-    assert set(rows) <= set(measured)
+    rows = re.findall(r"^\| (?:FIGAROH|seqid), .*\|$", text, flags=re.MULTILINE)
+    results = RESULTS.read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 4
+    assert set(rows) <= set(results)
+
+
+def test_the_simulated_arms_of_the_results_are_those_of_the_study() -> None:
+    """The rows of simulated arms stand in the tables that the study writes."""
+    label = {
+        "seqid, one stage after the other": "sequential, sliding",
+        "everything in one least squares": "simultaneous, sliding",
+        "noise of the currents alone": "current noise alone",
+    }
+    measured = ROOT / "docs" / "evidence" / "measured.md"
+    written = measured.read_text(encoding="utf-8").splitlines()
+    results = RESULTS.read_text(encoding="utf-8")
+    for name, row in label.items():
+        found = re.search(rf"^\| {name} (\|.*)$", results, flags=re.MULTILINE)
+        assert found, name
+        assert f"| {row} {found[1]}" in written

@@ -326,6 +326,14 @@ def test_the_first_page_names_every_command_and_links_every_page() -> None:
     assert {page.resolve() for page in PAGES} - linked <= {first, layouts.resolve()}
 
 
+@pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("docs/")])
+def test_a_page_says_first_who_it_is_for(name: str) -> None:
+    paragraphs = (ROOT / name).read_text(encoding="utf-8").split("\n\n")
+    assert paragraphs[0].startswith("# ")
+    reader = r"\b(for (whoever|readers|those)|you)\b"
+    assert re.search(reader, paragraphs[1], re.IGNORECASE), paragraphs[1]
+
+
 def test_the_paths_of_the_map_exist() -> None:
     architecture = (
         (ROOT / "README.md").read_text(encoding="utf-8").split("## Architecture")[1]

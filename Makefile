@@ -98,34 +98,34 @@ types: $(DEV) ## check the types
 	$(BIN)/mypy
 
 .PHONY: study
-study: $(DEV) ## measure against truth and bounds, rewrite the tables in docs/measured.md (minutes)
+study: $(DEV) ## measure against truth and bounds, rewrite the tables in docs/evidence/{measured,recorded}.md (minutes)
 	$(BIN)/python -m tests.studies
 
 .PHONY: study-effects
-study-effects: $(DEV) ## how well undeclared effects are found, into docs/effects_study.md (hours)
+study-effects: $(DEV) ## how well undeclared effects are found, into docs/evidence/effects_study.md (hours)
 	$(BIN)/python -m tests.studies --only undeclared --processes $(WORKERS)
 
 .PHONY: study-coverage
-study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind, into docs/coverage.md (hours)
+study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind, into docs/evidence/coverage.md (hours)
 	$(BIN)/python -m tests.studies --only coverage --processes $(WORKERS)
 
 .PHONY: study-plan
-study-plan: $(DEV) ## predicted errors and pairs told apart against plants, into docs/plan.md (an hour)
+study-plan: $(DEV) ## predicted errors and pairs told apart against plants, into docs/evidence/planned.md (an hour)
 	$(BIN)/python -m tests.studies --only planned_errors planned_separation --cache $(CACHE)
 
 .PHONY: study-outside
-study-outside: $(DEV) ## cases of the second simulator, into docs/outside.md (20 s a case)
+study-outside: $(DEV) ## cases of the second simulator, into docs/evidence/outside.md (20 s a case)
 	$(BIN)/python -m tests.studies.outside --set tuning --seeds 0:110 --cache $(OUT)/outside --write
 
 .PHONY: study-truth
-study-truth: $(DEV) ## does `good` mean good: drawn arms with imperfections, into docs/truth_study.md (10 s an arm)
+study-truth: $(DEV) ## does `good` mean good: drawn arms with imperfections, into docs/evidence/truth_study.md (10 s an arm)
 	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:40 --cache $(OUT)/truth --processes $(WORKERS) --write
 	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:64 --alone --cache $(OUT)/truth --processes $(WORKERS) --write
 	$(BIN)/python -m tests.studies.truth --fixed --seeds 0 --cache $(OUT)/truth --processes $(WORKERS) --write
 	$(BIN)/python -m tests.studies.truth --rigs --seeds 0:10 --cache $(OUT)/truth --processes $(WORKERS) --write
 
 .PHONY: bench
-bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)
+bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/evidence/benchmarks.md (minutes)
 	$(BIN)/python -m tests.studies --only ingestion kernels whole_run smoother discovery exported_step
 
 .PHONY: fuzz
@@ -133,7 +133,7 @@ fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $
 	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS) --seed $$RANDOM --keep $(OUT)/fuzz
 
 .PHONY: study-trust
-study-trust: $(DEV) ## damaged files, two hours of log, into docs/trust.md (hours)
+study-trust: $(DEV) ## damaged files, two hours of log, into docs/evidence/damage.md (hours)
 	$(BIN)/python -m tests.studies.fuzz --count 10000 --keep $(OUT)/fuzz --write
 	$(BIN)/python -m tests.studies.soak --write
 
@@ -152,10 +152,10 @@ $(DOCS): pyproject.toml | $(BIN)/python
 docs: $(DOCS) ## make the site of the documents in out/site (its search needs a server: python -m http.server -d out/site)
 	rm -rf out/pages && mkdir -p out/pages
 	cp --parents -r $(PAGES) out/pages
-	cp .ci/reference.md out/pages/docs
+	cp .ci/reference.md out/pages/docs/reference/functions.md
 	$(dir $(DOCS))bin/mkdocs build --strict --config-file .ci/mkdocs.yml
 
-notebook: $(DOCS) ## run docs/notebook.ipynb, keep its outputs
+notebook: $(DOCS) ## run docs/tutorial/notebook.ipynb, keep its outputs
 	$(dir $(DOCS))bin/python -m tests.unit.docs.run_notebook
 
 # ---- sample logs
@@ -175,7 +175,9 @@ REFINED := $(RIGS:%=$(OUT)/%/refined.html)
 
 .PHONY: demo demo-refine
 demo: $(REPORTS) $(filter $(OUT)/two_joint/%,$(REFINED)) ## identify the sample robots, refine one that has changed
-	@echo 'reports: $^ (refine the other robots as well: make demo-refine)'
+	@$(if $(word 2,$^),echo 'more reports: $(filter-out $(lastword $^),$^)')
+	@echo 'refine the other robots as well: make demo-refine'
+	@echo 'open this page: $(lastword $^)'
 
 demo-refine: $(REFINED) ## refine all sample robots, each of which has changed (minutes)
 
@@ -184,7 +186,7 @@ $(OUT)/%/report.html: sample_logs/%/robot.toml $(call logs,$(RUN_LOGS)) | $(RUN)
 
 $(OUT)/%/inertia.json: $(OUT)/%/report.html ;
 
-# After that something on the arm changed, and nobody told: what, and the model that knows it.
+# Then something on the arm changed that its robot file does not say: what, and a model with it.
 $(OUT)/%/refined.html: sample_logs/%/robot.toml $(OUT)/%/report.html $(call logs,changed) | $(RUN)
 	$(SEQID) diagnose sample_logs/$*/changed -r $< -p $(@D)/inertia.json -o $(@D)/changed_diagnosis.json
 	$(SEQID) refine sample_logs/$*/changed/fourier.parquet sample_logs/$*/changed/trapezoids.parquet \
@@ -195,10 +197,10 @@ $(OUT)/%/refined.html: sample_logs/%/robot.toml $(OUT)/%/report.html $(call logs
 	done
 	$(SEQID) report $(@D)/{inertia,refined,changed_diagnosis,inertia-held_out,refined-held_out}.json \
 		$(@D)/{inertia,refined}-held_out.parquet -o $@
-	@echo 'loop closed on $*: diagnose named what changed, refine added it, the held-out log confirms it: $@'
+	@echo '$*: diagnose named what changed, refine added it, the held-out log confirms it'
 
 .PHONY: pictures
-pictures: $(OUT)/two_joint/refined.html ## take the pictures of docs/report.md anew (needs chromium)
+pictures: $(OUT)/two_joint/refined.html ## take the pictures of docs/how-to/report.md anew (needs chromium)
 	$(BIN)/python -m tests.unit.report.browser $< docs/images
 
 # ---- regression: the demo's models against those that are kept in sample_logs/

@@ -166,8 +166,8 @@ def refuse_without_law(item: FittedEffect, robot: Robot) -> None:
         " from"
     )
     hint = (
-        "Give its class `laws` (docs/own_effects.md), or export a form that leaves"
-        " effects out:"
+        "Give its class `laws` (docs/how-to/own_effects.md), or export a form that"
+        " leaves effects out:"
     )
     raise ConfigError(
         message, where=str(robot.source), hint=f"{hint} URDF, MJCF, ROS 2."

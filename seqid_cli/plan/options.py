@@ -17,7 +17,7 @@ What = Literal[
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """Durations in s; see `docs/deciding_numbers.md` for the numbers.
+    """Durations in s; see `docs/reference/deciding_numbers.md` for the numbers.
 
     `duration_s` is the time that the moves of the inertia stage may take, `together`
     whether all joints move at once in them instead of two, `pool` how many moves are

@@ -1,4 +1,6 @@
-"""Ten mistakes of docs/from_files.md, each with its message and way out; damaged files."""
+"""Ten mistakes of docs/how-to/from_files.md, each with its message and way out;
+damaged files.
+"""
 
 import re
 import shutil
@@ -96,7 +98,7 @@ MISTAKES: dict[str, Mistake] = {
 
 def table() -> dict[str, tuple[int, str, str]]:
     """Rows of the page: exit code, message and remedy of each mistake."""
-    page = ROOT / "docs" / "from_files.md"
+    page = ROOT / "docs" / "how-to" / "from_files.md"
     text = page.read_text(encoding="utf-8").split("## Ten mistakes")[1]
     rows = re.findall(
         r"^\| ([^|]+) \| (\d) \| `(.+?)` \| (.+) \|$", text, flags=re.MULTILINE

@@ -99,7 +99,9 @@ def main() -> int:
     )
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument(
-        "--write", action="store_true", help="put the table into docs/trust.md"
+        "--write",
+        action="store_true",
+        help="put the table into docs/evidence/damage.md",
     )
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as work:
@@ -108,7 +110,7 @@ def main() -> int:
             f"{write_log(log, chosen.hours)} rows, {log.stat().st_size >> 20} MiB\n"
         )
         cells = [measured(line) for line in lines(log)]
-    show("trust.md", "soak", table(HEADER, cells), kept=chosen.write)
+    show("evidence/damage.md", "soak", table(HEADER, cells), kept=chosen.write)
     return 1 if {code for _, _, code, *_ in cells} - {"0", "1"} else 0
 
 

@@ -66,7 +66,7 @@ def counted(cases: Sequence[T]) -> str:
 
 def show(page: str, name: str, content: str, *, kept: bool) -> None:
     """Print the content of study `name`; where it is `kept`, put it into a page of
-    docs/.
+    docs/, such as evidence/coverage.md.
     """
     sys.stdout.write(content + "\n")
     if kept:

@@ -3,14 +3,14 @@
 That a term is more than the errors of a model which lacks nothing goes with the share
 of the squared error that it takes away where it was not fitted, and with its gain in
 log predictive density: a logistic regression on cases of which the truth is known
-(docs/discovery.md). How sure its name is follows from the gains of all effects that
-touch the same channels, over drawn weights of the blocks (D. B. Rubin, "The Bayesian
-bootstrap", Annals of Statistics 9, 1981). The gains are tempered: no law is exactly the
-effect's, and of a large effect the rows tell laws apart that differ by less than the
-effect's own does from its law. Smooth functions have no part in it: where one is
-clearly better than all effects, it is what the selection takes. An effect that looks
-alike and that these logs lack the channels for cannot be ruled out: it is as likely as
-the name. Effects of `Taken.instead` count by their evidence.
+(docs/explanation/discovery.md). How sure its name is follows from the gains of all
+effects that touch the same channels, over drawn weights of the blocks (D. B. Rubin,
+"The Bayesian bootstrap", Annals of Statistics 9, 1981). The gains are tempered: no law
+is exactly the effect's, and of a large effect the rows tell laws apart that differ by
+less than the effect's own does from its law. Smooth functions have no part in it: where
+one is clearly better than all effects, it is what the selection takes. An effect that
+looks alike and that these logs lack the channels for cannot be ruled out: it is as
+likely as the name. Effects of `Taken.instead` count by their evidence.
 """
 
 from __future__ import annotations

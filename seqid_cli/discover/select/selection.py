@@ -1,7 +1,7 @@
 """Forward and backward selection of what a model lacks.
 
-docs/discovery.md says which conditions admit a term, and how the base is held to the
-file.
+docs/explanation/discovery.md says which conditions admit a term, and how the base is
+held to the file.
 
 References: J. Piironen, A. Vehtari, "Comparison of Bayesian predictive methods for
 model selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes

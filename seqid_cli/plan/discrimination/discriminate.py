@@ -93,7 +93,7 @@ def asked(
             hint = (
                 f"Did you mean {near[0]}?"
                 if near
-                else "docs/effects.md lists their names."
+                else "docs/reference/effects.md lists their names."
             )
             raise UsageError(f"--between names no effect: {name!r}", hint=hint)
     if len(set(options.between)) != 2:

@@ -4,7 +4,7 @@ S]`.
 Damages sound files of every kind at random and gives them to the commands that read
 them. Every one must end with a result or a message: no traceback, no exit code 70, no
 warning of a library, at most 10 s of CPU time and 1 GiB. What is not answered so is
-kept in the folder of --keep. With --write the table goes into docs/trust.md.
+kept in the folder of --keep. With --write the table goes into docs/evidence/damage.md.
 """
 
 import argparse
@@ -46,7 +46,9 @@ def main() -> int:
         "--keep", type=Path, default=Path("out/fuzz"), help="folder for finds"
     )
     parser.add_argument(
-        "--write", action="store_true", help="put the table into docs/trust.md"
+        "--write",
+        action="store_true",
+        help="put the table into docs/evidence/damage.md",
     )
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -63,7 +65,9 @@ def main() -> int:
                 told = f"{len(tally.outcomes)}, {len(tally.finds)} finds"
                 sys.stderr.write(f"{target.name}: {told}\n")
             done += ROUND
-    show("trust.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write)
+    show(
+        "evidence/damage.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write
+    )
     return 1 if _kept(tallies, chosen.keep) else 0
 
 

@@ -38,7 +38,7 @@ def main() -> None:
         chosen.seeds, chosen.cache, coarser=chosen.coarser, whole=chosen.whole
     )
     name = f"outside_{chosen.set}" + "_whole" * chosen.whole
-    show("outside.md", name, tables(rows), kept=chosen.write)
+    show("evidence/outside.md", name, tables(rows), kept=chosen.write)
 
 
 def answers(seeds: Sequence[int], cache: Path, **drawing: Any) -> list[dict[str, Any]]:

@@ -33,7 +33,7 @@ from tests.studies.outside.tabulate import LOUD
 from tests.studies.records import results, seeds_of
 from tests.studies.tables import show, table
 
-PAGE = ROOT / "docs" / "deciding_numbers.md"
+PAGE = ROOT / "docs" / "reference" / "deciding_numbers.md"
 FACTORS = (0.7, 1.3)
 
 
@@ -174,7 +174,12 @@ def main() -> None:
     kept = results(
         cases, answered, dict[str, Any], chosen.cache / "numbers.jsonl", processes=2
     )
-    show(PAGE.name, "numbers", tabulated(list(kept.values())), kept=chosen.write)
+    show(
+        f"reference/{PAGE.name}",
+        "numbers",
+        tabulated(list(kept.values())),
+        kept=chosen.write,
+    )
 
 
 if __name__ == "__main__":

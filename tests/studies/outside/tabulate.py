@@ -1,4 +1,4 @@
-"""The tables of `docs/outside.md`: answers by group and by effect, and stated
+"""The tables of `docs/evidence/outside.md`: answers by group and by effect, and stated
 confidences.
 """
 

@@ -17,7 +17,7 @@ from tests.studies.truth.rigs import COUNTS, RIGS, label_of, rig_row, rig_tables
 from tests.studies.truth.score import Row, scored
 from tests.studies.truth.session import sources
 
-PAGE = "truth_study.md"
+PAGE = "evidence/truth_study.md"
 
 
 def parser() -> argparse.ArgumentParser:

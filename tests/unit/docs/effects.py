@@ -1,4 +1,4 @@
-"""The entries of docs/effects.md, from the registry: `python -m
+"""The entries of docs/reference/effects.md, from the registry: `python -m
 tests.unit.docs.effects`.
 """
 
@@ -15,7 +15,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
 
-PAGE = ROOT / "docs" / "effects.md"
+PAGE = ROOT / "docs" / "reference" / "effects.md"
 # Any geared arm will do: units and names of parameters do not depend on it.
 ROBOT = ROOT / "sample_logs" / "six_joint" / "robot.toml"
 JOINT = 2

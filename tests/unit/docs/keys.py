@@ -16,7 +16,7 @@ from seqid_cli.params.base import Document, FrozenStruct, Struct
 from seqid_cli.params.results import diagnosis, inspection, plan, prediction
 from tests.unit.docs.markdown import ROOT
 
-PAGE = ROOT / "docs" / "files.md"
+PAGE = ROOT / "docs" / "reference" / "files.md"
 MODULES = (
     schema,
     bands_schema,

@@ -11,7 +11,7 @@ import nbformat
 
 from tests.unit.docs.markdown import ROOT
 
-NOTEBOOK = ROOT / "docs" / "notebook.ipynb"
+NOTEBOOK = ROOT / "docs" / "tutorial" / "notebook.ipynb"
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from seqid_cli.commands.app import COMMANDS, command_function
 from seqid_cli.settings import Group, Settings
 from tests import ROOT
 
-PAGE = ROOT / "docs" / "settings.md"
+PAGE = ROOT / "docs" / "reference" / "settings.md"
 TABLES = re.compile(r"(?s)<!-- settings -->\n.*?<!-- /settings -->")
 _ROW = re.compile(r"\| `(\w+\.\w+)` \|.*\| ([^|]*) \|$")
 _HEADING = re.compile(r"### \w+: `([\w-]+)`")

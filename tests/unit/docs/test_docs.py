@@ -34,7 +34,7 @@ from tests.unit.docs.markdown import PAGES, ROOT, Step, anchors, blocks, links, 
 
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # Pages whose commands `make test` runs: the way of a user who has read no more.
-FIRST = ("README.md", "docs/tutorial.md")
+FIRST = ("README.md", "docs/tutorial/first_model.md")
 RUN = [n if n in FIRST else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
 FULL = bool(os.environ.get("SEQID_DOCS"))
 ABOUT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -44,23 +44,25 @@ SIX = SAMPLES / "six_joint"
 # the samples.
 PREPARED: dict[str, dict[str, Path]] = {
     # the simulated arm records the plan for minutes
-    "docs/afternoon.md": {"recorded": SIX},
-    "docs/own_robot.md": {
+    "docs/how-to/afternoon.md": {"recorded": SIX},
+    "docs/how-to/own_robot.md": {
         **{
             f"logs/{x}": SIX / x
             for x in ("friction", "gravity", "imu", "inertia", "validation")
         },
         "my_arm.urdf": SIX / "six_joint.urdf",
     },
-    "docs/inspect.md python": {
+    "docs/reference/inspect.md python": {
         "run.parquet": SAMPLES / "one_joint" / "imu" / "joint_1_posture_1.parquet",
         "robot.toml": SAMPLES / "one_joint" / "robot.toml",
     },
 }
-STRANGERS = ("docs/from_files.md", "docs/robots.md")
+STRANGERS = ("docs/how-to/from_files.md", "docs/how-to/robots.md")
 # What the reader is told to write between two blocks, after the first TOML of the page.
 COMPLETED: dict[str, dict[str, Path]] = {
-    "docs/own_robot.md": {name: SIX / name for name in ("robot.toml", "six_joint.urdf")}
+    "docs/how-to/own_robot.md": {
+        name: SIX / name for name in ("robot.toml", "six_joint.urdf")
+    }
 }
 # Commands with made-up logs and files: they are parsed only.
 MADE_UP = ("logs/monday", "logs/tuesday", "logs/friday", "LOG", "load.json")
@@ -263,7 +265,7 @@ def test_the_keys_of_the_files_are_told() -> None:
 
 
 def test_the_makefile_of_the_page_runs_what_the_program_takes(tmp_path: Path) -> None:
-    page = ROOT / "docs" / "pipelines.md"
+    page = ROOT / "docs" / "how-to" / "pipelines.md"
     text = next(block.text for block in blocks(page) if block.language == "make")
     (tmp_path / "Makefile").write_text(text + "\n", encoding="utf-8")
     shutil.copytree(SAMPLES / "one_joint", tmp_path / "robots" / "arm")
@@ -278,7 +280,7 @@ def test_the_makefile_of_the_page_runs_what_the_program_takes(tmp_path: Path) ->
 
 
 def test_every_function_is_told() -> None:
-    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
     told = set(re.findall(r"^\| `(\w+\.\w+)` \|", text, flags=re.MULTILINE))
     names = {name.replace("-", "_") for name in COMMANDS}
     there = {
@@ -320,8 +322,16 @@ def test_the_first_page_names_every_command_and_links_every_page() -> None:
     text = first.read_text(encoding="utf-8")
     assert [name for name in COMMANDS if f"| `{name}` |" not in text] == []
     linked = {(ROOT / link.partition("#")[0]).resolve() for link in links(first)}
-    layouts = ROOT / "docs" / "layouts" / "README.md"
+    layouts = ROOT / "docs" / "how-to" / "layouts" / "README.md"
     assert {page.resolve() for page in PAGES} - linked <= {first, layouts.resolve()}
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("docs/")])
+def test_a_page_says_first_who_it_is_for(name: str) -> None:
+    paragraphs = (ROOT / name).read_text(encoding="utf-8").split("\n\n")
+    assert paragraphs[0].startswith("# ")
+    reader = r"\b(for (whoever|readers|those)|you)\b"
+    assert re.search(reader, paragraphs[1], re.IGNORECASE), paragraphs[1]
 
 
 def test_the_paths_of_the_map_exist() -> None:
@@ -335,14 +345,46 @@ def test_the_paths_of_the_map_exist() -> None:
         assert path == "seqid_cli/" or (ROOT / "seqid_cli" / path).exists(), path
 
 
-def test_the_figure_of_proof_is_that_of_the_study() -> None:
-    """The rows of README's first table stand in the tables that the study writes."""
+FIGURES = re.compile(r"<!-- figures of (\S+) -->\n((?:\|.*\n)+)")
+RESULTS = ROOT / "docs" / "results.md"
+
+
+def numbers(text: str) -> set[str]:
+    return set(re.findall(r"\d+(?:\.\d+)?", text))
+
+
+def test_the_figures_of_the_results_are_those_of_the_evidence() -> None:
+    """Every number of a table of results stands in the tables of the page it names."""
+    tables = FIGURES.findall(RESULTS.read_text(encoding="utf-8"))
+    assert len(tables) >= 7
+    for page, rows in tables:
+        evidence = (ROOT / "docs" / page).read_text(encoding="utf-8").splitlines()
+        known = numbers("\n".join(line for line in evidence if line.startswith("|")))
+        for row in rows.splitlines()[2:]:
+            cells = " ".join(row.split("|")[2:])
+            assert numbers(cells) <= known, f"{page}: {row}"
+
+
+def test_the_figures_of_the_first_page_are_those_of_the_results() -> None:
+    """The first table of README stands in the results, which the studies back."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    names = "sequential, sliding|simultaneous, sliding|current noise alone"
-    rows = [
-        row[0]
-        for row in re.finditer(rf"^\| (?:{names}) \|.*", text, flags=re.MULTILINE)
-    ]
-    measured = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8").splitlines()
-    assert len(rows) == 3
-    assert set(rows) <= set(measured)
+    rows = re.findall(r"^\| (?:FIGAROH|seqid), .*\|$", text, flags=re.MULTILINE)
+    results = RESULTS.read_text(encoding="utf-8").splitlines()
+    assert len(rows) == 4
+    assert set(rows) <= set(results)
+
+
+def test_the_simulated_arms_of_the_results_are_those_of_the_study() -> None:
+    """The rows of simulated arms stand in the tables that the study writes."""
+    label = {
+        "seqid, one stage after the other": "sequential, sliding",
+        "everything in one least squares": "simultaneous, sliding",
+        "noise of the currents alone": "current noise alone",
+    }
+    measured = ROOT / "docs" / "evidence" / "measured.md"
+    written = measured.read_text(encoding="utf-8").splitlines()
+    results = RESULTS.read_text(encoding="utf-8")
+    for name, row in label.items():
+        found = re.search(rf"^\| {name} (\|.*)$", results, flags=re.MULTILINE)
+        assert found, name
+        assert f"| {row} {found[1]}" in written

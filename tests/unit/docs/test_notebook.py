@@ -9,9 +9,9 @@ import pytest
 
 from tests.unit.docs.markdown import ROOT
 
-CELLS = json.loads((ROOT / "docs" / "notebook.ipynb").read_text(encoding="utf-8"))[
-    "cells"
-]
+CELLS = json.loads(
+    (ROOT / "docs" / "tutorial" / "notebook.ipynb").read_text(encoding="utf-8")
+)["cells"]
 CODE = [cell for cell in CELLS if cell["cell_type"] == "code"]
 
 

@@ -9,7 +9,7 @@ from types import ModuleType
 
 from tests import ROOT
 
-PAGE = ROOT / "docs" / "deciding_numbers.md"
+PAGE = ROOT / "docs" / "reference" / "deciding_numbers.md"
 TEXT = re.sub(
     r"(?s)<!-- study:.*?<!-- /study -->", "", PAGE.read_text(encoding="utf-8")
 )

@@ -1,4 +1,7 @@
-"""Words that were replaced by the field's terms (docs/glossary.md) do not come back."""
+"""Words that were replaced by the field's terms do not come back.
+
+The terms: docs/reference/glossary.md.
+"""
 
 import ast
 import re
@@ -50,7 +53,7 @@ ROOMS = (
 )
 WORD = re.compile(rf"\b(?:{'|'.join(INSTEAD)})\b", re.IGNORECASE)
 MARKED = re.compile(r"<!-- study:.*?<!-- /study -->|```.*?```|`[^`\n]*`", re.DOTALL)
-GENERATED = "docs/effects.md"  # from docstrings of a room that follows
+GENERATED = "docs/reference/effects.md"  # from docstrings of a room that follows
 NAMES = [name for page in PAGES if (name := str(page.relative_to(ROOT))) != GENERATED]
 
 
@@ -65,7 +68,7 @@ def texts(source: str) -> Iterator[str]:
 @pytest.mark.parametrize("page", NAMES)
 def test_pages_use_the_words_of_the_field(page: str) -> None:
     text = MARKED.sub("", (ROOT / page).read_text(encoding="utf-8"))
-    rows = page == "docs/deciding_numbers.md"
+    rows = page == "docs/reference/deciding_numbers.md"
     kept = [line for line in text.splitlines() if not (rows and line.startswith("|"))]
     assert not WORD.findall("\n".join(kept))
 
@@ -79,7 +82,7 @@ def test_docstrings_and_messages_use_the_words_of_the_field(room: str) -> None:
 
 
 def test_the_glossary_has_every_term_once() -> None:
-    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "glossary.md").read_text(encoding="utf-8")
     terms = [
         line.split("|")[1].strip()
         for line in text.splitlines()

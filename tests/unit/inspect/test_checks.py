@@ -81,7 +81,7 @@ ROW = re.compile(
 
 
 def test_the_table_of_codes_is_the_packages_own() -> None:
-    rows = sorted(ROW.findall((ROOT / "docs" / "inspect.md").read_text()))
+    rows = sorted(ROW.findall((ROOT / "docs" / "reference" / "inspect.md").read_text()))
     kinds = (("error", ERRORS), ("warning", WARNINGS))
     assert rows == sorted(
         (code, kind, own[code]) for kind, own in kinds for code in own

@@ -16,7 +16,7 @@ from seqid_cli.identify.prediction.torque_files import TOPICS, mcap_writer
 from tests import ROOT
 from tests.plants.robots.made import made_prediction
 
-LAYOUTS = ROOT / "docs" / "layouts"
+LAYOUTS = ROOT / "docs" / "how-to" / "layouts"
 JOINTS = ("shoulder", "elbow_with_a_longer_name", "wrist")
 SAMPLES = 40
 

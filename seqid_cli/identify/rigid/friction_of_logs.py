@@ -7,8 +7,8 @@ torque in the rows of log k and r what gravity leaves there,
     r = s_k f + noise,
 
 s_k is the share by which friction is larger in that log than the surface. A drive that
-warms up while nobody logs its temperature rubs a little less in every log (strain wave
-gears by 1 to 3 % per kelvin). Then the trials of friction themselves, whose speeds
+warms up while its temperature is not logged rubs a little less in every log (strain
+wave gears by 1 to 3 % per kelvin). Then the trials of friction themselves, whose speeds
 follow one another, hold the warmth as if it were a dependence on the speed, and nothing
 in them shows it.
 """

@@ -291,6 +291,7 @@ def _with_drive_terms(
 ) -> DriveTerms:
     """Return friction with the drives' terms as gravity's trials show them."""
     n = rows.robot.n
+    term_covariance = posterior.beside_tolerances
     joints = dict(friction.joints)
     terms: list[Nuisance] = []
     all_places: list[int] = []
@@ -305,7 +306,7 @@ def _with_drive_terms(
                 joints[name],
                 "thermal",
                 value=change.value + float(solution.theta[place]),
-                std_error=float(np.sqrt(posterior.covariance[place, place])),
+                std_error=float(np.sqrt(term_covariance[place, place])),
             )
 
         places = [k * n + j for k in range(EVEN_TERMS)]
@@ -313,7 +314,7 @@ def _with_drive_terms(
         before = EvenPart.of_joint(joints[name], friction_rms(surface))
         even = EvenPart(
             values=before.values + solution.theta[columns],
-            covariance=posterior.covariance[np.ix_(columns, columns)],
+            covariance=term_covariance[np.ix_(columns, columns)],
         )
         joints[name] = with_even_part(joints[name], name, even)
         terms += even.terms(name, joints[name].unit)

@@ -364,6 +364,7 @@ def _drive_terms(
     robot = equations.robot
     basis = equations.basis
     columns = equations.nuisances
+    term_covariance = posterior.beside_tolerances
     friction = equations.stages.friction
     assert friction is not None
     joints = dict(friction.joints)
@@ -388,7 +389,7 @@ def _drive_terms(
         before = EvenPart.of_joint(joints[name], friction_rms(surface))
         even = EvenPart(
             values=before.values + solution.theta[even_places],
-            covariance=posterior.covariance[np.ix_(even_places, even_places)],
+            covariance=term_covariance[np.ix_(even_places, even_places)],
         )
         joint = joints[name]
         stated = term_of(joint, "thermal")
@@ -401,7 +402,7 @@ def _drive_terms(
         for place, (term, value) in zip((delay, thermal), values.items(), strict=True):
             if term == "delay" and not reads_delays:
                 continue
-            std_error = float(np.sqrt(posterior.covariance[place, place]))
+            std_error = float(np.sqrt(term_covariance[place, place]))
             joint = with_term(joint, term, value, std_error)
         joints[name] = with_even_part(joint, name, even)
         if name not in good_joints:

@@ -96,6 +96,16 @@ class Posterior:
         )
         return self.covariance + common
 
+    @property
+    def beside_tolerances(self) -> Array:
+        """Covariance (p, p) of a drive's terms, which take what the robot file has wrong.
+
+        Gravity of another direction is a torque that does not turn with the motion, as an
+        offset is. Predicted torques do not feel it, the offset of the drive does.
+        """
+        size = len(self.covariance)
+        return self.covariance + moves_covariance(self.tolerances, size)
+
     @classmethod
     def of(
         cls,

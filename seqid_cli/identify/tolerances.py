@@ -39,6 +39,20 @@ class Deviation:
     robot: Robot
     shift: Array
 
+    def as_robot(self) -> Robot:
+        """Return the arm with the shift in its frames, which joints then turn or slide on."""
+        chain = self.robot.chain
+        rotation = chain.rotation.copy()
+        position = chain.position.copy()
+        for j in np.flatnonzero(self.shift):
+            step = self.shift[j] * chain.axis[j]
+            if chain.prismatic[j]:
+                position[j] += rotation[j] @ step
+            else:
+                rotation[j] = rotation[j] @ Rotation.from_rotvec(step).as_matrix()
+        moved = replace(chain, rotation=rotation, position=position)
+        return replace(self.robot, chain=moved)
+
 
 def deviations(robot: Robot) -> list[Deviation]:
     """Return an arm per tolerance of the robot file that is not zero."""
@@ -76,34 +90,6 @@ def deviation_torques(
         )
         torques[deviation.name] = torque - nominal
     return torques
-
-
-@dataclass(frozen=True)
-class FrameTolerance:
-    """Standard deviations of a link's frame: `turn` rad about and `place` m along each axis."""
-
-    turn: float
-    place: float
-
-
-def frame_tolerance(robot: Robot, link: int) -> FrameTolerance:
-    """Return how far a link's frame may be beside where the robot file has it.
-
-    What is found against gravity and the axes of joints, an IMU's mounting say, is as
-    wrong as they are. Errors of the frames up to the link are independent of each
-    other.
-    """
-    frames = link + 1
-    zeros = [joint.position_zero_error for joint in robot.joints[:frames]]
-    turn = np.hypot(
-        robot.geometry_error_rad * np.sqrt(frames),
-        np.hypot(robot.gravity_error, np.linalg.norm(zeros)),
-    )
-    # A frame that is turned takes what is fixed to it along, by as much as the link is
-    # long.
-    reach = float(np.linalg.norm(robot.chain.position[link]))
-    place = np.hypot(robot.geometry_error_m * np.sqrt(frames), turn * reach)
-    return FrameTolerance(turn=float(turn), place=float(place))
 
 
 def _of_gravity(robot: Robot) -> Iterator[Deviation]:

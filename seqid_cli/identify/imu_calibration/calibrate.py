@@ -28,7 +28,7 @@ from seqid_cli.identify.imu_calibration.segments import (
 from seqid_cli.identify.imu_calibration.solve import Fit, fit_constants
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.settings import ImuCalibSettings, MountingSettings
-from seqid_cli.identify.tolerances import frame_tolerance
+from seqid_cli.identify.tolerances import deviations
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.imu.link_velocity import axes_in_link
@@ -124,7 +124,8 @@ def _calibrated(
     seen = replace(imu, gyro=most > len(imu.axes))
     guess = initial_guess.fit_rotation(pairs) if pairs else np.eye(3)
     start = initial_guess.starting_constants(segments, robot, seen, guess)
-    fit = fit_constants(segments, robot, seen, start)
+    others = [deviation.as_robot() for deviation in deviations(robot)]
+    fit = fit_constants(segments, robot, seen, start, others)
     density = float(np.median(densities)) if densities else None
     return calibration_of(robot, seen, fit, segments, pairs, density), fit.converged
 
@@ -151,9 +152,9 @@ def calibration_of(
     edges = sampling * segments[0].readings.period * any(s.by_edges for s in segments)
     delay_error = float(np.hypot(sigma[6], edges))
     delay_known = delay_error < max_delay_error_s
-    tolerance = frame_tolerance(robot, imu.after_joint)
-    turn_errors = np.hypot(sigma[:3], tolerance.turn)
-    lever_errors = np.hypot(sigma[3:6], tolerance.place)
+    by_tolerances = np.linalg.norm(fit.moves, axis=1)
+    turn_errors = np.hypot(sigma[:3], by_tolerances[:3])
+    lever_errors = np.hypot(sigma[3:6], by_tolerances[3:6])
     fields, open_channels = _of_sensors(imu, fit)
     # One-sided noise densities from the raw readings' white noise per sample.
     found = [s.readings.noise * np.sqrt(2 * s.readings.period) for s in segments]

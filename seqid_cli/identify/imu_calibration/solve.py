@@ -30,9 +30,12 @@ from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Constants, `covariance` (p, p) in their order, prior deviations, counts of readings."""
+    """Constants, `covariance` (p, p) in their order, prior deviations, counts of readings.
+
+    `moves` (p, d) are what the constants change by if the arm is one of d others.
+    """
 
     constants: Constants
     covariance: Array
@@ -42,6 +45,7 @@ class Fit:
     converged: bool
     holdout: float | None
     deflections: list[JointDeflection]
+    moves: Array
 
 
 @dataclass(frozen=True)
@@ -135,20 +139,36 @@ class _State:
 
 
 def fit_constants(
-    segments: list[Segment], robot: Robot, imu: Imu, start: Constants
+    segments: list[Segment],
+    robot: Robot,
+    imu: Imu,
+    start: Constants,
+    others: Sequence[Robot] = (),
 ) -> Fit:
-    """Refine the constants from a start nearby; once more where a joint deflects, as noise."""
-    found, sizes = _fitted(_State.first(segments, robot, imu, start), None)
-    if not any(
-        deflection.significance > SIGNIFICANT for deflection in found.deflections
-    ):
-        return found
-    return _fitted(_State.first(segments, robot, imu, found.constants), sizes)[0]
+    """Refine the constants from a start nearby; once more where a joint deflects, as noise.
+
+    Parameters
+    ----------
+    segments : list of Segment
+        Stretches of logs in which joints before the IMU move.
+    robot : Robot
+    imu : Imu
+    start : Constants
+        Near the constants.
+    others : sequence of Robot
+        Arms that this one may be as well, within the tolerances of its robot file.
+    """
+    fit, sizes = _fitted(_State.first(segments, robot, imu, start), None, others)
+    if any(deflection.significance > SIGNIFICANT for deflection in fit.deflections):
+        second = _State.first(segments, robot, imu, fit.constants)
+        fit, _ = _fitted(second, sizes, others)
+    return fit
 
 
 def _fitted(
     state: _State,
     sizes: Sizes | None,
+    others: Sequence[Robot],
     *,
     rounds: int = 25,
     plain: int = 2,
@@ -184,12 +204,36 @@ def _fitted(
             break
     reductions = state.reductions(state.noise_scale(), sizes, None)
     linear = [r.linear for r in reductions]
+    moves = _moves(state, sizes, [part.weights for part in linear], others)
     first = Sizes(
         np.ones(1 + state.imu.gyro), np.full(state.imu.after_joint + 1, first_size)
     )
     sizes = renewed(linear, sizes or first)
     found = deflections(linear, sizes, state.robot.joint_names)
-    return _finished(reductions, state, found, converged=change < settled), sizes
+    fit = _finished(reductions, state, found, converged=change < settled)
+    return replace(fit, moves=moves), sizes
+
+
+def _moves(
+    state: _State,
+    sizes: Sizes | None,
+    weights: Sequence[Array],
+    others: Sequence[Robot],
+) -> Array:
+    """Return what the constants change by (p, d) if the arm is one of d others.
+
+    One step of Gauss and Newton from the estimate tells it, at the same weights.
+    """
+    if not others:
+        return np.zeros((state.constants.count, 0))
+    sigma = state.noise_scale()
+    here, _ = state.solved(state.reductions(sigma, sizes, weights))
+    moves = []
+    for robot in others:
+        other = replace(state, robot=robot)
+        there, _ = other.solved(other.reductions(sigma, sizes, weights))
+        moves.append(there - here)
+    return np.array(moves).T
 
 
 def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Widths:
@@ -248,6 +292,7 @@ def _finished(
         converged=converged,
         holdout=_left_out(reductions, information),
         deflections=found,
+        moves=np.zeros((len(model), 0)),
     )
 
 

@@ -60,9 +60,7 @@ class Lifted:
     overload: Array
 
 
-def lifted(
-    belief: Belief, j: int, postures: Array, span: float, needed: int
-) -> Lifted:
+def lifted(belief: Belief, j: int, postures: Array, span: float, needed: int) -> Lifted:
     """Find the largest accelerations with which joint j can sweep in enough postures.
 
     Parameters

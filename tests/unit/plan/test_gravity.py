@@ -13,7 +13,8 @@ from seqid_cli.plan.belief import Belief, belief_of
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.coverage import Coverage, ramp_way
-from seqid_cli.plan.stages.gravity import MINIMISED, plan_gravity
+from seqid_cli.plan.stages.gravity import plan_gravity
+from seqid_cli.plan.stages.gravity_sweeps.criterion import MINIMISED
 from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.robot.types import Array
 from tests.plants.robots.sample import sample_robot

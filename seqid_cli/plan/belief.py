@@ -103,7 +103,7 @@ class Belief:
 
     @property
     def bounded(self) -> bool:
-        """Whether there is anything to touch: the arm itself, boxes or the floor."""
+        """True where there is anything to touch: the arm itself, boxes or the floor."""
         return self.geometry is not None or self.floor is not None
 
     def touches(self, q: Array) -> Mask:
@@ -123,7 +123,7 @@ class Belief:
         return np.array([self.touches(postures).any() for postures in q])
 
     def depth(self, q: Array) -> Array:
-        """Return how far moves q (M, N, n) go below the floor, at their lowest (M,) [m]."""
+        """Return how far below the floor moves q (M, N, n) go at most (M,) [m]."""
         if self.floor is None:
             return np.zeros(len(q))
         height = self.floor.height(q.reshape(-1, q.shape[2])).reshape(q.shape[:2])
@@ -248,7 +248,7 @@ class Belief:
         return np.asarray(np.abs(tau) + sigmas * std_error)
 
     def overload(self, moves: Moves, H: Array) -> Array:
-        """Return each move's largest torque over its limit (M,): at most 1 is allowed."""
+        """Return each move's largest torque over its limit (M,); 1 is the most."""
         return np.asarray((self.torque(moves, H) / self.limits.torque).max(axis=(1, 2)))
 
 
@@ -352,6 +352,7 @@ def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:
             )
             weighted = (np.sqrt(weights)[..., None] * H).reshape(-1, size)
             total += weighted.T @ weighted
+
             belief.add_nuisances(
                 nuisance, states, H[None], weights[None], belief.torque_rates(states)
             )
@@ -360,7 +361,20 @@ def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:
 
 
 def typical(belief: Belief, seed: int, *, count: int = 60) -> Moves:
-    """Draw all-joint moves that stand for the robot's work: torque errors count there."""
+    """Draw moves of all joints that stand for the robot's work: errors count there.
+
+    Parameters
+    ----------
+    belief : Belief
+    seed : int
+    count : int
+        Number of moves.
+
+    Returns
+    -------
+    Moves
+        10 s each, at the rate of sparse samples.
+    """
     rng = np.random.default_rng(seed)
     shape = (count, belief.robot.n)
     coefficients = rng.normal(size=(*shape, COEFFICIENTS))
@@ -424,7 +438,7 @@ def _density(
     friction_hz: float = 2.0,
     noise_share: float = 0.03,
 ) -> tuple[Array, str]:
-    """Return information (n,) per second and (N m)^2, and in words where it comes from."""
+    """Return information (n,) per second and (N m)^2, and in words its origin."""
     std_dev = noise_share * usual_torque
     origin = "assumed: a thirtieth of the usual torque; errors are relative to that"
     if not std_dev.any():

@@ -39,8 +39,8 @@ def plan(
 
     Parameters
     ----------
-    what : {"friction", "gravity", "imu-calib", "inertia", "payload", "validation", "all", \
-"discriminate"}
+    what : {"friction", "gravity", "imu-calib", "inertia", "payload", "validation", \
+"all", "discriminate"}
         The stage to record for, a whole session, or the question which of two effects
         it is.
     robot : path or Robot
@@ -136,7 +136,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_options(
-    what: str, options: PlanOptions, parameters: Sized, have: Sized
+    plan_name: str, options: PlanOptions, parameters: Sized, have: Sized
 ) -> None:
     """Refuse options that contradict each other."""
     if options.duration_s < options.length_s:
@@ -145,20 +145,24 @@ def _check_options(
             f" {options.length_s:g} s"
         )
         raise UsageError(message, hint="Give more time, or a shorter --move-duration.")
-    if what in ("payload", "discriminate") and not parameters:
+
+    if plan_name in ("payload", "discriminate") and not parameters:
         hint = "Give -p with the result of seqid inertia."
-        raise UsageError(f"{what} is planned for a model that is identified", hint=hint)
-    if (what == "discriminate") != bool(options.between):
+        raise UsageError(
+            f"{plan_name} is planned for a model that is identified", hint=hint
+        )
+    if (plan_name == "discriminate") != bool(options.between):
         hint = (
             "As in plan discriminate --between stribeck,quadratic_drag --joint elbow."
         )
         raise UsageError(
             "discriminate needs --between, and no other plan takes it", hint=hint
         )
-    if have and what not in ("inertia", "all", "discriminate"):
+    if have and plan_name not in ("inertia", "all", "discriminate"):
         hint = "Leave it out, or plan the inertia stage."
         raise UsageError(
-            f"--have counts for inertia and discriminate, not for {what}", hint=hint
+            f"--have counts for inertia and discriminate, not for {plan_name}",
+            hint=hint,
         )
 
 

@@ -123,7 +123,7 @@ def _limits_entry(limits: Limits, j: int) -> JointLimits:
 
 
 def _plan_stages(
-    what: str,
+    plan_name: str,
     belief: Belief,
     stages: Stages,
     options: PlanOptions,
@@ -133,8 +133,8 @@ def _plan_stages(
 
     Each is planned on the information of the logs and of the moves of stages before it.
     """
-    names = [what]
-    if what == "all":
+    names = [plan_name]
+    if plan_name == "all":
         names = [name for name in _STAGES if name != "payload"]
         if not belief.robot.imus:
             names.remove("imu-calib")
@@ -220,10 +220,10 @@ def _time_between(
     ramp_s = np.divide(limits.speed, 2 * limits.acceleration)
     total_s = 0.0
     for previous, following in itertools.pairwise(moves):
-        way = np.array(
+        distance = np.array(
             [abs(following.start[name] - previous.start[name]) for name in names]
         )
-        total_s += float(np.max((way / speed + ramp_s)[limits.moves]))
+        total_s += float(np.max((distance / speed + ramp_s)[limits.moves]))
     return total_s
 
 

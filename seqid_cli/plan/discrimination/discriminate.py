@@ -271,19 +271,19 @@ def _strokes(
         # One stroke takes half of the time, less a rest before and between and after.
         ramp_s = np.pi * speed / (2.0 * limits.acceleration[j])
         stroke_s = max(seconds / 2 - 1.5 * REST_S, 2.0 * ramp_s)
-        way = speed * (stroke_s - ramp_s)
+        stroke_width = speed * (stroke_s - ramp_s)
         drawn = postures_of(limits, 4, rng)
         postures, spans = reachable(belief, j, drawn, share=1.0, widest=0.3)
 
         for posture, (low, high) in zip(postures, spans, strict=True):
-            half_way = min(way, high - low) / 2
+            half_width = min(stroke_width, high - low) / 2
             # It has to reach its speed, with a torque that the joints have.
-            if half_way <= ramp_s * speed / 2:
+            if half_width <= ramp_s * speed / 2:
                 continue
             if overloads(belief, j, posture[None], speed)[0] > 1.0:
                 continue
-            middle = float(np.clip(posture[j], low + half_way, high - half_way))
-            ends = (middle - half_way, middle + half_way)
+            middle = float(np.clip(posture[j], low + half_width, high - half_width))
+            ends = (middle - half_width, middle + half_width)
             moves.append(
                 stroke_move(belief, "stroke", j, posture, ends, [float(speed)])
             )

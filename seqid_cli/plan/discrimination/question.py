@@ -1,4 +1,4 @@
-"""Two effects between which a motion is to decide: their columns beside those of the model.
+"""Two effects between which a motion is to decide: their columns and the model's.
 
 Columns of a data set: the rigid base parameters, friction of the joints that either
 effect touches (that of others tells nothing), then those of both effects at every
@@ -88,7 +88,7 @@ class Question:
         belief : Belief
         effects : tuple of two Effect
         joint : int, optional
-        scenes : sequence of Scene
+        `scenes` : sequence of `Scene`
             Data sets of moves, over which the grids are laid.
 
         Returns
@@ -174,7 +174,7 @@ def _plausible_settings(
     settings: list[dict[str, float]],
     most: int,
 ) -> list[dict[str, float]]:
-    """Return at most so many of the settings at which an effect is plausible, evenly."""
+    """Return at most so many settings at which an effect is plausible, evenly."""
     plausible = []
     for setting in settings:
         coefficients = np.ones(len(effect.coefficients(setting)))
@@ -213,7 +213,7 @@ def products_of(belief: Belief, question: Question, scene: Scene) -> Products:
     ----------
     belief : Belief
     question : Question
-    scene : Scene
+    `scene` : `Scene`
         A planned move or a log. Joints count where they slide.
 
     Returns
@@ -260,7 +260,7 @@ def products_of(belief: Belief, question: Question, scene: Scene) -> Products:
 
 
 def _friction(belief: Belief, scene: Scene, j: int) -> tuple[Array, Array]:
-    """Return the columns (N, k) of a joint's friction, and information (k, k) on them."""
+    """Return a joint's friction columns (N, k) and the information (k, k) on them."""
     motion = scene.motion
     surface = belief.surfaces[j]
     if surface is None:

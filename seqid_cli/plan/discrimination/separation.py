@@ -170,11 +170,11 @@ class Separation:
         `S` (..., k, k) are the Gram matrices of the effects' columns.
         """
         gains = []
-        lefts = []
+        unexplained_by_rivals = []
         for slot, c in reading:
             S_aa = S[..., slot.at, slot.at]
             square = square_of(S_aa, c)
-            least_left = square
+            least_unexplained = square
             for rival in self.question.slots[1 - true]:
                 S_bb = S[..., rival.at, rival.at]
                 S_ba_c = S[..., rival.at, slot.at] @ c.T
@@ -183,14 +183,19 @@ class Separation:
                 fitted = np.linalg.solve(S_bb + ridge * np.eye(S_bb.shape[-1]), S_ba_c)
 
                 # A rival whose best coefficients are not physical explains nothing.
-                left = square - np.sum(S_ba_c * fitted, axis=-2)
+                unexplained = square - np.sum(S_ba_c * fitted, axis=-2)
                 is_physical = rival.is_within_bounds(np.swapaxes(fitted, -1, -2))
-                least_left = np.where(
-                    is_physical, np.minimum(least_left, left), least_left
+                least_unexplained = np.where(
+                    is_physical,
+                    np.minimum(least_unexplained, unexplained),
+                    least_unexplained,
                 )
             gains.append(square / 2.0)
-            lefts.append(np.maximum(least_left, 0.0))
-        return Outcome(np.concatenate(gains, axis=-1), np.concatenate(lefts, axis=-1))
+            unexplained_by_rivals.append(np.maximum(least_unexplained, 0.0))
+        return Outcome(
+            np.concatenate(gains, axis=-1),
+            np.concatenate(unexplained_by_rivals, axis=-1),
+        )
 
     def is_nested(self) -> list[bool]:
         """Return of each effect whether its rival always imitates it.
@@ -243,7 +248,7 @@ def scenes_of(
 
     Returns
     -------
-    list of Scene
+    list of `Scene`
         The motion as it is planned, at 100 Hz.
     """
     model = TorqueModel.from_stages(stages, belief.robot)
@@ -291,11 +296,11 @@ def separation_of(
     ----------
     belief : Belief
     question : Question
-    scenes : sequence of Scene
+    `scenes` : sequence of `Scene`
         Data sets of M planned moves.
     size : float
         Root mean square torque of a true effect [N m], where no logs tell it.
-    have : sequence of Scene
+    have : sequence of `Scene`
         Logs that there are already: they count as known.
 
     Returns
@@ -312,7 +317,8 @@ def separation_of(
     if have:
         b = question.n_base
         moment = np.sum([x.moment for x in of_logs], axis=0)
-        explained_by_base = prior[b:, :b] @ np.linalg.solve(prior[:b, :b], moment[:b])
+        base_solution = np.linalg.solve(prior[:b, :b], moment[:b])
+        explained_by_base = prior[b:, :b] @ base_solution
         S = _with_base_free(prior, b)
         sizes = []
         for slots, readings_of_effect in zip(question.slots, readings, strict=True):

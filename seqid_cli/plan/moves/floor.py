@@ -84,7 +84,7 @@ class Floor:
         return np.asarray(self.height(q) < 0.0)
 
     def height_along(self, joint: Index, postures: Array, places: Array) -> Array:
-        """Return the heights of the lowest points while one joint of each posture moves.
+        """Return heights of the lowest points while one joint of each posture moves.
 
         A point's height is a cos q + b sin q + c in the angle of a joint, linear in a
         slide. So three places of each posture determine it at all others, which is much
@@ -124,7 +124,7 @@ class Floor:
 
     @property
     def note(self) -> str:
-        """What was assumed of the floor, as a note of the plan."""
+        """Note of the plan on what was assumed of the floor."""
         kind = "collision shapes" if self.shapes else "origins of joints and frames"
         text = (
             f"floor: every point of the arm ({kind}) stays {100 * self.clearance_m:g}"
@@ -259,7 +259,7 @@ def _points_of(robot: Robot, geometry: Geometry | None) -> tuple[LinkPoints, boo
 
 
 def _heights(robot: Robot, up: Array, points: LinkPoints, q: Array) -> Array:
-    """Return the heights (N, K) [m] of the balls' lowest points above the base plane."""
+    """Return heights (N, K) [m] of the balls' lowest points above the base plane."""
     frames = forward(robot.chain, q)
     origin_height = frames.p @ up
     up_in_link = np.einsum("niab,a->nib", frames.R, up)

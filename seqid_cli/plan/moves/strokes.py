@@ -22,9 +22,23 @@ Ends = tuple[float, float]  # of one joint's way, rad; m where prismatic
 
 
 def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> float:
-    """Return the largest speed that joint j can keep over a `steady` share of a span.
+    """Return the largest speed that a joint can keep over most of a way.
 
-    Both ramps together take pi v^2 / (2 a) of the span [rad; m where prismatic].
+    Parameters
+    ----------
+    limits : Limits
+    j : int
+        The joint.
+    span : float
+        Width of the way [rad; m where prismatic]. Both ramps together take
+        pi v^2 / (2 a) of it.
+    steady : float
+        Share of the way over which the speed is kept.
+
+    Returns
+    -------
+    float
+        [rad/s; m/s where prismatic].
     """
     ramps = (1.0 - steady) * span
     by_acceleration = np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi)
@@ -272,9 +286,10 @@ def sweeps(
         P moves of 2 `points` samples each, without acceleration.
     """
     limits = belief.limits
+    width = limits.upper[j] - limits.lower[j]
     share = np.tile(np.linspace(0.0, 1.0, points), 2)
     q = np.repeat(postures[:, None], 2 * points, axis=1)
-    q[:, :, j] = limits.lower[j] + share * (limits.upper[j] - limits.lower[j])
+    q[:, :, j] = limits.lower[j] + share * width
     dq = np.zeros_like(q)
     dq[:, :, j] = np.repeat([speed, -speed], points)
     t = np.arange(2 * points) * seconds / (2 * points)
@@ -282,9 +297,24 @@ def sweeps(
 
 
 def overloads(belief: Belief, j: int, postures: Array, speed: float) -> Array:
-    """Return the largest torque over its limit (P,) while joint j sweeps.
+    """Return the largest torque over its limit while a joint sweeps its range.
 
     The accelerations of its ramps count in both directions, at all positions.
+
+    Parameters
+    ----------
+    belief : Belief
+    j : int
+        The joint that sweeps.
+    postures : (P, n) float
+        Where the other joints are locked [rad; m where prismatic].
+    speed : float
+        Speed of the sweep [rad/s; m/s where prismatic].
+
+    Returns
+    -------
+    (P,) array
+        At most 1 is allowed.
     """
     moves = sweeps(belief, j, postures, speed, 1.0)
     loads = []

@@ -1,1 +1,1 @@
-"""The moves of each stage: drawn, chosen, refined, with their predicted standard errors."""
+"""The moves of each stage: drawn, chosen and refined; with predicted errors."""

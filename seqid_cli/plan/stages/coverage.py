@@ -66,7 +66,18 @@ class Coverage:
 
     @classmethod
     def of_moves(cls, belief: Belief, moves: Sequence[PlannedMove]) -> Self:
-        """Return the ranges that friction moves will cover at steady speed."""
+        """Return the ranges that friction moves will cover at steady speed.
+
+        Parameters
+        ----------
+        belief : Belief
+        moves : sequence of PlannedMove
+            Strokes of one joint each.
+
+        Returns
+        -------
+        Coverage
+        """
         names = belief.robot.joint_names
         n = len(names)
         is_known = np.zeros(n, dtype=bool)
@@ -77,6 +88,8 @@ class Coverage:
         for move in moves:
             j = names.index(move.joints[0])
             is_known[j] = True
+
+            # Ramps are no part of a way at steady speed.
             for stroke in move.strokes:
                 ramp = ramp_way(stroke.speed, stroke.acceleration)
                 lower[j] = min(lower[j], min(stroke.start, stroke.end) + ramp)

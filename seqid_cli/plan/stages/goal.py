@@ -1,4 +1,4 @@
-"""The goal of a plan: a small torque error; and the predicted results of a set of moves.
+"""The goal of a plan, a small torque error, and the predicted results of moves.
 
 The goal is tr(W C): C the covariance of the base parameters, W the mean of H' D H over
 typical all-joint moves with D the noise information, so that it is the mean square of
@@ -67,7 +67,18 @@ class Goal:
 
     @classmethod
     def of(cls, belief: Belief, seed: int) -> Self:
-        """Average over typical moves that are drawn with a seed."""
+        """Average over typical moves.
+
+        Parameters
+        ----------
+        belief : Belief
+        seed : int
+            Of the moves, which are drawn.
+
+        Returns
+        -------
+        Goal
+        """
         moves = typical(belief, seed)
         H = belief.regressor(moves)
         seconds = float(moves.t[-1] - moves.t[0])
@@ -208,7 +219,16 @@ def predicted_stage(
 def with_criterion(stage: PlannedStage, goal: Goal, total: Array) -> PlannedStage:
     """Return a stage that says what the search for its moves minimised.
 
-    `total` (b, b) is the scaled information of all moves and logs.
+    Parameters
+    ----------
+    stage : PlannedStage
+    goal : Goal
+    total : (b, b) float
+        Scaled information of all moves and logs.
+
+    Returns
+    -------
+    PlannedStage
     """
     condition = float(np.exp(goal.log_condition(total)))
     criterion = PlanCriterion(

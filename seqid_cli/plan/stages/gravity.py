@@ -1,4 +1,4 @@
-"""Plan the gravity stage: slow sweeps of one joint at a time, others locked in postures.
+"""Plan the gravity stage: slow sweeps of one joint, all others locked in postures.
 
 The postures are chosen by the condition of the regressor
 (`gravity_sweeps.criterion`) in a search (`gravity_sweeps.search`) over sweeps that keep

@@ -1,4 +1,4 @@
-"""Plan the inertia stage: moves of two joints, or of all, chosen and refined (Sec. 2.2.4).
+"""Plan the inertia stage: moves of two joints or all, chosen and refined (Sec. 2.2.4).
 
 The validation has moves of all joints, drawn by a seed of their own, not optimised.
 

@@ -36,7 +36,7 @@ from seqid_cli.robot.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedBelief(Belief):
-    """A belief whose unknowns are the body at the flange and the changes of friction."""
+    """Belief whose unknowns are the body at the flange and the changes of friction."""
 
     def columns(self, moves: Moves, H: Array) -> Array:
         """Return the columns of the unknowns.

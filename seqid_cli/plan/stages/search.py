@@ -1,4 +1,4 @@
-"""Search moves for a goal: drawn at random, chosen greedily, refined one after the other.
+"""Search moves for a goal: drawn at random, chosen greedily, refined one by one.
 
 Refinement is by L-BFGS-B on the Fourier coefficients. What is minimised is the product
 of the goal, tr(W C), and the condition of the information: of sets with nearly the same
@@ -89,7 +89,7 @@ def optimised(
 
 
 def groups_of(limits: Limits, *, together: bool) -> list[tuple[int, ...]]:
-    """Return the joints that move at a time: every pair (Sec. 2.2.4), or all of them."""
+    """Return the joints that move at a time: each pair (Sec. 2.2.4), or all of them."""
     moving = tuple(limits.moving)
     if together or len(moving) < 3:
         return [moving]
@@ -195,7 +195,7 @@ def _still_touching(
     *,
     max_times: int,
 ) -> Mask:
-    """Make drawn moves that touch something smaller, and return those (M,) that still do.
+    """Make moves that touch something smaller, and return which (M,) still do.
 
     `drawn` and `information` are changed in place.
     """
@@ -215,6 +215,12 @@ def _still_touching(
 
 def check_torque(belief: Belief, drawn: Array, options: PlanOptions) -> None:
     """Stop where no move was drawn, naming the joint that the load is too heavy for.
+
+    Parameters
+    ----------
+    belief : Belief
+    drawn : (M, n, 2 K + 2) float
+    options : PlanOptions
 
     Raises
     ------
@@ -327,7 +333,7 @@ def _improved(
     belief: Belief,
     goal: Goal,
     shapes: Shapes,
-    others: Array,
+    other_moves: Array,
     start: Array,
     *,
     iterations: int = 8,
@@ -345,7 +351,7 @@ def _improved(
     belief : Belief
     goal : Goal
     shapes : Shapes
-    others : (b, b) float
+    other_moves : (b, b) float
         Scaled information of all other moves.
     start : (n, 2 K + 2) float
         The move as it is drawn.
@@ -376,7 +382,7 @@ def _improved(
         """Return log goal and condition (P,), with penalties on torque and floor."""
         moves = placed(shapes, drawn_at(x), belief.limits)
         information, overload = assess(belief, goal, moves)
-        total = others + information
+        total = other_moves + information
         merit = np.log(goal.errors(total)) + goal.log_condition(total)
 
         depth_m = belief.depth(moves.every(SPARSE).q)
@@ -504,7 +510,7 @@ def _described(
 
 
 def _fourier_motion(shapes: Shapes, coefficients: Array, q: Array) -> FourierMotion:
-    """Return the scaled coefficients of a joint, found from its motion q (N,) itself."""
+    """Return the scaled coefficients of a joint, found from its motion q (N,)."""
     y = coefficients @ shapes.y
     centre = float(q[0])  # the window is zero at the ends
     amplitude = float(y @ (q - centre) / (y @ y))

@@ -229,7 +229,7 @@ def _axis_directions(belief: Belief, j: int, postures: Array) -> Array:
 
 
 def _spread_directions(directions: Array) -> list[int]:
-    """Choose postures, one by one, that raise the least information of all IMUs most."""
+    """Choose postures one by one that raise the least information of all IMUs most."""
     chosen = [0]  # in the middle of all ranges
     while len(chosen) < POSTURES:
         candidates = [k for k in range(directions.shape[1]) if k not in chosen]
@@ -260,7 +260,7 @@ def _swing(
     *,
     turns: int = 3,
 ) -> PlannedMove:
-    """Return swings of joint j between ends (2,), at the largest speed that it keeps."""
+    """Return swings of joint j between ends (2,) at the largest speed that it keeps."""
     low = float(ends[0])
     high = float(ends[1])
     speeds = [strokes.top_speed(belief.limits, j, high - low)] * turns

@@ -91,7 +91,9 @@ def scenes_for(moves: Sequence[PlannedMove]) -> list[Scene]:
 
 
 def question_of(options: PlanOptions, scenes: Sequence[Scene]) -> Question:
-    return Question.of(believed(), *effects_and_joint(believed().robot, options), scenes)
+    return Question.of(
+        believed(), *effects_and_joint(believed().robot, options), scenes
+    )
 
 
 def test_power_is_what_the_diagnosis_asks() -> None:

@@ -17,7 +17,8 @@ from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import Place, collect
 from seqid_cli.report.make import make_report
 from seqid_cli.report.plots import plot_torques
-from seqid_cli.report.sections.torque import over_quantity, over_time, spectrum
+from seqid_cli.report.torque_figures.over_time import over_time
+from seqid_cli.report.torque_figures.residual import over_quantity, spectrum
 from seqid_cli.report.torques import TorqueTable
 from tests import Array
 from tests.unit.params.documents import JOINTS, inertia_file

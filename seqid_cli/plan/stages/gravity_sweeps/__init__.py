@@ -1,1 +1,1 @@
-"""Slow sweeps for gravity: where they may go, how a set is judged, found and predicted."""
+"""Slow sweeps for gravity: their space, their criterion, search and prediction."""

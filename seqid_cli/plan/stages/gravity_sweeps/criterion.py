@@ -54,7 +54,7 @@ class Criterion:
         return smooth_plain + self._smooth_log_condition(_unit_columns(information))
 
     def _smooth_log_condition(self, normal: Array) -> Array:
-        """Return the log (...) of the condition with p-norms for its largest and least."""
+        """Return the log (...) of the condition, its largest and least as p-norms."""
         eigenvalues = np.linalg.eigvalsh(normal)[..., -self.rank :]
         largest = np.maximum(eigenvalues[..., -1:], 1e-285)
         logs = np.log(np.maximum(eigenvalues, 1e-15 * largest))
@@ -104,7 +104,7 @@ def _condition(normal: Array, rank: int) -> Array:
 
 
 def common_rank(information: Array, *, tolerance: float = 1e-6) -> int:
-    """Return the rank that many sweeps reach together, from Phi' Phi (M, g, g) of each."""
+    """Return the rank that sweeps reach together, from Phi' Phi (M, g, g) of each."""
     total = information.sum(axis=0)
     length = np.sqrt(np.diag(total))
     is_excited = length > tolerance * length.max()

@@ -66,7 +66,20 @@ def best_sweeps(
 def quick_sweeps(
     space: SweepSpace, pool: Sweeps, per_joint: int, options: PlanOptions
 ) -> Sweeps:
-    """Return sweeps by exchange within the pool alone: enough to compare two spaces."""
+    """Return sweeps by exchange within the pool alone: enough to compare two spaces.
+
+    Parameters
+    ----------
+    space : SweepSpace
+    pool : Sweeps
+    per_joint : int
+        Sweeps of each joint.
+    options : PlanOptions
+
+    Returns
+    -------
+    Sweeps
+    """
     rng = np.random.default_rng([options.seed, 2])
     places = _random_set(space, pool, per_joint, rng)
     criterion = Criterion(common_rank(pool.information), 4.0)
@@ -194,8 +207,8 @@ def _descended(
     moved = sweeps
     for k, j in enumerate(sweeps.joint):
         for share in ways_back:
-            way = goal[k] - sweeps.posture[k]
-            posture = sweeps.posture[k] + share * way
+            displacement = goal[k] - sweeps.posture[k]
+            posture = sweeps.posture[k] + share * displacement
             candidate = space.draw(int(j), posture[None])
             if space.allowed(candidate)[0]:
                 moved = moved.with_one_replaced(k, candidate)

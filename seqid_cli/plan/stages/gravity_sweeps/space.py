@@ -224,7 +224,7 @@ def draw_sweeps(
     *,
     enough: int = 10,
 ) -> tuple[SweepSpace, Sweeps]:
-    """Draw sweeps of every joint that moves, is loaded by gravity and has known friction.
+    """Draw sweeps of joints that move, that gravity loads, and whose friction is known.
 
     Parameters
     ----------

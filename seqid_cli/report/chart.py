@@ -418,6 +418,8 @@ def figure(
     box = panels[-1].box
     width = box.right + _RIGHT
     is_readable = any(panel.hover for panel in panels)
+
+    # Screen readers read title and description in place of the lines.
     svg = element(
         "svg",
         element("title", title),

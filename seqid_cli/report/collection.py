@@ -108,7 +108,18 @@ class Collection:
         )
 
     def residual(self, prediction: Prediction, joint: str) -> ResidualEntry | None:
-        """Return a joint's residual from a diagnosis of the prediction's own logs."""
+        """Return a joint's residual from a diagnosis of the prediction's own logs.
+
+        Parameters
+        ----------
+        prediction : Source
+        joint : str
+
+        Returns
+        -------
+        ResidualEntry or None
+            None where no diagnosis is of exactly these logs.
+        """
         logs = {log.sha256 for log in prediction.content.logs}
         for diagnosis in self.diagnoses:
             file = diagnosis.content
@@ -277,25 +288,26 @@ def _warnings(documents: Sources) -> Iterator[str]:
         for used in models_of(item.content):
             if used.sha256 in hashes:
                 continue
-            now = by_path.get(Path(used.path).resolve())
-            if now is not None:
-                _refuse_outdated(item, used, now)
+            same_path = by_path.get(Path(used.path).resolve())
+            if same_path is not None:
+                _refuse_outdated(item, used, same_path)
             yield (
                 f"{item.path} was made with {used.path} (sha256 {used.sha256[:12]}),"
                 " which is not among the files given"
             )
 
 
-def _refuse_outdated(item: Source[Document], used: FileId, now: Parameters) -> NoReturn:
+def _refuse_outdated(
+    item: Source[Document], used: FileId, current: Parameters
+) -> NoReturn:
     """Raise that a result was made with a parameter file as it was before."""
     message = (
         f"was made with {used.path} as it was before (sha256 {used.sha256[:12]});"
-        f" {now.path} has changed since (now {now.sha256[:12]})"
+        f" {current.path} has changed since (now {current.sha256[:12]})"
     )
-    again = f"Run seqid {WRITTEN_BY[type(item.content)]} again"
-    raise ConfigError(
-        message, where=item.path, hint=f"{again}, or leave {item.path} out."
-    )
+    command_name = WRITTEN_BY[type(item.content)]
+    hint = f"Run seqid {command_name} again, or leave {item.path} out."
+    raise ConfigError(message, where=item.path, hint=hint)
 
 
 def kind_of(file: ParameterFile) -> Kind:

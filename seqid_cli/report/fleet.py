@@ -93,11 +93,10 @@ def fleet_page(
 
 def _judgement(robots: Sequence[_Robot]) -> Judgement:
     """Return the verdict on the worst of the robots, which come worst first."""
-    by_level = groupby(robots, key=lambda robot: robot.judgement.level)
-    verdicts = [
-        f"{TITLES[level].lower()}: {listed([robot.name for robot in group])}"
-        for level, group in by_level
-    ]
+    verdicts = []
+    for level, group in groupby(robots, key=lambda robot: robot.judgement.level):
+        names = [robot.name for robot in group]
+        verdicts.append(f"{TITLES[level].lower()}: {listed(names)}")
     sentence = f"{plural(len(robots), 'robot')}. {'; '.join(verdicts).capitalize()}."
     points = []
     for robot in robots:

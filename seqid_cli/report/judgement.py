@@ -437,6 +437,8 @@ def _diagnosis_points(collection: Collection) -> Iterator[Point]:
         file = diagnosis.content
         path = diagnosis.path
         yield from _verdict_points(file.verdicts, "the diagnosis", path)
+
+        # A refined model may hold the effect already.
         for finding in file.findings:
             if (finding.effect, finding.joint) in effects_of_model:
                 continue
@@ -450,6 +452,7 @@ def _diagnosis_points(collection: Collection) -> Iterator[Point]:
                 where=path,
                 command=refine,
             )
+
         for text in _texts_without_effect(file):
             yield Point(weight="open", text=text, where=path)
 

@@ -166,12 +166,12 @@ class TorqueTable:
                 row = int(np.argmax(is_absurd))
                 message = f"{names[kind]} is {value[row]:.3g} at row {row}"
                 raise InputError(message, where=self.path, hint=_AGAIN)
-        return [
-            self._series_of_log(
-                log, {kind: value[rows] for kind, value in values.items()}
-            )
-            for log, rows in self.rows.items()
-        ]
+
+        series = []
+        for log, rows in self.rows.items():
+            of_log = {kind: value[rows] for kind, value in values.items()}
+            series.append(self._series_of_log(log, of_log))
+        return series
 
     def _series_of_log(self, log: str, values: Mapping[str, Array]) -> Series:
         """Return one log's samples from its values by kind."""
@@ -230,16 +230,14 @@ def _joints_of(
 ) -> tuple[str, ...]:
     """Return the joints of the robot that have all columns; refuse another robot."""
     robot = collection.robot
-    joints = tuple(
-        joint
-        for joint in robot.joints
-        if columns >= {f"{joint}.{kind}" for kind in _KINDS}
-    )
+    joints = tuple(name for name in robot.joints if _has_joint(columns, name))
     predicted = {
         name.removesuffix(".predicted")
         for name in columns
         if name.endswith(".predicted")
     }
+
+    # A joint that the robot has not is of another one.
     if not joints or predicted - set(joints):
         message = (
             f"is about joints {', '.join(sorted(predicted)) or '(none)'}, but "
@@ -250,6 +248,11 @@ def _joints_of(
             message, where=where, hint="Give the torques of the same robot."
         )
     return joints
+
+
+def _has_joint(columns: set[str], joint: str) -> bool:
+    """Return whether a file has all columns that a joint needs."""
+    return all(f"{joint}.{kind}" in columns for kind in _KINDS)
 
 
 def _log_rows(path: Path) -> dict[str, slice]:

@@ -236,7 +236,7 @@ class Section:
 
     @property
     def complete(self) -> bool:
-        """Whether all its data were given."""
+        """True where all its data were given."""
         return not self.absent and not any(group.absent for group in self.groups)
 
 
@@ -301,6 +301,8 @@ class Page:
         """The page as one text."""
         style = resource("style.css")
         script = resource("script.js")
+
+        # The browser runs and loads nothing but these two.
         policy = (
             f"default-src 'none'; style-src '{_hash_of(style)}';"
             f" script-src '{_hash_of(script)}'; img-src data:; base-uri 'none';"

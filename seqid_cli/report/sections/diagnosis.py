@@ -137,9 +137,9 @@ def _diagnosis_group(
 
 def _badge_of(file: DiagnosisFile, collection: Collection) -> tuple[str, str]:
     """Return the badge of a diagnosis, and its text."""
-    known = known_effects(collection)
+    effects_of_model = known_effects(collection)
     findings = [(finding.effect, finding.joint) for finding in file.findings]
-    if findings and known.issuperset(findings):
+    if findings and effects_of_model.issuperset(findings):
         return "good", "found, and in the refined model"
     if file.verdict == "nothing_missing" and file.leaves_more:
         return "open", "no effect was found, but more than noise is left"
@@ -151,6 +151,8 @@ def _finding_group(key: str, finding: FindingEntry, collection: Collection) -> G
     title = words.effect_at(finding.effect, finding.joint or "the whole arm")
     is_known = (finding.effect, finding.joint) in known_effects(collection)
     rows = value_rows(finding)
+
+    # One finding is all that its group is about: its tables stand open.
     return Group(
         id=key,
         title=title,
@@ -233,11 +235,13 @@ def _loop_group(loop: ClosedLoop, collection: Collection) -> Group:
             for item in loop.rounds
         ),
     ]
+
     faults = []
     for verdict in loop.verdicts:
         if not verdict.good:
             parts = [text for text in (verdict.joint, verdict.reason) if text]
             faults.append(": ".join(parts))
+
     measured_on = words.listed([words.short_path(path) for path in loop.evaluated_on])
     notes = list(loop.notes)
     if measured_on:
@@ -364,7 +368,7 @@ def evidence_figure(
 
 def _curves_of(evidence: EvidenceEntry) -> list[_Curve]:
     """Return the residual before the effect is taken off and, if known, after."""
-    before = _Curve(
+    without_effect = _Curve(
         name="before",
         line_style="residual",
         band_style="faint",
@@ -372,19 +376,20 @@ def _curves_of(evidence: EvidenceEntry) -> list[_Curve]:
         spread=np.array(evidence.before_spread),
     )
     if not evidence.after:
-        return [before]
-    after = _Curve(
+        return [without_effect]
+    with_effect = _Curve(
         name="after",
         line_style="predicted",
         band_style="cut0",
         mean=np.array(evidence.after),
         spread=np.array(evidence.after_spread),
     )
-    return [before, after]
+    return [without_effect, with_effect]
 
 
 def _bins_table(evidence: EvidenceEntry, title: str, quantity: str, unit: str) -> Table:
     """Return the bins of the evidence; `unit` is that of the residual."""
+    # Older files have no residual after, or no spread.
     unknown = [None] * len(evidence.x)
     rows = zip(
         evidence.x,

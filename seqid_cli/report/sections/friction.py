@@ -31,12 +31,14 @@ def friction(collection: Collection) -> views.Section:
     if model is None or stage is None:
         text = "No friction stage is in the files given."
         return views.lacking("friction", "Friction", text, _CALL)
+
     lead = (
         "Friction torque as a function of position and velocity (Eq. 7-11). Nothing is"
         " known between the slowest recorded speeds of both directions, where the sign"
         " turns; outside the recorded range Coulomb and viscous friction goes on, at"
         " its mean over position."
     )
+
     notes = list(stage.notes)
     if model.stages.effects:
         notes.append("Effects that refinement added are not part of these surfaces.")
@@ -196,7 +198,8 @@ def _draw_cells(
     panel: Panel, q: Array, v: Array, torque: Array, low: float, high: float
 ) -> None:
     """Draw a cell between all neighbours, by the mean torque of its corners."""
-    corners = torque[1:, 1:] + torque[1:, :-1] + torque[:-1, 1:] + torque[:-1, :-1]
+    upper_corners = torque[1:, 1:] + torque[1:, :-1]
+    corners = upper_corners + torque[:-1, 1:] + torque[:-1, :-1]
     share = (0.25 * corners - low) / ((high - low) or 1.0)
     shades = np.minimum((share * _COLOURS).astype(int), _COLOURS - 1)
     for (i, k), shade in np.ndenumerate(shades):
@@ -297,6 +300,7 @@ def _cut_panel(
         padded(np.concatenate(edges)),
         height=_HEIGHT,
     )
+
     for curve in curves:
         low = curve.torque - curve.half_width
         high = curve.torque + curve.half_width

@@ -17,6 +17,7 @@ def imu(collection: Collection) -> Section:
     if stages is None or stages.imu is None:
         text = "No IMU stage is in the files given; robots without IMUs have none."
         return lacking("imu", title, text, _CALL)
+
     lead = (
         "The rotation turns vectors from IMU coordinates into those of the link that"
         " carries the IMU (Eq. 38). The gain compares the joint's acceleration with the"
@@ -117,6 +118,8 @@ def _motion_table(uses: Sequence[MotionUse], robot: RobotId) -> Table:
             by_encoders = use.encoder_error.get(joint)
             rows.append((log, use.source, imus, joint, error, by_encoders))
             joints.append(joint)
+
+    # The unit is that of all joints: a slide among them has another.
     titles = (
         "log | motion from | IMUs | joint | std error of acceleration [{unit}]"
         " | by encoders alone [{unit}]"

@@ -61,11 +61,11 @@ def _effects_group(effects: Sequence[EffectOfJoint]) -> Group:
     for item in effects:
         title = words.effect_at(item.effect, item.joint or "the whole arm")
         rows += [(title, *row) for row in value_rows(item)]
-    shown = Table(
+    table = Table(
         caption="Effects that refinement added",
         values=Values([*heads("effect", "text"), *VALUE_HEADS], rows),
     )
-    return Group(id="effects", title="Effects", tables=[shown])
+    return Group(id="effects", title="Effects", tables=[table])
 
 
 def _rigid_group(name: str, stage: RigidStage, collection: Collection) -> Group:

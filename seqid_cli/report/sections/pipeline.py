@@ -162,12 +162,12 @@ def _logs_table(collection: Collection) -> Table:
         for (command, _, _), log in log_of_row.items()
     ]
     note = f"and {len(rows) - _MOST_LOGS} more" if len(rows) > _MOST_LOGS else ""
-    shown = values(
+    first_rows = values(
         "read by | log | samples | SHA-256",
         "text text count text",
         rows[:_MOST_LOGS],
     )
-    return Table(caption="The logs behind them", values=shown, note=note)
+    return Table(caption="The logs behind them", values=first_rows, note=note)
 
 
 def _thousands(count: int) -> str:

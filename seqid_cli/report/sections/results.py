@@ -39,6 +39,8 @@ def _payload_group(key: str, file: PayloadFile) -> views.Group:
         for name, estimate in file.payload.numbers()
     ]
     settings = tables.values("for | setting", "text text", file.settings.items())
+
+    # One body is all that its group is about: its tables stand open.
     return views.Group(
         id=key,
         title=f"Payload, frame {file.payload.frame}",

@@ -98,10 +98,8 @@ def _notes_of(files: Sequence[PredictionFile]) -> list[str]:
 
 def _side_by_side(collection: Collection) -> Group:
     """Return errors of the models on the logs that all of them predict."""
-    logs_of_predictions = [
-        frozenset(log.sha256 for log in item.content.logs)
-        for item in collection.predictions
-    ]
+    # Errors compare on the same logs only.
+    logs_of_predictions = [_hashes_of_logs(item) for item in collection.predictions]
     common_logs = frozenset.intersection(*logs_of_predictions)
     columns = heads("joint | unit", "text text")
     columns += [
@@ -113,7 +111,8 @@ def _side_by_side(collection: Collection) -> Group:
             _error_on_logs(item, name, common_logs) for item in collection.predictions
         ]
         rows.append((name, collection.place(name).unit, *errors))
-    shown = Table(
+
+    errors_table = Table(
         caption="Error of each model",
         values=Values(columns, rows),
         note=(
@@ -122,8 +121,16 @@ def _side_by_side(collection: Collection) -> Group:
         ),
     )
     return Group(
-        id="torque-models", title="Models side by side", tables=[shown], unfolded=True
+        id="torque-models",
+        title="Models side by side",
+        tables=[errors_table],
+        unfolded=True,
     )
+
+
+def _hashes_of_logs(prediction: Prediction) -> frozenset[str]:
+    """Return the hashes of the logs of a prediction."""
+    return frozenset(log.sha256 for log in prediction.content.logs)
 
 
 def _error_on_logs(
@@ -278,6 +285,7 @@ def _errors_table(collection: Collection, place: Place) -> Table:
                 log.cutoff_hz,
             )
             rows.append(row)
+
     titles = (
         "log | model | RMS error [{unit}] | of RMS torque | largest [{unit}] | samples"
         " | slides in | with rests [{unit}] | cut-off [Hz]"

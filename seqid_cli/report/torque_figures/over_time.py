@@ -43,12 +43,13 @@ def over_time(
     """
     series = next(iter(models.values()))
     unit = place.unit
-    known = _known(series)
-    counted = known & series.used & series.sliding
-    shown = counted if np.any(counted) else known
+    is_complete = _is_complete(series)
+    is_counted = is_complete & series.used & series.sliding
+    # Where no sample counts, all that are complete give the range.
+    in_range = is_counted if np.any(is_counted) else is_complete
 
     # From the back to the front: shades, bands, then lines.
-    torque, residual = _panels(models, shown, unit)
+    torque, residual = _panels(models, in_range, unit)
     for panel in (torque, residual):
         _shade(panel, series, events)
     has_rests = _draw_rests(series, torque, columns)
@@ -69,14 +70,14 @@ def over_time(
     return figure(
         [torque, residual],
         f"{title} over time",
-        _text(series.residual[shown], unit),
+        _text(series.residual[in_range], unit),
         legend,
         _table(series, unit, title),
         name=name,
     )
 
 
-def _known(series: Series) -> Mask:
+def _is_complete(series: Series) -> Mask:
     """Return which samples (N,) have measured and predicted torque."""
     return (
         np.isfinite(series.torque)
@@ -98,20 +99,21 @@ def _text(residual: Array, unit: str) -> str:
 
 
 def _panels(
-    models: Mapping[str, Series], shown: Mask, unit: str
+    models: Mapping[str, Series], in_range: Mask, unit: str
 ) -> tuple[Panel, Panel]:
     """Return the frames for the torque and, below, for the residual.
 
-    The frame of the residual is as high as that of the samples (N,) which are `shown`.
+    The frame of the residual is as high as that of the samples `in_range` (N,).
     """
     series = next(iter(models.values()))
     torques = [series.low, series.high]
-    residuals = [np.zeros(1), series.residual[shown]]
+    residuals = [np.zeros(1), series.residual[in_range]]
     for of_model in models.values():
-        known = _known(of_model)
-        torques += [of_model.torque[known], of_model.predicted[known]]
-        counted = known & of_model.used & of_model.sliding
-        residuals.append(of_model.residual[counted])
+        is_complete = _is_complete(of_model)
+        torques.append(of_model.torque[is_complete])
+        torques.append(of_model.predicted[is_complete])
+        is_counted = is_complete & of_model.used & of_model.sliding
+        residuals.append(of_model.residual[is_counted])
     all_torques = np.concatenate(torques)
 
     x_range = (0.0, float(series.t[-1] - series.t[0]) or 1.0)
@@ -148,7 +150,7 @@ def _shade(panel: Panel, series: Series, events: Sequence[tuple[float, float]]) 
 def _draw_rests(series: Series, torque: Panel, columns: int) -> bool:
     """Draw the interval that friction holds at rest; return whether there is any."""
     t = series.t - series.t[0]
-    rests = _known(series) & np.isfinite(series.low) & np.isfinite(series.high)
+    rests = _is_complete(series) & np.isfinite(series.low) & np.isfinite(series.high)
     for piece in pieces(t, rests):
         low = series.low[piece]
         high = series.high[piece]
@@ -164,7 +166,7 @@ def _draw_band(series: Series, residual: Panel, columns: int) -> bool:
     if series.std is None:
         return False
     t = series.t - series.t[0]
-    has_band = _known(series) & series.sliding & np.isfinite(series.std)
+    has_band = _is_complete(series) & series.sliding & np.isfinite(series.std)
     for piece in pieces(t, has_band):
         half_width = 1.96 * series.std[piece]
         drawn = extremes(t[piece], half_width, columns)
@@ -228,7 +230,7 @@ def _draw_lines(
     # What is drawn last lies above.
     for item in [measured, *reversed(lines)]:
         t = item.series.t - item.series.t[0]
-        for piece in pieces(t, _known(item.series)):
+        for piece in pieces(t, _is_complete(item.series)):
             drawn = extremes(t[piece], item.values[piece], columns)
             item.panel.line(
                 t[piece][drawn],
@@ -243,12 +245,12 @@ def _draw_lines(
 def _table(series: Series, unit: str, title: str) -> Table:
     """Return torque and residual of equal parts of the time."""
     t = series.t - series.t[0]
-    known = _known(series)
+    is_complete = _is_complete(series)
     starts = np.linspace(0.0, float(t[-1]), min(_ROWS, len(t)) + 1)[:-1]
     parts = np.split(np.arange(len(t)), np.searchsorted(t, starts[1:]))
     rows = []
     for start, part in zip(starts, parts, strict=True):
-        samples = part[known[part]]
+        samples = part[is_complete[part]]
         if not len(samples):
             continue
         torque = series.torque[samples]
@@ -264,6 +266,7 @@ def _table(series: Series, unit: str, title: str) -> Table:
             float(np.abs(residual).max()),
         )
         rows.append(row)
+
     titles = (
         "from [s] | measured, least [{u}] | most [{u}] | predicted, least [{u}] | most"
         " [{u}] | residual RMS [{u}] | largest [{u}]"

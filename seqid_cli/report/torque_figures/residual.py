@@ -105,10 +105,10 @@ def _counted_samples(logs: Sequence[Series], quantity: str) -> tuple[Array, Arra
         x = getattr(series, quantity)
         if x is None:
             continue
-        known = np.isfinite(x) & np.isfinite(series.residual)
-        counted = series.used & series.sliding & known
-        x_of_logs.append(x[counted])
-        residual_of_logs.append(series.residual[counted])
+        is_complete = np.isfinite(x) & np.isfinite(series.residual)
+        is_counted = series.used & series.sliding & is_complete
+        x_of_logs.append(x[is_counted])
+        residual_of_logs.append(series.residual[is_counted])
     return np.concatenate(x_of_logs), np.concatenate(residual_of_logs)
 
 

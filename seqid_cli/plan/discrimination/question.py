@@ -158,7 +158,7 @@ def _settings(
     rng = np.random.default_rng(0)
     white_noise = [rng.normal(size=scene.motion.q.shape) for scene in scenes]
     grid = list(effect.grid(scenes, joint, white_noise))
-    reached = []
+    reached: list[dict[str, float]] = []
     for setting in grid:
         reached += effect.reached(setting)
     return (

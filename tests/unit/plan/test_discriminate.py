@@ -129,7 +129,8 @@ def test_what_no_motion_settles_is_said(case: tuple[Any, ...]) -> None:
     belief = believed()
     asking = replace(OPTIONS, between=pair)
     file = make_plan("discriminate", belief.robot, belief.limits, known(), asking)
-    stage, verdict = file.stages["discriminate"], file.verdicts[0]
+    stage = file.stages["discriminate"]
+    verdict = file.verdicts[0]
     separation = stage.separation
     assert separation.special_case == special
     for power, least, most in zip(separation.powers, low, high, strict=True):

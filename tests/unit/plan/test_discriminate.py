@@ -113,12 +113,15 @@ def test_power_is_what_the_diagnosis_asks() -> None:
 # note. A dry asymmetry differs from a bias on no motion; a power of 1.8 imitates
 # quadratic drag, which is no cubic; a lag is never early.
 TOLD = [
-    (("asymmetric_friction", "torque_bias"), "torque_bias", (0, 0), (0.96, 0), 0.953, "", "brakes"),
+    (("asymmetric_friction", "torque_bias"), "torque_bias", (0, 0), (0.96, 0), 0.953,
+     "", "brakes"),
     (("quadratic_drag", "nonlinear_viscous"), None, (0, 0.5), (0.01, 1), 0.98,
      "if it is quadratic_drag", "ladder"),
     (("torque_bias", "spring"), "torque_bias", (0, 0), (1e-3, 1), 0.0,
-     "if it is torque_bias, the diagnosis drops spring with probability 0 %", "brakes on"),
-    (("time_skew", "actuator_lag"), "actuator_lag", (0.499, 0), (0.501, 1e-3), 0.0, "", ""),
+     "if it is torque_bias, the diagnosis drops spring with probability 0 %",
+     "brakes on"),
+    (("time_skew", "actuator_lag"), "actuator_lag", (0.499, 0), (0.501, 1e-3), 0.0,
+     "", ""),
 ]  # fmt: skip
 
 

@@ -37,7 +37,7 @@ Message = dict[str, Any]
 
 @dataclass
 class Tab:
-    """One page of a running browser, with all that it asked for and complained about."""
+    """One page of a running browser, with all its requests and complaints."""
 
     to: int
     back: int

@@ -140,7 +140,7 @@ def all_documents() -> list[Source[Document]]:
 
 
 def before_and_after() -> list[Source[Document]]:
-    """Both models with a prediction each; the one of before is given first, and poor."""
+    """Both models with a prediction each; that before is given first, and poor."""
     documents = all_documents()
     by_first = made_with(prediction_file(shares=(0.02, 0.5)), documents[0])
     by_refined = made_with(prediction_file(shares=(0.01, 0.02)), documents[3])
@@ -262,7 +262,7 @@ def page_of_all(folder: Path) -> str:
 
 
 def write_documents(folder: Path, documents: Sequence[Source[Document]]) -> list[str]:
-    """Write documents as files; a prediction keeps the hash of what it was made with."""
+    """Write documents as files; a prediction keeps the hash of its parameter file."""
     for item in documents:
         (folder / item.path).write_text(encode(item.content), encoding="utf-8")
     return [item.path for item in documents]

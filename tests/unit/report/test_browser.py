@@ -134,7 +134,10 @@ def test_a_plot_zooms_pans_and_goes_back(tab: Tab, page: Path) -> None:
     assert seen(tab) == pytest.approx([0.25, 0.5], abs=0.01)
     first_ticks = [float(text) for text in tab.run(ticks)[:3]]
     assert all(0.24 * 16 <= time <= 0.51 * 16 for time in first_ticks)
-    read = "document.querySelector('svg.readable').closest('figure').querySelector('output')"
+    read = (
+        "document.querySelector('svg.readable').closest('figure')"
+        ".querySelector('output')"
+    )
     time = float(tab.run(f"{read}.textContent").split("=")[1].split()[0])
     assert time == pytest.approx(0.5 * 16, abs=0.1)  # where the pointer was let go
 
@@ -179,7 +182,7 @@ def choose_joint(tab: Tab, name: str) -> None:
 
 
 def shown_parts(tab: Tab) -> list[str]:
-    """Return the visible parts about one joint: groups by id, other figures by title."""
+    """Return the visible parts about one joint: groups by id, figures by title."""
     return list(
         tab.run(
             "Array.from(document.querySelectorAll('[data-joint]')).filter((item) =>"

@@ -1,4 +1,4 @@
-"""Which files of a report belong together, what is refused, and the verdict on a model."""
+"""Files of a report that belong together, refused ones, and the verdict on a model."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -167,7 +167,7 @@ def of_training_logs() -> Iterator[tuple[str, Documents]]:
 
 
 def of_refinement() -> Iterator[tuple[str, Documents]]:
-    """Logs that refinement read are new to the model before it, and so are held-out ones."""
+    """Logs of refinement are new to the model before it, and so are held-out ones."""
     refined = full_file()
     parameters, good_prediction = good_documents()
     read = log("refined from", "effects")

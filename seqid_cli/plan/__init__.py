@@ -1,4 +1,4 @@
-"""Which experiment to run next: motions within the limits, and the errors that they will give."""
+"""The experiment to run next: motions within the limits, and predicted errors."""
 
 from seqid_cli.plan.functions import plan
 from seqid_cli.plan.options import PlanOptions

@@ -39,8 +39,8 @@ def plan(
 
     Parameters
     ----------
-    what : {"friction", "gravity", "imu-calib", "inertia", "payload", "validation", "all", \
-"discriminate"}
+    what : {"friction", "gravity", "imu-calib", "inertia", "payload", "validation", \
+"all", "discriminate"}
         The stage to record for, a whole session, or the question which of two effects
         it is.
     robot : path or Robot
@@ -54,30 +54,44 @@ def plan(
     output, trajectories : path, optional
         Where the plan goes, and the folder for the files of each move.
 
+    Returns
+    -------
+    PlanFile
+        The moves, their predicted standard errors, and what was assumed of limits,
+        floor and noise.
+
     Raises
     ------
     SeqidError
         Where the command would exit with 2.
     """
-    given, logs = listed(parameters), listed(have)
-    target, folder = optional(output), optional(trajectories)
-    files = [Path(model) for model in given if not isinstance(model, ParameterFile)]
-    inputs = [*([Path(robot)] if is_place(robot) else []), *files]  # type: ignore[arg-type]
+    model_inputs = listed(parameters)
+    log_inputs = listed(have)
+    target = optional(output)
+    folder = optional(trajectories)
+
+    # Places to write to and options are checked before anything is read.
+    model_paths = [
+        Path(model) for model in model_inputs if not isinstance(model, ParameterFile)
+    ]
+    input_paths = list(model_paths)
+    if is_place(robot):
+        input_paths.insert(0, Path(robot))  # type: ignore[arg-type]
     if target is not None:
-        check_output(target, inputs)
+        check_output(target, input_paths)
     if folder is not None:
-        if folder.exists() and not folder.is_dir():
-            hint = "Name a folder for the files of the moves."
-            raise UsageError("is a file, not a folder", where=str(folder), hint=hint)
-        check_output(folder.parent / f"{folder.name}.csv")
-    _check(what, options, given, logs)
-    found = expanded(logs)
+        _check_folder(folder)
+    _check_options(what, options, model_inputs, log_inputs)
+    log_paths = expanded(log_inputs)
+
     # The robot file comes first: its faults are reported before a parameter file's
     # faults.
     arm = robot_of(robot, ())
-    models = read_models(given)
+    models = read_models(model_inputs)
     robot_of(arm, models)
     stages = join(models).stages if models else Stages()
+
+    # Imported here, so that mistakes in options and files are reported at once.
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.plan.limits import limits_of
     from seqid_cli.plan.make import make_plan
@@ -85,65 +99,90 @@ def plan(
     limits = limits_of(
         arm, ramp_s=options.ramp_s, share=options.share, locked=options.locked
     )
-    ids = [model_id(name, file, files) for name, file in models]
-    recorded = LogSet(found, arm)
+    logs = LogSet(log_paths, arm)
     geometry = _geometry(arm, limits, options)
     floor = _floor(arm, limits, geometry) if options.floor else None
-    read = recorded.again(imus=False)
-    made = make_plan(what, arm, limits, stages, options, ids, read, geometry, floor)
-    made = structs.replace(made, created=recorded.created(file for _, file in models))
+    file = make_plan(
+        what,
+        arm,
+        limits,
+        stages,
+        options,
+        parameters=[model_id(name, model, model_paths) for name, model in models],
+        have=logs.again(imus=False),
+        geometry=geometry,
+        floor=floor,
+    )
+    file = structs.replace(file, created=logs.created(model for _, model in models))
+
     if folder is not None:
         from seqid_cli.plan.moves.files import write_moves
 
         with writing(folder):
             folder.mkdir(exist_ok=True)
-        moves = write_moves(folder, made.moves, arm, options.speed_scale)
-        made = structs.replace(made, moves=moves)
+        moves = write_moves(folder, file.moves, arm, options.speed_scale)
+        file = structs.replace(file, moves=moves)
     if target is not None:
-        write_json_atomic(target, made, inputs=inputs)
-    return made
+        write_json_atomic(target, file, inputs=input_paths)
+    return file
 
 
-def _check(what: str, options: PlanOptions, parameters: Sized, have: Sized) -> None:
+def _check_folder(folder: Path) -> None:
+    """Refuse a folder for the files of the moves that cannot be written to."""
+    if folder.exists() and not folder.is_dir():
+        hint = "Name a folder for the files of the moves."
+        raise UsageError("is a file, not a folder", where=str(folder), hint=hint)
+    check_output(folder.parent / f"{folder.name}.csv")
+
+
+def _check_options(
+    plan_name: str, options: PlanOptions, parameters: Sized, have: Sized
+) -> None:
     """Refuse options that contradict each other."""
     if options.duration_s < options.length_s:
-        total, length = options.duration_s, options.length_s
-        message = f"--duration {total:g} s is shorter than one move of {length:g} s"
+        message = (
+            f"--duration {options.duration_s:g} s is shorter than one move of"
+            f" {options.length_s:g} s"
+        )
         raise UsageError(message, hint="Give more time, or a shorter --move-duration.")
-    if what in ("payload", "discriminate") and not parameters:
+
+    if plan_name in ("payload", "discriminate") and not parameters:
         hint = "Give -p with the result of seqid inertia."
-        raise UsageError(f"{what} is planned for a model that is identified", hint=hint)
-    if (what == "discriminate") != bool(options.between):
+        raise UsageError(
+            f"{plan_name} is planned for a model that is identified", hint=hint
+        )
+    if (plan_name == "discriminate") != bool(options.between):
         hint = (
             "As in plan discriminate --between stribeck,quadratic_drag --joint elbow."
         )
         raise UsageError(
             "discriminate needs --between, and no other plan takes it", hint=hint
         )
-    if have and what not in ("inertia", "all", "discriminate"):
+    if have and plan_name not in ("inertia", "all", "discriminate"):
         hint = "Leave it out, or plan the inertia stage."
         raise UsageError(
-            f"--have counts for inertia and discriminate, not for {what}", hint=hint
+            f"--have counts for inertia and discriminate, not for {plan_name}",
+            hint=hint,
         )
 
 
 def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | None:
-    """The arm's shapes and the boxes around it; None where the URDF has no shapes."""
+    """Return the arm's shapes and the boxes; None where the URDF has no shapes."""
     import numpy as np
 
     from seqid_cli.plan.moves.strokes import postures_of
     from seqid_cli.robot.urdf_model import geometry_of
 
     postures = postures_of(limits, 200, np.random.default_rng(0))
-    found = geometry_of(robot, postures, options.keep_out, options.workspace)
-    if found is None and (options.keep_out or options.workspace):
+    geometry = geometry_of(robot, postures, options.keep_out, options.workspace)
+    if geometry is None and (options.keep_out or options.workspace):
         hint = (
             "Give a URDF with <collision> shapes and their meshes, or leave the boxes"
             " out."
         )
         message = "--workspace and --keep-out need the shapes of the links"
         raise ConfigError(message, where=str(robot.source), hint=hint)
-    return found
+    return geometry
 
 
 def _floor(robot: Robot, limits: Limits, geometry: Geometry | None) -> Floor | None:

@@ -8,16 +8,26 @@ import numpy as np
 
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Joint, Robot
 from seqid_cli.typing import Array, Mask
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits of all joints (n,) as the plan uses them; rad, rad/s, rad/s^2, N m (prismatic: m, N).
+    """Limits of all n joints as the plan uses them.
 
-    `torque` is infinite where it is not given. `moves` is False for joints that are
-    kept still.
+    Parameters
+    ----------
+    lower, upper : (n,) float
+        Ends of the position ranges [rad; m where prismatic].
+    speed : (n,) float
+        Largest speeds [rad/s; m/s where prismatic].
+    acceleration : (n,) float
+        Largest accelerations [rad/s^2; m/s^2 where prismatic].
+    torque : (n,) float
+        Largest torques [N m; N where prismatic]; infinite where the URDF has none.
+    moves : (n,) bool
+        Whether the joint moves; the others are kept still.
     """
 
     lower: Array
@@ -38,6 +48,16 @@ class Limits:
         return [int(j) for j in np.flatnonzero(self.moves)]
 
 
+@dataclass(frozen=True)
+class _JointLimits:
+    """Limits of one joint before the share that a plan uses is taken of them."""
+
+    lower: float
+    upper: float
+    speed: float
+    torque: float
+
+
 def limits_of(
     robot: Robot,
     *,
@@ -47,9 +67,23 @@ def limits_of(
 ) -> Limits:
     """Take the tighter of the robot file's limits and the URDF's, and `share` of that.
 
-    `ramp_s` is the time [s] in which a joint may reach its largest speed, the only
-    limit of acceleration; `share` is of every range that is used, about its middle;
-    `locked` joints stay.
+    Parameters
+    ----------
+    robot : Robot
+    ramp_s : float
+        Time in which a joint may reach its largest speed [s]. It is the only limit of
+        acceleration, as neither file has one.
+    share : float
+        Share of every limit that is used; a position range shrinks about its middle.
+    locked : sequence of str
+        Names of the joints that are kept still.
+
+    Raises
+    ------
+    UsageError
+        A locked joint is none of the robot's, or all are locked.
+    ConfigError
+        A joint that moves has no limits, or impossible ones.
     """
     for name in locked:
         if name not in robot.joint_names:
@@ -60,58 +94,95 @@ def limits_of(
         raise UsageError(
             "every joint is locked: there is nothing to plan", hint="Leave one free."
         )
-    found = [_of_joint(robot, j, needed=bool(moves[j])) for j in range(robot.n)]
-    lower, upper, speed, torque = np.array(found).T
-    middle, half, speed = (
-        (lower + upper) / 2,
-        share * (upper - lower) / 2,
-        share * speed,
-    )
+
+    joints = [_limits_of_joint(robot, j, needed=bool(moves[j])) for j in range(robot.n)]
+    lower = np.array([joint.lower for joint in joints])
+    upper = np.array([joint.upper for joint in joints])
+    speed = share * np.array([joint.speed for joint in joints])
+    torque = share * np.array([joint.torque for joint in joints])
+
+    middle = (lower + upper) / 2
+    half_range = share * (upper - lower) / 2
     return Limits(
-        middle - half, middle + half, speed, speed / ramp_s, share * torque, moves
+        lower=middle - half_range,
+        upper=middle + half_range,
+        speed=speed,
+        acceleration=speed / ramp_s,
+        torque=torque,
+        moves=moves,
     )
 
 
-def _of_joint(
-    robot: Robot, j: int, *, needed: bool, slowest_s: float = 600.0
-) -> tuple[float, float, float, float]:
-    """Ends of the range, speed and torque by both sources; a joint that stays may lack some."""
-    joint, where = robot.joints[j], str(robot.source)
-    urdf, of_urdf = joint.urdf, None
-    if urdf is not None and urdf.kind == "continuous":  # one turn of many
-        of_urdf = (-math.pi, math.pi)
-    elif urdf is not None and urdf.lower is not None and urdf.upper is not None:
-        of_urdf = (urdf.lower, urdf.upper)
-    given = [
-        limits for limits in (joint.position_limits, of_urdf) if limits is not None
+def _limits_of_joint(robot: Robot, j: int, *, needed: bool) -> _JointLimits:
+    """Return the limits of a joint by both sources.
+
+    Limits of a joint that is kept still are not `needed`: it may lack some.
+    """
+    joint = robot.joints[j]
+    urdf_range = _urdf_range(joint)
+    ranges = [
+        limits for limits in (joint.position_limits, urdf_range) if limits is not None
     ]
-    speeds = (joint.velocity_limit, urdf.velocity if urdf else None)
-    speed = min((v for v in speeds if v is not None), default=math.inf)
-    torque = math.inf if urdf is None or urdf.effort is None else urdf.effort
-    if needed and (not given or math.isinf(speed)):
-        what, unit = (
-            ("velocity_limit", "rad/s") if given else ("position_limits", "rad")
-        )
-        message = f"joint {joint.name!r} has no {what}, neither here nor in a URDF"
-        own = f"{what} ({joint.unit(unit)})"
-        hint = f"Add {own} to this joint, or keep it still: --lock {joint.name}."
-        raise ConfigError(message, where=where, hint=hint)
-    lower = max((low for low, _ in given), default=0.0)
-    upper = min((high for _, high in given), default=0.0)
-    if needed and lower >= upper:
-        both = f"{joint.position_limits} and the URDF's {of_urdf}"
-        message = f"joint {joint.name!r}: position limits {both} exclude each other"
-        raise ConfigError(
-            message, where=where, hint="Correct position_limits in the robot file."
-        )
-    # its plan would take days, and gigabytes
-    if needed and upper - lower > slowest_s * speed:
-        message = (
-            f"joint {joint.name!r} crosses its range in {(upper - lower) / speed:.3g} s"
-        )
-        limit = f"limit of {speed:g} {joint.unit('rad/s')}"
-        hint = f"Correct its {limit}; up to {slowest_s:g} s are planned."
-        raise ConfigError(message, where=where, hint=hint)
+    lower = max((low for low, _ in ranges), default=0.0)
+    upper = min((high for _, high in ranges), default=0.0)
+
+    urdf_speed = joint.urdf.velocity if joint.urdf else None
+    speeds = [v for v in (joint.velocity_limit, urdf_speed) if v is not None]
+    speed = min(speeds, default=math.inf)
+    torque = math.inf
+    if joint.urdf is not None and joint.urdf.effort is not None:
+        torque = joint.urdf.effort
+
+    if needed:
+        _check_given(robot, joint, has_range=bool(ranges), speed=speed)
+        if lower >= upper:
+            both_ranges = f"{joint.position_limits} and the URDF's {urdf_range}"
+            message = (
+                f"joint {joint.name!r}: position limits {both_ranges} exclude each"
+                " other"
+            )
+            hint = "Correct position_limits in the robot file."
+            raise ConfigError(message, where=str(robot.source), hint=hint)
+        _check_crossing_time(robot, joint, upper - lower, speed)
+
     if lower > upper:
         lower = upper = 0.0
-    return lower, upper, 0.0 if math.isinf(speed) else speed, torque
+    if math.isinf(speed):
+        speed = 0.0
+    return _JointLimits(lower=lower, upper=upper, speed=speed, torque=torque)
+
+
+def _urdf_range(joint: Joint) -> tuple[float, float] | None:
+    """Return the position range of a joint in the URDF [rad; m where prismatic]."""
+    urdf = joint.urdf
+    if urdf is None:
+        return None
+    # A continuous joint gets one turn of many: a plan needs ends.
+    if urdf.kind == "continuous":
+        return (-math.pi, math.pi)
+    if urdf.lower is None or urdf.upper is None:
+        return None
+    return (urdf.lower, urdf.upper)
+
+
+def _check_given(robot: Robot, joint: Joint, *, has_range: bool, speed: float) -> None:
+    """Refuse a joint that moves and has no range or no speed limit."""
+    if has_range and not math.isinf(speed):
+        return
+    key = "velocity_limit" if has_range else "position_limits"
+    unit = joint.unit("rad/s" if has_range else "rad")
+    message = f"joint {joint.name!r} has no {key}, neither here nor in a URDF"
+    hint = f"Add {key} ({unit}) to this joint, or keep it still: --lock {joint.name}."
+    raise ConfigError(message, where=str(robot.source), hint=hint)
+
+
+def _check_crossing_time(
+    robot: Robot, joint: Joint, width: float, speed: float, *, slowest_s: float = 600.0
+) -> None:
+    """Refuse a joint so slow that its plan would take days, and gigabytes."""
+    if width <= slowest_s * speed:
+        return
+    message = f"joint {joint.name!r} crosses its range in {width / speed:.3g} s"
+    limit = f"limit of {speed:g} {joint.unit('rad/s')}"
+    hint = f"Correct its {limit}; up to {slowest_s:g} s are planned."
+    raise ConfigError(message, where=str(robot.source), hint=hint)

@@ -12,6 +12,7 @@ from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results.plan import (
     PLAN_SCHEMA,
+    EffectSeparation,
     JointLimits,
     PlanFile,
     PlannedMove,
@@ -32,6 +33,10 @@ from seqid_cli.plan.stages.sweeps import plan_friction, plan_imu
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import Geometry
 from seqid_cli.shares import percent
+from seqid_cli.typing import Array
+
+# Stages in the order of the work, which is that of the plan file.
+_STAGES = ("friction", "gravity", "imu-calib", "inertia", "payload", "validation")
 
 
 def make_plan(
@@ -45,150 +50,219 @@ def make_plan(
     geometry: Geometry | None = None,
     floor: Floor | None = None,
 ) -> PlanFile:
-    """Plan one stage, or all in the order of the work: what the logs `have` do not tell."""
+    """Plan one stage, or all in the order of the work.
+
+    Parameters
+    ----------
+    what : str
+        One of `seqid_cli.plan.options.What`.
+    robot : Robot
+    limits : Limits
+    stages : Stages
+        What is identified already.
+    options : PlanOptions
+    parameters : sequence of FileId
+        The files that `stages` come from.
+    have : iterable of Recording
+        Logs that are there already: moves are to show what these do not.
+    geometry : Geometry, optional
+    floor : Floor, optional
+
+    Returns
+    -------
+    PlanFile
+    """
     belief = belief_of(robot, stages, limits, geometry=geometry, floor=floor)
     if what == "discriminate":
-        found = {what: plan_discriminate(belief, stages, options, list(have))}
+        planned = {what: plan_discriminate(belief, stages, options, list(have))}
     else:
-        found = _session(what, belief, stages, options, have)
+        planned = _plan_stages(what, belief, stages, options, have)
+
     moves: list[PlannedMove] = []
-    for name, planned in found.items():
-        planned.stage.duration_s = sum(move.duration_s for move in planned.moves)
-        moves += [structs.replace(move, stage=name) for move in planned.moves]
+    for name, of_stage in planned.items():
+        of_stage.stage.duration_s = sum(move.duration_s for move in of_stage.moves)
+        moves += [structs.replace(move, stage=name) for move in of_stage.moves]
     if belief.theta is not None:
-        heavy = loaded(belief, options.load_kg)
-        moves = [
-            _with_torque(heavy if m.stage == "payload" else belief, m) for m in moves
-        ]
+        moves = _with_torques(belief, moves, options)
+
     names = robot.joint_names
     noise = np.sqrt(2.0 / belief.density)
-    durations = [move.duration_s for move in moves]
+    duration_s = sum(move.duration_s for move in moves)
+    verdicts = []
+    for name, of_stage in planned.items():
+        verdicts += _verdicts(name, of_stage)
     return PlanFile(
         **head(PLAN_SCHEMA, now()),
         robot=robot_id(robot),
         what=what,
         seed=options.seed,
         parameters=list(parameters),
-        limits={
-            name: JointLimits(
-                position=[float(limits.lower[j]), float(limits.upper[j])],
-                speed=float(limits.speed[j]),
-                acceleration=float(limits.acceleration[j]),
-                torque=(
-                    float(limits.torque[j]) if np.isfinite(limits.torque[j]) else None
-                ),
-                moves=bool(limits.moves[j]),
-            )
-            for j, name in enumerate(names)
-        },
+        limits={name: _limits_entry(limits, j) for j, name in enumerate(names)},
         noise_density={name: float(noise[j]) for j, name in enumerate(names)},
         noise_origin=belief.noise_origin,
         moves=moves,
-        stages={name: planned.stage for name, planned in found.items()},
-        duration_s=sum(durations),
-        total_s=sum(durations) + _ways(moves, limits, names),
+        stages={name: of_stage.stage for name, of_stage in planned.items()},
+        duration_s=duration_s,
+        total_s=duration_s + _time_between(moves, limits, names),
         speed_scale=options.speed_scale,
-        verdicts=[
-            v for name, planned in found.items() for v in _verdicts(name, planned)
-        ],
+        verdicts=verdicts,
         notes=_notes(belief, options),
     )
 
 
-def _session(
-    what: str,
+def _limits_entry(limits: Limits, j: int) -> JointLimits:
+    """Return the limits of joint j as the plan file has them."""
+    torque = float(limits.torque[j]) if np.isfinite(limits.torque[j]) else None
+    return JointLimits(
+        position=[float(limits.lower[j]), float(limits.upper[j])],
+        speed=float(limits.speed[j]),
+        acceleration=float(limits.acceleration[j]),
+        torque=torque,
+        moves=bool(limits.moves[j]),
+    )
+
+
+def _plan_stages(
+    plan_name: str,
     belief: Belief,
     stages: Stages,
     options: PlanOptions,
     have: Iterable[Recording],
 ) -> dict[str, Planned]:
-    """Plan one stage, or all one after the other, each on what logs and moves tell by then."""
-    known = information_of(belief, have)
-    found: dict[str, Planned] = {}
-    planners = {
-        "friction": lambda: plan_friction(belief, options),
-        "gravity": lambda: _gravity(belief, stages, options, found),
-        "imu-calib": lambda: plan_imu(belief, options),
-        "inertia": lambda: plan_inertia(belief, stages, options, known),
-        "payload": lambda: plan_payload(belief, stages, options),
-        "validation": lambda: plan_validation(belief, options),
-    }
-    names = [what]
-    if what == "all":
-        left_out = {"payload"} if belief.robot.imus else {"payload", "imu-calib"}
-        names = [name for name in planners if name not in left_out]
+    """Plan one stage, or all one after the other.
+
+    Each is planned on the information of the logs and of the moves of stages before it.
+    """
+    names = [plan_name]
+    if plan_name == "all":
+        names = [name for name in _STAGES if name != "payload"]
+        if not belief.robot.imus:
+            names.remove("imu-calib")
+
+    information = information_of(belief, have)
+    planned: dict[str, Planned] = {}
     for name in names:
-        found[name] = planners[name]()
-        added = found[name].information
-        known = known if added is None else known + added
-    order = list(planners)
-    return dict(sorted(found.items(), key=lambda item: order.index(item[0])))
+        if name == "gravity":
+            # Friction that gravity lacks is planned as well, before it.
+            plan = plan_gravity(belief, stages, options, planned.get("friction"))
+            if plan.friction is not None:
+                planned.setdefault("friction", plan.friction)
+            planned[name] = plan.gravity
+        else:
+            planned[name] = _plan_stage(name, belief, stages, options, information)
+        added = planned[name].information
+        if added is not None:
+            information = information + added
+    return {name: planned[name] for name in _STAGES if name in planned}
 
 
-def _gravity(
-    belief: Belief, stages: Stages, options: PlanOptions, found: dict[str, Planned]
+def _plan_stage(
+    name: str,
+    belief: Belief,
+    stages: Stages,
+    options: PlanOptions,
+    information: Array,
 ) -> Planned:
-    """Plan gravity on the friction that is given or planned; friction it lacks goes to `found`."""
-    planned = plan_gravity(belief, stages, options, found.get("friction"))
-    if planned.friction is not None:
-        found.setdefault("friction", planned.friction)
-    return planned.gravity
+    """Plan a stage other than gravity; `information` (b, b) is there already."""
+    if name == "friction":
+        return plan_friction(belief, options)
+    if name == "imu-calib":
+        return plan_imu(belief, options)
+    if name == "inertia":
+        return plan_inertia(belief, stages, options, information)
+    if name == "payload":
+        return plan_payload(belief, stages, options)
+    if name == "validation":
+        return plan_validation(belief, options)
+    raise KeyError(name)
+
+
+def _with_torques(
+    belief: Belief, moves: Sequence[PlannedMove], options: PlanOptions
+) -> list[PlannedMove]:
+    """Return the moves with the torque that is expected along each."""
+    with_payload = loaded(belief, options.load_kg)
+    return [
+        _with_torque(with_payload if move.stage == "payload" else belief, move)
+        for move in moves
+    ]
 
 
 def _with_torque(
     belief: Belief, move: PlannedMove, *, rate_hz: float = 50.0, points: int = 40
 ) -> PlannedMove:
-    """The torque that is expected along a move: the largest of each of `points` parts of it."""
+    """Return a move with its expected torque: the largest of each of `points` parts."""
     names = belief.robot.joint_names
-    t, *states = sampled(move, names, rate_hz)
-    moves = Moves(t, *(x[None] for x in states))
-    torque = belief.torque(moves, belief.regressor(moves))[0]
-    parts = np.array([part.max(axis=0) for part in np.array_split(torque, points)])
-    limited = np.isfinite(belief.limits.torque).any()
-    share = float((torque / belief.limits.torque).max()) if limited else None
-    shown = {
-        name: [float(f"{x:.4g}") for x in parts[:, j]] for j, name in enumerate(names)
-    }
-    return structs.replace(move, torque=shown, torque_share=share)
+    t, q, dq, ddq = sampled(move, names, rate_hz)
+    states = Moves(t, q[None], dq[None], ddq[None])
+    torque = belief.torque(states, belief.regressor(states))[0]
+
+    parts = [part.max(axis=0) for part in np.array_split(torque, points)]
+    largest = {}
+    for j, name in enumerate(names):
+        # Four digits: the file is for people, too.
+        largest[name] = [float(f"{part[j]:.4g}") for part in parts]
+
+    torque_share = None
+    if np.isfinite(belief.limits.torque).any():
+        torque_share = float((torque / belief.limits.torque).max())
+    return structs.replace(move, torque=largest, torque_share=torque_share)
 
 
-def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) -> float:
-    """Time in s from the end of each move to the start of the next, at half the largest speed."""
-    total = 0.0
-    for before, after in itertools.pairwise(moves):
-        gaps = np.array([abs(after.start[name] - before.start[name]) for name in names])
-        speed, ramp = limits.speed / 2, np.divide(limits.speed, 2 * limits.acceleration)
-        total += float(np.max((gaps / speed + ramp)[limits.moves]))
-    return total
+def _time_between(
+    moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]
+) -> float:
+    """Return the time [s] from the ends of moves to the next starts.
 
-
-def _verdicts(what: str, planned: Planned) -> list[Verdict]:
-    stage, told = planned.stage, planned.stage.separation
-    if told is not None:
-        pairs = zip(
-            told.between,
-            reversed(told.between),
-            told.powers,
-            told.imitations,
-            strict=True,
+    Joints go there at half their largest speed; the slowest one counts.
+    """
+    speed = limits.speed / 2
+    ramp_s = np.divide(limits.speed, 2 * limits.acceleration)
+    total_s = 0.0
+    for previous, following in itertools.pairwise(moves):
+        distance = np.array(
+            [abs(following.start[name] - previous.start[name]) for name in names]
         )
-        reason = "; ".join(
-            f"if it is {one}, the diagnosis drops {other} with probability"
-            f" {percent(power, 0)} ({other} reaches up to {percent(most)} of the gain)"
-            for one, other, power, most in pairs
-        )
-        return [Verdict(good=told.power >= ENOUGH, reason=reason)]
-    if what == "discriminate":
+        total_s += float(np.max((distance / speed + ramp_s)[limits.moves]))
+    return total_s
+
+
+def _verdicts(stage_name: str, planned: Planned) -> list[Verdict]:
+    """Return whether moves will determine all that their stage is about."""
+    stage = planned.stage
+    if stage.separation is not None:
+        return [_separation_verdict(stage.separation)]
+    if stage_name == "discriminate":
         return [Verdict(good=False, reason=stage.notes[0])]
     if stage.rank is None:
         return []
-    reason = f"{what}: rank {stage.rank} of {stage.structural_rank}"
+    reason = f"{stage_name}: rank {stage.rank} of {stage.structural_rank}"
     return [Verdict(good=stage.rank == stage.structural_rank, reason=reason)]
+
+
+def _separation_verdict(separation: EffectSeparation) -> Verdict:
+    """Return whether a diagnosis after these moves will tell two effects apart."""
+    outcomes = zip(
+        separation.between,
+        reversed(separation.between),
+        separation.powers,
+        separation.imitations,
+        strict=True,
+    )
+    sentences = []
+    for true_effect, rival, power, imitated in outcomes:
+        sentences.append(
+            f"if it is {true_effect}, the diagnosis drops {rival} with probability"
+            f" {percent(power, 0)} ({rival} reaches up to {percent(imitated)} of the"
+            " gain)"
+        )
+    return Verdict(good=separation.power >= ENOUGH, reason="; ".join(sentences))
 
 
 def _notes(belief: Belief, options: PlanOptions) -> list[str]:
     """Say what was assumed of limits, floor and shapes, and what was not checked."""
-    robot, limits = belief.robot, belief.limits
+    robot = belief.robot
+    limits = belief.limits
     names = np.array(robot.joint_names)
     notes = [
         f"limits: {percent(options.share, 0)} of the tighter of robot file and URDF;"

@@ -1,15 +1,16 @@
-"""What every drive adds to its torque unasked, marginalised as the stages will marginalise it.
+"""Nuisance terms of every drive, marginalised as the stages will marginalise them.
 
 A stage fits its parameters beside nuisance terms with priors of zero mean. With rows H
 of the parameters and X of these terms, W the information of the rows and P that of the
-priors, what is left of the information on the parameters is
+priors, the information that remains on the parameters is
 
     H'W H - H'W X (X'W X + P)^-1 X'W H.
 
 Slow sweeps (gravity) have two terms for each joint: a constant torque, and a share of
 friction's size |f| that does not turn with the direction. Fast moves (inertia, payload)
 have a constant torque for each joint and d tau / dt, the torque of a delay: one for all
-joints, one for each.
+joints, one for each. Columns of X are scaled to priors of standard deviation 1, so that
+P is the identity.
 """
 
 from dataclasses import dataclass
@@ -80,7 +81,21 @@ class Terms(Protocol):
 def sweep_terms(
     rows: JointRows, joints: int, priors: NuisancePriors = NuisancePriors()
 ) -> Array:
-    """Return the columns (N, 2 n) of slow sweeps: offset and asymmetry of each joint."""
+    """Return the columns of slow sweeps.
+
+    Parameters
+    ----------
+    rows : JointRows
+        N rows of one joint.
+    joints : int
+        Number n of all joints.
+    priors : NuisancePriors
+
+    Returns
+    -------
+    (N, 2 n) array
+        Offset and asymmetry of each joint, in this order; zero for other joints.
+    """
     columns = np.zeros((len(rows.weight), 2 * joints))
     columns[:, 2 * rows.joint] = priors.sweep_offset * _rms(rows.friction)
     columns[:, 2 * rows.joint + 1] = priors.sweep_asymmetry * rows.friction
@@ -90,7 +105,21 @@ def sweep_terms(
 def move_terms(
     rows: JointRows, joints: int, priors: NuisancePriors = NuisancePriors()
 ) -> Array:
-    """Return the columns (N, 2 n + 1) of fast moves: common delay, delay and offset of each."""
+    """Return the columns of fast moves.
+
+    Parameters
+    ----------
+    rows : JointRows
+        N rows of one joint.
+    joints : int
+        Number n of all joints.
+    priors : NuisancePriors
+
+    Returns
+    -------
+    (N, 2 n + 1) array
+        The common delay, then offset and delay of each joint; zero for other joints.
+    """
     columns = np.zeros((len(rows.weight), 2 * joints + 1))
     columns[:, 2 * rows.joint + 1] = priors.move_offset * _rms(rows.friction)
     if rows.torque_rate is not None:
@@ -100,33 +129,33 @@ def move_terms(
 
 
 class NuisanceInformation:
-    """Sums over rows of what nuisance terms (k) share with the unknowns (b)."""
+    """Sums over rows of X'W H and X'W X, for k nuisance terms and b unknowns."""
 
     def __init__(self, joints: int, unknowns: int, terms: Terms) -> None:
-        self.joints, self.terms = joints, terms
-        count = terms(_no_rows(unknowns), joints).shape[1]
-        self.cross = np.zeros((unknowns, count))
-        self.own = np.zeros((count, count))
+        self.joints = joints
+        self.terms = terms
+
+        # The number of terms is that of the columns that they give, if of no rows.
+        no_values = np.zeros(0)
+        no_rows = JointRows(
+            joint=0, H=np.zeros((0, unknowns)), weight=no_values, friction=no_values
+        )
+        n_terms = terms(no_rows, joints).shape[1]
+        self.H_X = np.zeros((unknowns, n_terms))
+        self.X_X = np.zeros((n_terms, n_terms))
 
     def add(self, rows: JointRows) -> None:
         """Add rows of one joint."""
         X = self.terms(rows, self.joints)
-        weighted = rows.weight[:, None] * X
-        self.cross += rows.H.T @ weighted
-        self.own += X.T @ weighted
+        weighted_X = rows.weight[:, None] * X
+        self.H_X += rows.H.T @ weighted_X
+        self.X_X += X.T @ weighted_X
 
     @property
     def lost(self) -> Array:
         """Information (b, b) on the unknowns that the terms take away."""
-        inner = self.own + np.eye(len(self.own))
-        return np.asarray(self.cross @ np.linalg.solve(inner, self.cross.T))
-
-
-def _no_rows(unknowns: int) -> JointRows:
-    nothing = np.zeros(0)
-    return JointRows(
-        joint=0, H=np.zeros((0, unknowns)), weight=nothing, friction=nothing
-    )
+        with_prior = self.X_X + np.eye(len(self.X_X))
+        return np.asarray(self.H_X @ np.linalg.solve(with_prior, self.H_X.T))
 
 
 def friction_size(
@@ -137,7 +166,7 @@ def friction_size(
     *,
     slowest: float,
 ) -> Array:
-    """Return the size |f| (N,) N m of a joint's friction, held below the `slowest` speed.
+    """Return the size |f| of a joint's friction, held below the `slowest` speed.
 
     Parameters
     ----------
@@ -149,10 +178,16 @@ def friction_size(
     slowest : float
         Speed below which the sign of friction is not certain [rad/s]: such samples
         count little, and a step of friction would look like a rate of the torque.
+
+    Returns
+    -------
+    (N,) array
+        Friction torque without its sign [N m].
     """
     if surface is None:
         return np.full(len(q), assumed)
-    speed = np.where(dq < 0.0, -1.0, 1.0) * np.maximum(np.abs(dq), slowest)
+    direction = np.where(dq < 0.0, -1.0, 1.0)
+    speed = direction * np.maximum(np.abs(dq), slowest)
     return np.abs(surface.torque(q, speed))
 
 

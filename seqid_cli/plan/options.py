@@ -15,22 +15,49 @@ What = Literal[
 ]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """Durations in s; see `docs/reference/deciding_numbers.md` for the numbers.
+    """Options of a plan; `docs/reference/deciding_numbers.md` gives reasons for the numbers.
 
-    `duration_s` is the time that the moves of the inertia stage may take, `together`
-    whether all joints move at once in them instead of two, `pool` how many moves are
-    drawn to choose from and `sweeps` how often each chosen one is refined. Each move
-    lasts `move_s` (None: `move_ramps` times `ramp_s`), gets from rest to the largest
-    speed in `ramp_s`, and uses a `share` of all limits, the rest of which is for the
-    controller's overshoot; `locked` joints are kept still, and `speed_scale` slows down
-    the files, for the first run on the robot. `between` are the two effects at `joint`
-    to tell apart, `size_share` their torque over the joint's usual one. `load_kg` is
-    the heaviest payload, with which torques are checked. With a `floor` no point of the
-    arm comes below the base plane, across gravity through the base frame's origin. No
-    link comes into the boxes `keep_out` or out of `workspace`: x, y, z of two corners,
-    m in the base frame.
+    Parameters
+    ----------
+    duration_s : float
+        Time that the moves of the inertia stage may take [s].
+    move_s : float, optional
+        Length of each move [s]; None for `move_ramps` times `ramp_s`.
+    move_ramps : float
+        Length of each move, in units of `ramp_s`.
+    together : bool
+        Whether all joints move at once in the inertia stage, instead of two.
+    pool : int
+        Number of moves that are drawn to choose from.
+    sweeps : int
+        How often each chosen move is refined.
+    seed : int
+        Seed of everything that is drawn.
+    ramp_s : float
+        Time from rest to the largest speed [s].
+    share : float
+        Share of all limits that is used; the rest is for the controller's overshoot.
+    locked : tuple of str
+        Joints that are kept still.
+    speed_scale : float
+        Factor on the speed in the written files, for the first run on the robot.
+    between : tuple of str
+        The two effects to tell apart.
+    joint : str, optional
+        The joint at which the two effects are.
+    size_share : float
+        Torque of the effects, over the usual torque of the joint.
+    load_kg : float
+        Heaviest payload, with which torques are checked [kg].
+    keep_out : tuple of tuples of float
+        Boxes that no link comes into: x, y, z of two corners, m in the base frame.
+    workspace : tuple of float, optional
+        Box that no link leaves: x, y, z of two corners, m in the base frame.
+    floor : bool
+        Whether all points of the arm stay above the base plane, across gravity through
+        the base frame's origin.
     """
 
     duration_s: float = 150.0
@@ -54,5 +81,5 @@ class PlanOptions:
 
     @property
     def length_s(self) -> float:
-        """How long each move lasts, s."""
+        """Length of each move [s]."""
         return self.move_ramps * self.ramp_s if self.move_s is None else self.move_s

@@ -45,13 +45,20 @@ def report(
         A page about many robots, told apart by their names or by the folders of their
         files.
 
+    Returns
+    -------
+    ReportFile
+        The verdict with its points, and the files that the page was made of.
+
     Raises
     ------
     SeqidError
         Where the command would exit with 2.
     """
     target = Path(output)
-    inputs = [Path(path) for path in (*listed(files), *([torques] if torques else []))]
+    inputs = [Path(path) for path in listed(files)]
+    if torques:
+        inputs.append(Path(torques))
     tables = list(dict.fromkeys(path for path in inputs if path.suffix == ".parquet"))
     documents = [path for path in inputs if path not in tables]
     if not documents:
@@ -59,22 +66,26 @@ def report(
             "no JSON file given", hint="Name the files that the stages wrote."
         )
     check_output(target, inputs)
+
     page = _page(documents, tables, title, by)
-    html, judgement = page.html, page.judgement
+    html = page.html
     write_text_atomic(target, html, inputs=inputs)
     for warning in page.warnings:
         warn(warning)
+
+    judgement = page.judgement
     return ReportFile(
         output=str(target),
         robot=page.robot,
         verdict=judgement.level,
         sentence=judgement.sentence,
         points=[
-            ReportPoint(weight=p.weight, text=p.text, where=p.where)
-            for p in judgement.points
+            ReportPoint(weight=point.weight, text=point.text, where=point.where)
+            for point in judgement.points
         ],
         sections=[
-            ReportSection(id=own.id, complete=own.complete) for own in page.sections
+            ReportSection(id=section.id, complete=section.complete)
+            for section in page.sections
         ],
         files=list(page.files),
         torques=", ".join(page.torques) or None,
@@ -86,22 +97,24 @@ def _page(
     documents: Sequence[Path], torques: Sequence[Path], title: str, by: By | None
 ) -> Page:
     """Return a page about one robot, many, or what changed over time."""
-    if len(documents) == 1 and (trend := read_trend(documents[0])) is not None:
-        from seqid_cli.report.trend import trend_page
+    if len(documents) == 1:
+        trend = read_trend(documents[0])
+        if trend is not None:
+            from seqid_cli.report.trend import trend_page
 
-        return trend_page(trend, str(documents[0]), title=title)
+            return trend_page(trend, str(documents[0]), title=title)
+
     sources = read_any(documents)
     if by is None:
         from seqid_cli.report.make import make_report
 
         return make_report(sources, torques=torques, title=title)
+
     if torques:
         hint = "Leave the torque files out, or make a page for each robot."
         message = "torques over time are drawn on the page of one robot"
         raise UsageError(message, hint=hint, where=str(torques[0]))
     from seqid_cli.report.fleet import fleet_page
 
-    robots = by_robot(
-        [(item.path, item.content.robot.name, item) for item in sources], by
-    )
-    return fleet_page(robots, title=title)
+    named = [(source.path, source.content.robot.name, source) for source in sources]
+    return fleet_page(by_robot(named, by), title=title)

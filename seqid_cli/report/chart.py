@@ -1,4 +1,4 @@
-"""Drawings as SVG text: panels with axes, the base of every plot, and charts with a row per name.
+"""Drawings as SVG text: panels with axes, and charts with a row per name.
 
 A drawing is one `<svg role="img">` with title and description; every value in it is
 escaped. Coordinates are user units of the drawing, y downwards; colours come from the
@@ -10,7 +10,7 @@ script reads values back.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup, escape
@@ -28,10 +28,20 @@ Dots = Mapping[str, Sequence[tuple[str, float]]]
 
 
 def element(name: str, /, *children: str, **attributes: str | float) -> Markup:
-    """Return one element; text is escaped, children made by this function are not again.
+    """Return one element; text is escaped, children made by this function are not.
 
-    `name` and the attributes' names (`class_`, `text_anchor`) come from the program,
-    never from a file; an attribute without text is left out.
+    Parameters
+    ----------
+    name : str
+        It and the attributes' names (`class_`, `text_anchor`) come from the program,
+        never from a file.
+    *children : str
+    **attributes : str or float
+        One without text is left out.
+
+    Returns
+    -------
+    Markup
     """
     start = f"<{name}"
     for key, value in attributes.items():
@@ -43,14 +53,14 @@ def element(name: str, /, *children: str, **attributes: str | float) -> Markup:
 
 
 def line(style: str, x1: float, y1: float, x2: float, y2: float) -> Markup:
-    """Return a straight line."""
+    """Return a straight line from (x1, y1) to (x2, y2)."""
     return element("line", class_=style, x1=x1, y1=y1, x2=x2, y2=y2)
 
 
 def label(
     x: float, y: float, text: str, anchor: str = "start", style: str = ""
 ) -> Markup:
-    """Return a piece of text."""
+    """Return a piece of text at (x, y)."""
     return element("text", text, x=x, y=y, text_anchor=anchor, class_=style)
 
 
@@ -60,22 +70,31 @@ def short(value: float) -> str:
 
 
 def padded(values: Numbers, share: float = 0.05) -> tuple[float, float]:
-    """Return limits a little wider than the values; their width is never zero."""
-    low, high = (
-        float(np.min(values, initial=np.inf)),
-        float(np.max(values, initial=-np.inf)),
-    )
+    """Return limits wider than the values by a share; their width is never zero."""
+    low = float(np.min(values, initial=np.inf))
+    high = float(np.max(values, initial=-np.inf))
     if not (math.isfinite(low) and math.isfinite(high)):
         return -1.0, 1.0
     span = high - low
-    if span <= 1e-12 * max(abs(low), abs(high)):
-        span = max(abs(low), abs(high)) or 1.0
+    largest = max(abs(low), abs(high))
+    if span <= 1e-12 * largest:
+        span = largest or 1.0
     return low - share * span, high + share * span
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scale:
-    """Maps values `low`..`high` to drawing coordinates `start`..`end`, straight or by decades."""
+    """A map from values to coordinates of a drawing, straight or by decades.
+
+    Parameters
+    ----------
+    low, high : float
+        Values at both ends.
+    start, end : float
+        Coordinates there.
+    log : bool
+        Whether it goes by decades.
+    """
 
     low: float
     high: float
@@ -85,47 +104,54 @@ class Scale:
 
     def __call__(self, value: float) -> float:
         """Return the coordinate of a value; values beyond the ends are held there."""
-        low, high, at = self.low, self.high, value
+        low = self.low
+        high = self.high
         if self.log:
-            low, high, at = (
-                math.log10(low),
-                math.log10(high),
-                math.log10(max(value, 1e-300)),
-            )
-        share = (at - low) / (high - low) if high > low else 0.5
+            low = math.log10(low)
+            high = math.log10(high)
+            value = math.log10(max(value, 1e-300))
+        share = (value - low) / (high - low) if high > low else 0.5
         return self.start + min(max(share, 0.0), 1.0) * (self.end - self.start)
 
     def ticks(self, count: int) -> list[tuple[float, str]]:
-        """Return about `count` round values inside (decades if logarithmic), and as text."""
-        low, high = self.low, self.high
-        if self.log:
-            first, last = (
-                math.ceil(math.log10(low) - 1e-9),
-                math.floor(math.log10(high) + 1e-9),
-            )
-            every = max(1, math.ceil((last - first + 1) / 6))
-            found = [10.0**k for k in range(first, last + 1, every)]
-        elif not 1e-290 < (raw := (high - low) / max(count, 1)) < 1e290:
-            found = [low, high]
-        else:
-            power = 10.0 ** math.floor(math.log10(raw))
-            steps = (power, 2.0 * power, 5.0 * power)
-            step = next(
-                (step for step in steps if step >= raw * (1 - 1e-9)), 10.0 * power
-            )
-            first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-            found = [k * step for k in range(first, last + 1)]
-        return [(tick, f"{tick:.10g}".replace("-", MINUS)) for tick in found if count]
+        """Return about so many round values inside, or decades, and their texts."""
+        if not count:
+            return []
+        values = self._decades() if self.log else self._round_values(count)
+        return [(value, f"{value:.10g}".replace("-", MINUS)) for value in values]
+
+    def _decades(self) -> list[float]:
+        """Return six powers of ten at most."""
+        first = math.ceil(math.log10(self.low) - 1e-9)
+        last = math.floor(math.log10(self.high) + 1e-9)
+        stride = max(1, math.ceil((last - first + 1) / 6))
+        return [10.0**k for k in range(first, last + 1, stride)]
+
+    def _round_values(self, count: int) -> list[float]:
+        """Return multiples of 1, 2 or 5 times a power of ten."""
+        wanted_step = (self.high - self.low) / max(count, 1)
+        # Beyond these sizes powers of ten are not exact, or not finite.
+        if not 1e-290 < wanted_step < 1e290:
+            return [self.low, self.high]
+        power = 10.0 ** math.floor(math.log10(wanted_step))
+        step = 10.0 * power
+        for round_step in (power, 2.0 * power, 5.0 * power):
+            if round_step >= wanted_step * (1 - 1e-9):
+                step = round_step
+                break
+        first = math.ceil(self.low / step - 1e-9)
+        last = math.floor(self.high / step + 1e-9)
+        return [k * step for k in range(first, last + 1)]
 
     @property
     def ends(self) -> str:
-        """What the page's script reads values by."""
+        """Values and coordinates of both ends, by which the page's script reads."""
         kind = "log" if self.log else "lin"
         return f"{self.low:.9g}|{self.high:.9g}|{self.start:.1f}|{self.end:.1f}|{kind}"
 
 
 class Box(NamedTuple):
-    """Where a panel lies in its drawing."""
+    """Place of a panel in its drawing."""
 
     left: float
     top: float
@@ -133,9 +159,30 @@ class Box(NamedTuple):
     bottom: float
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Panel:
-    """One pair of axes to draw into; `x` and `y` map values to the drawing."""
+    """One pair of axes to draw into; `x` and `y` map values to the drawing.
+
+    Parameters
+    ----------
+    box : Box
+    x_range, y_range : pair of float
+        Values at the ends of the axes.
+    x_title, y_title : str
+    y_log : bool
+        Whether the y axis goes by decades.
+    x_ticks, y_ticks : int
+        About how many ticks the axes have.
+    show_x : bool
+        Whether ticks of the x axis have texts.
+    hover : str
+        Name and unit of x for the script, such as "t|s"; without it the panel is not
+        read.
+    marks : list of Markup
+        What is drawn inside.
+    words : list of Markup
+        What is written beside.
+    """
 
     box: Box
     x_range: tuple[float, float]
@@ -146,83 +193,145 @@ class Panel:
     x_ticks: int = 6
     y_ticks: int = 4
     show_x: bool = True
-    hover: str = ""  # name and unit of x for the script, such as "t|s"
+    hover: str = ""
     marks: list[Markup] = field(default_factory=list)
     words: list[Markup] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Fix the scales."""
-        self.x = Scale(*self.x_range, self.box.left, self.box.right)
-        self.y = Scale(*self.y_range, self.box.bottom, self.box.top, self.y_log)
+        self.x = Scale(
+            low=self.x_range[0],
+            high=self.x_range[1],
+            start=self.box.left,
+            end=self.box.right,
+        )
+        self.y = Scale(
+            low=self.y_range[0],
+            high=self.y_range[1],
+            start=self.box.bottom,
+            end=self.box.top,
+            log=self.y_log,
+        )
 
     def line(
         self, x: Numbers, y: Numbers, style: str, *, name: str = "", unit: str = ""
     ) -> None:
-        """Draw a line through points; with a name the script reads values from it."""
-        if len(x):
-            own = {"class_": f"line {style}", "points": self._points(x, y)}
-            named = {"data_name": name, "data_unit": unit or " "} if name else {}
-            self.marks.append(element("polyline", **own, **named))
+        """Draw a line through points.
+
+        Parameters
+        ----------
+        x, y : (N,) float
+        style : str
+            Class of the line in the style sheet.
+        name, unit : str
+            With a name the script reads values from the line.
+        """
+        if not len(x):
+            return
+        data = {"data_name": name, "data_unit": unit or " "} if name else {}
+        mark = element(
+            "polyline", class_=f"line {style}", points=self._points(x, y), **data
+        )
+        self.marks.append(mark)
 
     def band(self, x: Numbers, low: Numbers, high: Numbers, style: str) -> None:
         """Fill between two lines over the same x."""
-        if len(x):
-            text = self._points([*x, *reversed(x)], [*low, *reversed([*high])])
-            self.marks.append(element("polygon", class_=f"band {style}", points=text))
+        if not len(x):
+            return
+        points = self._points([*x, *reversed(x)], [*low, *reversed([*high])])
+        self.marks.append(element("polygon", class_=f"band {style}", points=points))
 
     def span(self, low: float, high: float, style: str, tooltip: str = "") -> None:
-        """Shade an interval of x over the whole height; `tooltip` shows when it is pointed at."""
-        x, y, height = self.x(low), self.box.top, self.box.bottom - self.box.top
-        inside = [element("title", tooltip)] if tooltip else []
-        own = {"x": x, "y": y, "width": max(self.x(high) - x, 1.0), "height": height}
-        self.marks.append(element("rect", *inside, class_=f"span {style}", **own))
+        """Shade an interval of x over the whole height.
+
+        Parameters
+        ----------
+        low, high : float
+            Ends of the interval.
+        style : str
+            Class of the interval in the style sheet.
+        tooltip : str
+            Shows when the interval is pointed at.
+        """
+        left = self.x(low)
+        titles = [element("title", tooltip)] if tooltip else []
+        mark = element(
+            "rect",
+            *titles,
+            class_=f"span {style}",
+            x=left,
+            y=self.box.top,
+            width=max(self.x(high) - left, 1.0),
+            height=self.box.bottom - self.box.top,
+        )
+        self.marks.append(mark)
 
     def upright(self, value: float, style: str) -> None:
-        """Draw a vertical line at a value."""
+        """Draw a vertical line at a value of x."""
         at = self.x(value)
         self.marks.append(line(f"rule {style}", at, self.box.top, at, self.box.bottom))
 
     def render(self) -> Markup:
-        """Return axes and marks; what the page's script reads values by, and what it zooms."""
-        marks, data = Markup("").join(self.marks), {}
-        if self.hover:
-            data = {"data_x": f"{self.hover}|{self.x.ends}", "data_y": self.y.ends}
-            # A drawing of its own over the panel: another view box zooms into it.
-            x, y, right, bottom = self.box
-            sides = {"x": x, "y": y, "width": right - x, "height": bottom - y}
-            view = " ".join(f"{side:.1f}" for side in sides.values())
-            inside = {"class_": "marks", "viewBox": view, "preserveAspectRatio": "none"}
-            marks = element("svg", marks, **inside, **sides)
-        return element("g", *self._axes(), marks, *self.words, class_="panel", **data)
+        """Return axes and marks, with what the page's script reads values by."""
+        marks = Markup("").join(self.marks)
+        if not self.hover:
+            return element("g", *self._axes(), marks, *self.words, class_="panel")
+
+        # A drawing of its own over the panel: another view box zooms into it.
+        left, top, right, bottom = self.box
+        width = right - left
+        height = bottom - top
+        zoomable = element(
+            "svg",
+            marks,
+            class_="marks",
+            viewBox=f"{left:.1f} {top:.1f} {width:.1f} {height:.1f}",
+            preserveAspectRatio="none",
+            x=left,
+            y=top,
+            width=width,
+            height=height,
+        )
+        return element(
+            "g",
+            *self._axes(),
+            zoomable,
+            *self.words,
+            class_="panel",
+            data_x=f"{self.hover}|{self.x.ends}",
+            data_y=self.y.ends,
+        )
 
     def _points(self, x: Numbers, y: Numbers) -> str:
-        points = (
-            (self.x(float(a)), self.y(float(b))) for a, b in zip(x, y, strict=True)
-        )
-        return " ".join(f"{short(a)},{short(b)}" for a, b in points)
+        """Return the coordinates of points (N,) as a polyline has them."""
+        points = []
+        for x_value, y_value in zip(x, y, strict=True):
+            at_x = short(self.x(float(x_value)))
+            at_y = short(self.y(float(y_value)))
+            points.append(f"{at_x},{at_y}")
+        return " ".join(points)
 
     def _axes(self) -> list[Markup]:
-        box, up, along = self.box, [], []
+        """Return the axes with their ticks and titles."""
+        box = self.box
+        y_marks = []
         for tick, text in self.y.ticks(self.y_ticks):
             at = self.y(tick)
-            up.append(
-                line(
-                    "grid zero" if tick == 0.0 else "grid", box.left, at, box.right, at
-                )
-            )
-            up.append(label(box.left - 6, at + 4, text, "end"))
+            style = "grid zero" if tick == 0.0 else "grid"
+            y_marks.append(line(style, box.left, at, box.right, at))
+            y_marks.append(label(box.left - 6, at + 4, text, "end"))
+
+        x_marks = []
         for place, (tick, text) in enumerate(self.x.ticks(self.x_ticks)):
             at = self.x(tick)
-            along.append(line("tick", at, box.bottom, at, box.bottom + 4))
+            x_marks.append(line("tick", at, box.bottom, at, box.bottom + 4))
             if self.show_x:
-                along.append(
-                    label(
-                        at, box.bottom + 18, text, "middle", "odd" if place % 2 else ""
-                    )
-                )
+                # On a small screen the style sheet hides every other text.
+                style = "odd" if place % 2 else ""
+                x_marks.append(label(at, box.bottom + 18, text, "middle", style))
         return [
-            element("g", *up, class_="ticks-y"),
-            element("g", *along, class_="ticks-x"),
+            element("g", *y_marks, class_="ticks-y"),
+            element("g", *x_marks, class_="ticks-x"),
             line("axis", box.left, box.bottom, box.right, box.bottom),
             label(box.right, box.bottom + 37, self.x_title, "end", "axis-title"),
             label(box.left - 6, box.top - 9, self.y_title, "start", "axis-title"),
@@ -236,12 +345,39 @@ def small_panel(
     y_range: tuple[float, float],
     *,
     height: float = 150.0,
-    **more: Any,
+    readable: bool = True,
+    y_log: bool = False,
 ) -> Panel:
-    """Return the axes of a small drawing; `x` is name and unit."""
-    box = Box(_LEFT, _TOP, SMALL - _RIGHT, _TOP + height)
-    own = {"x_ticks": 4, "hover": "|".join(x), **more}
-    return Panel(box, x_range, y_range, ", ".join(filter(None, x)), y_title, **own)
+    """Return the axes of a small drawing.
+
+    Parameters
+    ----------
+    x : pair of str
+        Name and unit of x.
+    x_range : pair of float
+    y_title : str
+    y_range : pair of float
+    height : float
+        Of the panel.
+    readable : bool
+        Whether the page's script reads values from its lines.
+    y_log : bool
+        Whether the y axis goes by decades.
+
+    Returns
+    -------
+    Panel
+    """
+    return Panel(
+        box=Box(_LEFT, _TOP, SMALL - _RIGHT, _TOP + height),
+        x_range=x_range,
+        y_range=y_range,
+        x_title=", ".join(text for text in x if text),
+        y_title=y_title,
+        y_log=y_log,
+        x_ticks=4,
+        hover="|".join(x) if readable else "",
+    )
 
 
 def wide_box(top: float, height: float) -> Box:
@@ -259,46 +395,95 @@ def figure(
     name: str = "",
     note: str = "",
 ) -> Figure:
-    """Return a drawing of panels with its values; `name` is its short title."""
+    """Return a drawing of panels with its values.
+
+    Parameters
+    ----------
+    panels : sequence of Panel
+        From top to bottom.
+    title, text : str
+        Title and description of the drawing, which a screen reader reads.
+    legend : Legend
+    table : Table, optional
+        The values.
+    name : str
+        Short title on the page; `title` if left out.
+    note : str
+        Text below the drawing.
+
+    Returns
+    -------
+    Figure
+    """
     box = panels[-1].box
-    wide, readable = box.right + _RIGHT > SMALL, any(panel.hover for panel in panels)
+    width = box.right + _RIGHT
+    is_readable = any(panel.hover for panel in panels)
+
+    # Screen readers read title and description in place of the lines.
     svg = element(
         "svg",
         element("title", title),
         element("desc", text),
         *(panel.render() for panel in panels),
-        class_="plot readable" if readable else "plot",
-        viewBox=f"0 0 {box.right + _RIGHT:.0f} {box.bottom + _FOOT:.0f}",
+        class_="plot readable" if is_readable else "plot",
+        viewBox=f"0 0 {width:.0f} {box.bottom + _FOOT:.0f}",
         role="img",
-        tabindex="0" if readable else "",  # the keyboard reaches what can be read
+        tabindex="0" if is_readable else "",  # the keyboard reaches what can be read
     )
-    return Figure(name or title, svg, legend, table, note, wide)
+    return Figure(
+        title=name or title,
+        drawing=svg,
+        legend=legend,
+        table=table,
+        note=note,
+        wide=width > SMALL,
+    )
 
 
 def dots(
     title: str, rows: Dots, x_title: str, legend: Legend, *, mark: float = 0.0
 ) -> Figure | None:
-    """Draw a row of joined dots per name; a `mark` crosses all rows.
+    """Draw a row of joined dots per name; None where there are none.
 
-    None where there are none.
+    Parameters
+    ----------
+    title : str
+    rows : Dots
+        Style and value of each dot, by the name of the row.
+    x_title : str
+    legend : Legend
+    mark : float
+        A line crosses all rows there; none at zero.
+
+    Returns
+    -------
+    Figure or None
     """
     if not rows:
         return None
-    far = max([mark, *(value for points in rows.values() for _, value in points)])
+    values = [mark]
+    for points in rows.values():
+        values += [value for _, value in points]
+    largest = max(values) or 1.0
     box = Box(_NAMES, 8.0, WIDE - _RIGHT, 8.0 + _ROW * len(rows))
     panel = Panel(
-        box, (0.0, padded([0.0, far or 1.0])[1]), (0.0, 1.0), x_title, y_ticks=0
+        box=box,
+        x_range=(0.0, padded([0.0, largest])[1]),
+        y_range=(0.0, 1.0),
+        x_title=x_title,
+        y_ticks=0,
     )
     if mark:
         panel.upright(mark, "floor")
+
+    sentences = []
     for k, (name, points) in enumerate(rows.items()):
-        y, x = box.top + _ROW * (k + 0.5), [panel.x(value) for _, value in points]
+        y = box.top + _ROW * (k + 0.5)
+        x = [panel.x(value) for _, value in points]
         text = name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}\u2026"
         panel.words.append(label(_NAMES - 10, y + 4, text, "end", "row"))
         panel.marks.append(line("dumbbell", min(x), y, max(x), y))
         for (style, _), at in zip(points, x, strict=True):
             panel.marks.append(element("circle", class_=style, cx=at, cy=y, r=5))
-    said = (
-        f"{name}: {', '.join(number(x) for _, x in own)}" for name, own in rows.items()
-    )
-    return figure([panel], title, "; ".join(said), legend, None)
+        sentences.append(f"{name}: {', '.join(number(value) for _, value in points)}")
+    return figure([panel], title, "; ".join(sentences), legend, None)

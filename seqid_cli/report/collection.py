@@ -1,9 +1,9 @@
-"""The documents of one report, sorted: one robot, its models, their predictions and diagnoses."""
+"""The documents of one report: one robot, its models, predictions and diagnoses."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, NoReturn
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.document import check_same_robot, join, present
@@ -30,7 +30,7 @@ Prediction = Source[PredictionFile]
 
 
 class Place(NamedTuple):
-    """A joint, and the units of its torque and its position as they stand on the page."""
+    """A joint, and the units of its torque and its position as on the page."""
 
     joint: str
     unit: str
@@ -41,12 +41,19 @@ class Place(NamedTuple):
 class Model:
     """Parameter files that belong to one model, joined.
 
-    `identified` step by step, `refined` with effects in it, or `simultaneous` in one
-    least squares.
+    Parameters
+    ----------
+    kind : Kind
+        "identified" step by step, "refined" with effects in it, or "simultaneous" in
+        one least squares.
+    sources : tuple of Source
+        The one that holds most comes last.
+    file : ParameterFile
+        All of them together.
     """
 
     kind: Kind
-    sources: tuple[Parameters, ...]  # the one that holds most comes last
+    sources: tuple[Parameters, ...]
     file: ParameterFile
 
     @property
@@ -56,15 +63,26 @@ class Model:
 
     @property
     def stages(self) -> Stages:
-        """What was identified."""
+        """The stages that were identified."""
         return self.file.stages
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Collection:
-    """The documents of the report; `models` holds the best first.
+    """The documents of the report.
 
-    `warnings` name files that fit, but not perfectly.
+    Parameters
+    ----------
+    robot : RobotId
+    sources : tuple of Source
+        All documents.
+    models : tuple of Model
+        The best first.
+    predictions : tuple of Source
+        Those of the best model first.
+    diagnoses, payloads, plans : tuples of Source
+    warnings : tuple of str
+        About files that fit, but not perfectly.
     """
 
     robot: RobotId
@@ -84,83 +102,123 @@ class Collection:
     def place(self, joint: str) -> Place:
         """Return a joint with its units."""
         return Place(
-            joint, *(unit_text(self.robot.unit(unit, joint)) for unit in ("N m", "rad"))
+            joint=joint,
+            unit=unit_text(self.robot.unit("N m", joint)),
+            length=unit_text(self.robot.unit("rad", joint)),
         )
 
     def residual(self, prediction: Prediction, joint: str) -> ResidualEntry | None:
-        """Return a joint's residual from a diagnosis of the prediction's own logs."""
+        """Return a joint's residual from a diagnosis of the prediction's own logs.
+
+        Parameters
+        ----------
+        prediction : Source
+        joint : str
+
+        Returns
+        -------
+        ResidualEntry or None
+            None where no diagnosis is of exactly these logs.
+        """
         logs = {log.sha256 for log in prediction.content.logs}
-        own = (
-            d.content
-            for d in self.diagnoses
-            if {x.sha256 for x in d.content.inputs} == logs
-        )
-        return next((file.joints[joint] for file in own if joint in file.joints), None)
+        for diagnosis in self.diagnoses:
+            file = diagnosis.content
+            is_of_same_logs = {log.sha256 for log in file.inputs} == logs
+            if is_of_same_logs and joint in file.joints:
+                return file.joints[joint]
+        return None
 
     def model_of(self, prediction: Prediction) -> Model | None:
         """Return the model that a prediction was made with, if its file was given."""
         used = {item.sha256 for item in prediction.content.parameters}
-        known = (
-            model for model in self.models if used & {s.sha256 for s in model.sources}
-        )
-        return next(known, None)
+        for model in self.models:
+            if used & {source.sha256 for source in model.sources}:
+                return model
+        return None
 
     def call(self, name: str, *logs: str, output: str = "") -> str:
-        """Return a command line that takes the model shown on."""
+        """Return a command line that goes on from the model of the report.
+
+        Parameters
+        ----------
+        name : str
+            The command.
+        *logs : str
+            Paths and options of logs; a place to fill in where there are none.
+        output : str
+            Where the result goes, if anywhere.
+
+        Returns
+        -------
+        str
+        """
         path = self.model.path if self.model else "inertia.json"
-        files = ("-r", "robot.toml", "-p", path, *(("-o", output) if output else ()))
-        return command("seqid", name, *(logs or ("LOG...",)), *files)
+        words = ["seqid", name, *(logs or ("LOG...",)), "-r", "robot.toml", "-p", path]
+        if output:
+            words += ["-o", output]
+        return command(*words)
 
     @property
     def judged(self) -> tuple[Prediction, ...]:
-        """The predictions of the model that the report shows; all if there is none of it."""
-        own = [
-            p
-            for p in self.predictions
-            if self.models and self.model_of(p) is self.model
-        ]
-        return tuple(own) or self.predictions
+        """The predictions of the model that the report shows; all if it has none."""
+        if not self.models:
+            return self.predictions
+        of_model = [p for p in self.predictions if self.model_of(p) is self.model]
+        return tuple(of_model) or self.predictions
 
     def label(self, prediction: Prediction) -> str:
-        """Return the file of a prediction's model, and which is before and after refinement."""
-        paths = [item.path for item in prediction.content.parameters[-1:]] or [
-            prediction.path
-        ]
-        kinds = [model.kind for p in self.predictions if (model := self.model_of(p))]
-        model, name = self.model_of(prediction), short_path(paths[0])
-        if sorted(kinds) != ["identified", "refined"] or model is None:
+        """Return the file of a prediction's model.
+
+        Where there is one before and one after refinement, it says which.
+        """
+        path = prediction.path
+        if prediction.content.parameters:
+            path = prediction.content.parameters[-1].path
+        name = short_path(path)
+
+        models = [self.model_of(item) for item in self.predictions]
+        kinds = sorted(model.kind for model in models if model is not None)
+        model = self.model_of(prediction)
+        if kinds != ["identified", "refined"] or model is None:
             return name
-        return f"{'after' if model.kind == 'refined' else 'before'}: {name}"
+        return f"after: {name}" if model.kind == "refined" else f"before: {name}"
 
 
 def of_kind(
     documents: Iterable[Source[Document]], kind: type[D]
 ) -> tuple[Source[D], ...]:
     """Return the documents of one kind."""
-    found = (item for item in documents if isinstance(item.content, kind))
-    return tuple(found)  # type: ignore[arg-type]
+    of_this_kind = (item for item in documents if isinstance(item.content, kind))
+    return tuple(of_this_kind)  # type: ignore[arg-type]
 
 
 def collect(documents: Sources) -> Collection:
-    """Sort documents and make sure that they are about one robot and agree."""
+    """Sort documents and make sure that they are about one robot and agree.
+
+    Parameters
+    ----------
+    documents : sequence of Source
+        The same file twice counts once.
+
+    Returns
+    -------
+    Collection
+
+    Raises
+    ------
+    ConfigError
+        There is none, they are about two robots, or a result was made with a parameter
+        file that has changed since.
+    """
     if not documents:
         raise ConfigError(
             "no file given", hint="Name the JSON files that the stages wrote."
         )
-    unique = tuple({(item.path, item.sha256): item for item in documents}.values())
-    first = (unique[0].path, unique[0].content.robot)
-    for item in unique[1:]:
-        check_same_robot(
-            first, (item.path, item.content.robot), "Report on one robot at a time."
-        )
-    joints = first[1].joints
-    if not 0 < len(joints) == len(set(joints)) <= _MOST_JOINTS:
-        message = f"$.robot.joints: must name 1 to {_MOST_JOINTS} joints, each once"
-        raise ConfigError(
-            message, where=first[0], hint="Run the command again that wrote it."
-        )
-    found = Collection(
-        robot=first[1],
+    by_content = {(item.path, item.sha256): item for item in documents}
+    unique = tuple(by_content.values())
+    robot = _common_robot(unique)
+    collection = Collection(
+        robot=robot,
         sources=unique,
         models=tuple(_models(of_kind(unique, ParameterFile))),
         predictions=of_kind(unique, PredictionFile),
@@ -169,11 +227,35 @@ def collect(documents: Sources) -> Collection:
         plans=of_kind(unique, PlanFile),
         warnings=tuple(_warnings(unique)),
     )
-    ranks = {id(model): rank for rank, model in enumerate(found.models)}
-    best = sorted(
-        found.predictions, key=lambda p: ranks.get(id(found.model_of(p)), len(ranks))
-    )
-    return replace(found, predictions=tuple(best))
+
+    # Predictions in the order of their models; those of no model come last.
+    rank_of_model = {id(model): rank for rank, model in enumerate(collection.models)}
+    no_rank = len(rank_of_model)
+
+    def rank(prediction: Prediction) -> int:
+        return rank_of_model.get(id(collection.model_of(prediction)), no_rank)
+
+    best_first = sorted(collection.predictions, key=rank)
+    return replace(collection, predictions=tuple(best_first))
+
+
+def _common_robot(documents: Sources) -> RobotId:
+    """Return the robot that all documents are about."""
+    first = documents[0]
+    robot = first.content.robot
+    for item in documents[1:]:
+        check_same_robot(
+            (first.path, robot),
+            (item.path, item.content.robot),
+            "Report on one robot at a time.",
+        )
+    joints = robot.joints
+    if not 0 < len(joints) == len(set(joints)) <= _MOST_JOINTS:
+        message = f"$.robot.joints: must name 1 to {_MOST_JOINTS} joints, each once"
+        raise ConfigError(
+            message, where=first.path, hint="Run the command again that wrote it."
+        )
+    return robot
 
 
 def models_of(content: Result) -> list[FileId]:
@@ -182,76 +264,93 @@ def models_of(content: Result) -> list[FileId]:
 
 
 def _warnings(documents: Sources) -> Iterator[str]:
-    """Say what does not fit perfectly; refuse a result whose parameter file has changed since."""
-    hashes: dict[str, str] = {}
+    """Say what does not fit perfectly.
+
+    A result whose parameter file has changed since is refused.
+    """
+    path_of_robot: dict[str, str] = {}
     for item in documents:
-        hashes.setdefault(item.content.robot.sha256, item.path)
-    if len(hashes) > 1:
+        path_of_robot.setdefault(item.content.robot.sha256, item.path)
+    if len(path_of_robot) > 1:
         yield (
             "the robot file changed between these results:"
-            f" {', '.join(hashes.values())}"
+            f" {', '.join(path_of_robot.values())}"
         )
-    given = {Path(s.path).resolve(): s for s in of_kind(documents, ParameterFile)}
-    known = {item.sha256 for item in given.values()}
-    made_with = [
-        (item, used)
-        for item in documents
-        if not isinstance(item.content, ParameterFile)
-        for used in models_of(item.content)
-        if given and used.sha256 not in known
-    ]
-    for item, used in made_with:
-        was, now = (
-            f"{used.path} (sha256 {used.sha256[:12]})",
-            given.get(Path(used.path).resolve()),
-        )
-        if now is not None:
-            message = (
-                f"was made with {used.path} as it was before (sha256"
-                f" {used.sha256[:12]}); {now.path} has changed since (now"
-                f" {now.sha256[:12]})"
+
+    parameter_files = of_kind(documents, ParameterFile)
+    by_path = {Path(item.path).resolve(): item for item in parameter_files}
+    if not by_path:
+        return
+    hashes = {item.sha256 for item in by_path.values()}
+    for item in documents:
+        if isinstance(item.content, ParameterFile):
+            continue
+        for used in models_of(item.content):
+            if used.sha256 in hashes:
+                continue
+            same_path = by_path.get(Path(used.path).resolve())
+            if same_path is not None:
+                _refuse_outdated(item, used, same_path)
+            yield (
+                f"{item.path} was made with {used.path} (sha256 {used.sha256[:12]}),"
+                " which is not among the files given"
             )
-            again = f"Run seqid {WRITTEN_BY[type(item.content)]} again"
-            raise ConfigError(
-                message, where=item.path, hint=f"{again}, or leave {item.path} out."
-            )
-        yield f"{item.path} was made with {was}, which is not among the files given"
+
+
+def _refuse_outdated(
+    item: Source[Document], used: FileId, current: Parameters
+) -> NoReturn:
+    """Raise that a result was made with a parameter file as it was before."""
+    message = (
+        f"was made with {used.path} as it was before (sha256 {used.sha256[:12]});"
+        f" {current.path} has changed since (now {current.sha256[:12]})"
+    )
+    command_name = WRITTEN_BY[type(item.content)]
+    hint = f"Run seqid {command_name} again, or leave {item.path} out."
+    raise ConfigError(message, where=item.path, hint=hint)
 
 
 def kind_of(file: ParameterFile) -> Kind:
-    """Return whether a file is refined, of one least squares, or identified step by step."""
+    """Return whether a file is refined, of one least squares, or of separate steps."""
     stages = file.stages
     if file.closed_loop is not None or stages.effects is not None:
         return "refined"
-    methods = {
-        stage.method for stage in (stages.friction, stages.inertia) if stage is not None
-    }
-    return "simultaneous" if "simultaneous" in methods else "identified"
+    for stage in (stages.friction, stages.inertia):
+        if stage is not None and stage.method == "simultaneous":
+            return "simultaneous"
+    return "identified"
 
 
 def _models(files: Sequence[Parameters]) -> Iterator[Model]:
-    """Join the files of each kind that agree on all their stages; the fullest comes last."""
-    fullest = sorted(files, key=lambda item: -len(present(item.content.stages)))
+    """Join the files of each kind that agree on all their stages.
+
+    The fullest file of a model comes last.
+    """
+    fullest_first = sorted(files, key=lambda item: -len(present(item.content.stages)))
     for kind in KINDS:
+        # Each branch is a list of files that agree with each other.
         branches: list[list[Parameters]] = []
-        for given in [item for item in fullest if kind_of(item.content) == kind]:
-            agreeing = (
-                b for b in branches if all(_agree(given.content, x.content) for x in b)
-            )
-            if branch := next(agreeing, None):
-                branch.insert(0, given)
+        for item in fullest_first:
+            if kind_of(item.content) != kind:
+                continue
+            for branch in branches:
+                if all(_agree(item.content, member.content) for member in branch):
+                    branch.insert(0, item)
+                    break
             else:
-                branches.append([given])
+                branches.append([item])
         for branch in branches:
-            yield Model(
-                kind,
-                tuple(branch),
-                join([(item.path, item.content) for item in branch]),
-            )
+            named = [(item.path, item.content) for item in branch]
+            yield Model(kind, tuple(branch), join(named))
 
 
-def _agree(one: ParameterFile, other: ParameterFile) -> bool:
-    mine, theirs = present(one.stages), present(other.stages)
-    loops = [file.closed_loop for file in (one, other) if file.closed_loop is not None]
-    same = all(mine[name] == theirs[name] for name in mine.keys() & theirs.keys())
-    return same and all(loop == loops[0] for loop in loops)
+def _agree(first: ParameterFile, second: ParameterFile) -> bool:
+    """Return whether two files hold the same stages and the same refinement."""
+    first_stages = present(first.stages)
+    second_stages = present(second.stages)
+    for name in first_stages.keys() & second_stages.keys():
+        if first_stages[name] != second_stages[name]:
+            return False
+    if first.closed_loop is None or second.closed_loop is None:
+        return True
+    return first.closed_loop == second.closed_loop

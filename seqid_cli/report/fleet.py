@@ -20,20 +20,29 @@ from seqid_cli.report.words import listed, plural
 _BADGES = {"poor": "poor", "not_judged": "", "reservations": "open", "good": "good"}
 
 
+class _JointError(NamedTuple):
+    """RMS error of a joint [N m], and its share of the RMS torque."""
+
+    rmse: float
+    share: float
+
+
 class _Robot(NamedTuple):
     """A robot, its documents and their verdict."""
 
     name: str
-    found: Collection
+    collection: Collection
     judgement: Judgement
 
     @property
-    def errors(self) -> dict[str, tuple[float, float]]:
-        """Of each joint RMS error and share of the torque."""
+    def errors(self) -> dict[str, _JointError]:
+        """Errors of each joint by the best model."""
+        if not self.collection.predictions:
+            return {}
+        prediction = self.collection.predictions[0].content
         return {
-            joint: (error.rmse, error.relative_rmse)
-            for prediction in self.found.predictions[:1]
-            for joint, error in prediction.content.joints.items()
+            joint: _JointError(error.rmse, error.relative_rmse)
+            for joint, error in prediction.joints.items()
             if error.rmse is not None and error.relative_rmse is not None
         }
 
@@ -41,73 +50,117 @@ class _Robot(NamedTuple):
 def fleet_page(
     robots: Mapping[str, Sequence[Source[Document]]], *, title: str = ""
 ) -> Page:
-    """Return the page on `robots`, documents by name, with the verdict on the worst of them."""
-    found = {name: collect(documents) for name, documents in robots.items()}
-    judged = [_Robot(name, own, judge(own)) for name, own in found.items()]
-    judged.sort(key=lambda robot: list(_BADGES).index(robot.judgement.level))
-    by_level = groupby(judged, key=lambda robot: robot.judgement.level)
-    said = [
-        f"{TITLES[k].lower()}: {listed([own.name for own in of])}" for k, of in by_level
+    """Return the page on many robots, with the verdict on the worst of them.
+
+    Parameters
+    ----------
+    robots : mapping of str to sequence of Source
+        Documents by the name of the robot.
+    title : str
+        Instead of the number of robots.
+
+    Returns
+    -------
+    Page
+    """
+    # All documents are collected before any is judged: faults of files come first.
+    collections = {name: collect(documents) for name, documents in robots.items()}
+    judged = [
+        _Robot(name, collection, judge(collection))
+        for name, collection in collections.items()
     ]
-    points = [
-        p for robot in judged for p in robot.judgement.points if p.weight == "poor"
-    ]
-    sentence = f"{plural(len(judged), 'robot')}. {'; '.join(said).capitalize()}."
-    whole = Judgement(judged[0].judgement.level, sentence, (), tuple(points))
+    worst_first = list(_BADGES)
+    judged.sort(key=lambda robot: worst_first.index(robot.judgement.level))
+
+    judgement = _judgement(judged)
     groups = [_group(place, robot) for place, robot in enumerate(judged, start=1)]
+    n_files = sum(len(robot.collection.sources) for robot in judged)
+    sources = [source for documents in robots.values() for source in documents]
     return Page(
-        title or plural(len(robots), "robot"),
-        [plural(sum(len(robot.found.sources) for robot in judged), "file")],
-        whole,
-        [_overview(judged, whole), Section("robots", "Robot by robot", groups=groups)],
-        ", ".join(robots),
-        [item.path for documents in robots.values() for item in documents],
-        created_from(
-            item.content for documents in robots.values() for item in documents
-        ),
+        title=title or plural(len(robots), "robot"),
+        about=[plural(n_files, "file")],
+        judgement=judgement,
+        sections=[
+            _overview(judged, judgement),
+            Section(id="robots", title="Robot by robot", groups=groups),
+        ],
+        robot=", ".join(robots),
+        files=[source.path for source in sources],
+        created=created_from(source.content for source in sources),
         subject="Fleet",
     )
 
 
-def _overview(robots: Sequence[_Robot], whole: Judgement) -> Section:
-    rows, shares = [], {}
+def _judgement(robots: Sequence[_Robot]) -> Judgement:
+    """Return the verdict on the worst of the robots, which come worst first."""
+    verdicts = []
+    for level, group in groupby(robots, key=lambda robot: robot.judgement.level):
+        names = [robot.name for robot in group]
+        verdicts.append(f"{TITLES[level].lower()}: {listed(names)}")
+    sentence = f"{plural(len(robots), 'robot')}. {'; '.join(verdicts).capitalize()}."
+    points = []
+    for robot in robots:
+        points += [p for p in robot.judgement.points if p.weight == "poor"]
+    return Judgement(robots[0].judgement.level, sentence, (), tuple(points))
+
+
+def _overview(robots: Sequence[_Robot], judgement: Judgement) -> Section:
+    """Return the section with the verdict, and all robots at a glance."""
+    rows = []
+    dots_of_robot = {}
     for place, robot in enumerate(robots, start=1):
-        name, judgement, errors = robot.name, robot.judgement, robot.errors
-        worst = max(errors, key=lambda joint: errors[joint][1], default=None)
-        share = errors[worst][1] if worst else None
-        link = Markup('<a href="#robot-{}">{}</a>').format(place, name)
-        rows.append((link, judgement.title, share, worst, len(judgement.points)))
+        errors = robot.errors
+        worst = max(errors, key=lambda joint: errors[joint].share, default=None)
+        largest_share = errors[worst].share if worst else None
+        link = Markup('<a href="#robot-{}">{}</a>').format(place, robot.name)
+        n_points = len(robot.judgement.points)
+        rows.append((link, robot.judgement.title, largest_share, worst, n_points))
         if errors:
-            shares[name] = [("after", 100.0 * share) for _, share in errors.values()]
-    titles = "robot | verdict | largest error, of RMS torque | at | open points"
-    x_title, legend = (
+            dots_of_robot[robot.name] = [
+                ("after", 100.0 * error.share) for error in errors.values()
+            ]
+
+    errors_figure = dots(
+        "Errors of all robots",
+        dots_of_robot,
         "RMS error of each joint, % of its RMS torque",
         {"after": "a joint"},
     )
+    models_table = table(
+        "Models and their errors",
+        "robot | verdict | largest error, of RMS torque | at | open points",
+        "text text share text count",
+        rows,
+    )
     group = Group(
-        "fleet",
-        "The robots, the worst first",
-        figures=[dots("Errors of all robots", shares, x_title, legend)],
-        tables=[
-            table("Models and their errors", titles, "text text share text count", rows)
-        ],
+        id="fleet",
+        title="The robots, the worst first",
+        figures=[errors_figure],
+        tables=[models_table],
         unfolded=True,
     )
     return Section(
-        "verdict", f"The fleet: {whole.title.lower()}", whole.sentence, [group]
+        id="verdict",
+        title=f"The fleet: {judgement.title.lower()}",
+        lead=judgement.sentence,
+        groups=[group],
     )
 
 
 def _group(place: int, robot: _Robot) -> Group:
-    rows = [(name, *error) for name, error in robot.errors.items()]
-    titles, kinds = "joint | RMS error [{unit}] | of RMS torque", "text number share"
-    errors = of_joints(titles, kinds, rows, robot.found.robot)
+    """Return the group on one robot."""
+    errors = of_joints(
+        "joint | RMS error [{unit}] | of RMS torque",
+        "text number share",
+        [(joint, error.rmse, error.share) for joint, error in robot.errors.items()],
+        robot.collection.robot,
+    )
     return Group(
-        f"robot-{place}",
-        robot.name,
+        id=f"robot-{place}",
+        title=robot.name,
         lead=robot.judgement.sentence,
         badge=_BADGES[robot.judgement.level],
         badge_text=robot.judgement.title,
-        tables=[Table(f"Errors of {robot.name}", errors)],
+        tables=[Table(caption=f"Errors of {robot.name}", values=errors)],
         notes=[point.said for point in robot.judgement.points],
     )

@@ -28,33 +28,57 @@ def make_report(
     torques: Sequence[Path] = (),
     title: str = "",
 ) -> Page:
-    """Make the page about one robot from the documents of `read_any`.
+    """Make the page about one robot.
 
-    `torques`: what `seqid predict --torques` wrote, a file for each prediction; for
-    those without one the `torques.parquet` beside it is taken if it holds exactly its
-    logs. `title`: instead of the robot's name. Raises ConfigError: the documents are
-    about two robots or contradict each other. Raises InputError: a torque file is
-    unreadable or of another robot, log or model.
+    Parameters
+    ----------
+    documents : sequence of Source
+        What `read_any` read.
+    torques : sequence of Path
+        What `seqid predict --torques` wrote, a file for each prediction. For those
+        without one the `torques.parquet` beside it is taken if it holds exactly its
+        logs.
+    title : str
+        Instead of the robot's name.
+
+    Returns
+    -------
+    Page
+
+    Raises
+    ------
+    ConfigError
+        The documents are about two robots or contradict each other.
+    InputError
+        A torque file is unreadable or of another robot, log or model.
     """
     collection = collect(documents)
     tables, notes = open_torques(torques, collection)
     judgement = judge(collection)
-    sections = [overview(collection, judgement), pipeline(collection)]
-    sections.append(torque(collection, tables, notes))
-    sections += [
-        make(collection) for make in (friction, parameters, imu, diagnosis, closed_loop)
+    sections = [
+        overview(collection, judgement),
+        pipeline(collection),
+        torque(collection, tables, notes),
+        friction(collection),
+        parameters(collection),
+        imu(collection),
+        diagnosis(collection),
+        closed_loop(collection),
     ]
     # None where no file of one is given
     results = (payload(collection), plan(collection))
+    sections += [section for section in results if section is not None]
+
     robot = collection.robot
+    facts = [plural(len(robot.joints), "joint"), f"robot file {robot.sha256[:12]}"]
     return Page(
-        title or robot.name,
-        [plural(len(robot.joints), "joint"), f"robot file {robot.sha256[:12]}"],
-        judgement,
-        [*sections, *filter(None, results)],
-        robot.name,
-        [item.path for item in collection.sources],
-        created_from(item.content for item in documents),
+        title=title or robot.name,
+        about=facts,
+        judgement=judgement,
+        sections=sections,
+        robot=robot.name,
+        files=[source.path for source in collection.sources],
+        created=created_from(source.content for source in documents),
         torques=[table.path for table in tables],
         warnings=collection.warnings,
     )
@@ -63,25 +87,51 @@ def make_report(
 def open_torques(
     paths: Sequence[Path], collection: Collection
 ) -> tuple[list[TorqueTable], list[str]]:
-    """Open a torque table for each prediction, in their order; say which ones were found."""
+    """Open a torque table for each prediction.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Torque files that are named. Those beside predictions are found.
+    collection : Collection
+
+    Returns
+    -------
+    tables : list of TorqueTable
+        In the order of their predictions.
+    notes : list of str
+        Which ones were found.
+
+    Raises
+    ------
+    UsageError
+        Two of the files are of one prediction.
+    InputError
+        A file that is named is unreadable or of another robot, log or model.
+    """
     tables = [TorqueTable.open(path, collection) for path in paths]
-    whose = [table.prediction for table in tables]
-    if doubled := [
-        t.path for t in tables if t.prediction and whose.count(t.prediction) > 1
-    ]:
+    predictions = [table.prediction for table in tables]
+    doubled = [
+        table.path
+        for table in tables
+        if table.prediction and predictions.count(table.prediction) > 1
+    ]
+    if doubled:
         message = f"torque files of one prediction: {', '.join(doubled)}"
         raise UsageError(message, hint="Name the one that belongs to it.")
+
     notes = []
     for prediction in collection.predictions:
-        if prediction not in whose:
-            path, alone = (
-                Path(prediction.path).with_name("torques.parquet"),
-                (prediction,),
-            )
-            with suppress(InputError):  # it is not there, or of another prediction
-                tables.append(
-                    TorqueTable.open(path, replace(collection, predictions=alone))
-                )
-                notes.append(f"The torques are those of {path}, beside the prediction.")
+        if prediction in predictions:
+            continue
+        path = Path(prediction.path).with_name("torques.parquet")
+        alone = replace(collection, predictions=(prediction,))
+        # It need not be there, and may be of another prediction.
+        with suppress(InputError):
+            tables.append(TorqueTable.open(path, alone))
+            notes.append(f"The torques are those of {path}, beside the prediction.")
+
+    # A table of no prediction comes last.
     order = [*collection.predictions, None]
-    return sorted(tables, key=lambda table: order.index(table.prediction)), notes
+    tables.sort(key=lambda table: order.index(table.prediction))
+    return tables, notes

@@ -21,13 +21,13 @@ _WIDTH, _HEIGHT = 620, 460  # of a figure in its frame, pixels
 
 @dataclass(frozen=True, repr=False)
 class Drawing:
-    """Figures with their legends, which a notebook shows; `svg` are their drawings alone."""
+    """Figures with their legends, which a notebook shows."""
 
     figures: tuple[Figure, ...]
 
     @property
     def svg(self) -> tuple[str, ...]:
-        """The drawings as SVG, one per figure."""
+        """The drawings alone as SVG, one per figure."""
         return tuple(str(figure.drawing) for figure in self.figures)
 
     def __repr__(self) -> str:
@@ -39,39 +39,73 @@ class Drawing:
         from seqid_cli.report.views import resource
 
         page = f"<style>{resource('style.css')} figure{{max-width:{_WIDTH}px}}</style>"
-        key = '<span><span class="key {}"></span>{} </span>'
         for figure in self.figures:
-            keys = "".join(
-                key.format(style, escape(x)) for style, x in figure.legend.items()
+            page += (
+                f"<figure><figcaption>{escape(figure.title)}</figcaption>"
+                f"{figure.drawing}{_legend_html(figure)}</figure>"
             )
-            title = f"<figcaption>{escape(figure.title)}</figcaption>"
-            page += f"<figure>{title}{figure.drawing}{keys}</figure>"
-        frame = f'width="100%" height="{_HEIGHT * len(self.figures)}" style="border:0"'
-        return f'<iframe srcdoc="{escape(page)}" {frame}></iframe>'
+        height = _HEIGHT * len(self.figures)
+        return (
+            f'<iframe srcdoc="{escape(page)}" width="100%" height="{height}"'
+            ' style="border:0"></iframe>'
+        )
+
+
+def _legend_html(figure: Figure) -> str:
+    """Return the legend of a figure."""
+    keys = [
+        f'<span><span class="key {style}"></span>{escape(text)} </span>'
+        for style, text in figure.legend.items()
+    ]
+    return "".join(keys)
 
 
 def plot_friction(file: ParameterFile, joint: str) -> Drawing:
-    """Draw the friction of a joint: a map, and cuts over velocity and over position."""
+    """Draw the friction of a joint: a map, and cuts over velocity and over position.
+
+    Parameters
+    ----------
+    file : ParameterFile
+    joint : str
+
+    Returns
+    -------
+    Drawing
+
+    Raises
+    ------
+    UsageError
+        No friction of this joint is in the file.
+    """
     from seqid_cli.report.sections.friction import friction_figures
 
-    known = file.stages.friction.joints if file.stages.friction else {}
-    if joint not in known:
-        names = ", ".join(known) or "none"
+    surfaces = file.stages.friction.joints if file.stages.friction else {}
+    if joint not in surfaces:
+        names = ", ".join(surfaces) or "none"
         raise UsageError(
             f"no friction of {joint!r} is in this file", hint=f"It has: {names}."
         )
-    return Drawing(
-        tuple(friction_figures(known[joint], _collection(file).place(joint)))
-    )
+    place = _collection(file).place(joint)
+    return Drawing(tuple(friction_figures(surfaces[joint], place)))
 
 
 def plot_evidence(file: DiagnosisFile) -> Drawing:
-    """Draw the residuals behind the findings and the unexplained parts of a diagnosis."""
+    """Draw the residuals behind the findings and the unexplained parts of a diagnosis.
+
+    Parameters
+    ----------
+    file : DiagnosisFile
+
+    Returns
+    -------
+    Drawing
+    """
     from seqid_cli.report.sections.diagnosis import evidence_figure
 
     collection = _collection(file)
-    shown = [x.evidence for x in file.findings] + [x.evidence for x in file.unexplained]
-    figures = (evidence_figure(evidence, collection) for evidence in shown)
+    entries = [finding.evidence for finding in file.findings]
+    entries += [part.evidence for part in file.unexplained]
+    figures = (evidence_figure(evidence, collection) for evidence in entries)
     return Drawing(tuple(figure for figure in figures if figure is not None))
 
 
@@ -90,6 +124,10 @@ def plot_torques(
     columns : int
         Each line has at most two points in each of so many parts of the time.
 
+    Returns
+    -------
+    Drawing
+
     Raises
     ------
     UsageError
@@ -104,12 +142,15 @@ def plot_torques(
     tables, _ = open_torques([Path(path) for path in listed(torques)], collection)
     _, figures = over_logs(collection, tables, joint, columns)
     if not figures:
-        hint = f"They have: {', '.join(tables[0].joints) if tables else 'none'}."
-        raise UsageError(f"no torques of {joint!r} are in these files", hint=hint)
+        names = ", ".join(tables[0].joints) if tables else "none"
+        raise UsageError(
+            f"no torques of {joint!r} are in these files", hint=f"They have: {names}."
+        )
     return Drawing(tuple(figures))
 
 
 def _collection(file: ParameterFile | DiagnosisFile) -> Collection:
+    """Return the collection of a single file."""
     from seqid_cli.params.io import Source
     from seqid_cli.report.collection import collect
 

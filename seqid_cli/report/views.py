@@ -1,4 +1,4 @@
-"""Figures, tables and sections for the templates: plain data, no HTML but finished drawings.
+"""Figures, tables and sections for the templates: plain data and finished drawings.
 
 Everything that comes from a file is escaped by the templates. The page may not load
 anything: its policy names the style sheet and the script by their hashes and forbids
@@ -31,9 +31,21 @@ VALUE_HEADS = heads(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Table:
-    """Values under their heads; `caption` names them, `style` is the class of the table."""
+    """Values under their heads.
+
+    Parameters
+    ----------
+    caption : str
+    values : Values
+    note : str
+        Text below the table.
+    folded : bool
+        Whether a click has to open it.
+    style : str
+        Class of the table in the style sheet.
+    """
 
     caption: str
     values: Values
@@ -43,42 +55,82 @@ class Table:
 
     @cached_property
     def rows(self) -> Sequence[Sequence[str]]:
-        """The values as text."""
-        forms = {
-            "effect": words.effect_words,
-            "path": words.short_path,
-            "unit": words.unit_text,
-        }
-        return self.values.cells(words.number, words.percent, **forms)
+        """Rows of the values as text."""
+        return self.values.cells(
+            words.number,
+            words.percent,
+            effect=words.effect_words,
+            path=words.short_path,
+            unit=words.unit_text,
+        )
 
 
 def table(
     caption: str, titles: str, kinds: str, rows: Iterable[Sequence[Any]], **names: str
 ) -> Table:
-    """Return rows of values under `heads` as a table of the page."""
-    return Table(caption, values(titles, kinds, rows, **names))
+    """Return rows of values as a table of the page.
+
+    Parameters
+    ----------
+    caption : str
+    titles, kinds : str
+        Titles and kinds of the columns, as `params.results.tables.heads` takes them.
+    rows : iterable of sequences
+    **names : str
+        What stands for places in braces in the titles.
+
+    Returns
+    -------
+    Table
+    """
+    return Table(caption=caption, values=values(titles, kinds, rows, **names))
 
 
 def value_row(
     name: str, value: float | None, error: float | None, unit: str
 ) -> tuple[str, ...]:
-    """Return the cells of an estimate under `VALUE_HEADS`; without an error it is fixed."""
+    """Return the cells of an estimate under `VALUE_HEADS`.
+
+    Parameters
+    ----------
+    name : str
+    value : float, optional
+        None where it is not determined.
+    error : float, optional
+        Standard error; zero of a value that is fixed.
+    unit : str
+
+    Returns
+    -------
+    tuple of str
+    """
+    unit = words.unit_text(unit)
     if value is None or error is None or error >= UNTOLD:
-        return name, "not determined", words.DASH, words.DASH, words.unit_text(unit)
-    texts = (
-        words.with_error(value, error)
-        if error > 0.0
-        else (words.number(value), "fixed")
-    )
-    return name, *texts, words.interval(value, error), words.unit_text(unit)
+        return name, "not determined", words.DASH, words.DASH, unit
+    shown_value, shown_error = words.number(value), "fixed"
+    if error > 0.0:
+        shown_value, shown_error = words.with_error(value, error)
+    return name, shown_value, shown_error, words.interval(value, error), unit
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Figure:
     """A drawing with its title, legend and the table of its values.
 
-    `joint` names the joint that it is about, where it stands in a group about several:
-    the page hides it when another joint is chosen.
+    Parameters
+    ----------
+    title : str
+    drawing : Markup
+        Finished SVG.
+    legend : Legend
+    table : Table, optional
+    note : str
+        Text below the drawing.
+    wide : bool
+        Whether it takes the whole width of the page.
+    joint : str
+        The joint that it is about, where it stands in a group about several: the page
+        hides it when another joint is chosen.
     """
 
     title: str
@@ -97,22 +149,47 @@ class Absent(NamedTuple):
     command: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Group:
-    """Part of a section with a heading of its own."""
+    """Part of a section with a heading of its own.
+
+    Parameters
+    ----------
+    id : str
+        Anchor on the page.
+    title : str
+    lead : str
+        Text below the title.
+    joint : str
+        The joint that the group is about.
+    badge : str
+        "good", "poor", "open", or nothing.
+    badge_text : str
+        Text on the badge, if other than its name.
+    facts : sequence of pairs of str
+        Names and values.
+    figures : sequence of Figure or None
+        None is left out.
+    tables : sequence of Table
+        Those without rows are left out.
+    notes : sequence of str
+    absent : sequence of Absent
+    unfolded : bool
+        Whether tables stand open.
+    """
 
     id: str
     title: str
     lead: str = ""
-    joint: str = ""  # that it is about
-    badge: str = ""  # good, poor, open, or nothing
-    badge_text: str = ""  # if other than the badge
+    joint: str = ""
+    badge: str = ""
+    badge_text: str = ""
     facts: Sequence[tuple[str, str]] = ()
     figures: Sequence[Figure | None] = ()
-    tables: Sequence[Table] = ()  # those without rows are left out
+    tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
     absent: Sequence[Absent] = ()
-    unfolded: bool = False  # tables stand open
+    unfolded: bool = False
 
 
 def badge(verdicts: Sequence[Verdict]) -> str:
@@ -121,13 +198,31 @@ def badge(verdicts: Sequence[Verdict]) -> str:
 
 
 def reasons(verdicts: Sequence[Verdict]) -> str:
-    """Return why verdicts are what they are."""
+    """Return the reasons of verdicts, where they have any."""
     return "; ".join(verdict.reason for verdict in verdicts if verdict.reason)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Section:
-    """A part of the page; `judgement` and the table `glance` stand at the head of the first."""
+    """A part of the page.
+
+    Parameters
+    ----------
+    id : str
+        Anchor on the page.
+    title : str
+    lead : str
+        Text below the title.
+    groups : sequence of Group
+    tables : sequence of Table
+        Those without rows are left out.
+    absent : sequence of Absent
+    notes : sequence of str
+    judgement : Judgement, optional
+        At the head of the first section.
+    glance : Table, optional
+        The joints at a glance, beside the judgement.
+    """
 
     id: str
     title: str
@@ -141,22 +236,53 @@ class Section:
 
     @property
     def complete(self) -> bool:
-        """Whether all its data were given."""
+        """True where all its data were given."""
         return not self.absent and not any(group.absent for group in self.groups)
 
 
 def lacking(key: str, title: str, text: str, command: str) -> Section:
-    """Return a section without its data: what is lacking, and the command that makes it."""
-    return Section(key, title, absent=[Absent(text, command)])
+    """Return a section without its data.
+
+    Parameters
+    ----------
+    key : str
+        Anchor on the page.
+    title : str
+    text : str
+        What is lacking.
+    command : str
+        The command that makes it.
+
+    Returns
+    -------
+    Section
+    """
+    return Section(id=key, title=title, absent=[Absent(text, command)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Page:
     """The content of a page.
 
-    `about` are facts under its title, `subject` says what it is about; `robot`, `files`
-    and `torques` name what it was made of, `created` is the newest date of that,
-    `warnings` are about files that fit, but not perfectly.
+    Parameters
+    ----------
+    title : str
+    about : sequence of str
+        Facts under the title.
+    judgement : Judgement
+    sections : sequence of Section
+    robot : str
+        Name of the robot, or names of all.
+    files : sequence of str
+        Documents that the page was made of.
+    created : str
+        The newest date of these.
+    subject : str
+        What the page is about.
+    torques : sequence of str
+        Torque files that the page was made of.
+    warnings : sequence of str
+        About files that fit, but not perfectly.
     """
 
     title: str
@@ -173,17 +299,35 @@ class Page:
     @property
     def html(self) -> str:
         """The page as one text."""
-        parts = {"style": resource("style.css"), "script": resource("script.js")}
-        policy = "default-src 'none'; "
-        for name, text in parts.items():
-            digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-            policy += f"{name}-src 'sha256-{digest}'; "
-        policy += "img-src data:; base-uri 'none'; form-action 'none'"
-        content = {"page": self, "version": __version__, "policy": policy} | parts
-        filters = {"unit": words.unit_text, "short": words.short_path}
-        return filled(
-            "seqid_cli.report", "report.html.j2", content, filters=filters, markup=True
+        style = resource("style.css")
+        script = resource("script.js")
+
+        # The browser runs and loads nothing but these two.
+        policy = (
+            f"default-src 'none'; style-src '{_hash_of(style)}';"
+            f" script-src '{_hash_of(script)}'; img-src data:; base-uri 'none';"
+            " form-action 'none'"
         )
+        content = {
+            "page": self,
+            "version": __version__,
+            "policy": policy,
+            "style": style,
+            "script": script,
+        }
+        return filled(
+            "seqid_cli.report",
+            "report.html.j2",
+            content,
+            filters={"unit": words.unit_text, "short": words.short_path},
+            markup=True,
+        )
+
+
+def _hash_of(text: str) -> str:
+    """Return the hash by which a policy names a style sheet or a script."""
+    digest = hashlib.sha256(text.encode()).digest()
+    return f"sha256-{base64.b64encode(digest).decode()}"
 
 
 def resource(name: str) -> str:

@@ -31,14 +31,17 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def percent(share: float | None, digits: int = 1) -> str:
-    """Return a share in percent."""
+    """Return a share in percent, a dash where there is none."""
     if share is None or not math.isfinite(share):
         return DASH
     return shares.percent(share, digits).replace("-", MINUS)
 
 
 def _decimals(error: float) -> int | None:
-    """Decimals that two digits of a standard error allow; None where these are no help."""
+    """Return the decimals that two digits of a standard error allow.
+
+    None where fixed decimals do not help: of errors that are too small or too large.
+    """
     if not (error > 0.0 and math.isfinite(error)):
         return None
     decimals = 1 - math.floor(math.log10(error))
@@ -46,7 +49,7 @@ def _decimals(error: float) -> int | None:
 
 
 def with_error(value: float, error: float) -> tuple[str, str]:
-    """Return value and standard error with the decimals that two digits of the error allow."""
+    """Return value and standard error with the decimals that the error allows."""
     decimals = _decimals(error)
     if decimals is None or not abs(value) < 1e9:
         return number(value, 5), number(error, 2)
@@ -57,7 +60,8 @@ def interval(value: float, error: float) -> str:
     """Return the 95 % interval of a value with a normal standard error."""
     if not error > 0.0:
         return DASH
-    low, high = value - Z95 * error, value + Z95 * error
+    low = value - Z95 * error
+    high = value + Z95 * error
     decimals = _decimals(error)
     if decimals is None:
         return f"{number(low, 4)} to {number(high, 4)}"
@@ -65,37 +69,46 @@ def interval(value: float, error: float) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Return a unit with raised powers and dots; nothing for a plain number."""
-    raised = re.sub(r"\^(-?[123])", lambda found: found[1].translate(_RAISED), unit)
-    return "" if unit == "1" else raised.replace(" ", "\u202f")
+    """Return a unit with raised powers and thin spaces; nothing for a plain number."""
+    if unit == "1":
+        return ""
+    raised = re.sub(r"\^(-?[123])", lambda match: match[1].translate(_RAISED), unit)
+    return raised.replace(" ", "\u202f")
 
 
 def symbol(name: str) -> Markup:
-    """Return a standard parameter such as `Ixx_2` with its index lowered, other names as is."""
+    """Return a standard parameter such as `Ixx_2` with its index lowered.
+
+    Other names stay as they are.
+    """
     match = re.fullmatch(r"([A-Za-z])([A-Za-z]*)_([0-9]+)", name)
     if match is None:
         return escape(name)
     base, axes, index = match.groups()
     if base == "m":  # the axis of a first moment stands beside it
         return Markup("<i>m</i>{}<sub>{}</sub>").format(axes, index)
-    return Markup("<i>{}</i><sub>{}</sub>").format(
-        base, f"{axes}\u202f{index}" if axes else index
-    )
+    lowered = f"{axes}\u202f{index}" if axes else index
+    return Markup("<i>{}</i><sub>{}</sub>").format(base, lowered)
 
 
 def expression(terms: Mapping[str, float], fallback: str) -> Markup:
-    """Return a sum of standard parameters as a formula."""
+    """Return a sum of standard parameters as a formula.
+
+    `terms` are their factors; without any the text `fallback` is the formula.
+    """
     if not terms:
         return escape(fallback)
-    text = Markup("")
+    formula = Markup("")
     for name, factor in terms.items():
-        sign, size = MINUS if factor < 0.0 else "+", abs(factor)
-        if text:
-            text += f" {sign} "
+        sign = MINUS if factor < 0.0 else "+"
+        if formula:
+            formula += f" {sign} "
         elif sign == MINUS:
-            text += sign
-        text += ("" if abs(size - 1.0) < 1e-9 else f"{size:.5g}\u202f") + symbol(name)
-    return text
+            formula += sign
+        size = abs(factor)
+        is_one = abs(size - 1.0) < 1e-9
+        formula += ("" if is_one else f"{size:.5g}\u202f") + symbol(name)
+    return formula
 
 
 def plural(count: int, noun: str) -> str:
@@ -107,7 +120,9 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     """Return names as a list in words, cut after `most`."""
     if len(names) > most:
         return ", ".join(names[:most]) + f" and {len(names) - most} more"
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+    if len(names) > 1:
+        return f"{', '.join(names[:-1])} and {names[-1]}"
+    return names[0] if names else ""
 
 
 def effect_at(effect: str, joint: str | None) -> str:
@@ -121,10 +136,12 @@ def effect_words(effect: str) -> str:
 
 
 def command(*words: str) -> str:
-    """Return a command line that a shell takes as it stands; capitals such as LOG... stay."""
-    return " ".join(
-        word if word.endswith("...") else shlex.quote(word) for word in words
-    )
+    """Return a command line that a shell takes as it stands.
+
+    Places that a reader fills in, such as LOG..., are not quoted.
+    """
+    quoted = [word if word.endswith("...") else shlex.quote(word) for word in words]
+    return " ".join(quoted)
 
 
 def file_name(path: str) -> str:

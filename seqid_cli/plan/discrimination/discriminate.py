@@ -2,13 +2,13 @@
 
 import difflib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import msgspec
 import numpy as np
 
-from seqid_cli.discover.scenes import scenes_of as logged
+from seqid_cli.discover.scenes import scenes_of as scenes_of_logs
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
@@ -43,8 +43,31 @@ ENOUGH = 0.9  # power from which a plan is good
 def plan_discriminate(
     belief: Belief, stages: Stages, options: PlanOptions, have: Sequence[Recording] = ()
 ) -> Planned:
-    """Choose moves after which a diagnosis, of the logs `have` as well, tells both apart."""
-    effects, joint = asked(belief.robot, options)
+    """Choose moves after which a diagnosis tells two effects apart.
+
+    Parameters
+    ----------
+    belief : Belief
+    stages : Stages
+        The model that the diagnosis will start from.
+    options : PlanOptions
+        Names the effects and the joint.
+    have : sequence of Recording
+        Logs that the diagnosis will have as well.
+
+    Returns
+    -------
+    Planned
+        Without moves where no motion tells the effects apart.
+
+    Raises
+    ------
+    UsageError
+        The effects or the joint are not such as a motion could settle.
+    ConfigError
+        The model lacks what an effect needs.
+    """
+    effects, joint = effects_and_joint(belief.robot, options)
     pool = pool_of(belief, joint, options)
     scenes = scenes_of(belief, stages, pool)
     for effect in effects:
@@ -55,71 +78,113 @@ def plan_discriminate(
             )
             text = f"{effect.name} cannot be looked for with this model"
             raise ConfigError(text, where=str(belief.robot.source), hint=hint)
-    question = Question.of(belief, effects, joint, scenes[:: max(1, len(scenes) // 12)])
-    usual = typical(belief, seed=0)
-    torque = belief.torque(usual, belief.regressor(usual), sigmas=0.0)
-    torque = torque if joint is None else torque[..., joint]
-    size = options.size_share * float(np.sqrt(np.mean(torque**2)))
-    logs = logged(have, belief.robot, stages, options=InertiaOptions()) if have else []
-    found = separation_of(belief, question, scenes, size, logs)
-    nested = [x.name for x, open_ in zip(effects, found.open(), strict=True) if open_]
+
+    # A dozen moves show what settings the grids have.
+    few_scenes = scenes[:: max(1, len(scenes) // 12)]
+    question = Question.of(belief, effects, joint, few_scenes)
+    logs = []
+    if have:
+        logs = scenes_of_logs(have, belief.robot, stages, options=InertiaOptions())
+    torque_size = options.size_share * _usual_torque(belief, joint)
+    separation = separation_of(belief, question, scenes, torque_size, logs)
+
+    # An effect that is a special case of its rival can be refuted, not shown.
+    nested = [
+        effect.name
+        for effect, is_nested in zip(effects, separation.is_nested(), strict=True)
+        if is_nested
+    ]
     if len(nested) == 2:
-        one, other = effects
-        note = f"no motion tells {one.name} from {other.name}: record {one.separate_by}"
+        first, second = effects
+        note = (
+            f"no motion tells {first.name} from {second.name}: record"
+            f" {first.separate_by}"
+        )
         return Planned([], PlannedStage(notes=[note]))
-    chosen, seconds = _chosen(found, pool, options.duration_s)
-    names, where = [x.name for x in effects], belief.robot.name_of(joint)
-    separation = _described(found, chosen, seconds, names, where, nested)
+
+    choice = _chosen(separation, pool, options.duration_s)
+    described = _described(
+        separation,
+        choice,
+        between=[effect.name for effect in effects],
+        joint=belief.robot.name_of(joint),
+        special_case=nested[0] if nested else None,
+    )
     moves = [
-        msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
-        for i, k in enumerate(chosen, start=1)
+        msgspec.structs.replace(pool[k], name=f"discriminate_{number:02d}")
+        for number, k in enumerate(choice.moves, start=1)
     ]
     notes = [
-        f"if it is {one.name}, these moves may leave it open: record {one.separate_by}"
-        for one, power in zip(effects, separation.powers, strict=True)
+        f"if it is {effect.name}, these moves may leave it open: record"
+        f" {effect.separate_by}"
+        for effect, power in zip(effects, described.powers, strict=True)
         if power < ENOUGH
     ]
-    return Planned(moves, PlannedStage(separation=separation, notes=notes))
+    return Planned(moves, PlannedStage(separation=described, notes=notes))
 
 
-def asked(
+def effects_and_joint(
     robot: Robot, options: PlanOptions
 ) -> tuple[tuple[Effect, Effect], int | None]:
-    """The two effects and the joint (None where both are of the whole arm)."""
-    known = catalogue_of(robot)
+    """Return the two effects to tell apart, and their joint.
+
+    Parameters
+    ----------
+    robot : Robot
+    options : PlanOptions
+
+    Returns
+    -------
+    effects : tuple of two Effect
+    joint : int or None
+        None where both are of the whole arm.
+
+    Raises
+    ------
+    UsageError
+        No such effects or joint, or no motion settles which of the effects it is.
+    """
+    catalogue = catalogue_of(robot)
     for name in options.between:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = (
-                f"Did you mean {near[0]}?"
-                if near
-                else "docs/reference/effects.md lists their names."
-            )
+        if name not in catalogue:
+            near = difflib.get_close_matches(name, catalogue, n=1)
+            hint = "docs/reference/effects.md lists their names."
+            if near:
+                hint = f"Did you mean {near[0]}?"
             raise UsageError(f"--between names no effect: {name!r}", hint=hint)
     if len(set(options.between)) != 2:
         hint = "As in --between load_dependent_friction,gear_efficiency."
         raise UsageError(
             "--between takes two effects with a comma between them", hint=hint
         )
-    first, second = (known[name] for name in options.between)
+
+    first, second = (catalogue[name] for name in options.between)
     for effect in (first, second):
         if not effect.by_motion:
             hint = f"Record {effect.separate_by}."
             raise UsageError(
                 f"no planned motion settles whether it is {effect.name}", hint=hint
             )
-    if options.joint is None and all(one.arm or one.shared for one in (first, second)):
+
+    of_whole_arm = all(effect.arm or effect.shared for effect in (first, second))
+    if options.joint is None and of_whole_arm:
         return (first, second), None
     if options.joint not in robot.joint_names:
-        text = (
-            f"--joint names no joint: {options.joint!r}"
-            if options.joint
-            else "needs --joint"
-        )
-        raise UsageError(
-            text, hint=f"The robot's joints: {', '.join(robot.joint_names)}."
-        )
+        text = "needs --joint"
+        if options.joint:
+            text = f"--joint names no joint: {options.joint!r}"
+        hint = f"The robot's joints: {', '.join(robot.joint_names)}."
+        raise UsageError(text, hint=hint)
     return (first, second), robot.joint_names.index(options.joint)
+
+
+def _usual_torque(belief: Belief, joint: int | None) -> float:
+    """Return the RMS torque [N m] of a joint, or of all, in typical moves."""
+    moves = typical(belief, seed=0)
+    torque = belief.torque(moves, belief.regressor(moves), sigmas=0.0)
+    if joint is not None:
+        torque = torque[..., joint]
+    return float(np.sqrt(np.mean(torque**2)))
 
 
 def pool_of(
@@ -130,110 +195,162 @@ def pool_of(
     each: int = 48,
     paces: tuple[float, ...] = (1.0, 0.3, 0.1),
 ) -> list[PlannedMove]:
-    """Moves of the joint alone, with others, and of all, at several speeds, and steady strokes."""
+    """Draw moves of the joint alone, with others, and of all; and steady strokes.
+
+    Parameters
+    ----------
+    belief : Belief
+    joint : int, optional
+        None for effects of the whole arm.
+    options : PlanOptions
+    each : int
+        Moves that are drawn at each pace.
+    paces : tuple of float
+        Shares of the speed limits: some effects show at slow motion alone.
+
+    Returns
+    -------
+    list of PlannedMove
+
+    Raises
+    ------
+    UsageError
+        The joint is locked.
+    ConfigError
+        No move keeps the limits.
+    """
     moving = belief.limits.moving
     if joint is not None and joint not in moving:
         name = belief.robot.joint_names[joint]
         raise UsageError(
             f"joint {name!r} is locked: none of its effects shows", hint="Free it."
         )
-    groups = (
-        [(joint,), *((joint, k) for k in moving if k != joint)]
-        if joint is not None
-        else []
-    )
-    groups += [tuple(moving)] * max(1, len(groups) // 2)
-    if joint is None:
-        groups += list(combinations(moving, 2))
+
     goal = Goal.of(belief, options.seed)
     rng = np.random.default_rng(options.seed)
     shapes = Shapes.over(options.length_s, COARSE_HZ)
-    found: list[PlannedMove] = []
+    groups = _groups(joint, moving)
+    pool: list[PlannedMove] = []
     for pace in paces:
-        limits = belief.limits
-        slowed = replace(
-            limits, speed=pace * limits.speed, acceleration=pace * limits.acceleration
+        limits = replace(
+            belief.limits,
+            speed=pace * belief.limits.speed,
+            acceleration=pace * belief.limits.acceleration,
         )
-        slower = replace(belief, limits=slowed)
+        slower = replace(belief, limits=limits)
         drawn, _ = draw_pool(slower, goal, shapes, groups, each, rng)
         if len(drawn):
-            found += within_limits(slower, drawn, options, "discriminate")[0]
-        elif pace == min(paces) and not found:
+            moves, _ = within_limits(slower, drawn, options, "discriminate")
+            pool += moves
+        elif pace == min(paces) and not pool:
             check_torque(slower, drawn, options)
+
     for j in moving if joint is None else [joint]:
-        found += _strokes(belief, j, options.length_s, rng)
-    return found
+        pool += _strokes(belief, j, options.length_s, rng)
+    return pool
+
+
+def _groups(joint: int | None, moving: list[int]) -> list[tuple[int, ...]]:
+    """Return the joints that move at a time; a third of the moves is of all."""
+    all_joints = tuple(moving)
+    if joint is None:
+        return [all_joints, *combinations(moving, 2)]
+    with_one_more = [(joint, k) for k in moving if k != joint]
+    groups: list[tuple[int, ...]] = [(joint,), *with_one_more]
+    return groups + [all_joints] * max(1, len(groups) // 2)
 
 
 def _strokes(
     belief: Belief, j: int, seconds: float, rng: np.random.Generator, *, speeds: int = 6
 ) -> list[PlannedMove]:
-    """Strokes there and back, each as long as a move, in several postures."""
-    limits, found = belief.limits, []
+    """Return strokes there and back, each as long as a move, in several postures."""
+    limits = belief.limits
     fastest = top_speed(limits, j, float(limits.range[j]))
+    moves = []
     for speed in np.geomspace(0.03 * fastest, fastest, speeds):
-        ramp = np.pi * speed / (2.0 * limits.acceleration[j])
-        way = speed * (max(seconds / 2 - 1.5 * REST_S, 2.0 * ramp) - ramp)
-        postures, spans = reachable(belief, j, postures_of(limits, 4, rng), 1.0, 0.3)
+        # One stroke takes half of the time, less a rest before and between and after.
+        ramp_s = np.pi * speed / (2.0 * limits.acceleration[j])
+        stroke_s = max(seconds / 2 - 1.5 * REST_S, 2.0 * ramp_s)
+        stroke_width = speed * (stroke_s - ramp_s)
+        drawn = postures_of(limits, 4, rng)
+        postures, spans = reachable(belief, j, drawn, share=1.0, widest=0.3)
+
         for posture, (low, high) in zip(postures, spans, strict=True):
-            half = min(way, high - low) / 2
-            if (
-                half <= ramp * speed / 2
-                or overloads(belief, j, posture[None], speed)[0] > 1.0
-            ):
+            half_width = min(stroke_width, high - low) / 2
+            # It has to reach its speed, with a torque that the joints have.
+            if half_width <= ramp_s * speed / 2:
                 continue
-            middle = float(np.clip(posture[j], low + half, high - half))
-            ends = middle - half, middle + half
-            found.append(
+            if overloads(belief, j, posture[None], speed)[0] > 1.0:
+                continue
+            middle = float(np.clip(posture[j], low + half_width, high - half_width))
+            ends = (middle - half_width, middle + half_width)
+            moves.append(
                 stroke_move(belief, "stroke", j, posture, ends, [float(speed)])
             )
-    return found
+    return moves
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Numbers of the chosen moves of a pool, and the time that they take."""
+
+    moves: list[int]
+    duration_s: float
 
 
 def _chosen(
-    found: Separation, pool: Sequence[PlannedMove], most_s: float
-) -> tuple[list[int], float]:
-    """Moves taken one by one that raise the merit most, as long as time is left."""
-    seconds = np.array([move.duration_s for move in pool])
+    separation: Separation, pool: Sequence[PlannedMove], most_s: float
+) -> Choice:
+    """Take moves one by one that raise the merit most, as long as time is left."""
+    durations_s = np.array([move.duration_s for move in pool])
     chosen: list[int] = []
-    total, spent = np.zeros_like(found.prior), 0.0
+    total = np.zeros_like(separation.prior)
+    spent_s = 0.0
     while True:
-        open_ = (spent + seconds <= most_s) & ~np.isin(np.arange(len(pool)), chosen)
-        if not open_.any():
-            return chosen, spent
-        value = np.where(open_, found.value(total + found.of), -np.inf)
-        best = int(np.argmax(value))
+        is_chosen = np.isin(np.arange(len(pool)), chosen)
+        is_candidate = (spent_s + durations_s <= most_s) & ~is_chosen
+        if not is_candidate.any():
+            return Choice(chosen, spent_s)
+        merit = separation.merit(total + separation.grams)
+        best = int(np.argmax(np.where(is_candidate, merit, -np.inf)))
         chosen.append(best)
-        total, spent = total + found.of[best], spent + float(seconds[best])
+        total = total + separation.grams[best]
+        spent_s = spent_s + float(durations_s[best])
 
 
 def _described(
-    found: Separation,
-    chosen: Sequence[int],
-    seconds: float,
+    separation: Separation,
+    choice: Choice,
+    *,
     between: list[str],
     joint: str | None,
-    nested: Sequence[str],
-    *,
+    special_case: str | None,
     power: float = 0.95,
 ) -> EffectSeparation:
-    """How well chosen moves tell the effects apart; seconds of such moves for a power."""
-    told = [found.surely(found.of[chosen].sum(axis=0), k) for k in (0, 1)]
-    powers, imitations = [float(x.power) for x in told], [x.imitated for x in told]
-    longer = (
-        float(seconds * factor)
-        for factor in np.geomspace(0.01, 1e4, 61)
-        if min(float(one.longer(factor).power) for one in told) >= power
-    )
+    """Describe how well chosen moves tell the effects apart.
+
+    Seconds are those of such moves that give a power to both effects.
+    """
+    total = separation.grams[choice.moves].sum(axis=0)
+    outcomes = [separation.least_certain_outcome(total, true) for true in (0, 1)]
+    powers = [float(outcome.power) for outcome in outcomes]
+    imitations = [outcome.largest_imitation for outcome in outcomes]
+    median_left = min(np.median(outcome.rival_leaves) for outcome in outcomes)
+
+    seconds_needed = None
+    for factor in np.geomspace(0.01, 1e4, 61):
+        if min(float(outcome.longer(factor).power) for outcome in outcomes) >= power:
+            seconds_needed = float(choice.duration_s * factor)
+            break
     return EffectSeparation(
         between=between,
         joint=joint,
-        size=found.size,
-        distance=float(np.sqrt(min(np.median(one.left) for one in told))),
+        size=separation.torque_size,
+        distance=float(np.sqrt(median_left)),
         power=min(powers),
-        seconds_needed=next(longer, None),
+        seconds_needed=seconds_needed,
         imitated=max(imitations),
         powers=powers,
         imitations=imitations,
-        special_case=nested[0] if nested else None,
+        special_case=special_case,
     )

@@ -1,1 +1,1 @@
-"""Moves within the limits: Fourier moves, strokes at constant speed, and their files."""
+"""Moves within the limits: Fourier moves, strokes at constant speed, their files."""

@@ -1,4 +1,6 @@
-"""The floor: the plane through the base frame's origin, across gravity; no point goes below it.
+"""The floor: the plane across gravity through the base frame's origin.
+
+No point of the arm goes below it.
 
 With u = -g / |g| the way up and x_i(q) the points of the links, each with a ball of
 radius r_i around it, the arm keeps above its base plane where
@@ -16,6 +18,7 @@ with a floor.
 """
 
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
@@ -57,8 +60,20 @@ class Floor:
     ignored: int
 
     def height(self, q: Array) -> Array:
-        """Return how far the lowest point lies above the clearance (N,) [m], at postures (N, n)."""
+        """Return how far the lowest point lies above the clearance.
+
+        Parameters
+        ----------
+        q : (N, n) float
+            Postures [rad; m where prismatic].
+
+        Returns
+        -------
+        (N,) array
+            Height [m], negative where a point is too low.
+        """
         lowest = np.empty(len(q))
+        # Heights of all points at all postures at once would take much memory.
         for part in tiles(len(q), size=1024):
             heights = _heights(self.robot, self.up, self.points, q[part])
             lowest[part] = heights.min(axis=1, initial=np.inf)
@@ -69,10 +84,11 @@ class Floor:
         return np.asarray(self.height(q) < 0.0)
 
     def height_along(self, joint: Index, postures: Array, places: Array) -> Array:
-        """Return the heights (M, P) m of the lowest points while one joint of each posture moves.
+        """Return heights of the lowest points while one joint of each posture moves.
 
         A point's height is a cos q + b sin q + c in the angle of a joint, linear in a
-        slide: three places of each posture tell all others.
+        slide. So three places of each posture determine it at all others, which is much
+        cheaper than the kinematics of all places.
 
         Parameters
         ----------
@@ -82,29 +98,36 @@ class Floor:
             Where all joints stand [rad; m where prismatic].
         places : (M, P) float
             Positions of the joint that moves.
+
+        Returns
+        -------
+        (M, P) array
+            Height above the clearance [m], negative where a point is too low.
         """
         count, n = postures.shape
-        slides = self.robot.chain.prismatic[joint]
-        nodes = np.where(
-            slides[:, None], np.arange(3.0), 2.0 * np.pi * np.arange(3) / 3.0
-        )
+        is_slide = self.robot.chain.prismatic[joint]
+        angles = 2.0 * np.pi * np.arange(3) / 3.0
+        nodes = np.where(is_slide[:, None], np.arange(3.0), angles)
+
         q = np.repeat(postures[:, None], 3, axis=1)
         q[np.arange(count), :, joint] = nodes
         at_nodes = _heights(self.robot, self.up, self.points, q.reshape(-1, n))
-        shapes = _shapes_of(nodes, slides)
-        coefficients = np.linalg.solve(shapes, at_nodes.reshape(count, 3, -1))
+        coefficients = np.linalg.solve(
+            _shapes_of(nodes, is_slide), at_nodes.reshape(count, 3, -1)
+        )
+
         lowest = np.empty(places.shape)
         for part in tiles(count, size=64):
-            heights = _shapes_of(places[part], slides[part]) @ coefficients[part]
+            heights = _shapes_of(places[part], is_slide[part]) @ coefficients[part]
             lowest[part] = heights.min(axis=2)
         return lowest - self.clearance_m
 
     @property
     def note(self) -> str:
-        """Say what was assumed."""
-        about = "collision shapes" if self.shapes else "origins of joints and frames"
+        """Note of the plan on what was assumed of the floor."""
+        kind = "collision shapes" if self.shapes else "origins of joints and frames"
         text = (
-            f"floor: every point of the arm ({about}) stays {100 * self.clearance_m:g}"
+            f"floor: every point of the arm ({kind}) stays {100 * self.clearance_m:g}"
             " cm above the base plane, the plane across gravity through the base"
             f" frame's origin; {NO_FLOOR}"
         )
@@ -141,61 +164,66 @@ def floor_of(
     still_m : float
         Points whose height changes by less are lifted by no joint [m].
 
+    Returns
+    -------
+    Floor or None
+
     Raises
     ------
     ConfigError
         The arm, or one of its links, hangs below the base plane whatever its joints do.
     """
-    size = float(np.linalg.norm(robot.gravity))
-    if size == 0.0:
+    gravity = float(np.linalg.norm(robot.gravity))
+    if gravity == 0.0:
         return None
-    up = -robot.gravity / size
-    points, shapes = _points_of(robot, geometry)
+    up = -robot.gravity / gravity
+    points, with_shapes = _points_of(robot, geometry)
     heights = _heights(robot, up, points, postures)
-    lifted = np.ptp(heights, axis=0) > still_m
-    reached = heights.max(axis=0) >= clearance_m
+    is_lifted = np.ptp(heights, axis=0) > still_m
+    is_reachable = heights.max(axis=0) >= clearance_m
 
     # A link none of whose points can be above: the arm is not made to stand on this
     # plane.
-    for j in np.unique(points.link[lifted]):
-        if not reached[lifted & (points.link == j)].any():
-            _refuse(robot, int(j))
-    kept = lifted & reached
-    if not kept.any():
+    for j in np.unique(points.link[is_lifted]):
+        of_link = is_lifted & (points.link == j)
+        if not is_reachable[of_link].any():
+            _refuse(robot, f"the link behind joint {robot.joint_names[int(j)]!r}")
+    is_checked = is_lifted & is_reachable
+    if not is_checked.any():
         return None
+
     floor = Floor(
         robot=robot,
         up=up,
         points=LinkPoints(
-            link=points.link[kept],
-            position=points.position[kept],
-            radius=points.radius[kept],
+            link=points.link[is_checked],
+            position=points.position[is_checked],
+            radius=points.radius[is_checked],
         ),
         clearance_m=clearance_m,
-        shapes=shapes,
-        ignored=int(np.sum(lifted & ~reached)),
+        shapes=with_shapes,
+        ignored=int(np.sum(is_lifted & ~is_reachable)),
     )
     if floor.below(postures).all():
-        _refuse(robot, None)
+        _refuse(robot, "the arm")
     return floor
 
 
-def _shapes_of(q: Array, slides: Mask) -> Array:
-    """Return 1, cos q, sin q (M, P, 3) of joints that turn; 1, q, q^2 of those that slide."""
+def _shapes_of(q: Array, is_slide: Mask) -> Array:
+    """Return what a height is made of, at positions q (M, P) of one joint each.
+
+    The columns (M, P, 3) are 1, cos q, sin q of joints that turn and 1, q, q^2 of those
+    that slide; the last has no share there.
+    """
     turning = np.stack([np.ones_like(q), np.cos(q), np.sin(q)], axis=-1)
     sliding = np.stack([np.ones_like(q), q, q**2], axis=-1)
-    return np.where(slides[:, None, None], sliding, turning)
+    return np.where(is_slide[:, None, None], sliding, turning)
 
 
-def _refuse(robot: Robot, link: int | None) -> None:
-    """Say that the arm cannot stay above its base plane."""
-    what = (
-        "the arm"
-        if link is None
-        else f"the link behind joint {robot.joint_names[link]!r}"
-    )
+def _refuse(robot: Robot, subject: str) -> NoReturn:
+    """Raise that the arm, or a link of it, cannot stay above the base plane."""
     message = (
-        f"{what} is below the base plane (across gravity) in all postures that were"
+        f"{subject} is below the base plane (across gravity) in all postures that were"
         " drawn"
     )
     hint = (
@@ -206,32 +234,40 @@ def _refuse(robot: Robot, link: int | None) -> None:
 
 
 def _points_of(robot: Robot, geometry: Geometry | None) -> tuple[LinkPoints, bool]:
-    """Return the corners of all shapes and the frames' origins, and whether there are shapes."""
-    origins = LinkPoints(
+    """Return all points that are looked at, and whether they are of shapes.
+
+    They are the corners of all shapes, and the origins of joints and frames.
+    """
+    joint_origins = LinkPoints(
         link=np.arange(robot.n),
         position=np.zeros((robot.n, 3)),
         radius=np.zeros(robot.n),
     )
-    parts = [origins, frame_points(robot)]
+    parts = [joint_origins, frame_points(robot)]
+    with_shapes = False
     if geometry is not None:
-        parts.append(shape_points(geometry))
+        corners = shape_points(geometry)
+        with_shapes = len(corners.link) > 0
+        parts.append(corners)
+
     points = LinkPoints(
         link=np.concatenate([part.link for part in parts]),
         position=np.concatenate([part.position for part in parts]),
         radius=np.concatenate([part.radius for part in parts]),
     )
-    return points, geometry is not None and len(parts[-1].link) > 0
+    return points, with_shapes
 
 
 def _heights(robot: Robot, up: Array, points: LinkPoints, q: Array) -> Array:
-    """Return the heights (N, K) m of the balls' lowest points above the base plane."""
+    """Return heights (N, K) [m] of the balls' lowest points above the base plane."""
     frames = forward(robot.chain, q)
-    origins = frames.p @ up
+    origin_height = frames.p @ up
     up_in_link = np.einsum("niab,a->nib", frames.R, up)
 
     heights = np.empty((len(q), len(points.link)))
     for j in np.unique(points.link):
         of_link = points.link == j
-        along = up_in_link[:, j] @ points.position[of_link].T
-        heights[:, of_link] = origins[:, j, None] + along - points.radius[of_link]
+        above_origin = up_in_link[:, j] @ points.position[of_link].T
+        height = origin_height[:, j, None] + above_origin
+        heights[:, of_link] = height - points.radius[of_link]
     return heights

@@ -29,7 +29,15 @@ SPARSE = 4  # of the coarse samples, one in so many carries the information
 
 @dataclass(frozen=True)
 class Moves:
-    """Moves (M, N, n) over common times t (N,) s: positions, speeds and accelerations."""
+    """Samples of M moves of n joints over common times.
+
+    Parameters
+    ----------
+    t : (N,) float
+        Times [s].
+    q, dq, ddq : (M, N, n) float
+        Positions, speeds and accelerations [rad, rad/s, rad/s^2; m where prismatic].
+    """
 
     t: Array
     q: Array
@@ -37,33 +45,69 @@ class Moves:
     ddq: Array
 
     def every(self, step: int) -> Moves:
-        """One sample in `step`."""
-        some = slice(None, None, step)
-        return Moves(self.t[some], self.q[:, some], self.dq[:, some], self.ddq[:, some])
+        """Return one sample in `step`."""
+        samples = slice(None, None, step)
+        return Moves(
+            self.t[samples],
+            self.q[:, samples],
+            self.dq[:, samples],
+            self.ddq[:, samples],
+        )
 
     def singly(self) -> Iterator[Moves]:
-        """One move at a time."""
+        """Return the moves one at a time."""
         return (self[k : k + 1] for k in range(len(self.q)))
 
-    def __getitem__(self, which: slice | Index) -> Moves:
-        """Some of the moves."""
-        return Moves(self.t, self.q[which], self.dq[which], self.ddq[which])
+    def __getitem__(self, moves: slice | Index) -> Moves:
+        """Return some of the moves."""
+        return Moves(self.t, self.q[moves], self.dq[moves], self.ddq[moves])
 
 
 def placed(shapes: Shapes, drawn: Array, limits: Limits) -> Moves:
-    """Scale and place shapes (M, n, 2 K + 2) so that they use the limits and keep them."""
-    y, dy, ddy = (
-        drawn[..., :COEFFICIENTS] @ part for part in (shapes.y, shapes.dy, shapes.ddy)
+    """Scale and place shapes so that they use the limits and keep them.
+
+    Parameters
+    ----------
+    shapes : Shapes
+        The 2 K shapes of unit coefficients.
+    drawn : (M, n, 2 K + 2) float
+        Coefficients, place and extent of each joint.
+    limits : Limits
+
+    Returns
+    -------
+    Moves
+        At the times of the shapes.
+    """
+    coefficients = drawn[..., :COEFFICIENTS]
+    y = coefficients @ shapes.y
+    dy = coefficients @ shapes.dy
+    ddy = coefficients @ shapes.ddy
+
+    # The limit that is reached first decides the amplitude.
+    span = np.ptp(y, axis=2)
+    largest_amplitude = np.min(
+        [
+            limits.range / np.maximum(span, 1e-12),
+            limits.speed / np.maximum(np.abs(dy).max(axis=2), 1e-12),
+            limits.acceleration / np.maximum(np.abs(ddy).max(axis=2), 1e-12),
+        ],
+        axis=0,
     )
-    low, span, room = y.min(axis=2), np.ptp(y, axis=2), limits.range
-    used = [span, np.abs(dy).max(axis=2), np.abs(ddy).max(axis=2)]
-    allowed = [room, limits.speed, limits.acceleration]
-    factors = [a / np.maximum(b, 1e-12) for a, b in zip(allowed, used, strict=True)]
     still = span <= 0
-    amplitude = np.where(still, 0.0, drawn[..., EXTENT] * np.min(factors, axis=0))
-    free = limits.lower + drawn[..., PLACE] * (room - amplitude * span)
-    scaled = [
-        (amplitude[:, :, None] * part).transpose(0, 2, 1) for part in (y, dy, ddy)
-    ]
-    centre = free - amplitude * np.where(still, 0.0, low)
-    return Moves(shapes.t, centre[:, None] + scaled[0], scaled[1], scaled[2])
+    amplitude = np.where(still, 0.0, drawn[..., EXTENT] * largest_amplitude)
+
+    # The lowest position comes to its share of the room that the amplitude leaves.
+    lowest = limits.lower + drawn[..., PLACE] * (limits.range - amplitude * span)
+    centre = lowest - amplitude * np.where(still, 0.0, y.min(axis=2))
+    return Moves(
+        shapes.t,
+        centre[:, None] + _scaled(y, amplitude),
+        _scaled(dy, amplitude),
+        _scaled(ddy, amplitude),
+    )
+
+
+def _scaled(y: Array, amplitude: Array) -> Array:
+    """Return the shapes y (M, n, N) times amplitudes (M, n), samples before joints."""
+    return np.asarray((amplitude[:, :, None] * y).transpose(0, 2, 1))

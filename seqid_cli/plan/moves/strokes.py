@@ -1,7 +1,11 @@
-"""Ways of one joint at constant speed, both ways over its range, all others locked."""
+"""Ways of one joint at constant speed, both ways over its range, all others locked.
+
+A stroke gets up to its speed v and back to rest in cosine ramps of acceleration a. Each
+ramp takes a way of pi v^2 / (4 a).
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,41 +22,88 @@ Ends = tuple[float, float]  # of one joint's way, rad; m where prismatic
 
 
 def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> float:
-    """Largest speed that joint j can keep over `steady` of `span`: ramps take pi v^2 / (2 a)."""
+    """Return the largest speed that a joint can keep over most of a way.
+
+    Parameters
+    ----------
+    limits : Limits
+    j : int
+        The joint.
+    span : float
+        Width of the way [rad; m where prismatic]. Both ramps together take
+        pi v^2 / (2 a) of it.
+    steady : float
+        Share of the way over which the speed is kept.
+
+    Returns
+    -------
+    float
+        [rad/s; m/s where prismatic].
+    """
     ramps = (1.0 - steady) * span
-    return float(
-        min(limits.speed[j], np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi))
-    )
+    by_acceleration = np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi)
+    return float(min(limits.speed[j], by_acceleration))
 
 
 def gentler(belief: Belief, *, max_halvings: int = 4) -> list[Belief]:
-    """The same with accelerations halved, again and again, for loads that leave no more."""
+    """Return beliefs with accelerations halved, again and again, for heavy loads."""
     fastest = belief.limits.acceleration
-    eased = (
-        replace(belief.limits, acceleration=fastest / 2.0**k)
-        for k in range(max_halvings + 1)
-    )
-    return [replace(belief, limits=own) for own in eased]
+    beliefs = []
+    for k in range(max_halvings + 1):
+        limits = replace(belief.limits, acceleration=fastest / 2.0**k)
+        beliefs.append(replace(belief, limits=limits))
+    return beliefs
 
 
-def lifted(
-    belief: Belief, j: int, postures: Array, span: float, needed: int
-) -> tuple[Belief, float, Array]:
-    """The largest accelerations with which joint j can sweep over `span` in `needed` postures.
+@dataclass(frozen=True)
+class Lifted:
+    """Sweeps of one joint with the largest accelerations that its load allows.
 
-    With them come the speed of the sweep and its largest torques over their limits
-    (P,).
+    Parameters
+    ----------
+    belief : Belief
+        With these accelerations.
+    speed : float
+        Speed of the sweeps [rad/s; m/s where prismatic].
+    overload : (P,) float
+        Largest torque over its limit in each posture; at most 1 is allowed.
     """
-    for reduced in gentler(belief):
-        speed = top_speed(reduced.limits, j, span)
-        load = overloads(reduced, j, postures, speed)
-        if np.sum(load <= 1.0) >= needed:
+
+    belief: Belief
+    speed: float
+    overload: Array
+
+
+def lifted(belief: Belief, j: int, postures: Array, span: float, needed: int) -> Lifted:
+    """Find the largest accelerations with which joint j can sweep in enough postures.
+
+    Parameters
+    ----------
+    belief : Belief
+    j : int
+        The joint that sweeps.
+    postures : (P, n) float
+        Where the other joints are locked [rad; m where prismatic].
+    span : float
+        Width of the sweep [rad; m where prismatic].
+    needed : int
+        Postures in which torques must keep their limits. With the least accelerations
+        there may be fewer.
+
+    Returns
+    -------
+    Lifted
+    """
+    for eased in gentler(belief):
+        speed = top_speed(eased.limits, j, span)
+        overload = overloads(eased, j, postures, speed)
+        if np.sum(overload <= 1.0) >= needed:
             break
-    return reduced, speed, load
+    return Lifted(belief=eased, speed=speed, overload=overload)
 
 
 def seconds_of(strokes: Sequence[Stroke]) -> float:
-    """Time that strokes and the rests between them take, s."""
+    """Return the time that strokes and the rests between them take [s]."""
     return sum(stroke.seconds for stroke in strokes) + REST_S * (len(strokes) + 1)
 
 
@@ -64,22 +115,47 @@ def stroke_move(
     ends: Ends,
     speeds: Sequence[float],
 ) -> PlannedMove:
-    """A move of joint j there and back between two ends at each speed, all others at `posture`."""
-    names = belief.robot.joint_names
+    """Return a move of one joint there and back at each speed, all others locked.
+
+    Parameters
+    ----------
+    belief : Belief
+    name : str
+        Name of the move.
+    j : int
+        The joint that moves.
+    posture : (n,) float
+        Where the other joints are locked [rad; m where prismatic].
+    ends : Ends
+        Ends of the way [rad; m where prismatic].
+    speeds : sequence of float
+        Speeds, in the order in which they are driven [rad/s; m/s where prismatic].
+
+    Returns
+    -------
+    PlannedMove
+    """
     acceleration = float(belief.limits.acceleration[j])
-    strokes = [
-        Stroke(start=start, end=end, speed=float(v), acceleration=acceleration)
-        for v in speeds
-        for start, end in (ends, ends[::-1])
-    ]
-    start = posture.copy()
-    start[j] = ends[0]
+    strokes = []
+    for speed in speeds:
+        for start, end in (ends, ends[::-1]):
+            stroke = Stroke(
+                start=start, end=end, speed=float(speed), acceleration=acceleration
+            )
+            strokes.append(stroke)
+
+    names = belief.robot.joint_names
+    first_posture = posture.copy()
+    first_posture[j] = ends[0]
     return PlannedMove(
         name=name,
         stage="",
         joints=[names[j]],
         duration_s=seconds_of(strokes),
-        start={name: float(x) for name, x in zip(names, start, strict=True)},
+        start={
+            joint: float(position)
+            for joint, position in zip(names, first_posture, strict=True)
+        },
         strokes=strokes,
     )
 
@@ -87,15 +163,38 @@ def stroke_move(
 def reachable(
     belief: Belief, j: int, postures: Array, share: float, widest: float
 ) -> tuple[Array, Array]:
-    """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad.
+    """Return the postures in which joint j sweeps almost as far as in any.
 
-    It sweeps the longest part of its range that touches nothing, within a `share` of
-    the range.
+    It sweeps the longest part of its range that touches nothing.
+
+    Parameters
+    ----------
+    belief : Belief
+    j : int
+    postures : (P, n) float
+        Where the other joints are locked [rad; m where prismatic].
+    share : float
+        Share of the range that a sweep may use, about its middle.
+    widest : float
+        Share of the widest sweep from which a posture counts.
+
+    Returns
+    -------
+    postures : (Q, n) array
+    ends : (Q, 2) array
+        Ends of the sweep in each of them [rad; m where prismatic].
+
+    Raises
+    ------
+    ConfigError
+        The joint touches something in all postures.
     """
     limits = belief.limits
-    low, high = limits.lower[j], limits.upper[j]
-    middle, half = (low + high) / 2, share * limits.range[j] / 2
-    ends = free_ends(belief, j, postures, (middle - half, middle + half))
+    middle = (limits.lower[j] + limits.upper[j]) / 2
+    half_range = share * limits.range[j] / 2
+    span = (middle - half_range, middle + half_range)
+    ends = free_ends(belief, j, postures, span)
+
     width = np.diff(ends)[:, 0]
     if width.max() <= 0.0:
         name = belief.robot.joint_names[j]
@@ -105,14 +204,14 @@ def reachable(
             " base stands on no floor, plan with --no-floor."
         )
         raise ConfigError(message, where=str(belief.robot.source), hint=hint)
-    kept = width >= widest * width.max()
-    return postures[kept], ends[kept]
+    is_wide = width >= widest * width.max()
+    return postures[is_wide], ends[is_wide]
 
 
 def free_ends(
     belief: Belief, j: int, postures: Array, span: Ends, *, points: int = 60
 ) -> Array:
-    """Return the ends (P, 2) rad of the longest way of joint j that touches nothing.
+    """Return the ends of the longest way of joint j that touches nothing.
 
     Parameters
     ----------
@@ -125,27 +224,35 @@ def free_ends(
         something.
     points : int
         Places of the way that are looked at.
+
+    Returns
+    -------
+    (P, 2) array
+        [rad; m where prismatic].
     """
     low = max(float(belief.limits.lower[j]), span[0])
     high = max(min(float(belief.limits.upper[j]), span[1]), low)
     ends = np.tile([low, high], (len(postures), 1))
     if not belief.bounded or low == high:
         return ends
+
+    # Shapes are dear to check: only places above the floor are.
     places = np.linspace(low, high, points)
-    free = np.ones((len(postures), points), dtype=bool)
+    is_free = np.ones((len(postures), points), dtype=bool)
     if belief.floor is not None:
         joint = np.full(len(postures), j)
         same_places = np.tile(places, (len(postures), 1))
-        free = belief.floor.height_along(joint, postures, same_places) >= 0.0
+        is_free = belief.floor.height_along(joint, postures, same_places) >= 0.0
     if belief.geometry is not None:
         q = np.repeat(postures[:, None], points, axis=1)
         q[:, :, j] = places
-        free[free] = ~belief.geometry.collides(q[free])
-    for end, own in zip(ends, free, strict=True):
+        is_free[is_free] = ~belief.geometry.collides(q[is_free])
+
+    for k, free_places in enumerate(is_free):
         first, stop = max(
-            runs(own, points), key=lambda run: run[1] - run[0], default=(0, 1)
+            runs(free_places, points), key=lambda run: run[1] - run[0], default=(0, 1)
         )
-        end[:] = places[first], places[stop - 1]
+        ends[k] = places[first], places[stop - 1]
     return ends
 
 
@@ -155,33 +262,62 @@ def sweeps(
     postures: Array,
     speed: float,
     seconds: float,
-    ends: Array | None = None,
     *,
     points: int = 9,
 ) -> Moves:
-    """Joint j at `points` positions in each of `postures` (P, n), both ways.
+    """Return samples of sweeps of joint j over its range, both ways.
 
-    Between `ends` (P, 2), by default of its range; their information is that of
-    `seconds` of it.
+    Parameters
+    ----------
+    belief : Belief
+    j : int
+    postures : (P, n) float
+        Where the other joints are locked [rad; m where prismatic].
+    speed : float
+        Speed of the sweep [rad/s; m/s where prismatic].
+    seconds : float
+        Time that all samples of a sweep stand for [s].
+    points : int
+        Positions in each direction.
+
+    Returns
+    -------
+    Moves
+        P moves of 2 `points` samples each, without acceleration.
     """
     limits = belief.limits
-    low, high = (
-        (limits.lower[j], limits.upper[j])
-        if ends is None
-        else (ends[:, :1], ends[:, 1:])
-    )
+    width = limits.upper[j] - limits.lower[j]
+    share = np.tile(np.linspace(0.0, 1.0, points), 2)
     q = np.repeat(postures[:, None], 2 * points, axis=1)
-    q[:, :, j] = low + np.tile(np.linspace(0.0, 1.0, points), 2) * (high - low)
+    q[:, :, j] = limits.lower[j] + share * width
     dq = np.zeros_like(q)
     dq[:, :, j] = np.repeat([speed, -speed], points)
-    return Moves(
-        np.arange(2 * points) * seconds / (2 * points), q, dq, np.zeros_like(q)
-    )
+    t = np.arange(2 * points) * seconds / (2 * points)
+    return Moves(t, q, dq, np.zeros_like(q))
 
 
 def overloads(belief: Belief, j: int, postures: Array, speed: float) -> Array:
-    """Largest torque over its limit (P,) while joint j sweeps, its ramps included."""
-    moves, loads = sweeps(belief, j, postures, speed, 1.0), []
+    """Return the largest torque over its limit while a joint sweeps its range.
+
+    The accelerations of its ramps count in both directions, at all positions.
+
+    Parameters
+    ----------
+    belief : Belief
+    j : int
+        The joint that sweeps.
+    postures : (P, n) float
+        Where the other joints are locked [rad; m where prismatic].
+    speed : float
+        Speed of the sweep [rad/s; m/s where prismatic].
+
+    Returns
+    -------
+    (P,) array
+        At most 1 is allowed.
+    """
+    moves = sweeps(belief, j, postures, speed, 1.0)
+    loads = []
     for sign in (1.0, -1.0):
         moves.ddq[:, :, j] = sign * belief.limits.acceleration[j]
         loads.append(belief.overload(moves, belief.regressor(moves)))
@@ -189,7 +325,7 @@ def overloads(belief: Belief, j: int, postures: Array, speed: float) -> Array:
 
 
 def postures_of(limits: Limits, count: int, rng: np.random.Generator) -> Array:
-    """Draw postures (count, n) within the limits; the first is in the middle of all ranges."""
+    """Draw postures (count, n) within the limits, the first amid all ranges."""
     places = rng.uniform(size=(count, len(limits.range)))
     places[0] = 0.5
     return np.asarray(limits.lower + places * limits.range)

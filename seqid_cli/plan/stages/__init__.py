@@ -1,1 +1,1 @@
-"""The moves of each stage: drawn, chosen, refined, and the standard errors that they will give."""
+"""The moves of each stage: drawn, chosen and refined; with predicted errors."""

@@ -1,4 +1,4 @@
-"""Where friction is known: the positions and speeds of each joint that gravity's sweeps may use.
+"""Where friction is known: the positions and speeds of each joint that gravity may use.
 
 The gravity stage leaves slices out at which a joint's friction surface was not
 identified. So a sweep counts within the ranges of the surfaces that are given, or,
@@ -23,7 +23,7 @@ class Coverage:
 
     Parameters
     ----------
-    known : (n,) bool
+    is_known : (n,) bool
         Whether the joint has a friction surface, or will have one.
     lower, upper : (n,) float
         Positions [rad; m where prismatic].
@@ -31,7 +31,7 @@ class Coverage:
         Speeds [rad/s; m/s where prismatic].
     """
 
-    known: Mask
+    is_known: Mask
     lower: Array
     upper: Array
     slowest: Array
@@ -41,19 +41,23 @@ class Coverage:
     def of_surfaces(cls, belief: Belief) -> Self:
         """Return the ranges of the friction surfaces that are given."""
         n = belief.robot.n
-        lower, upper = np.zeros(n), np.zeros(n)
-        slowest, fastest = np.zeros(n), np.zeros(n)
+        lower = np.zeros(n)
+        upper = np.zeros(n)
+        slowest = np.zeros(n)
+        fastest = np.zeros(n)
         for j, surface in enumerate(belief.surfaces):
             if surface is None:
                 continue
             scaling = surface.scaling
-            # Friction that repeats with every turn is known at every angle.
-            lower[j], upper[j] = (
-                (-np.inf, np.inf) if scaling.periodic else scaling.position
-            )
+            if scaling.periodic:
+                # Friction that repeats with every turn is known at every angle.
+                lower[j] = -np.inf
+                upper[j] = np.inf
+            else:
+                lower[j], upper[j] = scaling.position
             slowest[j], fastest[j] = scaling.speed
         return cls(
-            known=np.array([surface is not None for surface in belief.surfaces]),
+            is_known=np.array([surface is not None for surface in belief.surfaces]),
             lower=lower,
             upper=upper,
             slowest=slowest,
@@ -62,15 +66,30 @@ class Coverage:
 
     @classmethod
     def of_moves(cls, belief: Belief, moves: Sequence[PlannedMove]) -> Self:
-        """Return what friction moves will cover: the ways of their slowest strokes at speed."""
+        """Return the ranges that friction moves will cover at steady speed.
+
+        Parameters
+        ----------
+        belief : Belief
+        moves : sequence of PlannedMove
+            Strokes of one joint each.
+
+        Returns
+        -------
+        Coverage
+        """
         names = belief.robot.joint_names
         n = len(names)
-        known = np.zeros(n, dtype=bool)
-        lower, upper = np.full(n, np.inf), np.full(n, -np.inf)
-        slowest, fastest = np.full(n, np.inf), np.zeros(n)
+        is_known = np.zeros(n, dtype=bool)
+        lower = np.full(n, np.inf)
+        upper = np.full(n, -np.inf)
+        slowest = np.full(n, np.inf)
+        fastest = np.zeros(n)
         for move in moves:
             j = names.index(move.joints[0])
-            known[j] = True
+            is_known[j] = True
+
+            # Ramps are no part of a way at steady speed.
             for stroke in move.strokes:
                 ramp = ramp_way(stroke.speed, stroke.acceleration)
                 lower[j] = min(lower[j], min(stroke.start, stroke.end) + ramp)
@@ -78,7 +97,11 @@ class Coverage:
                 slowest[j] = min(slowest[j], stroke.speed)
                 fastest[j] = max(fastest[j], stroke.speed)
         return cls(
-            known=known, lower=lower, upper=upper, slowest=slowest, fastest=fastest
+            is_known=is_known,
+            lower=lower,
+            upper=upper,
+            slowest=slowest,
+            fastest=fastest,
         )
 
     @classmethod
@@ -86,7 +109,7 @@ class Coverage:
         """Return the whole range of each joint, as if friction were known there."""
         limits = belief.limits
         return cls(
-            known=limits.moves.copy(),
+            is_known=limits.moves.copy(),
             lower=limits.lower.copy(),
             upper=limits.upper.copy(),
             slowest=np.zeros(belief.robot.n),
@@ -96,10 +119,10 @@ class Coverage:
     def text(self, belief: Belief, j: int) -> str:
         """Return the ranges of a joint in words."""
         joint = belief.robot.joints[j]
-        lower, upper = self.lower[j], self.upper[j]
+        lower = self.lower[j]
         place = "all angles"
         if np.isfinite(lower):
-            place = f"{lower:.2f} to {upper:.2f} {joint.unit('rad')}"
+            place = f"{lower:.2f} to {self.upper[j]:.2f} {joint.unit('rad')}"
         speeds = f"{self.slowest[j]:.2g} to {self.fastest[j]:.2g} {joint.unit('rad/s')}"
         return f"{joint.name} {place}, {speeds}"
 
@@ -107,3 +130,8 @@ class Coverage:
 def ramp_way(speed: float, acceleration: float) -> float:
     """Return the way [rad] of a cosine ramp from rest to a speed: pi v^2 / (4 a)."""
     return float(np.pi * speed**2 / (4.0 * acceleration))
+
+
+def ramp_ways(speed: Array, acceleration: Array) -> Array:
+    """Return the ways [rad] of cosine ramps to speeds (...): pi v^2 / (4 a)."""
+    return np.asarray(np.pi * speed**2 / (4.0 * acceleration))

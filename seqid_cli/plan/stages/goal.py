@@ -1,4 +1,4 @@
-"""The goal of a plan: a small torque error; and the results that a set of moves will give.
+"""The goal of a plan, a small torque error, and the predicted results of moves.
 
 The goal is tr(W C): C the covariance of the base parameters, W the mean of H' D H over
 typical all-joint moves with D the noise information, so that it is the mean square of
@@ -35,7 +35,8 @@ OPEN_SHARE = 0.1  # of the vague prior, from which an error leaves a parameter o
 class Planned:
     """The moves of a stage and their predicted results.
 
-    `information` (b, b) is theirs on the base parameters, for the stages that follow.
+    `information` (b, b) is that of the moves on the base parameters, for the stages
+    that follow.
     """
 
     moves: list[PlannedMove]
@@ -45,9 +46,18 @@ class Planned:
 
 @dataclass(frozen=True)
 class Goal:
-    """`W` (b, b) of scaled parameters, `scale` (b,) noise per unit, `prior` (b, b) scaled.
+    """The criterion tr(W C) on scaled parameters.
 
-    `shared` are the joints that W is the sum over.
+    Parameters
+    ----------
+    W : (b, b) float
+        Of scaled parameters.
+    scale : (b,) float
+        Torque of each parameter in units of the noise, per unit of the parameter.
+    prior : (b, b) float
+        Scaled information of earlier stages, and the vague prior.
+    shared : list of int
+        The joints that W is the sum over.
     """
 
     W: Array
@@ -57,52 +67,92 @@ class Goal:
 
     @classmethod
     def of(cls, belief: Belief, seed: int) -> Self:
-        """Average over typical moves."""
+        """Average over typical moves.
+
+        Parameters
+        ----------
+        belief : Belief
+        seed : int
+            Of the moves, which are drawn.
+
+        Returns
+        -------
+        Goal
+        """
         moves = typical(belief, seed)
         H = belief.regressor(moves)
         seconds = float(moves.t[-1] - moves.t[0])
-        W = belief.information(moves, H).mean(axis=0) / (2.0 * NOISE_HZ * seconds)
-        scale = np.sqrt(np.maximum(np.diag(W), 1e-12 * np.diag(W).max()))
-        prior = belief.prior / np.outer(scale, scale) + np.eye(len(W)) / VAGUE**2
-        return cls(W / np.outer(scale, scale), scale, prior, belief.limits.moving)
+        independent_samples = 2.0 * NOISE_HZ * seconds
+        W = belief.information(moves, H).mean(axis=0) / independent_samples
+
+        squares = np.diag(W)
+        scale = np.sqrt(np.maximum(squares, 1e-12 * squares.max()))
+        units = np.outer(scale, scale)
+        prior = belief.prior / units + np.eye(len(W)) / VAGUE**2
+        return cls(W / units, scale, prior, belief.limits.moving)
 
     @property
-    def known(self) -> Array:
-        """The prior (b, b) without its vague part: what earlier stages tell."""
+    def earlier_information(self) -> Array:
+        """The prior (b, b) without its vague part: that of earlier stages."""
         return np.asarray(self.prior - np.eye(len(self.W)) / VAGUE**2)
 
     def scaled(self, information: Array) -> Array:
-        """Information (..., b, b) on the scaled parameters."""
+        """Return information (..., b, b) on the scaled parameters."""
         return np.asarray(information / np.outer(self.scale, self.scale))
 
     def errors(self, information: Array) -> Array:
-        """tr(W C) of scaled information matrices (..., b, b), prior included."""
+        """Return tr(W C) (...) of scaled information (..., b, b), prior included."""
         C = np.linalg.inv(information + self.prior)
         return np.asarray(np.einsum("ab,...ba->...", self.W, C))
 
     def log_condition(self, information: Array) -> Array:
-        """Log (...) of the condition of information (..., b, b) with columns of length 1."""
+        """Return the log (...) of the condition of the weighted regressor.
+
+        It is that of scaled information (..., b, b), prior included, with columns of
+        length 1.
+        """
         N = information + self.prior
-        size = np.sqrt(np.diagonal(N, axis1=-2, axis2=-1))
-        values = np.linalg.eigvalsh(N / (size[..., :, None] * size[..., None, :]))
-        return np.asarray(
-            np.log(values[..., -1] / np.maximum(values[..., 0], 1e-15)) / 2.0
-        )
+        length = np.sqrt(np.diagonal(N, axis1=-2, axis2=-1))
+        unit_N = N / (length[..., :, None] * length[..., None, :])
+        eigenvalues = np.linalg.eigvalsh(unit_N)
+        least = np.maximum(eigenvalues[..., 0], 1e-15)
+        # Half of it: eigenvalues are squares of the regressor's singular values.
+        return np.asarray(np.log(eigenvalues[..., -1] / least) / 2.0)
 
     def covariance(self, information: Array) -> Array:
-        """Covariance (b, b) of the parameters in their own units, prior included."""
+        """Return the covariance (b, b) of the parameters in their own units.
+
+        `information` (b, b) is scaled; the prior is included.
+        """
         C = np.linalg.inv(information + self.prior)
         return np.asarray(C / np.outer(self.scale, self.scale))
 
 
 def rank_and_condition(information: Array) -> tuple[int, float]:
-    """Rank and condition of the regressor with columns scaled to one, from its normal matrix."""
-    size = np.sqrt(np.diag(information))
-    alive = size > 1e-9 * size.max(initial=1e-300)
-    scaled = information[np.ix_(alive, alive)] / np.outer(size[alive], size[alive])
+    """Return rank and condition of a regressor from its normal matrix.
+
+    Parameters
+    ----------
+    information : (b, b) float
+        Normal matrix; columns of the regressor are scaled to length 1.
+
+    Returns
+    -------
+    rank : int
+    condition : float
+        Of the directions that count for the rank; 0 where there are none.
+    """
+    length = np.sqrt(np.diag(information))
+    is_excited = length > 1e-9 * length.max(initial=1e-300)
+    units = np.outer(length[is_excited], length[is_excited])
+    scaled = information[np.ix_(is_excited, is_excited)] / units
     s = np.sqrt(np.maximum(np.linalg.eigvalsh(scaled)[::-1], 0.0))
-    kept = s > RANK_TOLERANCE * s[0] if len(s) else np.zeros(0, dtype=bool)
-    return int(kept.sum()), float(s[0] / s[kept][-1]) if kept.any() else 0.0
+    if not len(s):
+        return 0, 0.0
+    determined = s[s > RANK_TOLERANCE * s[0]]
+    if not len(determined):
+        return 0, 0.0
+    return len(determined), float(s[0] / determined[-1])
 
 
 def predicted_stage(
@@ -113,31 +163,55 @@ def predicted_stage(
     wanted: Mask,
     seconds: float,
 ) -> PlannedStage:
-    """Describe what moves of `seconds` add to what there is.
+    """Describe what moves add to the information that there is.
 
-    `have` (b, b) and `each` (M, b, b) are scaled information. `parameters` are the
-    first of the b unknowns with their errors, `wanted` (b,) those that the stage is
-    about: of these the ones stay that are not left open.
+    Parameters
+    ----------
+    goal : Goal
+    have : (b, b) float
+        Scaled information that is there already.
+    each : (M, b, b) float
+        Scaled information of each move.
+    parameters : sequence of PredictedParameter
+        The first of the b unknowns with their errors.
+    wanted : (b,) bool
+        The unknowns that the stage is about. Those of them that the moves leave open
+        are named, not listed.
+    seconds : float
+        Length of each move [s].
+
+    Returns
+    -------
+    PlannedStage
     """
-    total = have + each.sum(axis=0)
-    rank, condition = rank_and_condition((total + goal.known)[np.ix_(wanted, wanted)])
-    errors = np.array([parameter.std_error for parameter in parameters])
-    vague = errors * goal.scale[: len(errors)] > OPEN_SHARE * VAGUE
-    about = [k for k in range(len(parameters)) if wanted[k]]
-    growth, grown = [], have
+    total = have + each.sum(axis=0) + goal.earlier_information
+    rank, condition = rank_and_condition(total[np.ix_(wanted, wanted)])
+
+    determined = []
+    open_expressions = []
+    for k, parameter in enumerate(parameters):
+        if not wanted[k]:
+            continue
+        if parameter.std_error * goal.scale[k] > OPEN_SHARE * VAGUE:
+            open_expressions.append(parameter.expression)
+        else:
+            determined.append(parameter)
+
+    growth = []
+    grown = have
     for k, information in enumerate(each, start=1):
         grown = grown + information
         error = float(np.sqrt(goal.errors(grown) / len(goal.shared)))
-        reached, _ = rank_and_condition(grown + goal.known)
+        reached_rank, _ = rank_and_condition(grown + goal.earlier_information)
         growth.append(
-            PlanGrowth(moves=k, duration_s=k * seconds, rank=reached, error=error)
+            PlanGrowth(moves=k, duration_s=k * seconds, rank=reached_rank, error=error)
         )
     return PlannedStage(
-        parameters=[parameters[k] for k in about if not vague[k]],
+        parameters=determined,
         rank=rank,
         structural_rank=int(wanted.sum()),
         condition=condition,
-        not_excited=[parameters[k].expression for k in about if vague[k]],
+        not_excited=open_expressions,
         growth=growth,
     )
 
@@ -145,11 +219,20 @@ def predicted_stage(
 def with_criterion(stage: PlannedStage, goal: Goal, total: Array) -> PlannedStage:
     """Return a stage that says what the search for its moves minimised.
 
-    `total` (b, b) is the scaled information of all moves and logs.
+    Parameters
+    ----------
+    stage : PlannedStage
+    goal : Goal
+    total : (b, b) float
+        Scaled information of all moves and logs.
+
+    Returns
+    -------
+    PlannedStage
     """
-    value = float(goal.errors(total)) * float(np.exp(goal.log_condition(total)))
+    condition = float(np.exp(goal.log_condition(total)))
     criterion = PlanCriterion(
         minimised="tr(W C) times the condition of the regressor weighted by the noise",
-        value=value,
+        value=float(goal.errors(total)) * condition,
     )
     return msgspec.structs.replace(stage, criterion=criterion)

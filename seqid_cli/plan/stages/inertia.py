@@ -1,6 +1,11 @@
-"""Plan the inertia stage: moves of two joints, or of all, chosen and refined (Sec. 2.2.4).
+"""Plan the inertia stage: moves of two joints or all, chosen and refined (Sec. 2.2.4).
 
 The validation has moves of all joints, drawn by a seed of their own, not optimised.
+
+Letters: H (M, N, n, b) are the rows of the regressor, D their information per (N m)^2
+and C the covariance of the base parameters. Friction was subtracted from the torque, so
+that an error d of a surface's coefficients, with columns F, moves the parameters by
+-C (H' D F) d.
 """
 
 from dataclasses import dataclass, replace
@@ -28,31 +33,65 @@ from seqid_cli.typing import Array, Mask
 def plan_inertia(
     belief: Belief, stages: Stages, options: PlanOptions, have: Array | None = None
 ) -> Planned:
-    """Choose the moves that lower the torque's error most beside `have` (b, b), from logs."""
+    """Choose the moves that lower the torque's error most.
+
+    Parameters
+    ----------
+    belief : Belief
+    stages : Stages
+        What is identified already.
+    options : PlanOptions
+    have : (b, b) float, optional
+        Information of logs and moves that are there already.
+
+    Returns
+    -------
+    Planned
+    """
     goal = Goal.of(belief, options.seed)
-    known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
-    moves, dense, each = optimised(belief, goal, options, known, "inertia")
-    every = np.ones(belief.basis.size, dtype=bool)
-    rows = rows_of_moves(belief, dense)
-    stage = rigid_stage(belief, goal, stages, rows, each, known, every)
-    return Planned(moves, with_criterion(stage, goal, known + each.sum(axis=0)))
+    scaled_have = np.zeros_like(goal.W) if have is None else goal.scaled(have)
+    search = optimised(belief, goal, options, scaled_have, "inertia")
+    stage = rigid_stage(
+        belief,
+        goal,
+        stages,
+        rows_of_moves(belief, search.samples),
+        each=search.information,
+        have=scaled_have,
+        wanted=np.ones(belief.basis.size, dtype=bool),
+    )
+    total = scaled_have + search.information.sum(axis=0)
+    return Planned(search.moves, with_criterion(stage, goal, total))
 
 
 def plan_validation(
     belief: Belief, options: PlanOptions, *, count: int = 4, own_seed: int = 1_000_003
 ) -> Planned:
-    """Draw moves of all joints, the first that keep the torque limits."""
-    own = replace(options, seed=options.seed + own_seed)
-    goal = Goal.of(belief, own.seed)
-    shapes = Shapes.over(own.length_s, COARSE_HZ)
-    rng = np.random.default_rng(own.seed)
-    drawn, _ = draw_pool(
-        belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng
-    )
-    check_torque(belief, drawn, own)
-    return Planned(
-        within_limits(belief, drawn[:count], own, "validation")[0], PlannedStage()
-    )
+    """Draw moves of all joints, the first that keep the torque limits.
+
+    Parameters
+    ----------
+    belief : Belief
+    options : PlanOptions
+    count : int
+        Number of moves.
+    own_seed : int
+        Added to the seed: moves to judge a model by are not those to learn from.
+
+    Returns
+    -------
+    Planned
+    """
+    with_own_seed = replace(options, seed=options.seed + own_seed)
+    seed = with_own_seed.seed
+    goal = Goal.of(belief, seed)
+    shapes = Shapes.over(options.length_s, COARSE_HZ)
+    all_joints = [tuple(belief.limits.moving)]
+    rng = np.random.default_rng(seed)
+    drawn, _ = draw_pool(belief, goal, shapes, all_joints, 10 * count, rng)
+    check_torque(belief, drawn, with_own_seed)
+    moves, _ = within_limits(belief, drawn[:count], with_own_seed, "validation")
+    return Planned(moves, PlannedStage())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,14 +125,17 @@ class StageRows:
         return total.lost
 
 
-def rows_of_moves(belief: Belief, dense: Moves) -> StageRows:
-    """Return the rows of moves, at a hundred samples a second or so: rates are differences."""
+def rows_of_moves(belief: Belief, samples: Moves) -> StageRows:
+    """Return the rows of moves, at a hundred samples a second or so.
+
+    Sparser samples do not do: rates of the torque are differences of them.
+    """
     return StageRows(
-        moves=dense,
-        H=belief.regressor(dense),
-        weights=belief.weights(dense),
+        moves=samples,
+        H=belief.regressor(samples),
+        weights=belief.weights(samples),
         terms=move_terms,
-        rates=belief.torque_rates(dense),
+        rates=belief.torque_rates(samples),
     )
 
 
@@ -122,59 +164,86 @@ def rigid_stage(
         Scaled information that is there already.
     wanted : (b,) bool
         The parameters that the stage is about.
+
+    Returns
+    -------
+    PlannedStage
+        Gravity parameters that a stage has identified are not listed again.
     """
-    basis, names = belief.basis, belief.robot.joint_names
+    basis = belief.basis
+    names = belief.robot.joint_names
     total = have + each.sum(axis=0) - goal.scaled(rows.lost(belief))
-    spread = spread_of(belief, goal, stages, rows, total)
-    errors = np.sqrt(np.diag(spread))
+    covariance = covariance_with_friction(belief, goal, stages, rows, total)
+    std_errors = np.sqrt(np.diag(covariance))
     parameters = [
         PredictedParameter(
             name=basis.names[k],
             joint=names[basis.joint_index(k)],
             unit=basis.unit(k),
-            std_error=float(errors[k]),
+            std_error=float(std_errors[k]),
             value=None if belief.theta is None else float(belief.theta[k]),
             expression=basis.expression_text(k),
         )
         for k in range(basis.size)
     ]
     seconds = float(rows.moves.t[-1])
-    found = predicted_stage(goal, have, each, parameters, wanted, seconds)
-    known = {p.name for p in stages.gravity.parameters} if stages.gravity else set()
-    found.parameters = [p for p in found.parameters if p.name not in known]
-    found.torque_error = torque_errors(belief, spread * np.outer(wanted, wanted))
-    return found
+    stage = predicted_stage(goal, have, each, parameters, wanted, seconds)
+
+    if stages.gravity:
+        of_gravity = {parameter.name for parameter in stages.gravity.parameters}
+        stage.parameters = [x for x in stage.parameters if x.name not in of_gravity]
+    stage.torque_error = torque_errors(belief, covariance * np.outer(wanted, wanted))
+    return stage
 
 
 def torque_errors(belief: Belief, covariance: Array) -> dict[str, float]:
-    """Return the torque error [N m] of each joint that moves, over typical moves."""
-    values, vectors = np.linalg.eigh(covariance)
-    H = belief.regressor(typical(belief, seed=0))
-    torque = H @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-    sizes = np.sqrt(np.mean(np.sum(torque**2, axis=3), axis=(0, 1)))
+    """Return the torque error [N m] of each joint that moves, over typical moves.
+
+    `covariance` (b, b) is that of the base parameters.
+    """
+    variances, directions = np.linalg.eigh(covariance)
+    root = directions * np.sqrt(np.maximum(variances, 0.0))
+    torque = belief.regressor(typical(belief, seed=0)) @ root
+    rms = np.sqrt(np.mean(np.sum(torque**2, axis=3), axis=(0, 1)))
     names = belief.robot.joint_names
-    return {names[j]: float(sizes[j]) for j in belief.limits.moving}
+    return {names[j]: float(rms[j]) for j in belief.limits.moving}
 
 
-def spread_of(
+def covariance_with_friction(
     belief: Belief, goal: Goal, stages: Stages, rows: StageRows, total: Array
 ) -> Array:
-    """Covariance (b, b) after moves with the scaled information `total`, friction's errors in it.
+    """Return the covariance of the parameters with the errors of friction in it.
 
-    Friction was subtracted: an error d of a surface's coefficients moves the parameters
-    by -C (H' D F) d, and by what it moved gravity's parameters through their prior.
+    An error d of a surface's coefficients moves the parameters by -C (H' D F) d, and by
+    what it moved gravity's parameters, through their prior.
+
+    Parameters
+    ----------
+    belief : Belief
+    goal : Goal
+    stages : Stages
+        What is identified already.
+    rows : StageRows
+    total : (b, b) float
+        Scaled information of all moves and logs, without nuisance terms.
+
+    Returns
+    -------
+    (b, b) array
+        In the parameters' own units.
     """
     C = goal.covariance(total)
-    whole = C.copy()
-    moves = rows.moves
+    covariance = C.copy()
+    q = rows.moves.q
+    dq = rows.moves.dq
     prior = gravity_prior(stages.gravity, belief.basis, belief.robot.joint_names)
     for j, surface in enumerate(belief.surfaces):
         if surface is None:
             continue
-        F = surface.columns(moves.q[..., j].ravel(), moves.dq[..., j].ravel())
-        weighted = rows.weights[..., j, None] * rows.H[:, :, j]
-        moved = -C @ (weighted.reshape(-1, len(C)).T @ F)
+        F = surface.columns(q[..., j].ravel(), dq[..., j].ravel())
+        D_H = (rows.weights[..., j, None] * rows.H[:, :, j]).reshape(-1, len(C))
+        moved = -C @ (D_H.T @ F)
         if j in prior.friction:
             moved += C @ prior.A.T @ prior.friction[j]
-        whole += moved @ surface.covariance @ moved.T
-    return whole
+        covariance += moved @ surface.covariance @ moved.T
+    return covariance

@@ -1,4 +1,10 @@
-"""Friction, joint by joint: a map over position and velocity, and cuts with their intervals."""
+"""Friction, joint by joint: a map over position and velocity, and cuts through it.
+
+Cuts have 95 % intervals. The map shows the torque f(q, v) at positions q and speeds v
+of both directions.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -6,14 +12,15 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.results.tables import Head, Values
 from seqid_cli.params.schema import FrictionJoint, FrictionStage
 from seqid_cli.report import views
-from seqid_cli.report.chart import figure, line, padded, small_panel
+from seqid_cli.report.chart import Panel, figure, line, padded, small_panel
 from seqid_cli.report.collection import Collection, Place
 from seqid_cli.report.words import MINUS, Z95, number, percent
+from seqid_cli.typing import Array
 
 _CALL = "seqid friction LOG... -r robot.toml -o friction.json"
 _CELLS = (22, 11)  # of the map: along position, along speed in either direction
 _COLOURS = 12
-_CURVE = 81
+_CURVE = 81  # points of a line
 _HEIGHT = 178.0
 
 
@@ -24,176 +31,311 @@ def friction(collection: Collection) -> views.Section:
     if model is None or stage is None:
         text = "No friction stage is in the files given."
         return views.lacking("friction", "Friction", text, _CALL)
+
     lead = (
         "Friction torque as a function of position and velocity (Eq. 7-11). Nothing is"
         " known between the slowest recorded speeds of both directions, where the sign"
         " turns; outside the recorded range Coulomb and viscous friction goes on, at"
         " its mean over position."
     )
-    groups = [_joint(collection, stage, name) for name in stage.joints]
+
     notes = list(stage.notes)
     if model.stages.effects:
         notes.append("Effects that refinement added are not part of these surfaces.")
-    return views.Section("friction", "Friction", lead, groups, notes=notes)
+    return views.Section(
+        id="friction",
+        title="Friction",
+        lead=lead,
+        groups=[_joint_group(collection, stage, name) for name in stage.joints],
+        notes=notes,
+    )
 
 
-def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Group:
-    joint, place = stage.joints[name], collection.place(name)
-    own = [verdict for verdict in stage.verdicts if verdict.joint == name]
+def _joint_group(
+    collection: Collection, stage: FrictionStage, name: str
+) -> views.Group:
+    """Return the group on one joint."""
+    joint = stage.joints[name]
+    place = collection.place(name)
+    verdicts = [verdict for verdict in stage.verdicts if verdict.joint == name]
     figures = friction_figures(joint, place)
-    fault = views.Absent("Its surface is not finite: identify it anew.", _CALL)
+    absent = []
+    if not figures:
+        text = "Its surface is not finite: identify it anew."
+        absent.append(views.Absent(text, _CALL))
+
+    speeds = views.table(
+        f"Recorded speeds of {name}",
+        "speed [{length}/s] | moves forward | backward | RMS error [{unit}]",
+        "number count count number",
+        [(x.speed, x.forward, x.backward, x.rmse) for x in joint.speeds],
+        unit=place.unit,
+        length=place.length,
+    )
+    parameters = views.Table(
+        caption=f"Friction parameters of {name}",
+        values=Values(
+            views.VALUE_HEADS,
+            [
+                views.value_row(x.name, x.value, x.std_error, x.unit)
+                for x in joint.parameters
+            ],
+        ),
+    )
+    return views.Group(
+        id=f"friction-{collection.robot.joints.index(name) + 1}",
+        title=name,
+        joint=name,
+        lead=views.reasons(verdicts),
+        badge=views.badge(verdicts),
+        facts=_facts(joint, place),
+        figures=figures,
+        absent=absent,
+        tables=[speeds, parameters],
+    )
+
+
+def _facts(joint: FrictionJoint, place: Place) -> list[tuple[str, str]]:
+    """Return the orders of a surface, and its errors."""
     facts = [
         ("orders", f"{joint.position_order}, {joint.velocity_order}"),
         ("RMS error of the fit", f"{number(joint.rmse)} {place.unit}"),
     ]
     if joint.held_out_rmse is not None:
-        facts.append(
-            ("at left-out speeds", f"{number(joint.held_out_rmse)} {place.unit}")
-        )
+        held_out_rmse = f"{number(joint.held_out_rmse)} {place.unit}"
+        facts.append(("at left-out speeds", held_out_rmse))
     if joint.criterion_met is not None:
         facts.append(("largest error (Eq. 11)", percent(joint.max_error)))
     if joint.max_error_of_noise is not None:
         facts.append(("noise alone makes", percent(joint.max_error_of_noise)))
     if joint.asymmetry is not None:
         facts.append(("depends on direction", percent(joint.asymmetry)))
-    terms = [
-        views.value_row(x.name, x.value, x.std_error, x.unit) for x in joint.parameters
-    ]
-    titles = "speed [{length}/s] | moves forward | backward | RMS error [{unit}]"
-    kinds, units = (
-        "number count count number",
-        {"unit": place.unit, "length": place.length},
-    )
-    speeds = [(x.speed, x.forward, x.backward, x.rmse) for x in joint.speeds]
-    return views.Group(
-        f"friction-{collection.robot.joints.index(name) + 1}",
-        name,
-        joint=name,
-        lead=views.reasons(own),
-        badge=views.badge(own),
-        facts=facts,
-        figures=figures,
-        absent=[] if figures else [fault],
-        tables=[
-            views.table(f"Recorded speeds of {name}", titles, kinds, speeds, **units),
-            views.Table(
-                f"Friction parameters of {name}", Values(views.VALUE_HEADS, terms)
-            ),
-        ],
-    )
+    return facts
 
 
 def friction_figures(joint: FrictionJoint, place: Place) -> list[views.Figure]:
-    """Draw a joint's friction: none unless values and errors are finite all over its range."""
-    q, v = (
-        np.linspace(low, high, 5)
-        for low, high in (joint.position_range, joint.speed_range)
-    )
+    """Draw a joint's friction.
+
+    There are no figures unless values and errors are finite all over its range.
+    """
+    # Coefficients of a file may be anything.
     with np.errstate(all="ignore"):
-        surface, grid = (
-            FrictionSurface.from_stage(joint),
-            (np.repeat(q, 5), np.tile(v, 5)),
-        )
-        torque, error = surface.torque(*grid), surface.stated_error(*grid)
-        if not (np.isfinite([torque, error]).all() and np.ptp(torque) < np.inf):
+        surface = FrictionSurface.from_stage(joint)
+        if not _is_finite(joint, surface):
             return []
-    cuts = [_cuts(joint, surface, place, over) for over in ("velocity", "position")]
-    return [_map(joint, surface, place), *cuts]
+    return [
+        _map(joint, surface, place),
+        _cuts(joint, surface, place, over="velocity"),
+        _cuts(joint, surface, place, over="position"),
+    ]
+
+
+def _is_finite(joint: FrictionJoint, surface: FrictionSurface) -> bool:
+    """Return whether a surface and its errors are finite all over its range."""
+    q = np.repeat(np.linspace(joint.position_range[0], joint.position_range[1], 5), 5)
+    v = np.tile(np.linspace(joint.speed_range[0], joint.speed_range[1], 5), 5)
+    torque = surface.torque(q, v)
+    error = surface.stated_error(q, v)
+    # Even finite values may be too far apart to be drawn.
+    return bool(np.isfinite([torque, error]).all() and np.ptp(torque) < np.inf)
 
 
 def _map(joint: FrictionJoint, surface: FrictionSurface, place: Place) -> views.Figure:
-    """Draw friction over position and velocity (Fig. 1 and 10); about rest nothing is known."""
-    q = np.linspace(joint.position_range[0], joint.position_range[1], _CELLS[0] + 1)
-    speed = np.linspace(
-        max(joint.speed_range[0], 0.0), joint.speed_range[1], _CELLS[1] + 1
+    """Draw friction over position and velocity (Fig. 1 and 10).
+
+    About rest nothing is known.
+    """
+    n_positions, n_speeds = _CELLS
+    q = np.linspace(joint.position_range[0], joint.position_range[1], n_positions + 1)
+    slowest = max(joint.speed_range[0], 0.0)
+    speed = np.linspace(slowest, joint.speed_range[1], n_speeds + 1)
+    directions = (-speed[::-1], speed)
+    torques = [_on_grid(surface, q, v) for v in directions]
+    low = float(np.min(torques))
+    high = float(np.max(torques))
+
+    panel = small_panel(
+        ("position", place.length),
+        padded(q, 0.0),
+        f"velocity, {place.length}/s",
+        padded([-speed[-1], speed[-1]], 0.0),
+        height=_HEIGHT,
+        readable=False,
     )
-    halves = (-speed[::-1], speed)
-    grids = [(np.repeat(q, len(v)), np.tile(v, len(q))) for v in halves]
-    torques = [surface.torque(*grid).reshape(len(q), -1) for grid in grids]
-    low, high = float(np.min(torques)), float(np.max(torques))
-    x_range, y_range = padded(q, 0.0), padded([-speed[-1], speed[-1]], 0.0)
-    x, y_title = ("position", place.length), f"velocity, {place.length}/s"
-    panel = small_panel(x, x_range, y_title, y_range, height=_HEIGHT, hover="")
-    for v, torque in zip(halves, torques, strict=True):
-        middle = 0.25 * (
-            torque[1:, 1:] + torque[1:, :-1] + torque[:-1, 1:] + torque[:-1, :-1]
-        )
-        share = (middle - low) / ((high - low) or 1.0)
-        shades = np.minimum((share * _COLOURS).astype(int), _COLOURS - 1)
-        for (i, k), shade in np.ndenumerate(shades):
-            panel.band(q[i : i + 2], v[[k, k]], v[[k + 1, k + 1]], f"heat h{shade}")
+    for v, torque in zip(directions, torques, strict=True):
+        _draw_cells(panel, q, v, torque, low, high)
+
     title = f"Friction of {place.joint} over position and velocity"
     text = f"Map of friction torque from {number(low)} to {number(high)} {place.unit}."
-    marks = [
-        (k, low + k / (_COLOURS - 1) * (high - low)) for k in (0, 4, 7, _COLOURS - 1)
+    legend = {}
+    for k in (0, 4, 7, _COLOURS - 1):
+        torque_of_colour = low + k / (_COLOURS - 1) * (high - low)
+        legend[f"heat h{k}"] = f"{number(torque_of_colour, 2)} {place.unit}"
+
+    # The table has three positions, and three speeds of each direction.
+    half = n_positions // 2
+    columns = [Head("velocity", "number", f"{place.length}/s")]
+    columns += [
+        Head(f"at {number(position)}", "number", place.length) for position in q[::half]
     ]
-    legend = {f"heat h{k}": f"{number(at, 2)} {place.unit}" for k, at in marks}
-    heads = [Head("velocity", "number", f"{place.length}/s")]
-    heads += [
-        Head(f"at {number(at)}", "number", place.length) for at in q[:: _CELLS[0] // 2]
-    ]
-    rows = [
-        (float(v[k]), *torque[:: _CELLS[0] // 2, k].tolist())
-        for v, torque in zip(halves, torques, strict=True)
-        for k in (0, _CELLS[1] // 2, _CELLS[1])
-    ]
-    values = views.Table(f"{title}, {place.unit}", Values(heads, rows))
+    rows = []
+    for v, torque in zip(directions, torques, strict=True):
+        for k in (0, n_speeds // 2, n_speeds):
+            rows.append((float(v[k]), *torque[::half, k].tolist()))
+    values = views.Table(caption=f"{title}, {place.unit}", values=Values(columns, rows))
     return figure(
         [panel], title, text, legend, values, name="Over position and velocity"
     )
 
 
+def _on_grid(surface: FrictionSurface, q: Array, v: Array) -> Array:
+    """Return the torque (Q, V) of all positions q (Q,) and speeds v (V,) [N m]."""
+    torque = surface.torque(np.repeat(q, len(v)), np.tile(v, len(q)))
+    return torque.reshape(len(q), -1)
+
+
+def _draw_cells(
+    panel: Panel, q: Array, v: Array, torque: Array, low: float, high: float
+) -> None:
+    """Draw a cell between all neighbours, by the mean torque of its corners."""
+    upper_corners = torque[1:, 1:] + torque[1:, :-1]
+    corners = upper_corners + torque[:-1, 1:] + torque[:-1, :-1]
+    share = (0.25 * corners - low) / ((high - low) or 1.0)
+    shades = np.minimum((share * _COLOURS).astype(int), _COLOURS - 1)
+    for (i, k), shade in np.ndenumerate(shades):
+        bottom = v[[k, k]]
+        top = v[[k + 1, k + 1]]
+        panel.band(q[i : i + 2], bottom, top, f"heat h{shade}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Curve:
+    """One piece of a cut: torques (N,) over x (N,), with half their 95 % intervals."""
+
+    cut: int
+    x: Array
+    torque: Array
+    half_width: Array
+
+
 def _cuts(
-    joint: FrictionJoint, surface: FrictionSurface, place: Place, over: str
+    joint: FrictionJoint, surface: FrictionSurface, place: Place, *, over: str
 ) -> views.Figure:
-    """Draw three cuts with 95 % intervals, in the pieces and at the speeds that were recorded."""
-    (low, high), (slow, fast) = joint.position_range, joint.speed_range
-    x_unit, cut_unit = place.length, f"{place.length}/s"
-    cuts, pieces = np.linspace(slow, fast, 3), [np.linspace(low, high, _CURVE)]
-    along = over == "velocity"
-    if along:
-        x_unit, cut_unit, arm = cut_unit, x_unit, np.linspace(slow, fast, _CURVE)
-        cuts, pieces = np.linspace(low, high, 5)[1:4], [-arm[::-1], arm]
+    """Draw three cuts over velocity or position, with 95 % intervals.
+
+    Cuts over velocity are drawn at the speeds that were recorded, without rest.
+    """
+    over_velocity = over == "velocity"
+    position_low, position_high = joint.position_range
+    slowest, fastest = joint.speed_range
+    if over_velocity:
+        x_unit = f"{place.length}/s"
+        cut_unit = place.length
+        cuts = np.linspace(position_low, position_high, 5)[1:4]
+        speeds = np.linspace(slowest, fastest, _CURVE)
+        pieces = [-speeds[::-1], speeds]
+        recorded_speeds = [item.speed for item in joint.speeds]
+    else:
+        x_unit = place.length
+        cut_unit = f"{place.length}/s"
+        cuts = np.linspace(slowest, fastest, 3)
+        pieces = [np.linspace(position_low, position_high, _CURVE)]
+        recorded_speeds = []
+
     curves = []
-    for k, at in enumerate(cuts):
+    for k, cut in enumerate(cuts):
         for x in pieces:
-            q, v = (np.full(len(x), at), x) if along else (x, np.full(len(x), at))
-            curves.append(
-                (k, x, surface.torque(q, v), Z95 * surface.stated_error(q, v))
+            at_cut = np.full(len(x), cut)
+            q, v = (at_cut, x) if over_velocity else (x, at_cut)
+            curve = _Curve(
+                cut=k,
+                x=x,
+                torque=surface.torque(q, v),
+                half_width=Z95 * surface.stated_error(q, v),
             )
-    every = np.concatenate([np.concatenate([y - e, y + e]) for *_, y, e in curves])
-    x_range, y_title = padded(np.concatenate(pieces), 0.02), f"friction, {place.unit}"
-    panel = small_panel((over, x_unit), x_range, y_title, padded(every), height=_HEIGHT)
-    names = [f"at {float(at):.3g} {cut_unit}".replace("-", MINUS) for at in cuts]
-    for k, x, y, e in curves:
-        panel.band(x, y - e, y + e, f"cut{k}")
-    for k, x, y, _ in curves:
-        panel.line(x, y, f"cut{k}", name=names[k], unit=place.unit)
-    bottom, speeds = (
-        panel.box.bottom,
-        [item.speed for item in joint.speeds] if along else [],
-    )
-    for speed in (*speeds, *(-speed for speed in speeds)):
-        panel.marks.append(
-            line("rug", panel.x(speed), bottom, panel.x(speed), bottom - 6)
-        )
-    rows = [
-        (float(cuts[k]), float(x[i]), float(y[i]), float(e[i]))
-        for k, x, y, e in curves
-        for i in np.linspace(0, len(x) - 1, 5).astype(int)
-    ]
+            curves.append(curve)
+    names = [f"at {float(cut):.3g} {cut_unit}".replace("-", MINUS) for cut in cuts]
+    panel = _cut_panel(curves, (over, x_unit), np.concatenate(pieces), names, place)
+    _draw_marks(panel, recorded_speeds)
+
     title = f"Friction of {place.joint} over {over}"
-    titles = "cut at [{cut}] | {over} [{unit}] | friction | 95 % half-width"
-    kinds, own = (
+    values = views.table(
+        f"{title}, {place.unit}",
+        "cut at [{cut}] | {over} [{unit}] | friction | 95 % half-width",
         "number number number number2",
-        {"cut": cut_unit, "over": over, "unit": x_unit},
+        _cut_rows(curves, cuts),
+        cut=cut_unit,
+        over=over,
+        unit=x_unit,
     )
+    note = ""
+    if recorded_speeds:
+        note = "Small marks below: the speeds that were recorded."
     return figure(
         [panel],
         title,
         "Three cuts through the surface with 95 % intervals.",
         {f"cut{k}": name for k, name in enumerate(names)},
-        views.table(f"{title}, {place.unit}", titles, kinds, rows, **own),
+        values,
         name=f"Over {over}",
-        note="Small marks below: the speeds that were recorded." if speeds else "",
+        note=note,
     )
+
+
+def _cut_panel(
+    curves: list[_Curve],
+    x_axis: tuple[str, str],
+    x: Array,
+    names: list[str],
+    place: Place,
+) -> Panel:
+    """Draw the curves of cuts, all lines above all bands."""
+    edges = []
+    for curve in curves:
+        edges += [curve.torque - curve.half_width, curve.torque + curve.half_width]
+    panel = small_panel(
+        x_axis,
+        padded(x, 0.02),
+        f"friction, {place.unit}",
+        padded(np.concatenate(edges)),
+        height=_HEIGHT,
+    )
+
+    for curve in curves:
+        low = curve.torque - curve.half_width
+        high = curve.torque + curve.half_width
+        panel.band(curve.x, low, high, f"cut{curve.cut}")
+    for curve in curves:
+        panel.line(
+            curve.x,
+            curve.torque,
+            f"cut{curve.cut}",
+            name=names[curve.cut],
+            unit=place.unit,
+        )
+    return panel
+
+
+def _draw_marks(panel: Panel, recorded_speeds: list[float]) -> None:
+    """Draw small marks below at the speeds that were recorded, in both directions."""
+    bottom = panel.box.bottom
+    for speed in (*recorded_speeds, *(-speed for speed in recorded_speeds)):
+        at = panel.x(speed)
+        panel.marks.append(line("rug", at, bottom, at, bottom - 6))
+
+
+def _cut_rows(
+    curves: list[_Curve], cuts: Array
+) -> list[tuple[float, float, float, float]]:
+    """Return five points of each curve: cut, x, torque and half its interval."""
+    rows = []
+    for curve in curves:
+        for i in np.linspace(0, len(curve.x) - 1, 5).astype(int):
+            row = (
+                float(cuts[curve.cut]),
+                float(curve.x[i]),
+                float(curve.torque[i]),
+                float(curve.half_width[i]),
+            )
+            rows.append(row)
+    return rows

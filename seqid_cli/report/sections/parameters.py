@@ -31,110 +31,175 @@ def parameters(collection: Collection) -> Section:
     """Return the section on gravity, inertia and effects."""
     model = collection.model
     if model is None:
-        text, call = "No parameter file is among the files given.", _MADE_BY["inertia"]
-        return views.lacking("parameters", "Parameters", text, call)
-    groups, absent_stages = [], []
+        text = "No parameter file is among the files given."
+        return views.lacking("parameters", "Parameters", text, _MADE_BY["inertia"])
+
+    groups = []
+    absent_stages = []
     for name in _TITLES:
         stage = getattr(model.stages, name)
         if stage is not None:
-            groups.append(_rigid(name, stage, collection))
+            groups.append(_rigid_group(name, stage, collection))
+        # One least squares has gravity among its inertia.
         elif model.kind != "simultaneous" or name == "inertia":
             text = f"The {name} stage is not in the files given."
             absent_stages.append(Absent(text, _MADE_BY[name]))
     if model.stages.effects:
-        rows = [
-            (words.effect_at(item.effect, item.joint or "the whole arm"), *row)
-            for item in model.stages.effects
-            for row in value_rows(item)
-        ]
-        found = Values([*heads("effect", "text"), *VALUE_HEADS], rows)
-        effects = Table("Effects that refinement added", found)
-        groups.append(Group("effects", "Effects", tables=[effects]))
-    return Section("parameters", "Parameters", _LEAD, groups, absent=absent_stages)
+        groups.append(_effects_group(model.stages.effects))
+    return Section(
+        id="parameters",
+        title="Parameters",
+        lead=_LEAD,
+        groups=groups,
+        absent=absent_stages,
+    )
 
 
-def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
-    title, own, facts, state = _TITLES[name], stage.verdicts, [], ""
-    if stage.parameters:
-        whole = f" of {stage.structural_rank}" if stage.structural_rank else ""
-        facts = [
-            ("rank", f"{stage.rank}{whole}"),
-            ("condition", words.number(stage.condition)),
-        ]
-        facts.append(("method", stage.method))
-        facts += (
-            [("cut-off", f"{words.number(stage.cutoff_hz)} Hz")]
-            if stage.cutoff_hz
-            else []
-        )
-        state = views.badge(own)
+def _effects_group(effects: Sequence[EffectOfJoint]) -> Group:
+    """Return the group on effects that refinement added."""
+    rows = []
+    for item in effects:
+        title = words.effect_at(item.effect, item.joint or "the whole arm")
+        rows += [(title, *row) for row in value_rows(item)]
+    table = Table(
+        caption="Effects that refinement added",
+        values=Values([*heads("effect", "text"), *VALUE_HEADS], rows),
+    )
+    return Group(id="effects", title="Effects", tables=[table])
+
+
+def _rigid_group(name: str, stage: RigidStage, collection: Collection) -> Group:
+    """Return the group on the base parameters of a stage."""
+    title = _TITLES[name]
+    state = views.badge(stage.verdicts) if stage.parameters else ""
     notes = list(stage.notes)
     if stage.not_excited:
-        notes.insert(
-            0, f"Not determined by these logs: {words.listed(stage.not_excited, 40)}."
-        )
-    reasons = {v.joint: v.reason for v in own}
-    rows = [(n, x, reasons.get(n, "")) for n, x in stage.rmse.items()]
-    titles = "joint | RMS error [{unit}] | verdict"
-    errors = of_joints(titles, "text number text", rows, collection.robot)
-    fits = Table(f"{title}: error of the fit per joint", errors)
+        names = words.listed(stage.not_excited, 40)
+        notes.insert(0, f"Not determined by these logs: {names}.")
+
+    reason_of_joint = {verdict.joint: verdict.reason for verdict in stage.verdicts}
+    rows = [
+        (joint, rmse, reason_of_joint.get(joint, ""))
+        for joint, rmse in stage.rmse.items()
+    ]
+    errors = of_joints(
+        "joint | RMS error [{unit}] | verdict",
+        "text number text",
+        rows,
+        collection.robot,
+    )
+    faults = [v.reason for v in stage.verdicts if not v.joint and not v.good]
     return Group(
-        f"{name}-parameters",
-        title,
-        lead="; ".join(v.reason for v in own if not v.joint and not v.good),
+        id=f"{name}-parameters",
+        title=title,
+        lead="; ".join(faults),
         badge=state,
         badge_text=state if stage.parameters else "nothing to identify",
-        facts=facts,
-        tables=[_table(name, stage, collection.models[1:]), fits],
+        facts=_facts(stage),
+        tables=[
+            _parameter_table(name, stage, collection.models[1:]),
+            Table(caption=f"{title}: error of the fit per joint", values=errors),
+        ],
         notes=notes,
         unfolded=True,
     )
 
 
-def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
-    """The parameters of a stage, beside them those of other models where they differ."""
-    mine, columns = {item.name: item.value for item in stage.parameters}, [*VALUE_HEADS]
-    columns += heads("stands for", "text")
-    earlier = []
-    for model in others:
-        theirs = getattr(model.stages, name)
-        known = {item.name: item for item in theirs.parameters} if theirs else {}
-        if any(
-            mine.get(item.name, item.value) != item.value for item in known.values()
-        ):
-            earlier.append(
-                {n: words.with_error(x.value, x.std_error)[0] for n, x in known.items()}
-            )
+def _facts(stage: RigidStage) -> list[tuple[str, str]]:
+    """Return how well a stage is determined; nothing where it has no parameters."""
+    if not stage.parameters:
+        return []
+    rank = f"{stage.rank}"
+    if stage.structural_rank:
+        rank += f" of {stage.structural_rank}"
+    facts = [
+        ("rank", rank),
+        ("condition", words.number(stage.condition)),
+        ("method", stage.method),
+    ]
+    if stage.cutoff_hz:
+        facts.append(("cut-off", f"{words.number(stage.cutoff_hz)} Hz"))
+    return facts
+
+
+def _parameter_table(
+    name: str, stage: RigidStage, other_models: Sequence[Model]
+) -> Table:
+    """Return the parameters of a stage, beside those of models where they differ."""
+    columns = [*VALUE_HEADS, *heads("stands for", "text")]
+    values_of_others = []
+    for model in other_models:
+        values = _differing_values(name, stage, model)
+        if values:
+            values_of_others.append(values)
             columns.append(Head(f"in {words.short_path(model.path)}", "number"))
+
     rows = []
     for item in stage.parameters:
         _, *estimate = value_row("", item.value, item.std_error, item.unit)
-        sum_of = words.expression(item.terms, item.expression or item.name)
-        formula = Markup('<span class="formula">{}</span>').format(sum_of)
-        beside = (values.get(item.name) for values in earlier)
+        sum_of_terms = words.expression(item.terms, item.expression or item.name)
+        formula = Markup('<span class="formula">{}</span>').format(sum_of_terms)
+        beside = [values.get(item.name) for values in values_of_others]
         rows.append((words.symbol(item.name), *estimate, formula, *beside))
-    unclear = [
-        p.name for p in stage.parameters if abs(p.value) < words.Z95 * p.std_error
+    return Table(
+        caption=f"{_TITLES[name]}: base parameters",
+        values=Values(columns, rows),
+        note=_note_on_zero(stage),
+    )
+
+
+def _differing_values(name: str, stage: RigidStage, model: Model) -> dict[str, str]:
+    """Return another model's values of a stage; nothing where all are the same."""
+    other_stage = getattr(model.stages, name)
+    if other_stage is None:
+        return {}
+    values = {item.name: item.value for item in stage.parameters}
+    differs = any(
+        values.get(item.name, item.value) != item.value
+        for item in other_stage.parameters
+    )
+    if not differs:
+        return {}
+    return {
+        item.name: words.with_error(item.value, item.std_error)[0]
+        for item in other_stage.parameters
+    }
+
+
+def _note_on_zero(stage: RigidStage) -> str:
+    """Return which parameters have an interval that holds zero, if any."""
+    names = [
+        item.name
+        for item in stage.parameters
+        if abs(item.value) < words.Z95 * item.std_error
     ]
-    note = ""
-    if unclear:
-        hold = "holds" if len(unclear) == 1 else "hold"
-        count = f"{words.plural(len(unclear), 'interval')} of {len(stage.parameters)}"
-        note = f"{count} {hold} zero: {words.listed(unclear, 12)}."
-    return Table(f"{_TITLES[name]}: base parameters", Values(columns, rows), note)
+    if not names:
+        return ""
+    verb = "holds" if len(names) == 1 else "hold"
+    count = f"{words.plural(len(names), 'interval')} of {len(stage.parameters)}"
+    return f"{count} {verb} zero: {words.listed(names, 12)}."
 
 
 def value_rows(item: EffectOfJoint | FindingEntry) -> list[tuple[str, ...]]:
-    """Return the rows of an effect's parameters and settings, under `VALUE_HEADS`."""
+    """Return an effect's parameters and settings as rows under `VALUE_HEADS`."""
     if item.effect == UNEXPLAINED:
-        text, none = smooth_in_words(item.parameters, item.settings), words.DASH
-        return [(text, none, none, none, "")]
-    own = [(words.effect_words(x.name), x) for x in item.parameters]
-    rows = [value_row(name, x.value, x.std_error, x.unit) for name, x in own]
-    named, units = {x.name for x in item.parameters}, setting_units(item.effect)
+        text = smooth_in_words(item.parameters, item.settings)
+        return [(text, words.DASH, words.DASH, words.DASH, "")]
+    rows = []
+    for parameter in item.parameters:
+        name = words.effect_words(parameter.name)
+        row = value_row(name, parameter.value, parameter.std_error, parameter.unit)
+        rows.append(row)
+
+    # A setting with an error of its own stands among the parameters already.
+    parameter_names = {parameter.name for parameter in item.parameters}
+    units = setting_units(item.effect)
     for name, setting in item.settings.items():
-        if name not in named:
-            text = words.number(setting) if isinstance(setting, float) else str(setting)
-            unit = words.unit_text(units.get(name, ""))
-            rows.append((words.effect_words(name), text, "fixed", words.DASH, unit))
+        if name in parameter_names:
+            continue
+        text = str(setting)
+        if isinstance(setting, float):
+            text = words.number(setting)
+        unit = words.unit_text(units.get(name, ""))
+        rows.append((words.effect_words(name), text, "fixed", words.DASH, unit))
     return rows

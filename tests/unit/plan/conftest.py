@@ -11,7 +11,7 @@ from tests.plants.robots.sample import sample_robot
 def believed(
     name: str, stages: Stages | None = None, locked: Sequence[str] = ()
 ) -> Belief:
-    """What is known of a sample robot before the experiment."""
+    """Return the belief of a sample robot before the experiment."""
     robot = sample_robot(name)
     return belief_of(
         robot, stages or Stages(), limits_of(robot, ramp_s=0.3, locked=locked)

@@ -29,7 +29,7 @@ NAMES = ROBOT.joint_names
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, PlanFile]:
+def planned_files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, PlanFile]:
     folder = tmp_path_factory.mktemp("plan")
     options = PlanOptions(
         duration_s=10.0, move_s=5.0, pool=20, sweeps=0, speed_scale=SCALE
@@ -39,8 +39,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, PlanFile]:
     return folder, msgspec.structs.replace(moves, moves=[*moves.moves, sweeps.moves[2]])
 
 
-def test_yaml_holds_the_slowed_move(made: tuple[Path, PlanFile]) -> None:
-    folder, file = made
+def test_yaml_holds_the_slowed_move(planned_files: tuple[Path, PlanFile]) -> None:
+    folder, file = planned_files
     move = file.moves[0]
     text = (folder / "moves" / f"{move.name}.yaml").read_text()
     loaded = YAML(typ="safe").load(text)["trajectory"]
@@ -51,23 +51,25 @@ def test_yaml_holds_the_slowed_move(made: tuple[Path, PlanFile]) -> None:
         for p in points
     ]
     assert times[-1] == pytest.approx(move.duration_s / SCALE)
+
     t, q, dq, ddq = sampled(move, NAMES, 1000.0)
-    kinds = {
+    quantities = {
         "positions": (q, 1),
         "velocities": (dq, SCALE),
         "accelerations": (ddq, SCALE**2),
     }
-    for kind, (truth, factor) in kinds.items():
-        own = np.array([p[kind] for p in points])
+    for key, (as_planned, factor) in quantities.items():
+        written = np.array([p[key] for p in points])
+        tolerance = 2e-3 * np.abs(as_planned).max() + 1e-9
         for j in range(6):
-            expected = factor * np.interp(np.array(times) * SCALE, t, truth[:, j])
-            assert own[:, j] == pytest.approx(
-                expected, abs=2e-3 * np.abs(truth).max() + 1e-9
-            )
+            expected = factor * np.interp(np.array(times) * SCALE, t, as_planned[:, j])
+            assert written[:, j] == pytest.approx(expected, abs=tolerance)
 
 
-def test_straight_parts_are_left_out_of_the_files(made: tuple[Path, PlanFile]) -> None:
-    folder, file = made
+def test_straight_parts_are_left_out_of_the_files(
+    planned_files: tuple[Path, PlanFile],
+) -> None:
+    folder, file = planned_files
     move = file.moves[-1]
     t, q, _, ddq = sampled(move, NAMES, RATE_HZ)
     rows = np.loadtxt(folder / "sweeps" / f"{move.name}.csv", delimiter=",", skiprows=1)
@@ -77,8 +79,8 @@ def test_straight_parts_are_left_out_of_the_files(made: tuple[Path, PlanFile]) -
     assert np.abs(np.column_stack(read) - q).max() < 3e-6
 
 
-def test_urscript_follows_the_move(made: tuple[Path, PlanFile]) -> None:
-    folder, file = made
+def test_urscript_follows_the_move(planned_files: tuple[Path, PlanFile]) -> None:
+    folder, file = planned_files
     text = (folder / "moves" / f"{file.moves[0].name}.script").read_text()
     assert re.match(r"def (\w+)\(\):\n.*\nend\n\1\(\)\n$", text, re.S)
     rows = re.findall(r"servoj\(\[(.*?)\]", text)
@@ -91,14 +93,14 @@ def test_urscript_follows_the_move(made: tuple[Path, PlanFile]) -> None:
 
 
 def test_urscript_of_strokes_keeps_speed_and_acceleration(
-    made: tuple[Path, PlanFile],
+    planned_files: tuple[Path, PlanFile],
 ) -> None:
-    folder, file = made
+    folder, file = planned_files
     move = file.moves[-1]
     text = (folder / "sweeps" / f"{move.name}.script").read_text()
-    found = re.findall(r"movej\(\[(.*?)\], a=(\S+), v=(\S+)\)", text)[1:]
+    commands = re.findall(r"movej\(\[(.*?)\], a=(\S+), v=(\S+)\)", text)[1:]
     j = NAMES.index(move.joints[0])
-    for stroke, (pose, a, v) in zip(move.strokes, found, strict=True):
+    for stroke, (pose, a, v) in zip(move.strokes, commands, strict=True):
         assert float(pose.split(",")[j]) == pytest.approx(stroke.end, abs=1e-6)
         assert float(v) == pytest.approx(SCALE * stroke.speed, rel=1e-4)
         assert float(a) == pytest.approx(SCALE**2 * stroke.acceleration, rel=1e-4)
@@ -136,10 +138,8 @@ def log_of(*moves: PlannedMove, scale: float = 1.0) -> Recording:
 
 
 def status(*logs: Recording) -> list[str]:
-    return [
-        part.status
-        for part in compared(planned(), TWO, [Screened(log, ()) for log in logs])
-    ]
+    screened = [Screened(log, ()) for log in logs]
+    return [part.status for part in compared(planned(), TWO, screened)]
 
 
 def test_recorded_moves_are_found_where_they_are() -> None:
@@ -154,30 +154,31 @@ def test_recorded_moves_are_found_where_they_are() -> None:
 
 def test_spoiled_moves_say_why() -> None:
     move = planned().moves[0]
-    whole = log_of(move)
-    half = replace(whole, t=whole.t[:300], q=whole.q[:300], valid=whole.valid[:300])
-    gap = replace(whole, valid=(whole.t < 2.0) | (whole.t > 3.0))
-    off = replace(whole, q=whole.q[0] + (whole.q - whole.q[0]) * np.array([1.0, 0.7]))
+    log = log_of(move)
+    half = replace(log, t=log.t[:300], q=log.q[:300], valid=log.valid[:300])
+    with_gap = replace(log, valid=(log.t < 2.0) | (log.t > 3.0))
+    displacement = (log.q - log.q[0]) * np.array([1.0, 0.7])
+    too_small = replace(log, q=log.q[0] + displacement)
     fault = found("position_spikes", "bad")
     cases = [
         (Screened(log_of(move, scale=0.5), ()), "at 0.5 of the planned speed"),
         (Screened(half, ()), "of it is in the log"),
-        (Screened(gap, ()), "of it is in the log"),
-        (Screened(off, ()), f"joint {TWO[1]} is"),
-        (Screened(whole, (fault,)), "bad"),
+        (Screened(with_gap, ()), "of it is in the log"),
+        (Screened(too_small, ()), f"joint {TWO[1]} is"),
+        (Screened(log, (fault,)), "bad"),
     ]
-    for log, text in cases:
-        part = compared(planned(), TWO, [log])[0]
+    for spoiled, text in cases:
+        part = compared(planned(), TWO, [spoiled])[0]
         assert part.status == "spoiled", text
         assert text in part.reason
-        later = compared(planned(), TWO, [log, Screened(whole, ())])[0]
+        later = compared(planned(), TWO, [spoiled, Screened(log, ())])[0]
         assert (later.status, later.reason) == ("recorded", "")
 
 
 def test_another_motion_is_no_part_of_the_plan() -> None:
-    other = msgspec.structs.replace(planned().moves[0])
-    other.fourier = {
-        name: msgspec.structs.replace(own, sine=own.sine[::-1], centre=0.0)
-        for name, own in other.fourier.items()
+    changed = msgspec.structs.replace(planned().moves[0])
+    changed.fourier = {
+        name: msgspec.structs.replace(motion, sine=motion.sine[::-1], centre=0.0)
+        for name, motion in changed.fourier.items()
     }
-    assert status(log_of(other))[0] == "missing"
+    assert status(log_of(changed))[0] == "missing"

@@ -49,9 +49,9 @@ def pole(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 def floor_for(robot: Robot) -> Floor:
     limits = limits_of(robot, ramp_s=0.5)
     postures = postures_of(limits, 300, np.random.default_rng(0))
-    found = floor_of(robot, limits, postures, geometry_of(robot, postures))
-    assert found is not None
-    return found
+    floor = floor_of(robot, limits, postures, geometry_of(robot, postures))
+    assert floor is not None
+    return floor
 
 
 def lowest_by_hand(q: np.ndarray) -> np.ndarray:
@@ -78,11 +78,11 @@ def test_heights_are_those_of_the_lowest_ball(pole: Robot) -> None:
 
 @pytest.mark.parametrize("what", ["friction", "gravity", "inertia", "validation"])
 def test_no_planned_move_goes_below_the_base(pole: Robot, what: str) -> None:
-    made = plan(what, pole, options=OPTIONS)  # type: ignore[arg-type]
-    assert made.moves
-    for move in made.moves:
+    planned = plan(what, pole, options=OPTIONS)  # type: ignore[arg-type]
+    assert planned.moves
+    for move in planned.moves:
         assert lowest_by_hand(sampled(move, pole.joint_names, 200.0)[1]).min() > 0.0
-    assert any("base plane" in note and "--no-floor" in note for note in made.notes)
+    assert any("base plane" in note and "--no-floor" in note for note in planned.notes)
 
 
 @pytest.mark.parametrize("what", ["friction", "gravity"])
@@ -107,9 +107,9 @@ def test_frames_stay_above_without_shapes(what: str) -> None:
     options = replace(OPTIONS, between=pair, joint="elbow" if pair else None)
     limits = limits_of(robot, ramp_s=options.ramp_s)
     floor = floor_of(robot, limits, postures_of(limits, 500, np.random.default_rng(0)))
-    made = make_plan(what, robot, limits, stages, options, floor=floor)
-    assert made.moves
-    for move in made.moves:
+    planned = make_plan(what, robot, limits, stages, options, floor=floor)
+    assert planned.moves
+    for move in planned.moves:
         q = sampled(move, robot.joint_names, 100.0)[1]
         assert forward(robot.chain, q).p[..., 2].min() > 0.0, move.name
 

@@ -48,14 +48,13 @@ def tips(q: np.ndarray) -> np.ndarray:
 
 
 def test_folded_bars_collide_and_stretched_ones_do_not(arm: Robot) -> None:
-    found = geometry_of(arm, np.zeros((1, 3)))
-    assert len(found.shapes.collisionPairs) == 1  # the first bar with the third
-    stretched, folded, crossed = [0.0, 0.0, 0.0], [0.7, -2.6, -2.6], [0.0, 2.6, 2.6]
-    assert found.collides(np.array([stretched, folded, crossed])).tolist() == [
-        False,
-        True,
-        True,
-    ]
+    geometry = geometry_of(arm, np.zeros((1, 3)))
+    assert len(geometry.shapes.collisionPairs) == 1  # the first bar with the third
+    stretched = [0.0, 0.0, 0.0]
+    folded = [0.7, -2.6, -2.6]
+    crossed = [0.0, 2.6, 2.6]
+    collides = geometry.collides(np.array([stretched, folded, crossed]))
+    assert collides.tolist() == [False, True, True]
 
 
 def test_boxes_and_the_workspace_count(arm: Robot) -> None:
@@ -77,13 +76,13 @@ def test_boxes_and_the_workspace_count(arm: Robot) -> None:
 @pytest.mark.parametrize("what", ["friction", "inertia", "validation", "gravity"])
 def test_no_planned_move_collides(arm: Robot, what: str) -> None:
     box = (0.7, 0.3, -1.0, 1.5, 1.5, 1.0)
-    made = plan(what, arm, options=replace(OPTIONS, keep_out=(box,)))  # type: ignore[arg-type]
-    found = geometry_of(arm, np.zeros((1, 3)), boxes=[box], clearance_m=0.0)
-    for move in made.moves:
+    planned = plan(what, arm, options=replace(OPTIONS, keep_out=(box,)))  # type: ignore[arg-type]
+    geometry = geometry_of(arm, np.zeros((1, 3)), boxes=[box], clearance_m=0.0)
+    for move in planned.moves:
         q = sampled(move, arm.joint_names, 200.0)[1]
-        assert not found.collides(q).any()
-    assert made.moves or what == "gravity"  # gravity loads no joint of this arm
-    assert any("ways between moves" in note for note in made.notes)
+        assert not geometry.collides(q).any()
+    assert planned.moves or what == "gravity"  # gravity loads no joint of this arm
+    assert any("ways between moves" in note for note in planned.notes)
 
 
 def test_a_cell_without_room_and_an_arm_without_shapes_are_told(

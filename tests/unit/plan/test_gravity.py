@@ -13,7 +13,8 @@ from seqid_cli.plan.belief import Belief, belief_of
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.coverage import Coverage, ramp_way
-from seqid_cli.plan.stages.gravity import MINIMISED, plan_gravity
+from seqid_cli.plan.stages.gravity import plan_gravity
+from seqid_cli.plan.stages.gravity_sweeps.criterion import MINIMISED
 from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.robot.types import Array
 from tests.plants.robots.sample import sample_robot
@@ -46,25 +47,25 @@ def conditions_of(belief: Belief, moves: list[PlannedMove]) -> tuple[float, floa
 
 @pytest.mark.slow
 def test_both_conditions_come_near_the_best_of_a_long_search(belief: Belief) -> None:
-    found = plan_gravity(belief, Stages(), OPTIONS).gravity
-    for move in found.moves:
+    planned = plan_gravity(belief, Stages(), OPTIONS).gravity
+    for move in planned.moves:
         assert_within_limits(belief, move)
-    stage = found.stage
+    stage = planned.stage
     assert stage.rank == stage.structural_rank == int(belief.basis.gravity.sum())
-    plain, scaled = conditions_of(belief, found.moves)
+    plain, scaled = conditions_of(belief, planned.moves)
     assert stage.plain_condition == pytest.approx(plain, rel=0.03)
     assert stage.scaled_condition == pytest.approx(scaled, rel=0.03)
     assert stage.criterion is not None
     assert stage.criterion.minimised == MINIMISED
-    both = [x for x in (stage.plain_condition, stage.scaled_condition) if x is not None]
-    assert stage.criterion.value == pytest.approx(np.prod(both))
+    product = (stage.plain_condition or 0.0) * (stage.scaled_condition or 0.0)
+    assert stage.criterion.value == pytest.approx(product)
 
-    sweeps = [steady_rows(belief, move) for move in found.moves]
+    sweeps = [steady_rows(belief, move) for move in planned.moves]
     search = LongSearch(
         robot=belief.robot,
         joints=np.array([j for j, _, _ in sweeps]),
         ends=np.array([[q[:, j].min(), q[:, j].max()] for j, q, _ in sweeps]),
-        speed=np.array([move.strokes[0].speed for move in found.moves]),
+        speed=np.array([move.strokes[0].speed for move in planned.moves]),
         lower=belief.limits.lower,
         upper=belief.limits.upper,
     )
@@ -75,8 +76,8 @@ def test_both_conditions_come_near_the_best_of_a_long_search(belief: Belief) -> 
 def test_joints_that_gravity_loads_by_rounding_alone_get_no_sweeps(
     belief: Belief,
 ) -> None:
-    found = plan_gravity(belief, Stages(), OPTIONS).gravity
-    moved = [move.joints[0] for move in found.moves]
+    planned = plan_gravity(belief, Stages(), OPTIONS).gravity
+    moved = [move.joints[0] for move in planned.moves]
     assert set(moved) == set(belief.robot.joint_names) - {"shoulder_pan"}
     assert all(moved.count(name) == 3 for name in set(moved))
 
@@ -123,7 +124,9 @@ def test_a_joint_without_friction_gets_trials_and_no_sweeps() -> None:
     stage = friction_stage(robot)
     stage = msgspec.structs.replace(
         stage,
-        joints={name: own for name, own in stage.joints.items() if name != "elbow"},
+        joints={
+            name: surface for name, surface in stage.joints.items() if name != "elbow"
+        },
     )
     stages = Stages(friction=stage)
     planned = plan_gravity(believed("six_joint", stages), stages, OPTIONS)
@@ -146,10 +149,9 @@ def test_an_unknown_offset_bounds_what_a_plan_promises(belief: Belief) -> None:
     """
     quiet = replace(belief, density=1e8 * belief.density)
     without = replace(quiet, friction=np.zeros(belief.robot.n))
-    found, best = (
-        plan_gravity(one, Stages(), OPTIONS).gravity.stage for one in (quiet, without)
-    )
-    promised = {p.name: p.std_error for p in best.parameters}
-    ratios = [p.std_error / promised[p.name] for p in found.parameters]
+    with_offset = plan_gravity(quiet, Stages(), OPTIONS).gravity.stage
+    by_noise_alone = plan_gravity(without, Stages(), OPTIONS).gravity.stage
+    promised = {p.name: p.std_error for p in by_noise_alone.parameters}
+    ratios = [p.std_error / promised[p.name] for p in with_offset.parameters]
     assert min(ratios) >= 1.0 - 1e-9
     assert max(ratios) > 1.5

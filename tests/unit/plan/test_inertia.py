@@ -42,19 +42,21 @@ def pool(belief: Belief, goal: Goal) -> Pool:
 def test_information_is_that_of_the_regressor(
     belief: Belief, goal: Goal, pool: Pool
 ) -> None:
-    moves = placed(Shapes.over(SECONDS, COARSE_HZ), pool[0][[4]], belief.limits).every(
-        4
-    )
+    shapes = Shapes.over(SECONDS, COARSE_HZ)
+    moves = placed(shapes, pool[0][[4]], belief.limits).every(4)
     H = base_regressor(
         belief.robot, belief.basis, moves.q[0], moves.dq[0], moves.ddq[0]
     )
     slide = moves.dq[0] ** 2 / (moves.dq[0] ** 2 + belief.slow**2)
+    step_s = moves.t[1] - moves.t[0]
     expected = np.zeros((belief.basis.size, belief.basis.size))
     for j, density in enumerate(belief.density):
         rows = H[:, j]
-        expected += density * (moves.t[1] - moves.t[0]) * (rows.T * slide[:, j]) @ rows
-    found = pool[1][4] * np.outer(goal.scale, goal.scale)
-    assert np.allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+        weighted = density * step_s * slide[:, j, None] * rows
+        expected += rows.T @ weighted
+    information = pool[1][4] * np.outer(goal.scale, goal.scale)
+    tolerance = 1e-9 * np.abs(expected).max()
+    assert np.allclose(information, expected, rtol=1e-9, atol=tolerance)
 
 
 def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(
@@ -63,8 +65,8 @@ def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(
     nothing = np.zeros_like(goal.W)
     chosen = choose(goal, pool[1], COUNT, nothing)
     assert len(set(chosen)) == COUNT
-    alike = pool[1][:1] * np.array([1.0, 0.1, 0.01])[:, None, None]
-    assert sorted(choose(goal, alike, 5, nothing)) == [0, 1, 2]  # each once
+    same_but_smaller = pool[1][:1] * np.array([1.0, 0.1, 0.01])[:, None, None]
+    assert sorted(choose(goal, same_but_smaller, 5, nothing)) == [0, 1, 2]  # each once
     rng = np.random.default_rng(1)
     sets = [rng.choice(len(pool[0]), COUNT, replace=False) for _ in range(1000)]
     chance = [float(goal.errors(pool[1][s].sum(axis=0))) for s in sets]
@@ -73,17 +75,19 @@ def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(
 
 @pytest.mark.slow
 def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> None:
-    nothing, shapes = np.zeros_like(goal.W), Shapes.over(SECONDS, COARSE_HZ)
+    nothing = np.zeros_like(goal.W)
+    shapes = Shapes.over(SECONDS, COARSE_HZ)
     chosen = choose(goal, pool[1], COUNT, nothing)
     better = refine(belief, goal, shapes, pool[0][chosen], nothing, sweeps=1)
     information, overload = assess(belief, goal, placed(shapes, better, belief.limits))
-    before = float(goal.errors(pool[1][chosen].sum(axis=0)))
-    assert float(goal.errors(information.sum(axis=0))) < 0.9 * before
+    unrefined_error = float(goal.errors(pool[1][chosen].sum(axis=0)))
+    assert float(goal.errors(information.sum(axis=0))) < 0.9 * unrefined_error
     assert overload.max() <= 1.0
-    moved, before_it = (
-        x[..., :COEFFICIENTS].any(axis=2) for x in (better, pool[0][chosen])
-    )
-    assert np.array_equal(moved, before_it)
+
+    # The same joints move as before.
+    moving = better[..., :COEFFICIENTS].any(axis=2)
+    moving_unrefined = pool[0][chosen][..., :COEFFICIENTS].any(axis=2)
+    assert np.array_equal(moving, moving_unrefined)
 
 
 @pytest.mark.parametrize(
@@ -100,9 +104,8 @@ def test_sample_arms_get_full_rank(name: str, together: bool) -> None:
     assert planned.stage.rank == planned.stage.structural_rank == belief.basis.size
     assert not planned.stage.not_excited
     assert len(planned.stage.parameters) == belief.basis.size
-    assert all(
-        after.error < before.error for before, after in pairwise(planned.stage.growth)
-    )
+    errors = [growth.error for growth in planned.stage.growth]
+    assert all(second < first for first, second in pairwise(errors))
 
 
 @pytest.mark.slow
@@ -134,7 +137,9 @@ def test_the_load_counts_in_the_torque(belief: Belief) -> None:
     plain, heavy = (
         loaded(belief, mass).torque(moves, belief.regressor(moves)) for mass in (0, 5)
     )
-    assert np.all(heavy[:, :, 1:3].max(axis=(0, 1)) > plain[:, :, 1:3].max(axis=(0, 1)))
+    largest_plain = plain[:, :, 1:3].max(axis=(0, 1))
+    largest_heavy = heavy[:, :, 1:3].max(axis=(0, 1))
+    assert np.all(largest_heavy > largest_plain)
 
 
 def test_a_planar_arm_names_what_stays_open() -> None:

@@ -37,15 +37,16 @@ ROUNDING = 1e-3
 def test_limits_hold_on_dense_samples(rig: str, draw: int, seconds: float) -> None:
     robot = sample_robot(rig)
     limits = limits_of(robot, ramp_s=0.3)
-    rng, size = np.random.default_rng(draw), (3, robot.n)
+    rng = np.random.default_rng(draw)
+    size = (3, robot.n)
     coefficients = rng.uniform(-1.0, 1.0, (*size, COEFFICIENTS))
     drawn = np.dstack([coefficients, rng.uniform(size=size), np.ones(size)])
     moves = placed(Shapes.over(seconds, 1000.0), drawn, limits)
     assert np.all((limits.lower - 1e-9 <= moves.q) & (moves.q <= limits.upper + 1e-9))
     assert np.all(np.abs(moves.dq) <= limits.speed * (1 + 1e-9))
     assert np.all(np.abs(moves.ddq) <= limits.acceleration * (1 + 1e-9))
-    for rest in (moves.dq[:, [0, -1]], moves.ddq[:, [0, -1]]):
-        assert np.abs(rest).max() < 1e-9
+    for at_ends in (moves.dq[:, [0, -1]], moves.ddq[:, [0, -1]]):
+        assert np.abs(at_ends).max() < 1e-9
 
 
 @pytest.mark.slow
@@ -72,9 +73,12 @@ def test_every_move_keeps_all_limits(
     robot = replace(sample_robot(rig), imus=(imu,))
     stages = Stages(inertia=inertia_stage(robot, BODIES[rig], error=0.01))
     belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.3))
-    moves = typical(belief, seed=1)  # of all joints; in some the arm only holds itself
+
+    # Torque limits are those of moves of all joints; in some the arm only holds itself.
+    moves = typical(belief, seed=1)
     busy = belief.torque(moves, belief.regressor(moves)).max(axis=(0, 1))
     limits = replace(belief.limits, torque=spare * busy)
+
     options = PlanOptions(
         duration_s=12.0,
         move_s=6.0,
@@ -91,6 +95,7 @@ def test_every_move_keeps_all_limits(
         if "torque limit" not in str(error):
             raise
         reject()
+
     carrying = loaded(
         replace(belief, limits=limits), options.load_kg if what == "payload" else 0.0
     )
@@ -106,10 +111,8 @@ def test_every_move_keeps_all_limits(
 def test_torque_limits_that_gravity_alone_breaks_are_told(belief: Belief) -> None:
     torque = belief.limits.torque.copy()
     torque[1] = 1e-3
-    weak, options = (
-        replace(belief.limits, torque=torque),
-        PlanOptions(duration_s=10.0, pool=60),
-    )
+    weak = replace(belief.limits, torque=torque)
+    options = PlanOptions(duration_s=10.0, pool=60)
     for what in ("inertia", "friction"):
         with pytest.raises(ConfigError, match="shoulder_lift"):
             make_plan(what, belief.robot, weak, Stages(), options)
@@ -121,10 +124,10 @@ def test_the_tighter_limit_counts_and_none_is_left_is_told() -> None:
     assert (limits.lower[1], limits.upper[1]) == pytest.approx((-2.7, 0.3))
     joints = list(robot.joints)
     joints[1] = replace(joints[1], position_limits=(-2.0, 1.0), velocity_limit=9.0)
-    found = limits_of(replace(robot, joints=tuple(joints)), ramp_s=0.5, share=1.0)
-    assert (found.lower[1], found.upper[1]) == pytest.approx((-2.0, 0.3))
-    assert found.speed[1] == pytest.approx(2.2)
-    assert found.acceleration[1] == pytest.approx(4.4)
+    tighter = limits_of(replace(robot, joints=tuple(joints)), ramp_s=0.5, share=1.0)
+    assert (tighter.lower[1], tighter.upper[1]) == pytest.approx((-2.0, 0.3))
+    assert tighter.speed[1] == pytest.approx(2.2)
+    assert tighter.acceleration[1] == pytest.approx(4.4)
     joints[1] = replace(joints[1], position_limits=(0.5, 1.0))
     with pytest.raises(ConfigError, match=r"shoulder_lift.*exclude each other"):
         limits_of(replace(robot, joints=tuple(joints)), ramp_s=0.5)

@@ -39,12 +39,10 @@ def test_friction_sweeps_every_joint_both_ways_over_its_range(belief: Belief) ->
     for j, move in enumerate(planned.moves):
         assert_within_limits(belief, move)
         assert len(move.strokes) == 2 * 10  # ten speeds per joint, both ways
-        there, back = move.strokes[0], move.strokes[1]
-        assert (there.start, there.end) == (back.end, back.start)
-        assert (there.start, there.end) == (
-            belief.limits.lower[j],
-            belief.limits.upper[j],
-        )
+        forward, backward = move.strokes[:2]
+        assert (forward.start, forward.end) == (backward.end, backward.start)
+        assert forward.start == belief.limits.lower[j]
+        assert forward.end == belief.limits.upper[j]
 
 
 def test_imus_see_the_first_joint_from_many_sides(belief: Belief) -> None:

@@ -37,7 +37,7 @@ Message = dict[str, Any]
 
 @dataclass
 class Tab:
-    """One page of a running browser, with all that it asked for and complained about."""
+    """One page of a running browser, with all its requests and complaints."""
 
     to: int
     back: int
@@ -83,11 +83,11 @@ class Tab:
             self._note(event)
 
     def run(self, script: str) -> Any:
-        found = self.call(
+        answer = self.call(
             "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
-        assert "exceptionDetails" not in found, found
-        return found["result"].get("value")
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
 
     def _next(self) -> Message:
         while b"\0" not in self._buffer:
@@ -98,7 +98,8 @@ class Tab:
         return dict(json.loads(text))
 
     def _note(self, message: Message) -> None:
-        method, parameters = message.get("method"), message.get("params", {})
+        method = message.get("method")
+        parameters = message.get("params", {})
         if method == "Network.requestWillBeSent":
             self.requests.append(parameters["request"]["url"])
         elif method == "Runtime.exceptionThrown":
@@ -172,8 +173,8 @@ def main(page: Path, folder: Path) -> None:
                 else f"document.querySelector('{part}').offsetTop - 60"
             )
             tab.run(f"scrollTo(0, {top})")
-            found = tab.call("Page.captureScreenshot", format="png")
-            (folder / f"{name}.png").write_bytes(base64.b64decode(found["data"]))
+            picture = tab.call("Page.captureScreenshot", format="png")
+            (folder / f"{name}.png").write_bytes(base64.b64decode(picture["data"]))
 
 
 if __name__ == "__main__":

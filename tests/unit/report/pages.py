@@ -70,15 +70,22 @@ def made(kind: Any, schema: str, **content: Any) -> Any:
 def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile:
     """A prediction of two logs, poor above 30 %."""
     counts = {"samples": SAMPLES, "samples_all": 2 * SAMPLES, "share_sliding": 0.5}
+
     joints = {}
     for name, share in zip(JOINTS, shares, strict=True):
         errors = {"rmse": share * 2.0, "max_abs": share * 6.0, "rmse_all": share * 1.5}
         joints[name] = JointError(relative_rmse=share, **errors, **counts)
-    own = {"samples": SAMPLES, "cutoff_hz": 30.0, "joints": joints}
-    logs = [
-        LogPredictionError(path=path, sha256=path.ljust(64, "0"), **own)
-        for path in LOGS
-    ]
+
+    logs = []
+    for path in LOGS:
+        entry = LogPredictionError(
+            path=path,
+            sha256=path.ljust(64, "0"),
+            samples=SAMPLES,
+            cutoff_hz=30.0,
+            joints=joints,
+        )
+        logs.append(entry)
     poor = {
         name: f"misses {x:.0%}"
         for name, x in zip(JOINTS, shares, strict=True)
@@ -125,19 +132,19 @@ def good_documents() -> list[Source[Document]]:
 
 def all_documents() -> list[Source[Document]]:
     """One document of every kind, of which a refined file shows every section."""
-    more = {"diagnosis.json": diagnosis_file(), "refined.json": full_file()}
     return [
         *good_documents(),
-        *(source(path, content) for path, content in more.items()),
+        source("diagnosis.json", diagnosis_file()),
+        source("refined.json", full_file()),
     ]
 
 
 def before_and_after() -> list[Source[Document]]:
-    """Both models with a prediction each; the one of before is given first, and poor."""
+    """Both models with a prediction each; that before is given first, and poor."""
     documents = all_documents()
-    before = made_with(prediction_file(shares=(0.02, 0.5)), documents[0])
-    after = made_with(prediction_file(shares=(0.01, 0.02)), documents[3])
-    results = [source("before.json", before), source("after.json", after)]
+    by_first = made_with(prediction_file(shares=(0.02, 0.5)), documents[0])
+    by_refined = made_with(prediction_file(shares=(0.01, 0.02)), documents[3])
+    results = [source("before.json", by_first), source("after.json", by_refined)]
     return [item for item in documents if item.path != "prediction.json"] + results
 
 
@@ -148,7 +155,12 @@ def payload_file(used: FileId) -> PayloadFile:
         "relative": 0.0625,
         "friction_change": 0.04,
     }
-    centre = ((0.01, 0.001), (0.02, 0.001), (None, None))
+    center_of_mass = [
+        Measured(value=0.01, std_error=0.001, unit="m"),
+        Measured(value=0.02, std_error=0.001, unit="m"),
+        Measured(value=None, std_error=None, unit="m"),
+    ]
+
     return made(
         PayloadFile,
         PAYLOAD_SCHEMA,
@@ -157,9 +169,7 @@ def payload_file(used: FileId) -> PayloadFile:
         payload=CarriedBodyEntry(
             frame="of joint elbow",
             mass=Measured(value=2.345, std_error=0.012, unit="kg"),
-            center_of_mass=[
-                Measured(value=x, std_error=e, unit="m") for x, e in centre
-            ],
+            center_of_mass=center_of_mass,
         ),
         parameters=[],
         covariance=[],
@@ -186,8 +196,10 @@ def plan_file() -> PlanFile:
     limit = JointLimits(
         position=[-1.0, 1.0], speed=1.0, acceleration=2.0, torque=40.0, moves=True
     )
-    about = {"name": "Izz_2", "joint": "elbow", "unit": "kg m^2"}
-    error = PredictedParameter(std_error=0.0375, value=None, **about)
+    error = PredictedParameter(
+        name="Izz_2", joint="elbow", unit="kg m^2", std_error=0.0375, value=None
+    )
+
     return made(
         PlanFile,
         PLAN_SCHEMA,
@@ -233,11 +245,13 @@ def write_torques(
     """Write a torque file of a model that predicts the share `drop` too little."""
     with parquet_writer(path, joints, parameters) as write:
         for seed, name in enumerate(logs):
-            made = predicted_log(name, seed)
-            less = (1.0 - drop) * made.predicted
-            made = replace(made, predicted=less, low=less, high=less)
-            none = np.full(made.tau.shape, np.nan)
-            write(made if motion else replace(made, q=none, dq=none))
+            prediction = predicted_log(name, seed)
+            less = (1.0 - drop) * prediction.predicted
+            prediction = replace(prediction, predicted=less, low=less, high=less)
+            if not motion:
+                unknown = np.full(prediction.tau.shape, np.nan)
+                prediction = replace(prediction, q=unknown, dq=unknown)
+            write(prediction)
     return path
 
 
@@ -248,7 +262,7 @@ def page_of_all(folder: Path) -> str:
 
 
 def write_documents(folder: Path, documents: Sequence[Source[Document]]) -> list[str]:
-    """Write documents as files; a prediction keeps the hash of what it was made with."""
+    """Write documents as files; a prediction keeps the hash of its parameter file."""
     for item in documents:
         (folder / item.path).write_text(encode(item.content), encoding="utf-8")
     return [item.path for item in documents]

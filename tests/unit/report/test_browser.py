@@ -16,8 +16,8 @@ WIDTHS = (1280, 390)
 
 @pytest.fixture(scope="module")
 def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
-    with browsing(tmp_path_factory.mktemp("profile")) as found:
-        yield found
+    with browsing(tmp_path_factory.mktemp("profile")) as browser_tab:
+        yield browser_tab
 
 
 @pytest.fixture(scope="module")
@@ -75,39 +75,38 @@ def test_drawings_give_their_values_by_keyboard(tab: Tab, page: Path) -> None:
     read = f"{first}.closest('figure').querySelector('output').textContent"
     assert tab.run(read) == ""
     tab.run(f"{first}.focus()")
-    shown = tab.run(read)
-    assert shown.startswith("t = ")
+    text = tab.run(read)
+    assert text.startswith("t = ")
     for name in ("measured", "predicted", "residual"):
-        assert name in shown
+        assert name in text
     for key in ("End", "ArrowLeft"):
         tab.call("Input.dispatchKeyEvent", type="keyDown", key=key)
-    assert tab.run(read) != shown
+    assert tab.run(read) != text
     at = float(tab.run(read).split("=")[1].split()[0])
     assert 15.8 < at < 15.996
 
 
 def drag(tab: Tab, start: float, end: float, *, shift: bool = False) -> None:
     """Drag over the first plot, from one share of its width to another."""
-    left, top, width = tab.run(
+    left_px, top_px, width_px = tab.run(
         "(() => { const svg = document.querySelector('svg.readable');"
         " svg.scrollIntoView(); const box = svg.getBoundingClientRect(), scale ="
         " box.width / svg.viewBox.baseVal.width; const [start, end] ="
         " svg.querySelector('.panel').dataset.x.split('|').slice(4); return [box.x +"
         " scale * start, box.y + box.height / 3, scale * (end - start)]; })()"
     )
-    held = {
-        "button": "left",
-        "buttons": 1,
-        "clickCount": 1,
-        "modifiers": 8 if shift else 0,
-    }
-    for kind, at in (
-        ("mousePressed", start),
-        ("mouseMoved", end),
-        ("mouseReleased", end),
-    ):
+
+    events = (("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end))
+    for kind, share in events:
         tab.call(
-            "Input.dispatchMouseEvent", type=kind, x=left + at * width, y=top, **held
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=left_px + share * width_px,
+            y=top_px,
+            button="left",
+            buttons=1,
+            clickCount=1,
+            modifiers=8 if shift else 0,
         )
 
 
@@ -129,14 +128,19 @@ def test_a_plot_zooms_pans_and_goes_back(tab: Tab, page: Path) -> None:
         "Array.from(document.querySelectorAll('svg.readable .ticks-x text'), (t) =>"
         " t.textContent)"
     )
-    whole = tab.run(ticks)
+    all_ticks = tab.run(ticks)
+
     drag(tab, 0.25, 0.5)
     assert seen(tab) == pytest.approx([0.25, 0.5], abs=0.01)
-    shown = [float(text) for text in tab.run(ticks)[:3]]
-    assert all(0.24 * 16 <= time <= 0.51 * 16 for time in shown)
-    read = "document.querySelector('svg.readable').closest('figure').querySelector('output')"
+    first_ticks = [float(text) for text in tab.run(ticks)[:3]]
+    assert all(0.24 * 16 <= time <= 0.51 * 16 for time in first_ticks)
+    read = (
+        "document.querySelector('svg.readable').closest('figure')"
+        ".querySelector('output')"
+    )
     time = float(tab.run(f"{read}.textContent").split("=")[1].split()[0])
     assert time == pytest.approx(0.5 * 16, abs=0.1)  # where the pointer was let go
+
     drag(tab, 0.8, 0.4, shift=True)
     assert seen(tab) == pytest.approx([0.35, 0.6], abs=0.01)
     tab.run(
@@ -144,7 +148,7 @@ def test_a_plot_zooms_pans_and_goes_back(tab: Tab, page: Path) -> None:
         " MouseEvent('dblclick'))"
     )
     assert seen(tab) == pytest.approx([0.0, 1.0])
-    assert tab.run(ticks) == whole
+    assert tab.run(ticks) == all_ticks
     assert tab.complaints == []
 
 
@@ -178,7 +182,7 @@ def choose_joint(tab: Tab, name: str) -> None:
 
 
 def shown_parts(tab: Tab) -> list[str]:
-    """Return the visible parts about one joint: groups by id, other figures by title."""
+    """Return the visible parts about one joint: groups by id, figures by title."""
     return list(
         tab.run(
             "Array.from(document.querySelectorAll('[data-joint]')).filter((item) =>"

@@ -1,4 +1,4 @@
-"""Which files of a report belong together, what is refused, and the verdict on a model."""
+"""Files of a report that belong together, refused ones, and the verdict on a model."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,41 +38,37 @@ from tests.unit.report.pages import (
 
 def test_stages_of_one_branch_join_and_the_refined_model_leads() -> None:
     documents = [source("friction.json", friction_file()), *all_documents()]
-    found = collect([*documents, *documents])
-    assert len(found.sources) == len(documents)  # each counts once
-    assert [model.kind for model in found.models] == ["refined", "identified"]
-    assert found.models[1].path == "inertia.json"
-    assert found.models[1].sources[0].path == "friction.json"
-    assert [item.path for item in found.predictions] == ["prediction.json"]
-    assert [item.path for item in found.diagnoses] == ["diagnosis.json"]
+    collection = collect([*documents, *documents])
+    assert len(collection.sources) == len(documents)  # each counts once
+    assert [model.kind for model in collection.models] == ["refined", "identified"]
+    assert collection.models[1].path == "inertia.json"
+    assert collection.models[1].sources[0].path == "friction.json"
+    assert [item.path for item in collection.predictions] == ["prediction.json"]
+    assert [item.path for item in collection.diagnoses] == ["diagnosis.json"]
 
 
 def test_other_joints_are_another_robot() -> None:
-    other = diagnosis_file()
-    other.robot.joints = ["elbow", "shoulder"]
+    diagnosis = diagnosis_file()
+    diagnosis.robot.joints = ["elbow", "shoulder"]
     with pytest.raises(ConfigError, match=r"other\.json.*elbow, shoulder"):
-        collect([*good_documents(), source("other.json", other)])
+        collect([*good_documents(), source("other.json", diagnosis)])
 
 
 def test_files_that_disagree_are_models_of_their_own() -> None:
-    other, rest, refined, again = (
-        gravity_file(),
-        friction_file(),
-        full_file(),
-        full_file(),
-    )
-    for file in (other, rest, refined):
-        file.stages.friction.joints["elbow"].rmse = 0.7
-    again.closed_loop.after["elbow"].rmse = 0.15
-    files = {"inertia": inertia_file(), "other": other, "friction": rest}
-    files |= {"refined": refined, "again": again}
+    files = {
+        "inertia": inertia_file(),
+        "other": gravity_file(),
+        "friction": friction_file(),
+        "refined": full_file(),
+        "again": full_file(),
+    }
+    for name in ("other", "friction", "refined"):
+        files[name].stages.friction.joints["elbow"].rmse = 0.7
+    files["again"].closed_loop.after["elbow"].rmse = 0.15
+
     models = collect([source(path, file) for path, file in files.items()]).models
-    assert [[item.path for item in model.sources] for model in models] == [
-        ["refined"],
-        ["again"],
-        ["inertia"],
-        ["friction", "other"],
-    ]
+    paths = [" ".join(item.path for item in model.sources) for model in models]
+    assert paths == ["refined", "again", "inertia", "friction other"]
 
 
 @pytest.mark.parametrize("place", ["joints", "findings", "unexplained", "logs"])
@@ -119,7 +115,8 @@ def test_what_is_no_result_is_refused(tmp_path: Path, text: str, message: str) -
 
 
 def test_a_reference_to_another_file_does_not_count_as_stale() -> None:
-    parameters, moved = good_documents()[0], prediction_file()
+    parameters, _ = good_documents()
+    moved = prediction_file()
     moved.parameters = [FileId(path="moved/inertia.json", sha256=parameters.sha256)]
     assert collect([parameters, source("prediction.json", moved)]).warnings == ()
 
@@ -143,57 +140,66 @@ def of(
 ) -> Documents:
     """Documents of one model, the good ones where nothing else is given."""
     parameters = source("inertia.json", file or inertia_file())
-    made = source(
-        "prediction.json", made_with(prediction or prediction_file(), parameters)
-    )
-    more = [] if diagnosis is None else [source("diagnosis.json", diagnosis)]
-    return [parameters, made, *more]
+    prediction = made_with(prediction or prediction_file(), parameters)
+    documents = [parameters, source("prediction.json", prediction)]
+    if diagnosis is not None:
+        documents.append(source("diagnosis.json", diagnosis))
+    return documents
 
 
 def of_training_logs() -> Iterator[tuple[str, Documents]]:
     """The model was identified from all of the logs, or from one of them, on which it
     is better.
     """
-    file, prediction = inertia_file(), prediction_file()
+    file = inertia_file()
+    prediction = prediction_file()
     file.inputs += [log("training", "inertia")]
     for item in prediction.logs:
         item.sha256 = file.inputs[-1].sha256
     yield "a prediction of the training logs", of(file, prediction)
-    mixed, flattered = prediction_file(), prediction_file(shares=(0.001, 0.001))
-    mixed.joints = mixed.logs[0].joints = flattered.joints
+
+    mixed = prediction_file()
+    flattered = prediction_file(shares=(0.001, 0.001))
+    mixed.joints = flattered.joints
+    mixed.logs[0].joints = flattered.joints
     mixed.logs[0].sha256 = file.inputs[-1].sha256
     yield "a training log among new ones", of(file, mixed)
 
 
 def of_refinement() -> Iterator[tuple[str, Documents]]:
-    """What refinement read is new to the model before it, and so is what it held out."""
-    refined, (parameters, before) = full_file(), good_documents()
+    """Logs of refinement are new to the model before it, and so are held-out ones."""
+    refined = full_file()
+    parameters, good_prediction = good_documents()
     read = log("refined from", "effects")
     refined.inputs.append(read)
-    again = prediction_file()
-    again.logs[0].sha256 = read.sha256
-    after = source("refined.json", refined)
-    earlier = source(before.path, made_with(replace(again), parameters))
-    yield "a log that refinement read, before it", [parameters, earlier, after]
-    yield "after it", [after, source("after.json", made_with(replace(again), after))]
-    held_out = replace(
-        refined, closed_loop=replace(refined.closed_loop, held_out=[read])
-    )
-    after = source("refined.json", held_out)
-    yield "held out", [after, source("after.json", made_with(replace(again), after))]
+    prediction = prediction_file()
+    prediction.logs[0].sha256 = read.sha256
+
+    model = source("refined.json", refined)
+    earlier = source(good_prediction.path, made_with(replace(prediction), parameters))
+    yield "a log that refinement read, before it", [parameters, earlier, model]
+    later = source("after.json", made_with(replace(prediction), model))
+    yield "after it", [model, later]
+
+    loop_with_held_out = replace(refined.closed_loop, held_out=[read])
+    model = source("refined.json", replace(refined, closed_loop=loop_with_held_out))
+    later = source("after.json", made_with(replace(prediction), model))
+    yield "held out", [model, later]
     yield "models before, which is poor, and after", before_and_after()
+
     loop = refined.closed_loop
     doubtful = replace(
         loop, verdict="poor", rounds=[replace(loop.rounds[0], confirmed=False)]
     )
     stuck = Verdict(joint="elbow", good=False, reason="is stuck")
     faulty = replace(loop, verdict="poor", verdicts=[stuck])
-    gone = replace(
+    refused = replace(
         loop.rounds[0], confirmed=False, held_out_gain=0.02, interval=[-0.3, 0.34]
     )
     untried = [EffectOfPlace(effect="presliding_hysteresis", joint="shoulder")]
     stopped = StoppedAt(rounds=1, untried=untried)
-    unkept = replace(loop, rounds=[], unconfirmed=[gone], stopped_at=stopped)
+    unkept = replace(loop, rounds=[], unconfirmed=[refused], stopped_at=stopped)
+
     outcomes = {"not confirmed": doubtful, "of faulty logs": faulty, "not kept": unkept}
     for name, outcome in outcomes.items():
         model = source("refined.json", replace(refined, closed_loop=outcome))
@@ -212,18 +218,21 @@ def of_diagnoses() -> Iterator[tuple[str, Documents]]:
     poor = prediction_file(shares=(0.02, 0.5))
     yield "a poor prediction, and a diagnosis", of(None, poor, diagnosis_file())
     yield "nothing is missing", of(diagnosis=clean_diagnosis())
+
     for rmse, white in ((0.2, True), (0.12, False)):
         file = clean_diagnosis()
-        file.joints["elbow"].rmse, file.joints["elbow"].white = rmse, white
+        file.joints["elbow"].rmse = rmse
+        file.joints["elbow"].white = white
         yield f"no effect, {rmse} N m left, white: {white}", of(diagnosis=file)
-    for most in (0.03, 0.11):  # the prediction's error is 0.1 N m
-        file, prediction = clean_diagnosis(), prediction_file()
+
+    # The prediction's error is 0.1 N m.
+    for most in (0.03, 0.11):
+        file = clean_diagnosis()
+        prediction = prediction_file()
         elbow = file.joints["elbow"]
-        elbow.rmse, elbow.noise_floor, elbow.noise_floor_interval = (
-            most,
-            0.02,
-            [0.01, most],
-        )
+        elbow.rmse = most
+        elbow.noise_floor = 0.02
+        elbow.noise_floor_interval = [0.01, most]
         file.inputs = [
             replace(log(x.path, ""), sha256=x.sha256) for x in prediction.logs
         ]
@@ -241,13 +250,18 @@ def cases() -> Iterator[tuple[str, Documents]]:
     changed[1].content.robot.sha256 = "1" * 64
     yield "a changed robot file", changed
     yield from of_training_logs()
-    poor, dark, tested = inertia_file(), inertia_file(), inertia_file()
+
+    poor = inertia_file()
     poor.stages.friction.verdicts[0] = FRICTION
     yield "a poor stage", of(poor)[:1]
     yield "a poor stage, and a good prediction", of(poor)
+
+    dark = inertia_file()
     dark.stages.inertia.not_excited = ["Iyy_2"]
     dark.stages.inertia.missing_pairs = [["shoulder", "elbow"]]
     yield "a parameter that no log excites", of(dark)
+
+    tested = inertia_file()
     tested.stages.friction.joints["elbow"].held_out_rmse = 0.1
     yield "friction tested at speeds left out", of(tested)[:1]
     yield from of_diagnoses()
@@ -268,24 +282,24 @@ def described(judgement: Judgement) -> str:
 
 
 def test_every_case_is_judged_as_it_was() -> None:
-    """What speaks for the good model is not said again of the others."""
-    texts = {name: described(judge(collect(own))).splitlines() for name, own in cases()}
+    """Lines that speak for the good model are not repeated for the others."""
+    texts = {}
+    for name, documents in cases():
+        texts[name] = described(judge(collect(documents))).splitlines()
     usual = {line for line in texts["good"] if line.startswith("+")}
     for name in texts.keys() - {"good"}:
         texts[name] = [line for line in texts[name] if line not in usual]
-    shown = "\n".join(
-        f"# {name}\n" + "\n".join([*own, ""]) for name, own in texts.items()
-    )
-    check_text(Path(__file__).with_name("judgement.txt"), shown)
+    paragraphs = ["\n".join([f"# {name}", *lines, ""]) for name, lines in texts.items()]
+    check_text(Path(__file__).with_name("judgement.txt"), "\n".join(paragraphs))
 
 
 def test_what_is_poor_of_a_refinement_leads_its_section() -> None:
-    leads = {
-        name: (group.title, group.lead)
-        for name, documents in of_refinement()
-        if name.startswith("a refinement") and len(documents) == 1
-        for group in closed_loop(collect(documents)).groups
-    }
+    leads = {}
+    for name, documents in of_refinement():
+        if name.startswith("a refinement") and len(documents) == 1:
+            (group,) = closed_loop(collect(documents)).groups
+            leads[name] = (group.title, group.lead)
+
     added = "Added: stribeck at elbow"
     doubt = "the held-out logs do not confirm stribeck at elbow"
     assert leads == {

@@ -67,8 +67,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_the_page_asks_for_nothing(page: str) -> None:
-    found = Outline(page)
-    for tag, attributes in found.tags:
+    outline = Outline(page)
+    for tag, attributes in outline.tags:
         assert tag not in ("iframe", "object", "embed", "base", "form", "img")
         for name in ("src", "href", "action", "xlink:href", "srcset", "style"):
             value = attributes.get(name)
@@ -109,21 +109,21 @@ def test_every_drawing_says_what_it_shows(page: str) -> None:
 
 
 def test_headings_are_in_order_and_ids_are_unique(page: str) -> None:
-    found = Outline(page)
-    levels = [int(tag[1]) for tag, _ in found.tags if re.fullmatch("h[1-6]", tag)]
+    outline = Outline(page)
+    levels = [int(tag[1]) for tag, _ in outline.tags if re.fullmatch("h[1-6]", tag)]
     assert (levels[0], levels.count(1)) == (1, 1)
     assert all(b <= a + 1 for a, b in itertools.pairwise(levels))
-    ids = [attributes["id"] for _, attributes in found.tags if "id" in attributes]
+    ids = [attributes["id"] for _, attributes in outline.tags if "id" in attributes]
     assert len(set(ids)) == len(ids)
-    targets = {str(a["href"])[1:] for tag, a in found.tags if tag == "a"}
-    named = {a["aria-labelledby"] for _, a in found.tags if "aria-labelledby" in a}
+    targets = {str(a["href"])[1:] for tag, a in outline.tags if tag == "a"}
+    named = {a["aria-labelledby"] for _, a in outline.tags if "aria-labelledby" in a}
     assert targets | named <= set(ids)
-    assert ("html", {"lang": "en"}) in found.tags
+    assert ("html", {"lang": "en"}) in outline.tags
 
 
 def test_names_from_files_stay_text() -> None:
-    """Of robots, logs and parameters, in notes, and of joints."""
-    documents, joints = all_documents(), friction_file()
+    """Names of robots, logs and parameters, in notes, and of joints."""
+    documents = all_documents()
     for item in documents:
         item.content.robot.name = HOSTILE
         for entry in item.content.inputs:
@@ -136,11 +136,11 @@ def test_names_from_files_stay_text() -> None:
             if isinstance(stage, RigidStage):
                 first = stage.parameters[0]
                 first.name = first.expression = first.unit = HOSTILE
-                first.terms, stage.notes, stage.not_excited = (
-                    {HOSTILE: 2.0},
-                    [HOSTILE],
-                    [HOSTILE],
-                )
+                first.terms = {HOSTILE: 2.0}
+                stage.notes = [HOSTILE]
+                stage.not_excited = [HOSTILE]
+
+    joints = friction_file()
     friction = joints.stages.friction
     joints.robot.joints = [HOSTILE, "elbow"]
     friction.joints = {
@@ -148,8 +148,10 @@ def test_names_from_files_stay_text() -> None:
         "elbow": friction.joints["elbow"],
     }
     friction.verdicts = []
-    for own, title in ((documents, HOSTILE), ([source("f.json", joints)], "")):
-        html = make_report(own, title=title).html
+
+    of_joints = [source("f.json", joints)]
+    for sources, title in ((documents, HOSTILE), (of_joints, "")):
+        html = make_report(sources, title=title).html
         assert "alert(1)</script>" not in html
         assert "&lt;script&gt;alert(1)" in html
         assert "49" not in re.findall(r"<title>(.*?)</title>", html)[0]
@@ -224,9 +226,9 @@ def text_of(page: Page) -> str:
     text = re.sub(r'<svg class="marks".*?</svg>', "", text, flags=re.DOTALL)
     text = re.sub(r"<svg.*?<desc>(.*?)</desc>.*?</svg>", r"[\1]", text, flags=re.DOTALL)
     for figure in re.findall(r"<figure.*?</figure>", text, flags=re.DOTALL):
-        shown, _, values = figure.partition("<details>")
+        drawing, _, values = figure.partition("<details>")
         rows = re.findall(r"<tr>.*?</tr>", values, flags=re.DOTALL)
-        text = text.replace(figure, shown + "".join(rows[:3]))
+        text = text.replace(figure, drawing + "".join(rows[:3]))
     text = re.sub(r"\s*\n\s*", " ", text)
     for tags, mark in BREAKS.items():
         text = re.sub(rf"<({tags})\b", rf"{mark}<\1", text)
@@ -258,16 +260,19 @@ def everything(folder: Path) -> Page:
     parameters, *documents, refined = all_documents()
     lost = [used(f"{name}.parquet", "imu_a is not recorded") for name in "bc"]
     refined.content.stages.inertia.motion_use = [used("inertia/a.parquet"), *lost]  # type: ignore
-    of = FileId(path=parameters.path, sha256=parameters.sha256)
-    more = [source("payload.json", payload_file(of)), source("plan.json", plan_file())]
+    model = FileId(path=parameters.path, sha256=parameters.sha256)
+    payload = source("payload.json", payload_file(model))
+    plan = source("plan.json", plan_file())
     torques = [write_torques(folder / "t.parquet")]
     return make_report(
-        [parameters, *documents, refined, *more], torques=torques, title="An arm"
+        [parameters, *documents, refined, payload, plan],
+        torques=torques,
+        title="An arm",
     )
 
 
 def parameters_alone(folder: Path) -> Page:
-    """Of a planar arm; what is missing comes with its command."""
+    """Parameters of a planar arm; what is missing comes with its command."""
     file = inertia_file()
     note = "gravity loads no joint"
     file.stages.gravity = RigidStage(parameters=[], condition=0.0, rank=0, notes=[note])
@@ -302,7 +307,7 @@ def test_pages_say_what_they_said(make: object, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shown", "expected"),
+    ("text", "expected"),
     [
         (words.with_error(-4.21669, 0.00283), ("\u22124.2167", "0.0028")),
         (words.with_error(2.0, 0.0), ("2.0000", "0")),
@@ -325,5 +330,5 @@ def test_pages_say_what_they_said(make: object, tmp_path: Path) -> None:
         (words.expression({"<b>_1": 1.0}, ""), "&lt;b&gt;_1"),
     ],
 )
-def test_odd_numbers_names_and_formulas(shown: object, expected: object) -> None:
-    assert shown == expected
+def test_odd_numbers_names_and_formulas(text: object, expected: object) -> None:
+    assert text == expected

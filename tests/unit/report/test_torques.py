@@ -17,7 +17,8 @@ from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import Place, collect
 from seqid_cli.report.make import make_report
 from seqid_cli.report.plots import plot_torques
-from seqid_cli.report.sections.torque import over_quantity, over_time, spectrum
+from seqid_cli.report.torque_figures.over_time import over_time
+from seqid_cli.report.torque_figures.residual import over_quantity, spectrum
 from seqid_cli.report.torques import TorqueTable
 from tests import Array
 from tests.unit.params.documents import JOINTS, inertia_file
@@ -42,18 +43,18 @@ def opened(path: Path) -> TorqueTable:
 
 
 def test_motion_that_is_not_known_is_not_drawn(tmp_path: Path) -> None:
-    """Of a file that holds none, and of an older one, which also lacks what was used."""
+    """Read a file that holds none, and an older one, which also lacks what was used."""
     path = write_torques(tmp_path / "t.parquet", motion=False)
     first, _ = opened(path).series("shoulder")
     assert np.isnan(first.position).all()
     assert over_quantity([first], PLACE, "position", "rad") is None
     table = pq.read_table(path)
-    kept = [
+    without_motion = [
         name
         for name in table.column_names
-        if not name.endswith(("position", "velocity"))
+        if not name.endswith(("position", "velocity")) and name != "used"
     ]
-    pq.write_table(table.select([name for name in kept if name != "used"]), path)
+    pq.write_table(table.select(without_motion), path)
     first, _ = opened(path).series("shoulder")
     assert first.position is None
     assert first.used.all()
@@ -73,15 +74,16 @@ def changed(name: str, change: Callable[[Array], Array]) -> Write:
 
     def write(path: Path) -> None:
         table = pq.read_table(write_torques(path))
-        place, values = table.column_names.index(name), change(table[name].to_numpy())
+        place = table.column_names.index(name)
+        values = change(table[name].to_numpy())
         pq.write_table(table.set_column(place, name, pa.array(values)), path)
 
     return write
 
 
-def columns(**given: object) -> Write:
-    """Write a table of these columns beside those of the joints."""
-    return lambda path: pq.write_table(pa.table({**given, **JOINT_COLUMNS}), path)
+def columns(**by_name: object) -> Write:
+    """Write a table of other columns beside those of the joints."""
+    return lambda path: pq.write_table(pa.table({**by_name, **JOINT_COLUMNS}), path)
 
 
 @pytest.mark.parametrize(
@@ -141,11 +143,13 @@ def test_what_does_not_fit_is_refused(
 
 
 def test_lines_break_at_missing_values_and_where_time_jumps(tmp_path: Path) -> None:
-    path, number = tmp_path / "t.parquet", np.arange(2 * SAMPLES)
-    lost, later = (number >= 1000) & (number < 1200), 5.0 * (number % SAMPLES >= 2000)
+    path = tmp_path / "t.parquet"
+    number = np.arange(2 * SAMPLES)
+    is_lost = (number >= 1000) & (number < 1200)
+    jump_s = np.where(number % SAMPLES >= 2000, 5.0, 0.0)
     for change in (
-        changed("elbow.residual", lambda x: np.where(lost, np.nan, x)),
-        changed("t", lambda x: x + later),
+        changed("elbow.residual", lambda x: np.where(is_lost, np.nan, x)),
+        changed("t", lambda x: x + jump_s),
     ):
         change(path)
         first = opened(path).series("elbow")[0]
@@ -170,16 +174,18 @@ def test_the_table_beside_the_prediction_is_found_if_it_fits(tmp_path: Path) -> 
 
 
 def of_two_models(
-    folder: Path, *, told: bool = True
+    folder: Path, *, names_model: bool = True
 ) -> tuple[list[Source[Document]], list[Path]]:
     """Predictions before and after refinement, and their torques, the worse first."""
     parameters, _, _, refined = all_documents()
-    documents, torques = [parameters, refined], []
+    documents = [parameters, refined]
+    torques = []
     for name, model, drop in (("before", parameters, 0.5), ("after", refined, 0.0)):
         prediction = made_with(prediction_file(), model)
         documents.append(source(str(folder / f"{name}.json"), prediction))
-        path, own = folder / f"{name}.parquet", [model.sha256] if told else []
-        torques.append(write_torques(path, parameters=own, drop=drop))
+        hashes = [model.sha256] if names_model else []
+        path = folder / f"{name}.parquet"
+        torques.append(write_torques(path, parameters=hashes, drop=drop))
     return documents, torques
 
 
@@ -199,13 +205,13 @@ def test_torques_of_two_models_share_a_plot(tmp_path: Path) -> None:
 
 
 def test_torques_belong_to_the_model_that_they_name(tmp_path: Path) -> None:
-    documents, (before, _) = of_two_models(tmp_path)
-    rest = [item for item in documents if not item.path.endswith("before.json")]
+    documents, (torques_before, _) = of_two_models(tmp_path)
+    without = [item for item in documents if not item.path.endswith("before.json")]
     with pytest.raises(InputError, match=r"is of another model than .*after\.json"):
-        make_report(rest, torques=[before])
-    before.rename(tmp_path / "torques.parquet")
+        make_report(without, torques=[torques_before])
+    torques_before.rename(tmp_path / "torques.parquet")
     assert make_report(documents).torques == [str(tmp_path / "torques.parquet")]
-    documents, torques = of_two_models(tmp_path, told=False)
+    documents, torques = of_two_models(tmp_path, names_model=False)
     with pytest.raises(UsageError, match=r"before\.parquet, .*after\.parquet"):
         make_report(documents, torques=torques)
 
@@ -254,12 +260,13 @@ def test_figures_hold_the_line_and_the_extremes_of_the_residual(tmp_path: Path) 
 def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:
     logs = tuple(f"v/{k}.parquet" for k in range(8))
     prediction = prediction_file()
-    (entry, _), error = prediction.logs, prediction.joints["elbow"]
+    entry = prediction.logs[0]
+    error = prediction.joints["elbow"]
     prediction.logs = []
     for k, path in enumerate(logs):
         joints = dict.fromkeys(JOINTS, replace(error, relative_rmse=0.01 * (k + 1)))
-        own = replace(entry, path=path, sha256=path.ljust(64, "0"), joints=joints)
-        prediction.logs.append(own)
+        of_log = replace(entry, path=path, sha256=path.ljust(64, "0"), joints=joints)
+        prediction.logs.append(of_log)
     documents = [
         source("inertia.json", inertia_file()),
         source("prediction.json", prediction),
@@ -267,5 +274,5 @@ def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:
     torques = write_torques(tmp_path / "t.parquet", logs=logs)
     html = make_report(documents, torques=[torques]).html
     assert "the 3 of 8 logs with the largest errors" in html
-    shown = [path for path in logs if f"<figcaption>{path}</figcaption>" in html]
-    assert shown == list(logs[5:])
+    drawn = [path for path in logs if f"<figcaption>{path}</figcaption>" in html]
+    assert drawn == list(logs[5:])

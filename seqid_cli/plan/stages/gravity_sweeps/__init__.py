@@ -1,0 +1,1 @@
+"""Slow sweeps for gravity: their space, their criterion, search and prediction."""

@@ -1,0 +1,1 @@
+"""Drawings of measured and predicted torque: over time, over motion, and as spectra."""

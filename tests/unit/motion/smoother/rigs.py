@@ -111,7 +111,9 @@ def bound(c: Case, rig: Rig) -> Array:
         taken = read(x, c.recording, slice(None))
         imus.append(replace(taken, place=place, noise=noise, delay=rig.fault.delay_s))
     dt, truth = 1.0 / c.recording.rate_hz, c.log.truth
-    chunk = Chunk(c.robot, tuple(views), dt, 1, tuple(imus)).gathered()
+    chunk = Chunk(
+        robot=c.robot, views=tuple(views), dt=dt, every=1, imus=tuple(imus)
+    ).gathered()
     found = np.diff(truth.ddq, axis=0) / dt
     second = found.T @ found / len(found)
     size = np.sqrt(np.diag(second))

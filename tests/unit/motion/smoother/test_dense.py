@@ -97,7 +97,7 @@ def scene(step: float) -> Chunk:
     known = mounted_imus(recording, robot, ImuStage(imus=calibrations))
     imus = tuple(read(x, recording, slice(None)) for x in known)
     views = tuple(encoder_view(recording.q[:, j], step) for j in range(2))
-    return Chunk(robot, views, DT, 1, imus)
+    return Chunk(robot=robot, views=views, dt=DT, every=1, imus=imus)
 
 
 def smoothed(step: float) -> Solution:

@@ -244,7 +244,18 @@ class FrictionSurface:
         )
 
     def torque(self, q: Array, v: Array) -> Array:
-        """Compute the friction torque (N,) N m at positions q, velocities v (N,)."""
+        """Compute the friction torque.
+
+        Parameters
+        ----------
+        q, v : Array
+            Positions and velocities (N,) [rad, rad/s].
+
+        Returns
+        -------
+        Array
+            (N,) N m.
+        """
         torque = np.empty(len(q))
         for part in tiles(len(q)):
             q_part = q[part]
@@ -310,7 +321,7 @@ class FrictionSurface:
         return np.minimum(backward, forward), np.maximum(backward, forward)
 
     def outside(self, q: Array, v: Array) -> Mask:
-        """Return samples (N,) beyond the identified range."""
+        """Return samples (N,) beyond the identified range of positions and speeds."""
         return self.scaling.outside(q, v, sign_width=self.sign_width)
 
     def vague(self, q: Array, v: Array) -> Mask:

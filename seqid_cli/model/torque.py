@@ -124,7 +124,18 @@ class TorqueModel:
         return np.zeros(len(q)) if surface is None else surface.torque(q, v)
 
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Compute the rigid-body, gravity and rotor torque (N, n) N m."""
+        """Compute the rigid-body, gravity and rotor torque.
+
+        Parameters
+        ----------
+        q, dq, ddq : Array
+            (N, n) rad, rad/s, rad/s^2.
+
+        Returns
+        -------
+        Array
+            (N, n) N m; zero without a rigid-body stage.
+        """
         if self.phi is None or self.rotor is None:
             return np.zeros_like(q)
         torque = inverse_dynamics(

@@ -278,6 +278,14 @@ def highest_bridged(
     A cubic across a hole of h seconds falls short of an acceleration of f Hz by
     (2 pi f h)^2 / 12: 13 percent at `max_periods` / h. Where less than `min_share` of
     the samples are bridged, they are left out of the equations instead.
+
+    Parameters
+    ----------
+    recording : Recording
+    min_share : float
+        Of the samples.
+    max_periods : float
+        Length of a hole in periods of the cut-off.
     """
     if recording.bridged is None or recording.bridged.mean() < min_share:
         return HIGHEST_HZ
@@ -307,6 +315,13 @@ def thinned(
     """Keep every `factor`-th sample of [start, stop).
 
     One is valid if all samples up to the next one are.
+
+    Parameters
+    ----------
+    motion : Motion
+    factor : int
+    start, stop : int
+        Samples of the motion; all by default.
     """
     stop = motion.samples if stop is None else stop
     groups = np.arange(0, stop - start, factor)

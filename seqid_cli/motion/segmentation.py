@@ -127,6 +127,14 @@ def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
 
     It is the difference of two means, each over 2 `half` + 1 samples, over their
     distance; zero near the ends.
+
+    Parameters
+    ----------
+    q : Array
+        Positions (N,) rad of the joint.
+    rate_hz : float
+    half : int
+        Samples between a sample and the middle of either mean.
     """
     means = uniform_filter1d(q, 2 * half + 1, mode="nearest")
     change = means[2 * half :] - means[: -2 * half]

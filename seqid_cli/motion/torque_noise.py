@@ -53,7 +53,21 @@ PER_OCTAVE = 4  # bands
 
 
 def power_gain(lowpass: Lowpass, frequency: Array, times: int) -> Array:
-    """Return the power gain of `times` zero-phase passes at frequencies (F,) Hz."""
+    """Return the power gain of some zero-phase passes.
+
+    Parameters
+    ----------
+    lowpass : Lowpass
+    frequency : Array
+        (F,) Hz.
+    times : int
+        Number of passes.
+
+    Returns
+    -------
+    Array
+        (F,), 1 at rest.
+    """
     if not lowpass.active:
         return np.ones_like(frequency)
     rate_hz = lowpass.rate_hz

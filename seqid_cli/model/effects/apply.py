@@ -49,7 +49,16 @@ def session_of(
 def scene_of_log(
     recording: Recording, robot: Robot, model: TorqueModel, motion: Motion
 ) -> Scene:
-    """Return the scene of one log by itself; `motion` is of it, possibly decimated."""
+    """Return the scene of one log by itself.
+
+    Parameters
+    ----------
+    recording : Recording
+    robot : Robot
+    model : TorqueModel
+    motion : Motion
+        Of the log, possibly decimated.
+    """
     load = recording.load
     temperature = recording.temperature
     kept_samples = slice(None, None, round(recording.rate_hz / motion.rate_hz))
@@ -66,7 +75,17 @@ def scene_of_log(
 
 
 def placed(scene: Scene, recording: Recording, session: EffectSession | None) -> Scene:
-    """Return the scene as a session counts it: number, start, clock."""
+    """Return the scene as a session counts it: number, start, clock.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of the log by itself.
+    recording : Recording
+        The log.
+    session : EffectSession, optional
+        None leaves the scene as it is.
+    """
     if session is None:
         return scene
 
@@ -147,8 +166,8 @@ def added_torque(
     for placed_scene, effects in _by_session(scene, recording, fitted):
         # Effects with the same number of passes are filtered together.
         for passes in {effect.passes for effect in effects}:
-            alike = [effect for effect in effects if effect.passes == passes]
-            unfiltered = effect_torque(placed_scene, alike)
+            same_passes = [effect for effect in effects if effect.passes == passes]
+            unfiltered = effect_torque(placed_scene, same_passes)
             torque += scene.motion.filtered(unfiltered, times=passes)
 
         friction = [

@@ -92,7 +92,7 @@ class Backlash(Effect):
         best_gap = SMALLEST
         largest_gain = -1.0
         for gap, *torques in zip(GAPS, *flights, strict=True):
-            x = np.concatenate(torques) * (y != 0.0)
+            x = np.where(y != 0.0, np.concatenate(torques), 0.0)
             # Squares that a regression on x explains; a negative gap is none.
             gain = 0.0
             if x @ y > 0.0:

@@ -447,8 +447,8 @@ def knows_load(scenes: Scenes) -> bool:
 
 def rotor_hidden(robot: Robot, joint: int) -> bool:
     """Return whether neither file nor motion tells a rotor from its link."""
-    given = robot.joints[joint].rotor_inertia is not None
-    return not given and f"Ia_{joint + 1}" not in free_basis(robot).names
+    in_file = robot.joints[joint].rotor_inertia is not None
+    return not in_file and f"Ia_{joint + 1}" not in free_basis(robot).names
 
 
 def amplitude_and_phase(

@@ -41,12 +41,12 @@ class FittedEffect:
 
     @property
     def passes(self) -> int:
-        """How many times the low-pass is to be applied."""
+        """Number of times that the low-pass is to be applied."""
         return self.effect.passes
 
     @property
     def local(self) -> bool:
-        """Whether its torque at a moment follows from the motion around it."""
+        """True if its torque at a moment follows from the motion around it."""
         return self.effect.local(self.settings)
 
     def torques(self, scene: Scene) -> dict[int, Array]:

@@ -139,7 +139,7 @@ class Law:
 
     @property
     def _parts_name_joints(self) -> bool:
-        """Whether parts are the same at every joint: their quantities name joints."""
+        """True if parts are the same at every joint: their quantities name joints."""
         texts = tuple(self.parts.values())
         symbols = symbols_in(texts, frozenset({*self.numbers, *self.parts}))
         return all(symbol.joint is not None for symbol in symbols)

@@ -132,9 +132,17 @@ def deflection(q: Array, distance: float) -> Array:
 
 
 def delayed(values: Array, delay_s: float, rate_hz: float) -> Array:
-    """Return values (N, k) as they were `delay_s` before, by cubic splines.
+    """Return values as they were some time before, by cubic splines.
 
     They are held at the ends.
+
+    Parameters
+    ----------
+    values : Array
+        (N, k).
+    delay_s : float
+        Negative for values as they will be.
+    rate_hz : float
     """
     if not len(values):
         return values.copy()

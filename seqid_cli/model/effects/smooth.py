@@ -180,7 +180,7 @@ class SmoothTerm:
 
     @property
     def local(self) -> bool:
-        """Whether its torque at a moment follows from the motion around it."""
+        """True if its torque at a moment follows from the motion around it."""
         return not {axis.measure for axis in self.axes} & {"temperature", "time"}
 
     def torques(self, scene: Scene) -> dict[int, Array]:

@@ -72,7 +72,7 @@ class Cutoff:
 
     @property
     def above_own(self) -> bool:
-        """Whether it is another's choice, and higher than the encoders' own."""
+        """True if it is another's choice, and higher than the encoders' own."""
         return self.alone_hz is not None and self.alone_hz < self.hz
 
 

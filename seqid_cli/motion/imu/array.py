@@ -76,12 +76,12 @@ class ArrayLayout:
 
     @property
     def acceleration(self) -> bool:
-        """Whether the angular acceleration is seen."""
+        """True if the angular acceleration is seen."""
         return bool(np.isfinite(self.errors[3:6]).all())
 
     @property
     def products(self) -> bool:
-        """Whether all products of the angular velocity are seen."""
+        """True if all products of the angular velocity are seen."""
         return bool(np.isfinite(self.errors[6:]).all())
 
 

@@ -241,7 +241,7 @@ def _impossible(
 
 def _link_reading(
     imu: Imu,
-    known: ImuCalibration,
+    calibration: ImuCalibration,
     log: Recording,
     motion: Motion,
     *,
@@ -249,7 +249,7 @@ def _link_reading(
 ) -> LinkReading:
     """Return one IMU's angular motion in its link's frame, calibration taken off."""
     imu, values, gyro = calibrated(
-        imu, known, log.accelerometers[imu.name], log.gyros.get(imu.name)
+        imu, calibration, log.accelerometers[imu.name], log.gyros.get(imu.name)
     )
     t = log.t
     valid = log.valid
@@ -263,13 +263,15 @@ def _link_reading(
         ]
         return np.column_stack(moved)
 
-    values = on_encoders_clock(values, known.time_offset_s)
+    values = on_encoders_clock(values, calibration.time_offset_s)
     if gyro is not None:
-        gyro = on_encoders_clock(gyro, known.time_offset_s + known.gyro_delay_s)
+        gyro = on_encoders_clock(
+            gyro, calibration.time_offset_s + calibration.gyro_delay_s
+        )
 
-    rotation = np.array(known.rotation)
+    rotation = np.array(calibration.rotation)
     dw = read_angular(imu, values, gyro, motion.lowpass, valid).dw @ rotation.T
-    noise = (known.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
+    noise = (calibration.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
     size = np.sqrt(np.mean(np.sum(dw**2, axis=1)))
     turning = turning_of(imu, rotation, values, gyro, motion, axis_error=axis_error)
     return LinkReading(

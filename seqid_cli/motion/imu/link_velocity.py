@@ -187,9 +187,19 @@ def _angular_velocity(
 
 
 def axes_in_link(robot: Robot, q: Array, link: int) -> Array:
-    """Return the axes (N, link + 1, 3) of joints 0 to `link` in the frame of `link`.
+    """Return the joint axes up to a link, in the frame of that link.
 
-    They are zero where prismatic; q (N, n) rad.
+    Parameters
+    ----------
+    robot : Robot
+    q : Array
+        Positions (N, n) rad.
+    link : int
+
+    Returns
+    -------
+    Array
+        (N, link + 1, 3); zero where prismatic.
     """
     frames = forward(robot.chain, q)
     axes: Array = np.einsum("nji,nkj->nki", frames.R[:, link], frames.z[:, : link + 1])

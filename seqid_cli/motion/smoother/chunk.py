@@ -113,7 +113,7 @@ class EncoderView:
     stride: int = 1
 
     def refined(self, stride: int) -> "EncoderView":
-        """Return the view with `stride` places per sample; edges are between samples."""
+        """Return the view with `stride` places per sample; edges lie between them."""
         edge = np.full(len(self.q) * stride, np.nan)
         edge[(stride - 1) // 2 :: stride] = self.edge
         known = np.zeros(len(edge), dtype=bool)

@@ -148,7 +148,18 @@ def score_of_smoothed(
     encoder: Motion,
     cutoffs: Array,
 ) -> bandwidth.Score:
-    """Score cut-offs (C,) Hz by the motion that the smoother makes of a log."""
+    """Score cut-offs by the motion that the smoother makes of a log.
+
+    Parameters
+    ----------
+    recording : Recording
+    robot : Robot
+    stage : ImuStage, optional
+    encoder : Motion
+        By the encoders alone, at the log's own rate.
+    cutoffs : Array
+        (C,) Hz.
+    """
     return _score(_smoothed(recording, robot, stage), encoder, cutoffs)
 
 

@@ -38,7 +38,7 @@ def mounted_imus(
     ]
 
 
-def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:
+def _mounted(imu: Imu, calibration: ImuCalibration, recording: Recording) -> Mounted:
     """Return an IMU as its calibration has it."""
     count = len(imu.axes)
     rates = 3 if imu.gyro and imu.name in recording.gyros else 0
@@ -52,18 +52,18 @@ def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:
         of_accelerometers = entries(accelerometers, count, default)
         return np.concatenate([of_accelerometers, entries(gyro, rates, default)])
 
-    bias = of_channels(known.accelerometer_bias, known.gyro_bias, 0.0)
-    density = of_channels(known.accelerometer_noise, known.gyro_noise, 0.0)
-    gains = of_channels(known.accelerometer_scale, known.gyro_scale, 1.0)
+    bias = of_channels(calibration.accelerometer_bias, calibration.gyro_bias, 0.0)
+    density = of_channels(calibration.accelerometer_noise, calibration.gyro_noise, 0.0)
+    gains = of_channels(calibration.accelerometer_scale, calibration.gyro_scale, 1.0)
 
     axes = imu.axes
-    if len(known.accelerometer_axes) == count:
-        axes = np.array(known.accelerometer_axes)
+    if len(calibration.accelerometer_axes) == count:
+        axes = np.array(calibration.accelerometer_axes)
     if rates:
-        axes = np.vstack([axes, known.gyro_axes or np.eye(3)])
+        axes = np.vstack([axes, calibration.gyro_axes or np.eye(3)])
 
-    prior = _prior(known, count, rates)
-    has_offset = known.time_offset_std_error_s is not None
+    prior = _prior(calibration, count, rates)
+    has_offset = calibration.time_offset_std_error_s is not None
     nothing = np.zeros((0, count + rates))
     return Mounted(
         name=imu.name,
@@ -71,15 +71,15 @@ def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:
             link=imu.after_joint,
             positions=imu.positions,
             axes=axes * gains[:, None],
-            R=np.array(known.rotation),
-            lever=entries(known.lever, 3, 0.0),
+            R=np.array(calibration.rotation),
+            lever=entries(calibration.lever, 3, 0.0),
         ),
         raw=nothing,
         live=nothing > 0,
         noise=np.maximum(density * np.sqrt(recording.rate_hz / 2), LEAST_NOISE),
         bias=bias,
-        delay=known.time_offset_s if has_offset else 0.0,
-        gyro_delay=known.gyro_delay_s if rates else 0.0,
+        delay=calibration.time_offset_s if has_offset else 0.0,
+        gyro_delay=calibration.gyro_delay_s if rates else 0.0,
         away=np.zeros(len(prior)),
         precision=np.diag(prior**-2.0),
         y=nothing,
@@ -88,7 +88,7 @@ def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:
 
 
 def _prior(
-    known: ImuCalibration,
+    calibration: ImuCalibration,
     count: int,
     rates: int,
     *,
@@ -113,26 +113,32 @@ def _prior(
     ) -> Array:
         return np.hypot(entries(std_errors, size, default), drift)
 
-    bias = drifted(known.accelerometer_bias_std_errors, count, bias_prior, BIAS_DRIFT)
-    gyro_bias = drifted(
-        known.gyro_bias_std_errors, rates, gyro_bias_prior, GYRO_BIAS_DRIFT
+    bias = drifted(
+        calibration.accelerometer_bias_std_errors, count, bias_prior, BIAS_DRIFT
     )
-    lever = drifted(known.lever_std_errors, 3, lever_prior, lever_drift)
-    gain = drifted(known.accelerometer_scale_std_errors, count, gain_prior, gain_drift)
-    gyro_gain = drifted(known.gyro_scale_std_errors, rates, gain_prior, gain_drift)
+    gyro_bias = drifted(
+        calibration.gyro_bias_std_errors, rates, gyro_bias_prior, GYRO_BIAS_DRIFT
+    )
+    lever = drifted(calibration.lever_std_errors, 3, lever_prior, lever_drift)
+    gain = drifted(
+        calibration.accelerometer_scale_std_errors, count, gain_prior, gain_drift
+    )
+    gyro_gain = drifted(
+        calibration.gyro_scale_std_errors, rates, gain_prior, gain_drift
+    )
 
     # An axis errs along itself by its gain, and across by its tilt.
     usual_tilt = np.degrees(gain_prior)
     tilts = np.append(
-        entries(known.accelerometer_tilt_std_errors_deg, count, usual_tilt),
-        entries(known.gyro_tilt_std_errors_deg, rates, usual_tilt),
+        entries(calibration.accelerometer_tilt_std_errors_deg, count, usual_tilt),
+        entries(calibration.gyro_tilt_std_errors_deg, rates, usual_tilt),
     )
     axes = np.maximum(np.concatenate([gain, gyro_gain]), np.radians(tilts))
 
     late = delay_s
-    if known.time_offset_std_error_s is not None:
-        late = float(np.hypot(known.time_offset_std_error_s, DELAY_DRIFT_S))
-    largest_turn = np.max(known.std_errors_deg or [known.std_error_deg])
+    if calibration.time_offset_std_error_s is not None:
+        late = float(np.hypot(calibration.time_offset_std_error_s, DELAY_DRIFT_S))
+    largest_turn = np.max(calibration.std_errors_deg or [calibration.std_error_deg])
     turn = np.full(3, np.radians(np.clip(largest_turn, *turn_deg)))
     return np.concatenate([bias, gyro_bias, lever, turn, [late], np.repeat(axes, 3)])
 

@@ -48,10 +48,10 @@ def believed(
     samples, or their mean reading is off by `largest_offset`. Returns the chunk, and
     notes on them.
     """
-    kept = []
+    believable = []
     notes = []
-    for given in chunk.imus:
-        x = located(chunk, c, given)
+    for calibrated in chunk.imus:
+        x = located(chunk, c, calibrated)
         share = float(x.seen.mean()) * chunk.stride
         residual = np.sum((x.y - predicted(chunk, c, x)) * x.seen, axis=0)
         n_seen = np.maximum(x.seen.sum(axis=0), 1)
@@ -66,8 +66,8 @@ def believed(
                 f" {largest_offset:g})"
             )
         else:
-            kept.append(x)
-    return replace(chunk, imus=tuple(kept)), notes
+            believable.append(x)
+    return replace(chunk, imus=tuple(believable)), notes
 
 
 class Misfit(NamedTuple):
@@ -122,21 +122,21 @@ def misfits(
 
 
 def contradiction(
-    found: Sequence[Misfit], *, unexplained: float = 0.36
+    badly_fitting: Sequence[Misfit], *, unexplained: float = 0.36
 ) -> tuple[str, list[str]]:
     """Return the name of the IMU to be left out, if any, and notes on misfits."""
     # A right model leaves noise: motion that follows an IMU takes up nearly all in
     # which it differs from the encoders' motion. Wrong geometry or an arm that bends
     # leaves much more.
-    if not found:
+    if not badly_fitting:
         return "", []
-    worst = max(found, key=lambda misfit: misfit.share)
+    worst = max(badly_fitting, key=lambda misfit: misfit.share)
     if worst.share > unexplained:
         limit = percent(unexplained, 0)
         return worst.name, [f"{worst.name} is left out: {worst.text} (limit {limit})"]
     remedy = "check geometry, mounting and gravity"
     return "", [
-        f"{misfit.name} fits badly: {misfit.text}; {remedy}" for misfit in found
+        f"{misfit.name} fits badly: {misfit.text}; {remedy}" for misfit in badly_fitting
     ]
 
 
@@ -408,15 +408,15 @@ def _agreed(
     notes = []
     while True:
         shared = solve.settled(coarse, c, jerk)
-        found = list(misfits(shared.chunk, c, shared.c))
-        if found:
+        badly_fitting = list(misfits(shared.chunk, c, shared.c))
+        if badly_fitting:
             # Coarse knots may not follow what an IMU feels: before it goes, fine ones
             # have their say.
             refined = _refined(chunk, shared)
             shared = solve.settled(refined.chunk, refined.c, refined.jerk)
             alone = resampled(coarse, c, shared.chunk)
-            found = list(misfits(shared.chunk, alone, shared.c))
-        name, new_notes = contradiction(found)
+            badly_fitting = list(misfits(shared.chunk, alone, shared.c))
+        name, new_notes = contradiction(badly_fitting)
         notes += new_notes
         if not name:
             return shared, notes

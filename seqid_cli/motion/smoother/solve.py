@@ -21,7 +21,12 @@ from scipy.ndimage import uniform_filter1d
 from seqid_cli.motion.smoother import system
 from seqid_cli.motion.smoother.chunk import JERK, Chunk, Jerk, jerk_of
 from seqid_cli.motion.smoother.imus import moved
-from seqid_cli.motion.smoother.system import Constants, Linear, Told, normal_equations
+from seqid_cli.motion.smoother.system import (
+    Constants,
+    Expected,
+    Linear,
+    normal_equations,
+)
 from seqid_cli.typing import Array, Index
 
 
@@ -173,15 +178,15 @@ def detailed(
     c = first.c
     jerk = _probed_jerk(first, rng)
 
-    told = tuple(system.predicted(fine, c, x) for x in fine.imus)
-    factors = _noise_factors(first, fine, jerk, told)
+    expected = tuple(system.predicted(fine, c, x) for x in fine.imus)
+    factors = _noise_factors(first, fine, jerk, expected)
     if any(np.any(np.abs(factor - 1.0) > noise_tolerance) for factor in factors):
         imus = [
             replace(x, noise=x.noise * factor)
             for x, factor in zip(fine.imus, factors, strict=True)
         ]
         fine = replace(fine, imus=tuple(imus))
-    return renewed(fine, c, jerk, linear, "none", told)
+    return renewed(fine, c, jerk, linear, "none", expected)
 
 
 def renewed(
@@ -190,7 +195,7 @@ def renewed(
     jerk: Jerk,
     linear: Linear,
     constants: Constants,
-    told: Told = None,
+    expected: Expected = None,
 ) -> Solution:
     """Take one step of Gauss-Newton, constants with the coefficients.
 
@@ -204,10 +209,10 @@ def renewed(
         Jacobians of the IMUs; none leaves the IMUs out.
     constants : {"none", "clock", "place", "all"}
         Constants that take part.
-    told : tuple of Array, optional
+    expected : tuple of Array, optional
         Readings (M, L) of each IMU that are expected at `c`.
     """
-    equations = normal_equations(chunk, c, jerk, linear, constants, told)
+    equations = normal_equations(chunk, c, jerk, linear, constants, expected)
     factor = _factor(equations.band)
     border = halved(factor, equations.border)
     schur = equations.corner - border.T @ border
@@ -241,7 +246,7 @@ def _noise_factors(
     solution: Solution,
     fine: Chunk,
     jerk: Jerk,
-    told: tuple[Array, ...],
+    expected: tuple[Array, ...],
     *,
     most_quieter: float = 2.0,
     least_free: float = 0.1,
@@ -254,8 +259,8 @@ def _noise_factors(
     free = max(1.0 - n_determined / max(n_readings, 1), least_free)
 
     factors = []
-    for x, expected in zip(fine.imus, told, strict=True):
-        whitened = ((x.y - expected) / x.spread) * x.seen
+    for x, readings in zip(fine.imus, expected, strict=True):
+        whitened = ((x.y - readings) / x.spread) * x.seen
         square = np.sum(whitened**2, axis=0)
         misfit = np.sqrt(square / np.maximum(x.seen.sum(axis=0), 1) / free)
         factors.append(np.maximum(misfit, 1.0 / most_quieter))
@@ -428,12 +433,12 @@ def _everywhere(
     return samples, interpolated(places, knots, usual) * rise[places]
 
 
-def _forward(solution: Solution, knots: Index, which: slice) -> Array:
+def _forward(solution: Solution, knots: Index, derivatives: slice) -> Array:
     """Compute the variance (G, n, d) of some derivatives at knots (G,)."""
     # The factor's rows of a knot hold all that comes before it. What comes after the
     # next knot is left away: it hardly tells more.
     n = solution.chunk.joints
-    weights = solution.chunk.knots[0][which]
+    weights = solution.chunk.knots[0][derivatives]
     variance = np.empty((len(knots), n, len(weights)))
     rows = np.append(knots, len(solution.c)) * n
     for k, (start, following) in enumerate(pairwise(rows)):

@@ -45,7 +45,7 @@ class Cells(NamedTuple):
 
 
 Linear = tuple[Cells, ...]  # of all IMUs
-Told = tuple[Array, ...] | None  # their expected readings (M, L), if known
+Expected = tuple[Array, ...] | None  # readings (M, L) of all IMUs, if computed
 
 
 class Slot(NamedTuple):
@@ -133,9 +133,9 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     """
     # The interval in the middle of the readings of each cell, or of the cell.
     starts = chunk.cells
-    there = x.there.astype(float)
-    count = np.add.reduceat(there, starts)
-    intervals = there * np.arange(chunk.intervals)
+    has_reading = x.there.astype(float)
+    count = np.add.reduceat(has_reading, starts)
+    intervals = has_reading * np.arange(chunk.intervals)
     mean = np.add.reduceat(intervals, starts) / np.maximum(count, 1.0)
     middle = np.minimum(starts + chunk.cell // 2, chunk.intervals - 1)
     amid = np.where(count > 0, mean.astype(int), middle)
@@ -189,7 +189,12 @@ def linearised(chunk: Chunk, c: Array, *, gains: bool = False) -> Linear:
 
 
 def normal_equations(
-    chunk: Chunk, c: Array, jerk: Jerk, linear: Linear, constants: Constants, told: Told
+    chunk: Chunk,
+    c: Array,
+    jerk: Jerk,
+    linear: Linear,
+    constants: Constants,
+    expected: Expected,
 ) -> NormalEquations:
     """Set up the normal equations at some coefficients.
 
@@ -204,14 +209,14 @@ def normal_equations(
         Jacobians of the IMUs; none leaves the IMUs out.
     constants : {"none", "clock", "place", "all"}
         Constants of the IMUs that take part.
-    told : tuple of Array, optional
+    expected : tuple of Array, optional
         Readings (M, L) of each IMU that are expected at `c`.
     """
     m = chunk.intervals
     n = chunk.joints
     slots = list(chosen(chunk, constants)) if linear else []
     total = sum(len(slot.taken) for slot in slots)
-    told = told or tuple(predicted(chunk, c, slot.imu) for slot in slots)
+    expected = expected or tuple(predicted(chunk, c, slot.imu) for slot in slots)
 
     # Each interval tells of its own four coefficients: gradients (4, M, n).
     encoders = _encoders(chunk, c)
@@ -226,8 +231,8 @@ def normal_equations(
     corner = np.zeros((total, total))
     constants_gradient = np.zeros(total)
     of_imus: list[_OfImu] = []
-    for slot, cells, expected in zip(slots, linear, told, strict=True):
-        part = _of_imu(chunk, slot, cells, expected)
+    for slot, cells, readings in zip(slots, linear, expected, strict=True):
+        part = _of_imu(chunk, slot, cells, readings)
         of_imus.append(part)
         for b in range(4):
             of_intervals = part.coupling[b][:, of_cells] * part.there[:, None]
@@ -345,8 +350,8 @@ def _band(
             H[:, :, j, :, j] += of_encoders[block, j]
         H = H.reshape(-1, 4 * n, 4 * n)
         for part in of_imus:
-            there = part.there[block, None, None]
-            H += part.information[of_cells[block]] * there
+            has_reading = part.there[block, None, None]
+            H += part.information[of_cells[block]] * has_reading
 
         # LAPACK's order: entry r of coefficient k is of it and of k + r.
         for k in range(4 * n):

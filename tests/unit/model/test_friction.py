@@ -11,14 +11,17 @@ from seqid_cli.model.friction_basis import Scaling, tensor
 from tests import Array
 from tests.plants.robots.made import friction_joint
 
-POSITION, SPEED, WIDTH = (-1.5, 2.5), (0.1, 4.0), 0.01
+POSITION = (-1.5, 2.5)
+SPEED = (0.1, 4.0)
+WIDTH = 0.01
 
 
 def surface(*, directional: bool = False, logarithmic: bool = False) -> FrictionSurface:
     """A surface with random coefficients, Coulomb friction above all."""
     rng = np.random.default_rng(0)
     positive, negative = 0.2 * rng.standard_normal((2, 4, 3))
-    positive[0, 0], negative[0, 0] = 5.0, 4.0
+    positive[0, 0] = 5.0
+    negative[0, 0] = 4.0
     size = positive.size * (2 if directional else 1)
     A = rng.standard_normal((size, size))
     return FrictionSurface(
@@ -50,9 +53,12 @@ def formula(own: FrictionSurface, q: Array, v: Array) -> Array:
     slow, fast = own.scaling.speed
     speed = np.abs(v)
     if own.scaling.logarithmic:
-        slow, fast, speed = np.log(slow), np.log(fast), np.log(speed)
+        slow = np.log(slow)
+        fast = np.log(fast)
+        speed = np.log(speed)
     u = (2 * speed - slow - fast) / (fast - slow)
-    ahead, back = chebval2d(x, u, own.positive), chebval2d(x, u, own.negative)
+    ahead = chebval2d(x, u, own.positive)
+    back = chebval2d(x, u, own.negative)
     return np.where(v > 0, ahead, -back)
 
 
@@ -60,7 +66,8 @@ def test_the_torque_is_the_formula_inside_the_range(
     any_surface: FrictionSurface,
 ) -> None:
     q, v = states()
-    found, expected = any_surface.torque(q, v), formula(any_surface, q, v)
+    found = any_surface.torque(q, v)
+    expected = formula(any_surface, q, v)
     np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
     assert not any_surface.outside(q, v).any()
 
@@ -72,7 +79,8 @@ def test_beyond_the_fastest_speed_it_goes_on_as_a_line(
     """With the slope that friction, meant over position, has over the faster half of
     the speeds.
     """
-    q, fast = np.linspace(*POSITION, 4001), SPEED[1]
+    q = np.linspace(*POSITION, 4001)
+    fast = SPEED[1]
     speeds = np.linspace(0.5 * fast, fast, 33)
     levels = [
         np.trapezoid(formula(any_surface, q, np.full(4001, side * v)), q)
@@ -104,7 +112,8 @@ def test_outside_is_said_and_the_error_grows_there(
     """Inside the covariance is the file's; outside what is not known comes on top."""
     sure = replace(any_surface, entry_covariance=1e-8 * np.eye(any_surface.entries))
     low, high = POSITION
-    beyond, pace = np.array([0.0, 0.3, 2.0]), np.full(3, 1.0)
+    beyond = np.array([0.0, 0.3, 2.0])
+    pace = np.full(3, 1.0)
     for q in (low - beyond, high + beyond):
         errors = sure.std_error(q, pace)
         assert errors[0] < 1e-2 < errors[1] < errors[2]
@@ -126,8 +135,11 @@ def test_columns_are_the_gradient(any_surface: FrictionSurface) -> None:
     them.
     """
     q, v = states(25)
-    q[:10], v[:10] = 3.0 * q[:10], 1.0 + np.abs(3.0 * v[:10])  # outside as well
-    columns, shape = any_surface.columns(q, v), any_surface.positive.shape
+    # outside as well
+    q[:10] = 3.0 * q[:10]
+    v[:10] = 1.0 + np.abs(3.0 * v[:10])
+    columns = any_surface.columns(q, v)
+    shape = any_surface.positive.shape
     sides = (any_surface.positive, any_surface.negative)[: 1 + any_surface.directional]
     for k, unit in enumerate(1e-4 * np.eye(any_surface.entries)):
         positive, *other = (
@@ -182,12 +194,11 @@ def test_a_corner_that_no_trial_has_been_in_is_vague(directional: bool) -> None:
     block = np.linalg.inv(basis.T @ basis)
     covariance = np.kron(np.eye(2 if directional else 1), block)
     own = replace(surface(directional=directional), entry_covariance=covariance)
-    middle, end = 0.5 * sum(POSITION), POSITION[1] - 0.04
-    slow, fast, turning = (
-        np.array([0.2, -0.2]),
-        np.array([3.8, -3.8]),
-        np.full(2, 0.5 * WIDTH),
-    )
+    middle = 0.5 * sum(POSITION)
+    end = POSITION[1] - 0.04
+    slow = np.array([0.2, -0.2])
+    fast = np.array([3.8, -3.8])
+    turning = np.full(2, 0.5 * WIDTH)
     assert own.vague(np.full(2, end), slow).all()
     for q, v in ((end, fast), (middle, slow), (end, turning)):
         assert not own.vague(np.full(2, q), v).any()
@@ -197,7 +208,8 @@ def test_coulomb_and_viscous_friction_of_a_file_goes_on_beyond_the_fastest_speed
     None
 ):
     """As it is; that it was not seen there is said all the same."""
-    coulomb, half = 2.0, 0.5 * 0.7 * 1.5
+    coulomb = 2.0
+    half = 0.5 * 0.7 * 1.5
     joint = friction_joint(
         [[coulomb + half, half]],
         position_range=list(POSITION),

@@ -80,15 +80,11 @@ def test_the_rigid_torque_is_the_regressor_times_the_parameters(
     robot: Robot, motion: Motion
 ) -> None:
     """H pi of Eq. 4."""
-    basis, phi = (
-        base_parameters(robot, rotor=range(6)),
-        np.r_[ARM.phi.ravel(), ARM.rotor_inertia],
-    )
+    basis = base_parameters(robot, rotor=range(6))
+    phi = np.r_[ARM.phi.ravel(), ARM.rotor_inertia]
     state = motion.q, motion.dq, motion.ddq
-    H, model = (
-        base_regressor(robot, basis, *state),
-        TorqueModel.from_stages(stages(robot), robot),
-    )
+    H = base_regressor(robot, basis, *state)
+    model = TorqueModel.from_stages(stages(robot), robot)
     np.testing.assert_allclose(
         model.rigid(*state), H @ (basis.expression @ phi), atol=1e-8
     )
@@ -96,7 +92,8 @@ def test_the_rigid_torque_is_the_regressor_times_the_parameters(
 
 def test_parts_are_models_too(robot: Robot, motion: Motion) -> None:
     alone = TorqueModel.from_stages(Stages(gravity=rigid_stage(np.zeros(6))), robot)
-    q, still = motion.q[:10], np.zeros((10, 6))
+    q = motion.q[:10]
+    still = np.zeros((10, 6))
     expected = [Rigid(ARM).gravity_torque(at) for at in q]
     np.testing.assert_allclose(alone.rigid(q, still, still), expected, atol=1e-9)
     friction = stages(robot).friction
@@ -148,9 +145,11 @@ FULL_HZ = 1000.0
 def reversing() -> Motion:
     """Two joints that reverse again and again, at any time between two samples."""
     t = np.arange(30_000)[:, None] / FULL_HZ
-    w, phase = np.array([2.9, 4.1]), np.array([0.3, 1.1])
+    w = np.array([2.9, 4.1])
+    phase = np.array([0.3, 1.1])
     slow = 1 + 0.2 * np.sin(0.37 * t)
-    q, dq = slow * np.sin(w * t + phase), slow * w * np.cos(w * t + phase)
+    q = slow * np.sin(w * t + phase)
+    dq = slow * w * np.cos(w * t + phase)
     return made_motion(q, dq, -(w**2) * q, Lowpass(5.0, FULL_HZ))
 
 
@@ -174,11 +173,14 @@ def test_friction_of_thinned_motion_is_the_full_one_after_the_low_pass() -> None
 
 def test_beside_gaps_friction_is_that_of_the_samples() -> None:
     thinned = decimated(reversing())
-    valid, broken = thinned.valid.copy(), thinned.q.copy()
-    valid[700:720], broken[700:720] = False, 1e6
+    valid = thinned.valid.copy()
+    broken = thinned.q.copy()
+    valid[700:720] = False
+    broken[700:720] = 1e6
     gap = replace(thinned, valid=valid, q=broken)
     whole, found = (sampled_friction([SURFACE, SURFACE], m) for m in (thinned, gap))
-    away, near = np.r_[0:690, 730 : len(valid)], np.r_[693:700, 720:727]
+    away = np.r_[0:690, 730 : len(valid)]
+    near = np.r_[693:700, 720:727]
     np.testing.assert_allclose(found[away], whole[away], rtol=1e-14)
     plain = friction_torque([SURFACE, SURFACE], thinned.q, thinned.dq)
     np.testing.assert_array_equal(found[near], plain[near])

@@ -1,4 +1,4 @@
-"""From a recording to joint motion, whole and by blocks: filtered alike, gaps kept out."""
+"""From a recording to joint motion, whole and by blocks: gaps are kept out."""
 
 from collections.abc import Iterator
 
@@ -25,7 +25,8 @@ RATE = 500.0
 
 def curves(samples: int = 6000) -> tuple[Array, Array, Array]:
     t = np.arange(samples) / RATE
-    w, phase = np.array([2.0, 3.1]), np.array([0.3, 1.0])
+    w = np.array([2.0, 3.1])
+    phase = np.array([0.3, 1.0])
     angle = t[:, None] * w + phase
     return np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)
 
@@ -87,16 +88,16 @@ def test_a_sample_next_to_a_dropped_gap_is_invalid() -> None:
     assert short.valid[[299, 300, 301]].tolist() == [True, False, True]
 
 
-SAMPLES, STEP = 9_137, 1e-4
+SAMPLES = 9_137
+STEP = 1e-4
 
 
 @pytest.fixture(scope="module")
 def log() -> Recording:
     """Two joints that move, one that stands still for a while, two gaps."""
     t = np.arange(SAMPLES) / RATE
-    q = np.stack(
-        [np.sin(1.3 * t), 0.4 * np.cos(4.0 * t), 0.2 * np.sin(t) * (t > 8)], axis=1
-    )
+    late_mover = np.where(t > 8, 0.2 * np.sin(t), 0.0)
+    q = np.stack([np.sin(1.3 * t), 0.4 * np.cos(4.0 * t), late_mover], axis=1)
     q = STEP * np.round(q / STEP)
     tau = 3.0 * q + np.random.default_rng(8).normal(size=q.shape)
     made = made_recording(q, tau, rate_hz=RATE)
@@ -105,13 +106,15 @@ def log() -> Recording:
 
 
 def in_parts(recording: Recording, sizes: list[int]) -> Iterator[Block]:
-    start, turn = 0, 0
+    start = 0
+    turn = 0
     while start < len(recording.t):
         part = slice(start, start + sizes[turn % len(sizes)])
         yield Block(
             start, recording.q[part], recording.tau[part], recording.valid[part]
         )
-        start, turn = part.stop, turn + 1
+        start = part.stop
+        turn = turn + 1
 
 
 @pytest.mark.parametrize("least", [700, 4_096, 100_000])
@@ -148,7 +151,8 @@ def test_a_survey_in_parts_is_that_of_the_whole_log(
     np.testing.assert_allclose(survey.noise_step(known), step, rtol=1e-12)
     moving = np.any(moving_mask(log.q, RATE, step), axis=0)
     np.testing.assert_array_equal(survey.moving(step), moving)
-    expected, found = Survey.of(log.q, RATE).cutoff(known), survey.cutoff(known)
+    expected = Survey.of(log.q, RATE).cutoff(known)
+    found = survey.cutoff(known)
     for name in ("hz", "encoder_step", "noise_density"):
         np.testing.assert_allclose(
             getattr(found, name), getattr(expected, name), rtol=1e-9

@@ -68,7 +68,9 @@ def test_a_reversal_without_rest_is_two_stretches(step: float) -> None:
     profile = [
         trapezoid(a, b, 1.5, 15.0, 250.0) for a, b in ((-1.5, 1.5), (1.5, -1.5))
     ] * 2
-    q, dq, ddq = (np.concatenate([p[i] for p in profile])[:, None] for i in range(3))
+    q, dq, ddq = (
+        np.concatenate(parts)[:, None] for parts in zip(*profile, strict=True)
+    )
     found = assert_found_once(Reference(q, dq, ddq, 250.0), quantise(q, step), 4)
     assert [np.sign(s.velocity) for s in found] == [1, -1, 1, -1]
 
@@ -93,12 +95,11 @@ def test_what_is_taken_of_a_sine_is_nearly_constant(
     frequency: float, step: float
 ) -> None:
     w = 2 * np.pi * frequency
-    angle, two = w * np.arange(0, 20, 1 / 500.0)[:, None], np.array([1.5, 0.0])
-    q, dq, ddq = (
-        two * np.sin(angle),
-        two * w * np.cos(angle),
-        -two * w**2 * np.sin(angle),
-    )
+    angle = w * np.arange(0, 20, 1 / 500.0)[:, None]
+    two = np.array([1.5, 0.0])
+    q = two * np.sin(angle)
+    dq = two * w * np.cos(angle)
+    ddq = -two * w**2 * np.sin(angle)
     found = find(Reference(q, dq, ddq, 500.0), quantise(q, step))
     for stretch in found:
         own = dq[stretch.start : stretch.stop, 0]

@@ -28,7 +28,8 @@ NOISE = 0.3  # N m per sample; the torque's RMS is 49 and 28 N m
 
 def scenes(distortion: Distortion, logs: int = 2) -> list[Scene]:
     """Logs, 100 s from start to start, whose torque went through a distortion."""
-    model, seen = torque_model(two_joint_robot()), []
+    model = torque_model(two_joint_robot())
+    seen = []
     for log in range(logs):
         q = wander(22.0, seed=log, rate_hz=FINE_HZ, rests=())
         dq, ddq = differentiate(q, FINE_HZ)
@@ -58,7 +59,7 @@ def late(samples: int) -> Distortion:
 
 
 def lagging(constant: float) -> Distortion:
-    """Return the command whose lagged version is the torque, by the inverse recursion."""
+    """Return the command whose lagged version is the torque: the inverse recursion."""
     past = np.exp(-1.0 / (FINE_HZ * constant))
     return lambda t, tau: np.vstack(
         [tau[:1], (tau[1:] - past * tau[:-1]) / (1.0 - past)]
@@ -69,11 +70,13 @@ def saturating(b: float) -> Distortion:
     """Bisect m (1 - b m^2) = tau on its rising branch."""
 
     def read(t: Array, tau: Array) -> Array:
-        low, high = np.zeros_like(tau), np.full_like(tau, 1.0 / np.sqrt(3.0 * b))
+        low = np.zeros_like(tau)
+        high = np.full_like(tau, 1.0 / np.sqrt(3.0 * b))
         for _ in range(60):
             middle = 0.5 * (low + high)
             less = middle * (1.0 - b * middle**2) < np.abs(tau)
-            low, high = np.where(less, middle, low), np.where(less, high, middle)
+            low = np.where(less, middle, low)
+            high = np.where(less, high, middle)
         return np.sign(tau) * low
 
     return read

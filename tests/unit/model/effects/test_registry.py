@@ -84,7 +84,7 @@ def assert_sound(
 
 
 def test_names_are_known() -> None:
-    """What other people's scripts read."""
+    """Scripts of other people read these names."""
     assert all(name == effect.name for name, effect in CATALOGUE.items())
     assert set(CATALOGUE) == CONTRACT | ADDED
 
@@ -152,7 +152,8 @@ def test_sharpened_settings_keep_the_rules(
 
 def cut(scene: Scene, first: int) -> Scene:
     """Leave off the first samples; the clock runs on."""
-    motion, begun = scene.motion, float(scene.motion.t[first])
+    motion = scene.motion
+    begun = float(scene.motion.t[first])
     series = ("q", "dq", "ddq", "tau", "moving", "usable", "valid")
     late = {name: getattr(motion, name)[first:] for name in series}
     motion = replace(motion, **late, t=motion.t[first:] - begun)
@@ -162,7 +163,9 @@ def cut(scene: Scene, first: int) -> Scene:
 
 def test_the_past_is_forgotten(effect: Effect, logs: list[Scene], grids: Grids) -> None:
     """A log that begins later gives the same columns, once any state has settled."""
-    scene, first, settle = logs[0], round(8 * RATE_HZ), round(6 * RATE_HZ)
+    scene = logs[0]
+    first = round(8 * RATE_HZ)
+    settle = round(6 * RATE_HZ)
     late = cut(scene, first)
     for joint, settings in points(grids):
         whole = effect.columns(scene, joint, settings)
@@ -180,7 +183,8 @@ def test_values_are_finite_and_in_the_joints_units(
     slide = two_joint_robot(prismatic=True)
     for joint, settings in points(grids):
         count = len(effect.coefficients(settings))
-        c, covariance = np.linspace(0.1, 0.2, count), 1e-4 * np.eye(count)
+        c = np.linspace(0.1, 0.2, count)
+        covariance = 1e-4 * np.eye(count)
         for robot in (logs[0].robot, slide):
             values = effect.values(robot, joint, settings, c, covariance)
             assert values

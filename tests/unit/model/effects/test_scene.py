@@ -7,7 +7,8 @@ import pytest
 
 from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, scene_of
 
-SPEED, HUNTS_HZ = 0.3, 3.0 * CUTOFF_HZ
+SPEED = 0.3
+HUNTS_HZ = 3.0 * CUTOFF_HZ
 
 
 @pytest.mark.parametrize(
@@ -24,7 +25,8 @@ def test_a_joint_that_stops_above_the_cut_off(swing: float, stops: bool) -> None
     )
     q = np.column_stack([SPEED * t + hunts, np.sin(t)])
     seen = replace(scene_of(q), encoder=q)
-    inside, before = (t > 4.5) & (t < 5.5), (t > 2.0) & (t < 3.5)
+    inside = (t > 4.5) & (t < 5.5)
+    before = (t > 2.0) & (t < 3.5)
     assert np.min(seen.motion.dq[inside, 0]) > 0.1 * SPEED
     assert np.all(seen.stops[inside, 0] == stops)
     assert not np.any(seen.stops[before, 0])

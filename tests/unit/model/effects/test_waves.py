@@ -17,13 +17,14 @@ from tests import Array
 from tests.plants.robots.two_joint import GEAR, two_joint_robot
 from tests.unit.model.effects.scenes import RATE_HZ, scene_of, wander
 
-SIN, COS = 0.6, 0.8
+SIN = 0.6
+COS = 0.8
 
 
 def rippling(
     order: float, law: int, *, seed: int, gear: float = GEAR[1], lag: float = 0.0
 ) -> tuple[Scene, Array]:
-    """Return a scene and its unfiltered residual: ripple, noise and a bump of position."""
+    """Return a scene and its unfiltered residual: ripple, noise, a bump of position."""
     robot = two_joint_robot()
     joints = (
         robot.joints[0],
@@ -32,7 +33,9 @@ def rippling(
     scene = scene_of(
         wander(30.0, seed=seed, amplitude=1.5), robot=replace(robot, joints=joints)
     )
-    q, v, rng = scene.motion.q[:, 1], scene.motion.dq[:, 1], np.random.default_rng(seed)
+    q = scene.motion.q[:, 1]
+    v = scene.motion.dq[:, 1]
+    rng = np.random.default_rng(seed)
     size = (1.0, 0.05 * scene.modelled[:, 1], np.sign(v), 0.05 * scene.load[:, 1])[law]
     p = order * gear * (q - lag * v)
     residual = rng.normal(size=scene.motion.q.shape)
@@ -49,7 +52,8 @@ def best_of(
     """The point of the ripple's grid that leaves least of the second joint's, and its
     sizes.
     """
-    y, tried = np.concatenate([r[:, 1] for r in residual]), []
+    y = np.concatenate([r[:, 1] for r in residual])
+    tried = []
     for settings in TorqueRipple().grid(scenes, 1, residual):
         X = np.concatenate(
             [TorqueRipple().columns(scene, 1, settings)[1] for scene in scenes]
@@ -103,7 +107,8 @@ def test_usual_orders_are_tried_where_logs_are_too_fast_for_their_spectrum() -> 
 
 
 EFFECT = CATALOGUE["periodic_disturbance"]
-AMPLITUDE, NOISE = 0.3, 0.3
+AMPLITUDE = 0.3
+NOISE = 0.3
 
 
 def logs(*, shared: bool = True) -> list[Scene]:

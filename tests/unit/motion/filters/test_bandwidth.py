@@ -41,7 +41,8 @@ def test_the_coarser_the_encoder_the_lower_the_cutoff() -> None:
 @pytest.mark.parametrize("counts", [600, 4096])
 def test_the_acceleration_noise_is_what_quantisation_makes(counts: int) -> None:
     step = 2 * np.pi / counts
-    errors, claimed = [], []
+    errors = []
+    claimed = []
     for seed in range(6):
         q = motion(np.random.default_rng(seed))
         rounded = quantise(q, step)
@@ -69,7 +70,7 @@ def test_white_noise_without_steps_is_measured() -> None:
 
 
 def test_the_motion_passes_below_the_cutoff() -> None:
-    """What the filter takes off the true acceleration is below a percent of its power."""
+    """The filter takes less than a percent of the true acceleration's power."""
     q = motion(np.random.default_rng(4))
     full = differentiate(q, RATE)[1][500:-500]
     for counts in (600, 2**17):

@@ -25,8 +25,10 @@ def convolved(values: Array, lowpass: Lowpass, valid: Mask | None = None) -> Arr
     """The same filter at once on each whole run, prolonged by point reflections at its
     ends.
     """
-    found, reach = values.copy(), lowpass.memory
-    around, h = ((reach, reach), (0, 0)), impulse_response(lowpass)[:, None]
+    found = values.copy()
+    reach = lowpass.memory
+    around = ((reach, reach), (0, 0))
+    h = impulse_response(lowpass)[:, None]
     for start, stop in runs(valid, len(values)):
         if stop - start > SHORTEST:
             wide = np.pad(
@@ -71,7 +73,8 @@ LENGTHS = (1, 8, 9, 31, 32, 33, 511, 512, 513, 20_000)
 def test_it_filters_each_run(
     cutoff_hz: float, rate_hz: float, samples: int, *, gaps: bool
 ) -> None:
-    values, lowpass = walk(samples, 3), Lowpass(cutoff_hz, rate_hz)
+    values = walk(samples, 3)
+    lowpass = Lowpass(cutoff_hz, rate_hz)
     valid = with_gaps(samples) if gaps else None
     found = lowpass(values, valid)
     error = np.abs(found - convolved(values, lowpass, valid)).max()
@@ -83,7 +86,8 @@ def test_it_filters_each_run(
 
 
 def test_a_cutoff_near_the_nyquist_rate_filters_nothing() -> None:
-    values, lowpass = walk(300), Lowpass(49.0, 100.0)
+    values = walk(300)
+    lowpass = Lowpass(49.0, 100.0)
     assert lowpass.memory == 0
     np.testing.assert_array_equal(lowpass(values), values)
 
@@ -91,11 +95,9 @@ def test_a_cutoff_near_the_nyquist_rate_filters_nothing() -> None:
 @pytest.mark.parametrize("samples", [12, 300, 5003])
 @pytest.mark.parametrize("every", [1, 3, 4])
 def test_passes_at_once_are_passes_one_by_one(samples: int, every: int) -> None:
-    values, valid, lowpass = (
-        walk(samples),
-        np.ones(samples, dtype=bool),
-        Lowpass(10.0, 250.0),
-    )
+    values = walk(samples)
+    valid = np.ones(samples, dtype=bool)
+    lowpass = Lowpass(10.0, 250.0)
     valid[samples // 2 : samples // 2 + 2] = False
     expected = lowpass(lowpass(values, valid), valid)[::every]
     found = lowpass(values, valid, times=2, every=every)
@@ -107,7 +109,8 @@ def test_passes_at_once_are_passes_one_by_one(samples: int, every: int) -> None:
 
 def assert_butterworth(lowpass: Lowpass, frequency: Array, atol: float) -> None:
     """The gain of both ways is that of scipy's filter at the full rate."""
-    h, reach = impulse_response(lowpass), lowpass.memory
+    h = impulse_response(lowpass)
+    reach = lowpass.memory
     angle = 2 * np.pi / lowpass.rate_hz * np.outer(frequency, np.arange(reach + 1))
     gain = 2 * np.cos(angle) @ h[reach:] - h[reach]
     sections = butter(ORDER, lowpass.cutoff_hz, fs=RATE, output="sos")
@@ -143,9 +146,10 @@ def test_derivatives_of_polynomials_are_exact_inside(degree: int) -> None:
 
 
 def test_derivatives_do_not_reach_across_a_gap() -> None:
-    x, valid = np.sin(20 * np.arange(200) / RATE), np.ones(200, dtype=bool)
+    x = np.sin(20 * np.arange(200) / RATE)
+    valid = np.ones(200, dtype=bool)
     valid[100] = False
-    jump = x + 50.0 * (np.arange(200) >= 100)
+    jump = x + np.where(np.arange(200) >= 100, 50.0, 0.0)
     plain, jumped = (
         np.array(differentiate(values, RATE, valid)) for values in (x, jump)
     )

@@ -26,10 +26,12 @@ def scene() -> Case:
     """The planar rig with its coarse encoders, three seconds at 250 Hz; perfect
     calibrations.
     """
-    plant, rng = two_joint(), np.random.default_rng
+    plant = two_joint()
+    rng = np.random.default_rng
     trial = inertia_trials(plant, [np.array([0.0, 0.5])], rng(0), seconds=3.0)[0]
     log = simulate(plant, trial.reference, 0, every=4)
-    robot, recording = robot_of("two_joint", plant), recording_of(plant, "log", log)
+    robot = robot_of("two_joint", plant)
+    recording = recording_of(plant, "log", log)
     return Case(
         plant, robot, recording, stage_of(plant, rng(0), 0.0), log.truth.ddq, log
     )
@@ -54,9 +56,11 @@ def test_imus_alone_say_their_error(scene: Case) -> None:
     """Noise, and what calibrations usually leave; biases of a radian per second squared
     do not.
     """
-    found, before = by_imus(scene), encoder(scene)
+    found = by_imus(scene)
+    before = encoder(scene)
     assert (found.source, found.imus, found.warnings) == ("imu", ("imu_a", "imu_b"), ())
-    off, told = error(scene, found), found.acceleration_error
+    off = error(scene, found)
+    told = found.acceleration_error
     assert (off < 0.4 * error(scene, before)).all()
     assert ((off < told) & (told < 4 * off)).all()
     np.testing.assert_array_equal(found.encoder_error, before.acceleration_error)
@@ -87,10 +91,12 @@ def test_a_gyro_gives_velocities_and_an_array_that_sees_no_products_none(
     """A gyro's noise of 0.005 rad/s against encoders of 600 counts; Eq. 31 without its
     sign.
     """
-    rng, before = np.random.default_rng(4), encoder(scene)
+    rng = np.random.default_rng(4)
+    before = encoder(scene)
     true, _ = differentiate(before.lowpass(scene.log.truth.q), before.rate_hz)
     robot = scene.robot
-    gyros, imus = {}, []
+    gyros = {}
+    imus = []
     for imu in scene.plant.imus:
         motion = link_motion(scene.plant.arm, imu.after, *scene.log.truth[:3])
         rates = motion.omega @ imu.rotation
@@ -121,11 +127,14 @@ def test_flipped_or_dead_imus_alone_are_named(scene: Case, factor: float) -> Non
 
 
 def test_what_calibration_found_is_taken_off(scene: Case) -> None:
-    """Biases, gains and a clock 20 ms late; the last alone would make an IMU useless."""
-    rng, late = np.random.default_rng(3), round(0.02 * scene.recording.rate_hz)
-    readings, found = {}, {}
+    """Biases, gains and a clock 20 ms late; the clock alone would ruin an IMU."""
+    rng = np.random.default_rng(3)
+    late = round(0.02 * scene.recording.rate_hz)
+    readings = {}
+    found = {}
     for name, values in scene.recording.accelerometers.items():
-        bias, gain = rng.normal(0, 0.3, 12), rng.normal(1, 0.02, 12)
+        bias = rng.normal(0, 0.3, 12)
+        gain = rng.normal(1, 0.02, 12)
         readings[name] = np.roll(values, late, axis=0) * gain + bias
         found[name] = msgspec.structs.replace(
             scene.stage.imus[name],

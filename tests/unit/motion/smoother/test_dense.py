@@ -44,7 +44,8 @@ TOLERANCE = 1e-6  # of the stated error
 
 
 def true_motion(t: Array) -> Array:
-    w, a = np.array([3.1, 4.3]), np.array([0.9, 0.7])
+    w = np.array([3.1, 4.3])
+    a = np.array([0.9, 0.7])
     angle = np.outer(t, w) + np.array([0.3, -1.1])
     return np.stack(
         [a * np.sin(angle), a * w * np.cos(angle), -a * w**2 * np.sin(angle)]
@@ -72,10 +73,17 @@ def scene(step: float) -> Chunk:
     plant = replace(plant, arm=replace(plant.arm, gravity=GRAVITY))
     robot = robot_of("two", plant)
     t = DT * np.arange(SAMPLES)
-    accelerometers, calibrations = {}, {}
+    accelerometers = {}
+    calibrations = {}
     for imu in plant.imus:
-        own = Mounting(imu.after, imu.positions, imu.axes, imu.rotation, imu.lever)
-        clean = readings(robot, own, true_motion(t - LATE[imu.name]))
+        place = Mounting(
+            link=imu.after,
+            positions=imu.positions,
+            axes=imu.axes,
+            R=imu.rotation,
+            lever=imu.lever,
+        )
+        clean = readings(robot, place, true_motion(t - LATE[imu.name]))
         bias = 0.1 * rng.standard_normal(12)
         accelerometers[imu.name] = (
             clean + bias + NOISE * rng.standard_normal(clean.shape)
@@ -108,7 +116,8 @@ def smoothed(step: float) -> Solution:
     for _ in range(40):
         solution = renewed(chunk, c, JERK, linearised(chunk, c), "place")
         change = float(np.abs(solution.c - c).max())
-        chunk, c = solution.chunk.gathered(), solution.c
+        chunk = solution.chunk.gathered()
+        c = solution.c
         if change < 1e-13:
             break
     assert change < 1e-13
@@ -122,7 +131,9 @@ class Dense:
     """
 
     def __init__(self, found: Solution, step: float) -> None:
-        self.found, self.chunk, self.step = found, found.chunk, step
+        self.found = found
+        self.chunk = found.chunk
+        self.step = step
         self.knots = DT * (np.arange(SAMPLES + 7) - 3)
         self.t = DT * np.arange(SAMPLES)
 
@@ -149,17 +160,17 @@ class Dense:
         """Codes: known to a count's width, once while they last; edges: to where they
         lie.
         """
-        at_samples, at_edges = (
-            self.splines(c, self.t),
-            self.splines(c, self.t + 0.5 * DT),
-        )
+        at_samples = self.splines(c, self.t)
+        at_edges = self.splines(c, self.t + 0.5 * DT)
         speed = np.abs(self.splines(self.found.c, self.t)[1]) * DT
-        step, parts = self.step, []
+        step = self.step
+        parts = []
         for j, view in enumerate(self.chunk.views):
             if step == 0.0:
                 parts.append((at_samples[0, :, j] - view.q) / np.sqrt(view.white))
                 continue
-            code, fast = np.round(view.q / step), speed[:, j] >= step
+            code = np.round(view.q / step)
+            fast = speed[:, j] >= step
             first = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1, [SAMPLES]])
             lasts = np.repeat(np.diff(first), np.diff(first))
             variance = step**2 / 12 * np.where(fast, 1, lasts)
@@ -194,10 +205,8 @@ def test_solution_and_stated_errors_are_those_of_the_dense_one(step: float) -> N
     """One step of Gauss-Newton on the dense problem changes nothing."""
     found = smoothed(step)
     count = found.c.size
-    dense, unknown = (
-        Dense(found, step),
-        np.concatenate([found.c.ravel(), np.zeros(2 * 19)]),
-    )
+    dense = Dense(found, step)
+    unknown = np.concatenate([found.c.ravel(), np.zeros(2 * 19)])
     J = jacobian(dense, unknown)
     scale = np.linalg.norm(J, axis=0)
     Q, R = np.linalg.qr(J / scale)
@@ -214,7 +223,7 @@ def test_solution_and_stated_errors_are_those_of_the_dense_one(step: float) -> N
 def test_nothing_to_solve_for_is_kept_from_lapack(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Where constants move the motion in no direction, `dtbtrs` would corrupt memory."""
+    """If constants move the motion in no direction, `dtbtrs` would corrupt memory."""
     monkeypatch.setattr("seqid_cli.motion.smoother.solve.dtbtrs", None)
     for transposed in (False, True):
         assert halved(

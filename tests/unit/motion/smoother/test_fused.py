@@ -51,7 +51,8 @@ def error(s: Case, motion: Motion) -> Array:
 
 @pytest.mark.parametrize("name", ["one", "one_400", "two"])
 def test_more_band_and_far_less_error_than_encoders_and_as_said(name: str) -> None:
-    s, motion = scene(name), fused(name)
+    s = scene(name)
+    motion = fused(name)
     before = encoder(s)
     assert motion.cutoff.hz > 1.1 * before.cutoff.hz
     assert (error(s, motion) < 0.15 * error(s, before)).all()
@@ -66,7 +67,8 @@ def test_more_band_and_far_less_error_than_encoders_and_as_said(name: str) -> No
 def test_an_inertia_is_not_shrunk_by_the_smoothers_error(name: str) -> None:
     motion = fused(name, 40.0)
     assert motion.lowpass.cutoff_hz == motion.cutoff.hz == 40.0
-    x, y = motion.filtered(motion.ddq)[motion.usable], motion.tau[motion.usable]
+    x = motion.filtered(motion.ddq)[motion.usable]
+    y = motion.tau[motion.usable]
     slope = np.sum(x * y, axis=0) / np.sum(x * x, axis=0)
     np.testing.assert_allclose(slope, 1.0, atol=5e-4)
 
@@ -144,7 +146,8 @@ def test_a_motion_is_smoothed_once_whatever_the_torque(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Other torque changes nothing; other positions, readings or calibrations do."""
-    s, counted = scene("one"), []
+    s = scene("one")
+    counted = []
 
     def smooth(*given: Any) -> Smoothed:
         counted.append(given)
@@ -159,7 +162,8 @@ def test_a_motion_is_smoothed_once_whatever_the_torque(
         k: msgspec.structs.replace(c, std_error_deg=0.2)
         for k, c in s.stage.imus.items()
     }
-    plain, again = best(first, "fused"), best(changed(first, tau=0 * noisy), "fused")
+    plain = best(first, "fused")
+    again = best(changed(first, tau=0 * noisy), "fused")
     np.testing.assert_array_equal(again.ddq, plain.ddq)
     assert len(counted) == 1
     best(changed(first, accelerometers=readings), "fused")

@@ -32,7 +32,8 @@ def turning(
 ) -> Motion:
     """Motion of joints in a few sines, by encoders that are nearly perfect."""
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
-    hz, phase = rng.uniform(0.3, 2.5, (5, joints)), rng.uniform(-3.0, 3.0, (5, joints))
+    hz = rng.uniform(0.3, 2.5, (5, joints))
+    phase = rng.uniform(-3.0, 3.0, (5, joints))
     q = 0.3 * np.sum(np.sin(2 * np.pi * hz * t[:, None, None] + phase), axis=1)
     log = made_recording(q, None, rate_hz=RATE_HZ, path="sines", t=t)
     return estimate_motion(log, robot_of("two", two_joint()), MotionOptions(15.0))
@@ -90,8 +91,9 @@ def test_noise_of_encoders_is_no_contradiction_and_more_is() -> None:
 
 
 def scene(counts: int | None, bend: float) -> Case:
-    """The planar rig at 250 Hz, its IMUs calibrated by its own logs; joint 2 may bend."""
-    plant, rng = two_joint(), np.random.default_rng(5)
+    """The planar rig at 250 Hz, its IMUs calibrated by its logs; joint 2 may bend."""
+    plant = two_joint()
+    rng = np.random.default_rng(5)
     if counts is not None:
         plant = replace(plant, encoder_step=np.full(2, 2 * np.pi / counts))
     real = elastic(plant, 1, bend) if bend else plant
@@ -136,7 +138,8 @@ FOLDED = pytest.mark.xfail(
 def test_beside_coarse_encoders_fused_motion_is_three_times_better(hz: float) -> None:
     """The paper's rig: 600 counts per turn, 250 rows per second, jolts between them."""
     s = scene(None, 0.0)
-    fused, encoder = best(s, "auto", hz), best(s, "encoder", hz)
+    fused = best(s, "auto", hz)
+    encoder = best(s, "encoder", hz)
     assert fused.source == "fused"
     assert (3.0 * error(fused, s) < error(encoder, s)).all()
     assert (fused.fused_error < fused.encoder_error).all()
@@ -148,7 +151,8 @@ def test_beside_coarse_encoders_fused_motion_is_three_times_better(hz: float) ->
 @FOLDED
 def test_beside_fine_encoders_jolts_between_samples_do_no_harm() -> None:
     s = scene(FINE, 0.0)
-    fused, encoder = best(s, "fused"), best(s, "encoder")
+    fused = best(s, "fused")
+    encoder = best(s, "encoder")
     assert (error(fused, s) < 1.1 * error(encoder, s)).all()
     assert (error(fused, s) < 1.5 * fused.acceleration_error).all()
     assert not fused.disagreement.any()

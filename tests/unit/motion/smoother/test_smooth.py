@@ -44,12 +44,14 @@ def test_both_sources_together_come_near_the_bound_with_the_error_stated(
     """The bound takes jerks for equally large all the time: the smoother may come below
     it.
     """
-    rig, s = RIGS[name], rigs.scene(name)
+    rig = RIGS[name]
+    s = rigs.scene(name)
     share = {"six": 0.75, "two": 0.06}.get(name, 0.05)
     assert (error(rig) < share * rigs.differentiated(s)).all()
     assert (error(rig) < 0.75 * rigs.from_imus(s)).all()
     assert (error(rig) < 1.3 * rigs.bound(s, rig)).all()
-    got, truth = smoothed(rig), s.log.truth
+    got = smoothed(rig)
+    truth = s.log.truth
     off = np.stack([got.q - truth.q, got.dq - truth.dq, got.ddq - truth.ddq], axis=2)
     ratio = rms(off / np.sqrt(variance(got)))
     assert 0.5 < ratio.min() < ratio.max() < 1.8
@@ -112,12 +114,14 @@ def test_a_late_clock_is_found(joints: int, late: float) -> None:
 
 
 def test_a_calibration_of_the_channels_is_used() -> None:
-    """With everything known, a second of data is enough; unknown gains of 10 % are not."""
+    """A second of data is enough with everything known; unknown gains need more."""
     rig = Rig(1, COARSE)
     c = recorded(rig)
-    gains, bias = 1.0 + 0.1 * np.linspace(-1, 1, 12), 0.5 * np.linspace(1, -1, 12)
+    gains = 1.0 + 0.1 * np.linspace(-1, 1, 12)
+    bias = 0.5 * np.linspace(1, -1, 12)
     values = c.recording.accelerometers["imu_a"] * gains + bias
-    array, own = c.plant.imus[0], c.stage.imus["imu_a"]
+    array = c.plant.imus[0]
+    own = c.stage.imus["imu_a"]
     errors = {
         "scale_std_errors": 1e-3,
         "bias_std_errors": 0.02,
@@ -146,21 +150,26 @@ def test_damaged_readings_and_positions_cost_little() -> None:
         > 1e-3
     )
     assert (error(clipped) < 1.5 * error(TWO)).all()
-    log, truth = recorded(TWO).recording, recorded(TWO).log.truth
+    log = recorded(TWO).recording
+    truth = recorded(TWO).log.truth
     values = log.accelerometers["imu_b"].copy()
     values[1500:, 4] = values[1500, 4]
     got = again(TWO, accelerometers=log.accelerometers | {"imu_b": values})
     assert tuple(got.mounted) == ("imu_a", "imu_b")
     assert (error(TWO, got) < 1.3 * error(TWO)).all()
     q = log.q.copy()
-    q[1000:1200, 1], q[50, 0], q[-5:] = np.nan, np.inf, np.nan
+    q[1000:1200, 1] = np.nan
+    q[50, 0] = np.inf
+    q[-5:] = np.nan
     got = again(TWO, q=q)
     assert np.isfinite(got.ddq).all()
     assert (error(TWO, got) < 1.2 * error(TWO)).all()
     assert np.abs(got.q - truth.q)[rigs.SETTLED].max() < 0.01
     s = recorded(RIGS["one"])
-    valid, q = s.recording.valid.copy(), s.recording.q.copy()
-    valid[1000:1100], q[1000:1100] = False, 7.0
+    valid = s.recording.valid.copy()
+    q = s.recording.q.copy()
+    valid[1000:1100] = False
+    q[1000:1100] = 7.0
     got = again(RIGS["one"], valid=valid, q=q)
     off = (got.ddq - s.truth)[:, 0]
     for part in (slice(200, 950), slice(1150, -200)):
@@ -201,7 +210,8 @@ def test_a_healthy_imu_is_kept_however_fine_the_encoders(rig: Rig) -> None:
 
 
 def test_chunks_join_without_a_seam() -> None:
-    s, whole = rigs.scene("one"), smoothed(RIGS["one"])
+    s = rigs.scene("one")
+    whole = smoothed(RIGS["one"])
     got = smoothed_motion(s.recording, s.robot, s.stage, chunk_s=1.2)
     assert rms((got.ddq - whole.ddq) / np.sqrt(variance(whole)[:, :, 2]))[0] < 0.5
     assert np.abs(np.diff(got.q - whole.q, axis=0)).max() < 1e-4

@@ -15,9 +15,10 @@ a link or as `body_terms`, and has columns of its own.
 Symbols: N samples, n joints, k coefficients; `c` (k,) their values, `covariance` (k, k)
 that of `c`.
 
-The class `Effect` has two groups of members. The interface comes first; an effect of
-the usual kind overrides nothing else. The further declarations are of one or two
-effects each, and their defaults suit all others.
+The class `Effect` has two groups of members. The interface comes first: what a search
+asks every effect for. Most effects set its attributes and give their columns by `laws`,
+the first of the further declarations. The others of these are of one or two effects
+each, and their defaults suit all others.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -248,6 +249,50 @@ class Effect:
             for setting in self.settings
         )
 
+    # ---- Further declarations: how its law is stated --------------------------------
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return the linear parameters in the order of the columns."""
+        return self.linear
+
+    def laws(
+        self, robot: Robot, joint: AnyJoint, settings: Settings
+    ) -> Mapping[int, Law] | None:
+        """Return the law at every touched joint; None if formulas do not say it."""
+        return None
+
+    def deviation(
+        self, robot: Robot, joint: AnyJoint, settings: Settings
+    ) -> Deviation | None:
+        """Return how the joint's link is not where its encoder says; None if it is."""
+        return None
+
+    def body_terms(
+        self, robot: Robot, joint: AnyJoint, settings: Settings
+    ) -> Sequence[BodyTerm] | None:
+        """Return what each coefficient changes in the rigid body; None if nothing."""
+        return None
+
+    def steady_columns(
+        self, scene: Scene, joint: AnyJoint, settings: Settings
+    ) -> Columns:
+        """Compute columns at constant speeds: samples are places, not times."""
+        return self.columns(scene, joint, settings)
+
+    def local(self, settings: Settings) -> bool:
+        """Return whether the torque at a moment follows from the motion around it.
+
+        It does not where the effect remembers more, or needs another channel of the
+        log.
+        """
+        return True
+
+    def guessed(
+        self, scene: Scene, joint: AnyJoint, settings: Settings
+    ) -> Mapping[int, Mask]:
+        """Return samples (N,) of unknown torque by joint: where a drive sticks, say."""
+        return {}
+
     # ---- Further declarations: what it acts on --------------------------------------
 
     # Whether it is of the whole arm or of its measurement: its joint is then None.
@@ -298,50 +343,6 @@ class Effect:
     steady: bool = False
     # Whether a part of that is the same both ways, which gravity may have taken up.
     even: bool = False
-
-    # ---- Further declarations: how its law is stated --------------------------------
-
-    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the linear parameters in the order of the columns."""
-        return self.linear
-
-    def laws(
-        self, robot: Robot, joint: AnyJoint, settings: Settings
-    ) -> Mapping[int, Law] | None:
-        """Return the law at every touched joint; None if formulas do not say it."""
-        return None
-
-    def deviation(
-        self, robot: Robot, joint: AnyJoint, settings: Settings
-    ) -> Deviation | None:
-        """Return how the joint's link is not where its encoder says; None if it is."""
-        return None
-
-    def body_terms(
-        self, robot: Robot, joint: AnyJoint, settings: Settings
-    ) -> Sequence[BodyTerm] | None:
-        """Return what each coefficient changes in the rigid body; None if nothing."""
-        return None
-
-    def steady_columns(
-        self, scene: Scene, joint: AnyJoint, settings: Settings
-    ) -> Columns:
-        """Compute columns at constant speeds: samples are places, not times."""
-        return self.columns(scene, joint, settings)
-
-    def local(self, settings: Settings) -> bool:
-        """Return whether the torque at a moment follows from the motion around it.
-
-        It does not where the effect remembers more, or needs another channel of the
-        log.
-        """
-        return True
-
-    def guessed(
-        self, scene: Scene, joint: AnyJoint, settings: Settings
-    ) -> Mapping[int, Mask]:
-        """Return samples (N,) of unknown torque by joint: where a drive sticks, say."""
-        return {}
 
     # ---- Further declarations: how its settings are searched ------------------------
 

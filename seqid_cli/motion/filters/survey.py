@@ -290,17 +290,17 @@ class Survey:
         frequency, density = self._acceleration()
         top = (frequency > 0.2 * rate_hz) & (frequency < 0.4 * rate_hz)
 
+        quantisation = _quantisation_density(step, rate_hz)
         values = np.zeros(len(cutoffs))
         noise_density = np.zeros(len(joints))
         for k, j in enumerate(joints):
             # The position's noise: the quantisation's, or what the top of the spectrum
             # shows.
-            quantisation = _quantisation_density(step[j], rate_hz)
             shown = 0.0
             if top.any():
                 of_position = density[j, top] / (2 * np.pi * frequency[top]) ** 4
                 shown = float(np.median(of_position))
-            noise_density[k] = max(quantisation, shown, 1e-30)
+            noise_density[k] = max(float(quantisation[j]), shown, 1e-30)
 
             noise = bandwidth.differentiated_error(noise_density[k], cutoffs)
             signal = bandwidth.power_below(frequency, density[j], cutoffs) - noise
@@ -319,7 +319,7 @@ class _Scored(NamedTuple):
 
 
 def _quantisation_density(step: Array, rate_hz: float) -> Array:
-    """Return the one-sided noise density rad^2/Hz of positions rounded to steps rad."""
+    """Return noise densities (n,) rad^2/Hz of positions rounded to steps (n,) rad."""
     return step**2 / 12 * 2 / rate_hz
 
 

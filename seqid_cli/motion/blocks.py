@@ -112,8 +112,8 @@ def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
         once = motion.lowpass(window.tau, window.valid)
         motion = replace(motion, tau=motion.lowpass(once, window.valid))
 
-        kept = np.arange(start, stop, plan.factor)
-        moving = moving_mask(window.q, plan.rate_hz, plan.step, kept)
+        kept_samples = np.arange(start, stop, plan.factor)
+        moving = moving_mask(window.q, plan.rate_hz, plan.step, kept_samples)
         motion = thinned(motion, plan.factor, start, stop)
         yield replace(motion, moving=moving)
 
@@ -126,10 +126,10 @@ def joined(parts: list[S]) -> S:
     first = parts[0]
     if len(parts) == 1:
         return replace(first)
-    whole: dict[str, Any] = {}
+    arrays: dict[str, Any] = {}
     for name in first.PER_SAMPLE:
-        whole[name] = np.concatenate([getattr(part, name) for part in parts])
-    return replace(first, **whole)
+        arrays[name] = np.concatenate([getattr(part, name) for part in parts])
+    return replace(first, **arrays)
 
 
 def overlapping(
@@ -158,21 +158,21 @@ def overlapping(
         held.append(part)
         n_held += part.samples
         while n_held >= n_before + rows + margin:
-            whole = joined(held)
+            samples = joined(held)
             stop = n_before + rows
-            yield whole.part(slice(0, stop + margin)), n_before, stop
+            yield samples.part(slice(0, stop + margin)), n_before, stop
 
             dropped = max(0, stop - margin)
             n_before = stop - dropped
             n_held = n_held - dropped
-            held = [whole.part(slice(dropped, dropped + n_held))]
+            held = [samples.part(slice(dropped, dropped + n_held))]
 
     # The rest is shorter than a block and its margin.
     while n_held > n_before:
-        whole = joined(held)
+        samples = joined(held)
         stop = min(n_before + rows, n_held)
-        yield whole.part(slice(0, min(stop + margin, n_held))), n_before, stop
-        held = [whole]
+        yield samples.part(slice(0, min(stop + margin, n_held))), n_before, stop
+        held = [samples]
         n_before = stop
 
 

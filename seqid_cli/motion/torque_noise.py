@@ -136,14 +136,14 @@ class Spectrum:
         """
         frequency = np.fft.rfftfreq(length, 1.0 / rate_hz).astype(np.float64)
         free_of_trend = np.arange(len(frequency)) >= SLOWEST
-        kept = free_of_trend & (frequency < 0.5 * NYQUIST_SHARE * rate_hz)
-        if not starts or not kept.any():
+        used = free_of_trend & (frequency < 0.5 * NYQUIST_SHARE * rate_hz)
+        if not starts or not used.any():
             return cls(np.zeros(0), np.zeros(0), np.zeros(0))
 
         window = np.hanning(length) if robust else np.ones(length)
         stacked = np.stack([values[start : start + length] for start in starts])
         pieces = window * detrend(stacked, axis=1)
-        spectra = np.fft.rfft(pieces, axis=1)[:, kept]
+        spectra = np.fft.rfft(pieces, axis=1)[:, used]
         power = np.abs(spectra) ** 2 / (rate_hz * np.sum(window**2))
 
         # The median of an exponential distribution is log 2 of its mean; that of two is
@@ -153,12 +153,14 @@ class Spectrum:
         else:
             density = power.mean(axis=0)
         count = len(starts) / HANN_MEDIAN if robust else len(starts)
-        return cls(frequency[kept], density, np.full(len(density), count))
+        return cls(frequency[used], density, np.full(len(density), count))
 
     def within(self, low: float, high: float) -> Spectrum:
         """Return the part between two frequencies, Hz."""
-        kept = (self.frequency > low) & (self.frequency < high)
-        return Spectrum(self.frequency[kept], self.density[kept], self.averaged[kept])
+        inside = (self.frequency > low) & (self.frequency < high)
+        return Spectrum(
+            self.frequency[inside], self.density[inside], self.averaged[inside]
+        )
 
     def at_least(self, density: float) -> Spectrum:
         """Return the spectrum where less than a density cannot be."""
@@ -282,7 +284,7 @@ def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
     cost += np.arange(len(frequency))[::-1]
     best = (np.arange(len(log_scale)), np.argmin(cost, axis=1))
 
-    n_alike = [np.count_nonzero(more == MORE) for more in MORE]
+    n_alike = [np.count_nonzero(n_parameters == MORE) for n_parameters in MORE]
     prior = -MORE - np.log(n_alike)
     weight = softmax(prior - cost[best] - 0.5 * np.log(total[best]))
     return Level(mean[best], 1.0 / total[best], weight, reference_hz)

@@ -301,8 +301,8 @@ def _guessed_links(
     """
     reach = np.vstack([chain.position[1:], np.zeros((1, 3))])
     lengths = np.linalg.norm(reach, axis=1)
-    shown = lengths[lengths > 0.0]
-    usual_length = shown.mean() if len(shown) else usual
+    nonzero_lengths = lengths[lengths > 0.0]
+    usual_length = nonzero_lengths.mean() if len(nonzero_lengths) else usual
     lengths = np.where(lengths > 0.0, lengths, usual_length)
     lengths = np.maximum(lengths, shortest)
 

@@ -1,4 +1,4 @@
-"""The gear twists under load: the link is not where the motor is, or the other way.
+"""The gear twists under load: motor and link do not stand at the same angle.
 
 Encoder on the motor (encoder_side 0): with x = q_link - q_measured the joint's twist,
 

@@ -42,7 +42,7 @@ _MEASURE: Mapping[str, Over] = {
 }
 
 
-def own_effect(asked: OwnEffect, robot: Robot) -> Effect:
+def own_effect(declared: OwnEffect, robot: Robot) -> Effect:
     """Make the effect that a robot file asks for.
 
     It is of the file's formula, or of an installed package.
@@ -52,19 +52,19 @@ def own_effect(asked: OwnEffect, robot: Robot) -> Effect:
     ConfigError
         No package offers the effect, or it cannot be loaded.
     """
-    if asked.formula is not None:
-        return FormulaEffect(asked, asked.formula)
+    if declared.formula is not None:
+        return FormulaEffect(declared, declared.formula)
 
     where = str(robot.source)
-    key = f"effect {asked.name!r}"
+    key = f"effect {declared.name!r}"
     points = {point.name: point for point in entry_points(group=GROUP)}
-    if asked.name not in points:
+    if declared.name not in points:
         offered = ", ".join(sorted(points)) or "none"
         hint = f'Give torque = "c1 * ...", or install the package. Offered: {offered}.'
         message = f"{key} has no formula, and no installed package offers it"
         raise ConfigError(message, where=where, hint=hint)
 
-    point = points[asked.name]
+    point = points[declared.name]
     try:
         loaded = point.load()
         effect = loaded() if inspect.isclass(loaded) else loaded
@@ -73,7 +73,7 @@ def own_effect(asked: OwnEffect, robot: Robot) -> Effect:
         message = f"{key} cannot be loaded from {point.value}: {reason}"
         raise ConfigError(message, where=where) from None
 
-    if not isinstance(effect, Effect) or effect.name != asked.name:
+    if not isinstance(effect, Effect) or effect.name != declared.name:
         hint = (
             "It must be a subclass of seqid_cli.model.effects.effect.Effect with this"
             " name."
@@ -86,8 +86,8 @@ def own_effect(asked: OwnEffect, robot: Robot) -> Effect:
 class FormulaEffect(Effect):
     """An effect by a formula of the robot file."""
 
-    def __init__(self, asked: OwnEffect, formula: Formula) -> None:
-        self.name = asked.name
+    def __init__(self, declared: OwnEffect, formula: Formula) -> None:
+        self.name = declared.name
         self.formula = formula
         self.__doc__ = f"{formula.text}, of the robot file."
 
@@ -107,7 +107,7 @@ class FormulaEffect(Effect):
 
         self.settings = tuple(
             Setting(name, "", low=low, high=high, logarithmic=low > 0.0)
-            for name, (low, high) in asked.settings.items()
+            for name, (low, high) in declared.settings.items()
         )
         self.separate_by = (
             f"motions in which {', '.join(sorted(names)) or 'nothing else'} change"

@@ -85,13 +85,13 @@ def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
     ConfigError
         An added effect has a name of the catalogue, or cannot be loaded.
     """
-    for asked in robot.effects:
-        if asked.name in CATALOGUE:
+    for declared in robot.effects:
+        if declared.name in CATALOGUE:
             hint = "Give it another name; those of the catalogue are looked for anyway."
-            message = f"effect {asked.name!r} is one of the catalogue"
+            message = f"effect {declared.name!r} is one of the catalogue"
             raise ConfigError(message, where=str(robot.source), hint=hint)
 
-    added = {asked.name: own_effect(asked, robot) for asked in robot.effects}
+    added = {declared.name: own_effect(declared, robot) for declared in robot.effects}
     return {**CATALOGUE, **added}
 
 

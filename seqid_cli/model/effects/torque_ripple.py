@@ -307,12 +307,14 @@ class TorqueRipple(Effect):
 
     def _whole_if_as_good(self, profile: Profile, order: float, gear: float) -> float:
         """Return a whole number of cycles per motor turn where it explains as much."""
-        whole = float(round(order))
-        if whole < 1.0:
+        whole_order = float(round(order))
+        if whole_order < 1.0:
             return order
         enough = WHOLE_IF_SPARSE if gear * profile.span > SPARSE else WHOLE
-        is_as_good = profile.gain(whole * gear) >= enough * profile.gain(order * gear)
-        return whole if is_as_good else order
+        is_as_good = profile.gain(whole_order * gear) >= enough * profile.gain(
+            order * gear
+        )
+        return whole_order if is_as_good else order
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
         """Return sine and cosine of the angle, times the law's multiplier."""

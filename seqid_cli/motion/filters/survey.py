@@ -165,9 +165,11 @@ class Survey:
 
         Returns False if they need other segments than were looked at.
         """
-        before = _Lengths(self._second.length, self._velocity.length, self._halves)
+        lengths_used = _Lengths(
+            self._second.length, self._velocity.length, self._halves
+        )
         self.rate_hz = rate_hz
-        return before == _lengths(rate_hz, samples)
+        return lengths_used == _lengths(rate_hz, samples)
 
     def encoder_step(self) -> Array:
         """Return the smallest steps (n,) rad of positions; zero if not quantised."""
@@ -296,11 +298,11 @@ class Survey:
         for k, j in enumerate(joints):
             # The position's noise: the quantisation's, or what the top of the spectrum
             # shows.
-            shown = 0.0
+            at_top = 0.0
             if top.any():
                 of_position = density[j, top] / (2 * np.pi * frequency[top]) ** 4
-                shown = float(np.median(of_position))
-            noise_density[k] = max(float(quantisation[j]), shown, 1e-30)
+                at_top = float(np.median(of_position))
+            noise_density[k] = max(float(quantisation[j]), at_top, 1e-30)
 
             noise = bandwidth.differentiated_error(noise_density[k], cutoffs)
             signal = bandwidth.power_below(frequency, density[j], cutoffs) - noise

@@ -319,10 +319,10 @@ def _solve(
     for reading in readings:
         link = reading.link
         c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[1]
-        before = moving <= link
-        axes = axes_in_link(robot, motion.q, link)[:, moving[before]]
+        moves_link = moving <= link
+        axes = axes_in_link(robot, motion.q, link)[:, moving[moves_link]]
         J = np.zeros((motion.samples, 3, count))
-        J[:, :, before] = axes.swapaxes(1, 2)
+        J[:, :, moves_link] = axes.swapaxes(1, 2)
         weight = 1.0 / max(reading.noise, 1e-9) ** 2
         normal += weight * np.einsum("nik,nil->nkl", J, J)
         right += weight * np.einsum("nik,ni->nk", J, reading.dw - c)

@@ -141,10 +141,10 @@ def joint_velocities(
         link = of_imu.link
         w_e = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[0]
         w, weight = _angular_velocity(of_imu, w_e, motion)
-        before = moving <= link
-        axes = axes_in_link(robot, motion.q, link)[:, moving[before]]
+        moves_link = moving <= link
+        axes = axes_in_link(robot, motion.q, link)[:, moving[moves_link]]
         J = np.zeros((motion.samples, 3, count))
-        J[:, :, before] = axes.swapaxes(1, 2)
+        J[:, :, moves_link] = axes.swapaxes(1, 2)
         weighted = np.einsum("nji,njk->nik", J, weight)
         normal += weighted @ J
         right += np.einsum("nik,nk->ni", weighted, w)

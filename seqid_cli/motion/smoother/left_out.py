@@ -238,8 +238,8 @@ def _left_by_others(
 
     squares = []
     for block, of_block in zip(blocks, of_blocks, strict=True):
-        others = total - of_block
-        solution = np.linalg.lstsq(others[:, :-1], others[:, -1], rcond=1e-10)[0]
+        of_others = total - of_block
+        solution = np.linalg.lstsq(of_others[:, :-1], of_others[:, -1], rcond=1e-10)[0]
         residual = values[block] - columns[block] @ solution
         weight = weights[block]
         squares.append(float(np.sum(weight * residual**2) / np.sum(weight)))

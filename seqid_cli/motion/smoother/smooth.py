@@ -166,9 +166,9 @@ def located(
     `sure_m` nothing is fitted.
     """
     clock = x.place.channels + 6
-    known = np.diag(x.precision) ** -0.5
-    is_clock_sure = known[clock] < sure_s
-    is_lever_sure = known[clock - 6 : clock - 3].max() < sure_m
+    std_error = np.diag(x.precision) ** -0.5
+    is_clock_sure = std_error[clock] < sure_s
+    is_lever_sure = std_error[clock - 6 : clock - 3].max() < sure_m
     if not x.seen.any() or (is_clock_sure and is_lever_sure):
         return x
     if not is_clock_sure:

@@ -283,13 +283,13 @@ def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     answer = solution.inverse(probe.reshape(-1, 1)).reshape(-1, n)
 
     usual = jerk.size * jerk.relative
-    shown = jerk_of(solution.c, chunk.spacing) / usual
+    estimated = jerk_of(solution.c, chunk.spacing) / usual
     answered = jerk_of(answer, chunk.spacing) / usual
 
     # Expectation and maximisation for the correlations, the faster fixed point for the
     # sizes.
     left_open = signs.T @ answered
-    second = shown.T @ shown + 0.5 * (left_open + left_open.T)
+    second = estimated.T @ estimated + 0.5 * (left_open + left_open.T)
     renewed_jerk = _renewed_jerk(solution, answered * signs)
     return replace(renewed_jerk, correlation=_correlation(second))
 
@@ -332,28 +332,30 @@ def _renewed_jerk(
     chunk = solution.chunk
     jerk = solution.jerk
     m = chunk.intervals
-    shown = jerk_of(solution.c, chunk.spacing)
+    estimated = jerk_of(solution.c, chunk.spacing)
 
     # Of all intervals.
     n_told = np.maximum(m - left_open.sum(axis=0), least_known * m)
-    size = np.sqrt(np.sum((shown / jerk.relative) ** 2, axis=0) / n_told)
+    size = np.sqrt(np.sum((estimated / jerk.relative) ** 2, axis=0) / n_told)
     size = np.clip(size, jerk.size / largest_change, jerk.size * largest_change)
     size = np.maximum(size, least_jerk)
 
     # Of those nearby.
     around = max(3, int(open_s / chunk.spacing))
-    relative = np.empty_like(shown)
+    relative = np.empty_like(estimated)
     for j, share_told in enumerate(n_told / m):
-        told = np.clip(1.0 - uniform_filter1d(left_open[:, j], around), 0.0, 1.0)
+        informed = np.clip(1.0 - uniform_filter1d(left_open[:, j], around), 0.0, 1.0)
         width = int(np.clip(nearby / share_told, least_nearby, m))
-        square = (shown[:, j] / size[j]) ** 2
+        square = (estimated[:, j] / size[j]) ** 2
         near = uniform_filter1d(uniform_filter1d(square, width), width)
 
-        average = float(np.mean(jerk.relative[:, j] ** 2 * told) / np.mean(told + 1e-9))
+        average = float(
+            np.mean(jerk.relative[:, j] ** 2 * informed) / np.mean(informed + 1e-9)
+        )
         average = float(np.clip(average, 1.0, most_dark))
-        dark = 1.0 / (1.0 + (width * told) ** 2)
+        dark = 1.0 / (1.0 + (width * informed) ** 2)
         usual = freedom * (1.0 - dark + dark * average)
-        relative[:, j] = np.sqrt((usual + width * near) / (freedom + width * told))
+        relative[:, j] = np.sqrt((usual + width * near) / (freedom + width * informed))
     return Jerk(
         size=size,
         correlation=jerk.correlation,

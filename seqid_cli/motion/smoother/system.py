@@ -178,9 +178,11 @@ def _rate(chunk: Chunk, c: Array, fraction: float) -> Array:
 
     first = np.maximum(chunk.cells - 1, 0)
     last = np.minimum(chunk.cells + chunk.cell, chunk.intervals - 1)
-    before = mean_motion(chunk, c, fraction, first)
-    behind = mean_motion(chunk, c, fraction, last)
-    return np.asarray((behind - before) / ((last - first) * chunk.spacing))
+    motion_before = mean_motion(chunk, c, fraction, first)
+    motion_behind = mean_motion(chunk, c, fraction, last)
+    return np.asarray(
+        (motion_behind - motion_before) / ((last - first) * chunk.spacing)
+    )
 
 
 def linearised(chunk: Chunk, c: Array, *, gains: bool = False) -> Linear:
@@ -288,13 +290,13 @@ def _of_imu(chunk: Chunk, slot: Slot, cells: Cells, expected: Array) -> _OfImu:
     W = np.concatenate([W.reshape(count, -1, 4 * n), G], axis=2)
 
     # Of each cell's intervals with readings, those in which a channel has one.
-    there = np.add.reduceat(x.there.astype(float), chunk.cells)
+    n_intervals = np.add.reduceat(x.there.astype(float), chunk.cells)
     of_channels = np.add.reduceat(x.seen.astype(float), chunk.cells)
-    share = of_channels / np.maximum(there, 1.0)[:, None]
+    share = of_channels / np.maximum(n_intervals, 1.0)[:, None]
     H = (W * share[:, :, None]).transpose(0, 2, 1) @ W
 
     coupling = H[:, : 4 * n, 4 * n :].reshape(count, 4, n, -1).transpose(1, 3, 0, 2)
-    corner = np.tensordot(there, H[:, 4 * n :, 4 * n :], 1)
+    corner = np.tensordot(n_intervals, H[:, 4 * n :, 4 * n :], 1)
     corner += x.precision[np.ix_(slot.taken, slot.taken)]
 
     # Whitened residuals by cell; the last cell may be short of intervals.

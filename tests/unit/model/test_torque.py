@@ -49,9 +49,9 @@ def motion() -> Motion:
 
 def rigid_stage(rotor: Array, coupling: str = "diagonal") -> RigidStage:
     values = np.concatenate([ARM.phi.ravel(), rotor])
-    known = dict(zip(standard_names(6), values.tolist(), strict=True))
+    representative = dict(zip(standard_names(6), values.tolist(), strict=True))
     size = {"parameters": [], "condition": 1.0, "rank": 36}
-    return RigidStage(**size, representative=known, rotor_coupling=coupling)
+    return RigidStage(**size, representative=representative, rotor_coupling=coupling)
 
 
 def stages(robot: Robot, coupling: str = "diagonal") -> Stages:
@@ -71,9 +71,9 @@ def test_the_rigid_torque_is_the_plants(
     state = (motion.q[::40], motion.dq[::40], motion.ddq[::40])
     expected = [rigid.inverse(*s) for s in zip(*state, strict=True)]
     np.testing.assert_allclose(model.rigid(*state), expected, atol=1e-9)
-    whole = motion.filtered(model.rigid(motion.q, motion.dq, motion.ddq))
-    whole += motion.filtered(sampled_friction(model.surfaces, motion), times=2)
-    np.testing.assert_allclose(model.predict(motion), whole, atol=1e-8)
+    total = motion.filtered(model.rigid(motion.q, motion.dq, motion.ddq))
+    total += motion.filtered(sampled_friction(model.surfaces, motion), times=2)
+    np.testing.assert_allclose(model.predict(motion), total, atol=1e-8)
 
 
 def test_the_rigid_torque_is_the_regressor_times_the_parameters(
@@ -114,14 +114,18 @@ def test_at_rest_the_model_allows_what_friction_can_hold(
         s.at_rest(motion.q[:, j]) for j, s in enumerate(model.surfaces) if s is not None
     ]
     low, high = (np.stack(side, axis=1) for side in zip(*bands, strict=True))
-    own = model.predict(motion)
+    predicted = model.predict(motion)
     at_rest = model.predict_set(motion, held)
-    np.testing.assert_array_equal(at_rest.value, own)
-    np.testing.assert_allclose(at_rest.low, np.minimum(rigid + low, own), atol=1e-9)
-    np.testing.assert_allclose(at_rest.high, np.maximum(rigid + high, own), atol=1e-9)
+    np.testing.assert_array_equal(at_rest.value, predicted)
+    np.testing.assert_allclose(
+        at_rest.low, np.minimum(rigid + low, predicted), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        at_rest.high, np.maximum(rigid + high, predicted), atol=1e-9
+    )
     moving = model.predict_set(motion, ~held)
-    for found in (moving.value, moving.low, moving.high):
-        np.testing.assert_array_equal(found, own)
+    for values in (moving.value, moving.low, moving.high):
+        np.testing.assert_array_equal(values, predicted)
     blind = model.predict_set(replace(motion, tau=None), held)
     np.testing.assert_array_equal(blind.low, at_rest.low)
 
@@ -178,9 +182,11 @@ def test_beside_gaps_friction_is_that_of_the_samples() -> None:
     valid[700:720] = False
     broken[700:720] = 1e6
     gap = replace(thinned, valid=valid, q=broken)
-    whole, found = (sampled_friction([SURFACE, SURFACE], m) for m in (thinned, gap))
+    without_gap, beside_gap = (
+        sampled_friction([SURFACE, SURFACE], m) for m in (thinned, gap)
+    )
     away = np.r_[0:690, 730 : len(valid)]
     near = np.r_[693:700, 720:727]
-    np.testing.assert_allclose(found[away], whole[away], rtol=1e-14)
+    np.testing.assert_allclose(beside_gap[away], without_gap[away], rtol=1e-14)
     plain = friction_torque([SURFACE, SURFACE], thinned.q, thinned.dq)
-    np.testing.assert_array_equal(found[near], plain[near])
+    np.testing.assert_array_equal(beside_gap[near], plain[near])

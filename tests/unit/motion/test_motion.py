@@ -45,11 +45,11 @@ def motion_of(
 def test_velocity_and_acceleration_are_the_true_ones() -> None:
     q, dq, ddq = curves()
     motion = motion_of(quantise(q, 2 * np.pi / 2**14))
-    own = motion.usable
-    assert own.sum() > 0.8 * len(q)
-    assert np.sqrt(np.mean((motion.dq - dq)[own] ** 2)) < 0.005
+    usable = motion.usable
+    assert usable.sum() > 0.8 * len(q)
+    assert np.sqrt(np.mean((motion.dq - dq)[usable] ** 2)) < 0.005
     allowed = 2 * motion.cutoff.acceleration_noise + 0.01 * np.abs(ddq).max(axis=0)
-    assert (np.sqrt(np.mean((motion.ddq - ddq)[own] ** 2, axis=0)) < allowed).all()
+    assert (np.sqrt(np.mean((motion.ddq - ddq)[usable] ** 2, axis=0)) < allowed).all()
 
 
 @pytest.mark.parametrize("hz", [2.0, 8.0, 30.0])
@@ -100,9 +100,9 @@ def log() -> Recording:
     q = np.stack([np.sin(1.3 * t), 0.4 * np.cos(4.0 * t), late_mover], axis=1)
     q = STEP * np.round(q / STEP)
     tau = 3.0 * q + np.random.default_rng(8).normal(size=q.shape)
-    made = made_recording(q, tau, rate_hz=RATE)
-    made.valid[2_000:2_300] = made.valid[7_777:7_779] = False
-    return made
+    recording = made_recording(q, tau, rate_hz=RATE)
+    recording.valid[2_000:2_300] = recording.valid[7_777:7_779] = False
+    return recording
 
 
 def in_parts(recording: Recording, sizes: list[int]) -> Iterator[Block]:
@@ -127,33 +127,33 @@ def test_motion_by_blocks_is_the_whole_motion(
     plan = make_plan(RATE, expected.cutoff, step, samples_per_cutoff=10)
     parts = list(motion_blocks(in_parts(log, [500, 77, 1_333]), plan))
     assert len(parts) > 1 or least > SAMPLES
-    found = joined(parts)
-    assert found.rate_hz == expected.rate_hz
-    np.testing.assert_allclose(found.t, expected.t, rtol=1e-14)
+    by_blocks = joined(parts)
+    assert by_blocks.rate_hz == expected.rate_hz
+    np.testing.assert_allclose(by_blocks.t, expected.t, rtol=1e-14)
     for name, order in {"q": 0, "dq": 1, "ddq": 2, "tau": 0}.items():
         # A derivative multiplies the rounding of the position by the rate.
         scale = np.abs(log.tau if name == "tau" else log.q).max() * RATE**order
-        off = getattr(found, name) - getattr(expected, name)
+        off = getattr(by_blocks, name) - getattr(expected, name)
         assert np.abs(off).max() < 1e-12 * scale, name
     for name in ("moving", "usable", "valid"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(by_blocks, name), getattr(expected, name))
 
 
 @pytest.mark.parametrize("resolution", [0.0, STEP])
 def test_a_survey_in_parts_is_that_of_the_whole_log(
     log: Recording, resolution: float
 ) -> None:
-    known = np.full(3, resolution)
+    resolutions = np.full(3, resolution)
     survey = Survey(3, RATE, SAMPLES)
     for block in in_parts(log, [911]):
         survey.push(block.q)
-    step = noise_step(log.q, known)
-    np.testing.assert_allclose(survey.noise_step(known), step, rtol=1e-12)
+    step = noise_step(log.q, resolutions)
+    np.testing.assert_allclose(survey.noise_step(resolutions), step, rtol=1e-12)
     moving = np.any(moving_mask(log.q, RATE, step), axis=0)
     np.testing.assert_array_equal(survey.moving(step), moving)
-    expected = Survey.of(log.q, RATE).cutoff(known)
-    found = survey.cutoff(known)
+    expected = Survey.of(log.q, RATE).cutoff(resolutions)
+    in_blocks = survey.cutoff(resolutions)
     for name in ("hz", "encoder_step", "noise_density"):
         np.testing.assert_allclose(
-            getattr(found, name), getattr(expected, name), rtol=1e-9
+            getattr(in_blocks, name), getattr(expected, name), rtol=1e-9
         )

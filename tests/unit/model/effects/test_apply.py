@@ -87,7 +87,7 @@ def test_a_file_restores_the_torque_exactly(name: str, logs: list[Scene]) -> Non
     ]
     count = len(effect.coefficients(grid[-1]))
     c = 0.01 * np.random.default_rng(3).normal(size=count)
-    given = FittedEffect(
+    written = FittedEffect(
         effect=effect,
         joint=joint,
         settings=grid[-1],
@@ -95,11 +95,11 @@ def test_a_file_restores_the_torque_exactly(name: str, logs: list[Scene]) -> Non
         covariance=1e-6 * np.eye(count),
         session=SESSION,
     )
-    (restored,) = fitted_effects(through_a_file(as_stage(given, ROBOT)), ROBOT)
-    assert restored.session == given.session
-    np.testing.assert_array_equal(restored.covariance, given.covariance)
+    (restored,) = fitted_effects(through_a_file(as_stage(written, ROBOT)), ROBOT)
+    assert restored.session == written.session
+    np.testing.assert_array_equal(restored.covariance, written.covariance)
     np.testing.assert_array_equal(
-        effect_torque(logs[1], [restored]), effect_torque(logs[1], [given])
+        effect_torque(logs[1], [restored]), effect_torque(logs[1], [written])
     )
 
 
@@ -107,15 +107,15 @@ def test_coefficients_that_came_later_are_zero_in_earlier_files(
     logs: list[Scene],
 ) -> None:
     """A cubic spring had no square."""
-    now = fitted("spring", 0, [3.0, -0.5, 0.8, 0.0], cubic=1.0)
-    earlier = as_stage(now, ROBOT)
+    with_square = fitted("spring", 0, [3.0, -0.5, 0.8, 0.0], cubic=1.0)
+    earlier = as_stage(with_square, ROBOT)
     earlier.coefficients = earlier.coefficients[:3]
     earlier.covariance = [row[:3] for row in earlier.covariance[:3]]
     (restored,) = fitted_effects(through_a_file(earlier), ROBOT)
     assert restored.covariance.shape == (4, 4)
     assert not restored.covariance[3].any()
     np.testing.assert_array_equal(
-        effect_torque(logs[1], [restored]), effect_torque(logs[1], [now])
+        effect_torque(logs[1], [restored]), effect_torque(logs[1], [with_square])
     )
 
 
@@ -249,9 +249,9 @@ def test_a_recording_is_freed_of_its_effects() -> None:
         for name, surface in zip(ROBOT.joint_names, scene.model.surfaces, strict=True)
     }
     stages = Stages(friction=FrictionStage(joints=joints))
-    given = recording_of(q, dirty)
+    recording = recording_of(q, dirty)
     motion = MotionOptions(cutoff_hz=CUTOFF_HZ)
-    freed = without_effects(given, ROBOT, stages, effects, motion=motion)
+    freed = without_effects(recording, ROBOT, stages, effects, motion=motion)
 
     usable = scene.motion.usable
     np.testing.assert_allclose(freed.tau[usable, 1], clean[usable, 1], atol=1e-9)
@@ -267,11 +267,11 @@ def test_an_encoder_error_is_taken_off_the_angle() -> None:
     turns = GEAR[0] * q[:, 0]
     error = 1e-3 * np.sin(turns) - 2e-3 * np.cos(turns)
     item = fitted("encoder_eccentricity", 0, [1e-3, -2e-3], order=1.0)
-    given = recording_of(q, np.zeros_like(q))
-    freed = without_effects(given, ROBOT, Stages(), [item], motion=MotionOptions())
+    recording = recording_of(q, np.zeros_like(q))
+    freed = without_effects(recording, ROBOT, Stages(), [item], motion=MotionOptions())
     np.testing.assert_allclose(freed.q[:, 0], q[:, 0] - error, atol=1e-12)
     np.testing.assert_array_equal(freed.q[:, 1], q[:, 1])
-    assert freed.tau is given.tau
+    assert freed.tau is recording.tau
 
 
 KNOTS = (-1.0, -0.3, 0.1, 0.4, 1.2)

@@ -62,18 +62,18 @@ def test_the_lean_comes_back() -> None:
     axes = np.array(tilt_axes(scene.robot.gravity))
     lean = np.array([0.03, -0.02])
     turned = Rotation.from_rotvec(lean @ axes).apply(scene.robot.gravity)
-    seen = moved_by(
+    leaning = moved_by(
         scene, replace(scene.model, robot=replace(scene.robot, gravity=turned))
     )
     settings = {"upright": 0.0}
-    c, rms = fitted(BaseTilt(), [seen], None, settings)
+    c, rms = fitted(BaseTilt(), [leaning], None, settings)
     assert c == pytest.approx(lean, rel=0.05)
-    assert rms < 0.05 * rms_left([seen])
+    assert rms < 0.05 * rms_left([leaning])
     for _ in range(3):
         settings = BaseTilt().sharpened(settings, c)
-        c, rms = fitted(BaseTilt(), [seen], None, settings)
+        c, rms = fitted(BaseTilt(), [leaning], None, settings)
     assert c == pytest.approx(lean, rel=1e-4)
-    assert rms < 1e-5 * rms_left([seen])
+    assert rms < 1e-5 * rms_left([leaning])
 
 
 def upright_robot() -> Robot:
@@ -96,8 +96,8 @@ def test_the_first_links_moment_shows_once_its_axis_leans() -> None:
     across = np.cross(lean, robot.gravity)
     torque = inverse_dynamics(robot.chain, across, phi, q, still, still)
     X = first_link_moments(robot, across, q)
-    c, left = np.linalg.lstsq(X, torque[:, 0], rcond=None)[:2]
-    assert left.sum() < 1e-20
+    c, squares = np.linalg.lstsq(X, torque[:, 0], rcond=None)[:2]
+    assert squares.sum() < 1e-20
     assert np.linalg.norm(c) > 0
     upright = inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still)
     np.testing.assert_allclose(upright, 0.0, atol=1e-12)

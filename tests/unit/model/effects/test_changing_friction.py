@@ -70,12 +70,12 @@ def test_a_change_is_counted_from_the_temperature_of_the_file(
     surfaces = tuple(
         replace(surface, temperature=12.0) for surface in scene.model.surfaces
     )
-    known = replace(warm, model=replace(scene.model, surfaces=surfaces))
+    identified = replace(warm, model=replace(scene.model, surfaces=surfaces))
     effect = ThermalFriction()
     assert {point["logged"] for point in effect.grid([warm], 0, [])} <= {0.0}
-    (point,) = effect.grid([known], 0, [])
+    (point,) = effect.grid([identified], 0, [])
     assert point["reference_temperature"] == 12.0
-    columns = effect.columns(known, 0, point)[0]
+    columns = effect.columns(identified, 0, point)[0]
     np.testing.assert_allclose(columns[:, 1], 40.0 * scene.motion.dq[:, 0])
     assert effect.searched(point) == 0
     assert effect.searched({**point, "logged": 0.0}) == 1
@@ -123,10 +123,10 @@ def test_a_logged_temperature_needs_no_time(trials: list[Scene]) -> None:
     surfaces = tuple(
         replace(surface, temperature=12.0) for surface in warm.model.surfaces
     )
-    known = replace(warm, model=replace(warm.model, surfaces=surfaces))
-    (point,) = effect.grid([known], 0, [])
+    identified = replace(warm, model=replace(warm.model, surfaces=surfaces))
+    (point,) = effect.grid([identified], 0, [])
     assert point["logged"] == 1.0
-    assert effect.plausible([known], 0, {**point, "warm_up_time": 1e4}, np.ones(2))
+    assert effect.plausible([identified], 0, {**point, "warm_up_time": 1e4}, np.ones(2))
 
 
 def test_damaged_temperature_is_not_used(trials: list[Scene]) -> None:
@@ -144,13 +144,13 @@ def test_damaged_temperature_is_not_used(trials: list[Scene]) -> None:
 def test_what_no_channel_tells_cannot_be_ruled_out() -> None:
     """Where file and logs know the temperature, and it is the same, it can."""
     short = scene_of(wander(10.0))
-    known = replace(short, temperature=np.full((short.samples, 2), AMBIENT))
+    logged_alone = replace(short, temperature=np.full((short.samples, 2), AMBIENT))
     surfaces = [
         replace(surface, temperature=AMBIENT) for surface in short.model.surfaces
     ]
-    same = replace(known, model=replace(known.model, surfaces=surfaces))
+    same = replace(logged_alone, model=replace(logged_alone.model, surfaces=surfaces))
     possible = [
-        ThermalFriction().possible([scene], 0) for scene in (short, known, same)
+        ThermalFriction().possible([scene], 0) for scene in (short, logged_alone, same)
     ]
     assert possible == [True, True, False]
 
@@ -174,9 +174,9 @@ def test_the_change_comes_back(joint: int) -> None:
 
 def test_friction_that_nobody_knew_has_not_changed() -> None:
     scene = scene_of(wander(10.0))
-    known = torque_model(scene.robot)
+    model = torque_model(scene.robot)
     half = scene_of(
-        wander(10.0), model=replace(known, surfaces=[known.surfaces[0], None])
+        wander(10.0), model=replace(model, surfaces=[model.surfaces[0], None])
     )
     assert FrictionChange().available([scene, half], 0)
     assert not FrictionChange().available([scene, half], 1)

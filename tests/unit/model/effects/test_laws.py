@@ -137,12 +137,12 @@ def test_the_law_comes_back(
     case: tuple[Effect, int, Law, int, float, float, float, Any],
 ) -> None:
     effect, joint, law, logs, noise, c, rel, settings = case
-    found, coefficients = fit(effect, trials(law, logs, noise=noise), joint)
+    fitted_settings, coefficients = fit(effect, trials(law, logs, noise=noise), joint)
     assert coefficients[0] == pytest.approx(c, rel=rel)
     if settings is not None:
-        known = 0.03 if effect.name == "presliding_hysteresis" else 0.1
-        assert list(found.values()) == pytest.approx(settings, rel=known)
-        assert effect.name != "stribeck" or found["exponent"] == settings[1]
+        tolerance = 0.03 if effect.name == "presliding_hysteresis" else 0.1
+        assert list(fitted_settings.values()) == pytest.approx(settings, rel=tolerance)
+        assert effect.name != "stribeck" or fitted_settings["exponent"] == settings[1]
 
 
 @pytest.mark.parametrize("offset", [False, True])

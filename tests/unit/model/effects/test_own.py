@@ -61,12 +61,12 @@ def test_columns_are_what_the_formula_says(place: Scene) -> None:
     "name", ["q", "dq", "ddq", "theta", "load", "friction", "tau", "t"]
 )
 def test_every_symbol_is_a_quantity_of_its_joint(place: Scene, name: str) -> None:
-    own, second = (
+    unnumbered, numbered = (
         effect_of(asked(f"c*{text}")).columns(place, 1, {})[1]
         for text in (name, f"{name}_2")
     )
-    assert np.ptp(own) > 0.0
-    assert np.array_equal(own, second)
+    assert np.ptp(unnumbered) > 0.0
+    assert np.array_equal(unnumbered, numbered)
 
 
 def test_what_is_no_number_is_said_and_not_fitted(place: Scene) -> None:
@@ -144,7 +144,7 @@ def test_it_asks_for_the_temperature_that_it_names(place: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "known"),
+    ("text", "steady"),
     [
         ("c*dq**2*sign(dq)", True),
         ("c*abs(load)*sign(dq)", True),
@@ -153,5 +153,5 @@ def test_it_asks_for_the_temperature_that_it_names(place: Scene) -> None:
         ("c*temperature*sign(dq)", False),
     ],
 )
-def test_friction_trials_had_what_steady_motion_tells(text: str, known: bool) -> None:
-    assert effect_of(asked(text)).steady == known
+def test_friction_trials_had_what_steady_motion_tells(text: str, steady: bool) -> None:
+    assert effect_of(asked(text)).steady == steady

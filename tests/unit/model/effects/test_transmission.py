@@ -82,18 +82,19 @@ def test_values_are_stated_where_a_rotor_is_known_apart_from_its_link(
     arm.
     """
     effect = CATALOGUE[name]
-    known = two_joint_robot()
+    with_rotors = two_joint_robot()
     c = np.array([1e-3])
-    (value,) = effect.reported(known, 0, settings, c, np.eye(1))
+    (value,) = effect.reported(with_rotors, 0, settings, c, np.eye(1))
     assert value.value > 0.0
-    assert not effect.lacking(known, 0)
-    robot = replace(
-        known, joints=tuple(replace(x, rotor_inertia=None) for x in known.joints)
+    assert not effect.lacking(with_rotors, 0)
+    without_rotors = replace(
+        with_rotors,
+        joints=tuple(replace(x, rotor_inertia=None) for x in with_rotors.joints),
     )
-    assert effect.reported(robot, 0, settings, c, np.eye(1)) == []
-    for part in ("rotor_inertia", robot.joint_names[0]):
-        assert part in effect.lacking(robot, 0)
-    assert effect.reported(robot, 1, settings, c, np.eye(1))
+    assert effect.reported(without_rotors, 0, settings, c, np.eye(1)) == []
+    for part in ("rotor_inertia", without_rotors.joint_names[0]):
+        assert part in effect.lacking(without_rotors, 0)
+    assert effect.reported(without_rotors, 1, settings, c, np.eye(1))
 
 
 ERROR = 3e-5  # kg m^2, of a rotor
@@ -101,9 +102,11 @@ ERROR = 3e-5  # kg m^2, of a rotor
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_the_missing_inertia_comes_back(joint: int) -> None:
-    seen = scene_of(wander(10.0))
-    heavier = replace(seen.model, rotor=np.array(ROTOR) + ERROR * np.eye(2)[joint])
-    c, rms = fitted(RotorInertia(), [moved_by(seen, heavier)], joint, {"coupling": 0.0})
+    plain = scene_of(wander(10.0))
+    heavier = replace(plain.model, rotor=np.array(ROTOR) + ERROR * np.eye(2)[joint])
+    c, rms = fitted(
+        RotorInertia(), [moved_by(plain, heavier)], joint, {"coupling": 0.0}
+    )
     assert c[0] == pytest.approx(ERROR, rel=1e-6)
     assert rms < 1e-9
 
@@ -201,9 +204,9 @@ def test_friction_and_inertia_of_the_motor_come_back(ratio: float) -> None:
 
 def test_both_neighbours_are_tried() -> None:
     """Ratios between a slide and a turn are in units of their top speeds."""
-    seen = scene_of(wander(20.0, seed=4, rests=()))
+    turning = scene_of(wander(20.0, seed=4, rests=()))
     effect = TransmissionCoupling()
-    grids = [(j, s) for j in (0, 1) for s in effect.grid([seen], j, [])]
+    grids = [(j, s) for j in (0, 1) for s in effect.grid([turning], j, [])]
     offered = [(j, s["neighbour"]) for j, s in grids if s["ratio"] == 1.0]
     assert offered == [(0, 1.0), (1, -1.0)]
     q = wander(20.0, seed=4, rests=()) * np.array([1.0, 0.05])

@@ -25,7 +25,7 @@ def convolved(values: Array, lowpass: Lowpass, valid: Mask | None = None) -> Arr
     """The same filter at once on each whole run, prolonged by point reflections at its
     ends.
     """
-    found = values.copy()
+    filtered = values.copy()
     reach = lowpass.memory
     around = ((reach, reach), (0, 0))
     h = impulse_response(lowpass)[:, None]
@@ -34,8 +34,8 @@ def convolved(values: Array, lowpass: Lowpass, valid: Mask | None = None) -> Arr
             wide = np.pad(
                 values[start:stop], around, mode="reflect", reflect_type="odd"
             )
-            found[start:stop] = fftconvolve(wide, h, mode="valid", axes=0)
-    return found
+            filtered[start:stop] = fftconvolve(wide, h, mode="valid", axes=0)
+    return filtered
 
 
 def walk(samples: int, channels: int = 2) -> Array:
@@ -76,12 +76,12 @@ def test_it_filters_each_run(
     values = walk(samples, 3)
     lowpass = Lowpass(cutoff_hz, rate_hz)
     valid = with_gaps(samples) if gaps else None
-    found = lowpass(values, valid)
-    error = np.abs(found - convolved(values, lowpass, valid)).max()
+    filtered = lowpass(values, valid)
+    error = np.abs(filtered - convolved(values, lowpass, valid)).max()
     assert error < 1e-12 * max(1.0, float(np.abs(values).max()))
     rows = values.T.copy()
     lowpass.filter_rows(rows, valid, only=np.array([0, 2]))
-    np.testing.assert_allclose(rows[[0, 2]].T, found[:, [0, 2]], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(rows[[0, 2]].T, filtered[:, [0, 2]], rtol=0, atol=1e-11)
     np.testing.assert_array_equal(rows[1], values[:, 1])
 
 
@@ -100,11 +100,11 @@ def test_passes_at_once_are_passes_one_by_one(samples: int, every: int) -> None:
     lowpass = Lowpass(10.0, 250.0)
     valid[samples // 2 : samples // 2 + 2] = False
     expected = lowpass(lowpass(values, valid), valid)[::every]
-    found = lowpass(values, valid, times=2, every=every)
-    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(values).max())
+    filtered = lowpass(values, valid, times=2, every=every)
+    np.testing.assert_allclose(filtered, expected, atol=1e-12 * np.abs(values).max())
     rough = lowpass(single(values), valid, times=2, every=every)
     assert rough.dtype == np.float32
-    assert np.abs(rough - found).max() < 1e-6 * np.abs(values).max()
+    assert np.abs(rough - filtered).max() < 1e-6 * np.abs(values).max()
 
 
 def assert_butterworth(lowpass: Lowpass, frequency: Array, atol: float) -> None:

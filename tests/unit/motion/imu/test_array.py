@@ -72,14 +72,14 @@ def test_a_layout_claims_what_no_null_direction_touches(count: int | str) -> Non
         positions = 0.05 * rng.integers(-1, 2, (count, 3)).astype(float)
         few = imu_of(positions, np.eye(3)[rng.integers(0, 3, count)])
     A = array_matrix(few)
-    seen = layout(few)
+    judged = layout(few)
     _, s, Vt = np.linalg.svd(A)
     hidden = np.abs(Vt[np.sum(s > 1e-9 * s[0]) :]).max(axis=0, initial=0.0) > 1e-9
-    assert seen.acceleration == (not hidden[3:6].any())
-    assert seen.products == (not hidden[6:].any())
+    assert judged.acceleration == (not hidden[3:6].any())
+    assert judged.products == (not hidden[6:].any())
     values, w, _ = moved(few, 6)
     read = read_angular(few, values, None, OPEN, np.ones(len(w), bool))
-    assert seen.products or not read.products.any()
+    assert judged.products or not read.products.any()
 
 
 def test_a_gyro_is_differentiated() -> None:
@@ -102,12 +102,12 @@ def test_a_layout_is_described_in_words(imu: Imu) -> None:
     point = imu_of(0.0 * positions, axes)
     few = imu_of(positions[:9], axes[:9])
     flat = imu_of(positions * [1.0, 1.0, 0.0], axes)
-    for given, said in (
+    for poor, reason in (
         (point, "one point"),
         (few, "fewer than the 12"),
         (flat, "plane"),
     ):
-        assert any(said in text for text in layout_statements(given))
+        assert any(reason in text for text in layout_statements(poor))
     assert "the angular acceleration cannot be told from the rest" in layout_statements(
         point
     )

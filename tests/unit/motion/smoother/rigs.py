@@ -75,11 +75,11 @@ def differentiated(c: Case) -> Array:
     They are by the best cut-off, which only the truth tells.
     """
     rate = c.recording.rate_hz
-    found = [
+    derivatives = [
         differentiate(Lowpass(float(hz), rate)(c.recording.q), rate)
         for hz in ENCODER_HZ
     ]
-    return np.asarray(np.min([rms(ddq - c.truth) for _, ddq in found], axis=0))
+    return np.asarray(np.min([rms(ddq - c.truth) for _, ddq in derivatives], axis=0))
 
 
 def from_imus(c: Case) -> Array:

@@ -28,9 +28,9 @@ pytestmark = pytest.mark.slow
 @cache
 def scene(name: str) -> Case:
     """A rig of the smoother's own tests, with torque that is its acceleration."""
-    made = simulated(name)
+    of_rig = simulated(name)
     return replace(
-        made, recording=replace(made.recording, tau=made.log.truth.ddq.copy())
+        of_rig, recording=replace(of_rig.recording, tau=of_rig.log.truth.ddq.copy())
     )
 
 
@@ -53,9 +53,9 @@ def error(s: Case, motion: Motion) -> Array:
 def test_more_band_and_far_less_error_than_encoders_and_as_said(name: str) -> None:
     s = scene(name)
     motion = fused(name)
-    before = encoder(s)
-    assert motion.cutoff.hz > 1.1 * before.cutoff.hz
-    assert (error(s, motion) < 0.15 * error(s, before)).all()
+    by_encoders = encoder(s)
+    assert motion.cutoff.hz > 1.1 * by_encoders.cutoff.hz
+    assert (error(s, motion) < 0.15 * error(s, by_encoders)).all()
     assert (motion.acceleration_error < 0.15 * motion.encoder_error).all()
     for hz in (5.0, 10.0, 40.0):
         below = fused(name, hz)
@@ -78,8 +78,10 @@ def changed(s: Case, **given: object) -> Case:
 
 
 def without(s: Case, *names: str) -> Case:
-    kept = {k: v for k, v in s.recording.accelerometers.items() if k not in names}
-    return changed(s, accelerometers=kept)
+    others_readings = {
+        k: v for k, v in s.recording.accelerometers.items() if k not in names
+    }
+    return changed(s, accelerometers=others_readings)
 
 
 def best(s: Case, source: str) -> Motion:
@@ -149,9 +151,9 @@ def test_a_motion_is_smoothed_once_whatever_the_torque(
     s = scene("one")
     counted = []
 
-    def smooth(*given: Any) -> Smoothed:
-        counted.append(given)
-        return smoothed_motion(*given)
+    def smooth(*arguments: Any) -> Smoothed:
+        counted.append(arguments)
+        return smoothed_motion(*arguments)
 
     monkeypatch.setattr(fused_module, "smoothed_motion", smooth)
     noisy = s.recording.q.copy()
@@ -163,8 +165,8 @@ def test_a_motion_is_smoothed_once_whatever_the_torque(
         for k, c in s.stage.imus.items()
     }
     plain = best(first, "fused")
-    again = best(changed(first, tau=0 * noisy), "fused")
-    np.testing.assert_array_equal(again.ddq, plain.ddq)
+    repeated = best(changed(first, tau=0 * noisy), "fused")
+    np.testing.assert_array_equal(repeated.ddq, plain.ddq)
     assert len(counted) == 1
     best(changed(first, accelerometers=readings), "fused")
     best(replace(first, stage=ImuStage(imus=turned)), "fused")
@@ -186,9 +188,13 @@ def test_noise_of_locked_joints_is_no_motion() -> None:
 def test_joints_beyond_all_imus_keep_their_encoders() -> None:
     s = scene("two")
     got = best(without(s, "imu_b"), "fused")
-    before = encoder(s, got.cutoff.hz)
+    by_encoders = encoder(s, got.cutoff.hz)
     assert got.imus == ("imu_a",)
-    for own, alone in ((got.q, before.q), (got.dq, before.dq), (got.ddq, before.ddq)):
-        np.testing.assert_allclose(own[:, 1], alone[:, 1], atol=1e-9)
-    assert got.error[1] == pytest.approx(before.acceleration_error[1])
-    assert got.error[0] < 0.2 * before.acceleration_error[0]
+    for fused_values, encoder_values in (
+        (got.q, by_encoders.q),
+        (got.dq, by_encoders.dq),
+        (got.ddq, by_encoders.ddq),
+    ):
+        np.testing.assert_allclose(fused_values[:, 1], encoder_values[:, 1], atol=1e-9)
+    assert got.error[1] == pytest.approx(by_encoders.acceleration_error[1])
+    assert got.error[0] < 0.2 * by_encoders.acceleration_error[0]

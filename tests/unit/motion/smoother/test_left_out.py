@@ -59,10 +59,10 @@ def test_a_bending_joint_is_found_beside_jolts_and_a_wrong_gain() -> None:
     apart = (
         snap @ bends.T + 0.01 * motion.ddq + 0.001 * jerk + jolted(rng, motion, 20.0)
     )
-    found = compliance_of(apart, motion.ddq, motion)
-    np.testing.assert_allclose(found.per_snap, bends, atol=5e-6)
+    compliance = compliance_of(apart, motion.ddq, motion)
+    np.testing.assert_allclose(compliance.per_snap, bends, atol=5e-6)
     power = np.mean((snap @ bends.T)[motion.usable] ** 2, axis=0)
-    got = found.power(motion.ddq, motion.lowpass, motion.usable)
+    got = compliance.power(motion.ddq, motion.lowpass, motion.usable)
     np.testing.assert_allclose(got, power, rtol=0.2)
 
 
@@ -99,16 +99,17 @@ def scene(counts: int | None, bend: float) -> Case:
     real = elastic(plant, 1, bend) if bend else plant
     robot = robot_of("two", plant)
     postures = [np.array([0.0, angle]) for angle in ANGLES]
+
     swings = [
         recording_of(plant, trial.name, simulate(real, trial.reference, k, every=EVERY))
         for k, trial in enumerate(imu_trials(plant, postures, turns=1))
     ]
     stage = calibrate_imus(swings, robot, options=MotionOptions())
+
     trial = inertia_trials(plant, postures[:1], rng, seconds=8.0)[0]
     log = simulate(real, trial.reference, 100, every=EVERY)
-    return Case(
-        plant, robot, recording_of(plant, "log", log), stage, log.truth.ddq, log
-    )
+    recording = recording_of(plant, "log", log)
+    return Case(plant, robot, recording, stage, log.truth.ddq, log)
 
 
 def error(motion: Motion, s: Case) -> Array:

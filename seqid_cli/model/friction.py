@@ -3,7 +3,8 @@
 With B_j functions of position, T_r Chebyshev polynomials of the scaled speed u, the
 friction torque of one joint is
 
-    tau_f(q, v) = s(v) f(q, |v|),   f = sum_jr d[j, r] B_j(q) T_r(u),   s(v) = tanh(v / v_s).
+    tau_f(q, v) = s(v) f(q, |v|),
+    f = sum_jr d[j, r] B_j(q) T_r(u),   s(v) = tanh(v / v_s).
 
 Raw monomials of orders (10, 11) are not usable in floating point. Where friction
 depends on direction it has two surfaces f_+ and f_-, one per direction, and
@@ -22,7 +23,7 @@ changes near the slowest speed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from typing import Protocol, Self
 
@@ -36,21 +37,25 @@ from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Mask
 
 CELLS = 33  # per axis, at which a surface's standard error is looked at
-VAGUE = 0.05  # of the friction, from which its standard error leaves it open
-# sign widths, from which a joint certainly slides: all but 1e-4 of the sign is there
+VAGUE = 0.05  # share of the friction from which its standard error leaves it open
+# Times the surface's median standard error that a vague one must be as well.
+UNUSUAL = 4.0
+# Sign widths from which a joint certainly slides: all but 1e-4 of the sign is there.
 SLIDES = 5.0
-UNUSUAL = 4.0  # times the surface's median standard error, that it must be as well
-# independent patches of position in a range
+# Independent patches of position in a range.
 PATCHES = 1.0 / (np.sqrt(2.0 * np.pi) * FADE)
 # The mean of few patches is uncertain itself, and the spread about it too small.
 NEW_GROUND = float(np.sqrt((PATCHES + 1.0) / (PATCHES - 1.0)))
-# the coefficients of the extension of one direction
-BELOW, ABOVE, FASTER, SLOWER = range(4)
-EXTENSION_SIZE = 4  # their number
+# The coefficients of the extension of one direction, and their number.
+BELOW = 0
+ABOVE = 1
+FASTER = 2
+SLOWER = 3
+EXTENSION_SIZE = 4
 
 
 class FrictionLaw(Protocol):
-    """Friction of one joint as a prediction needs it, whoever states it."""
+    """Friction of one joint as a prediction needs it."""
 
     @property
     def sign_width(self) -> float:
@@ -75,11 +80,31 @@ class FrictionLaw(Protocol):
 class FrictionSurface:
     """Friction of one joint, ready to evaluate.
 
-    `positive`, `negative` (size, l + 1) N m for either direction; `entry_covariance` of
-    their entries, row-major, stacked where `directional`; `temperature` degC, `speeds`
-    (K,) rad/s and `postures` (n,) rad of the arm at which it was identified. Friction
-    changes by a share of `per_kelvin` above that temperature. `even_terms`: what is
-    alike both ways is an offset and asymmetries.
+    Attributes
+    ----------
+    scaling : Scaling
+        Identified ranges, and the basis over them.
+    sign_width : float
+        v_s [rad/s; m/s where prismatic].
+    positive, negative : Array
+        d of either direction, (size, l + 1) N m.
+    entry_covariance : Array
+        Of their entries, row-major, both directions stacked where `directional`.
+    directional : bool
+        Whether both directions have a surface of their own.
+    temperature : float, optional
+        At which it was identified [degC].
+    torque_constant_error : float
+        Relative standard error of the torque constant [-].
+    speeds : Array
+        (K,) rad/s at which it was identified.
+    postures : tuple of list of float
+        Postures (n,) rad of the arm at which it was identified.
+    per_kelvin : float
+        Share by which friction changes per kelvin above `temperature`.
+    even_terms : bool
+        Whether it was identified with terms for what is the same both ways: an offset
+        and asymmetries.
     """
 
     scaling: Scaling
@@ -87,6 +112,7 @@ class FrictionSurface:
     positive: Array
     negative: Array
     entry_covariance: Array
+    _: KW_ONLY
     directional: bool
     temperature: float | None = None
     torque_constant_error: float = 0.0
@@ -98,10 +124,17 @@ class FrictionSurface:
     @classmethod
     def from_stage(cls, joint: FrictionJoint) -> Self:
         """Build from the parameter file."""
-        (low, high), (slow, fast) = joint.position_range, joint.speed_range
-        log, periodic = joint.speed_scale == "log", joint.position_basis == "fourier"
+        low, high = joint.position_range
+        slow, fast = joint.speed_range
+        scaling = Scaling(
+            position=(low, high),
+            speed=(slow, fast),
+            logarithmic=joint.speed_scale == "log",
+            periodic=joint.position_basis == "fourier",
+        )
+        thermal = [term.value for term in joint.nuisances if term.name == "thermal"]
         return cls(
-            scaling=Scaling((low, high), (slow, fast), log, periodic),
+            scaling=scaling,
             sign_width=joint.sign_width,
             positive=np.array(joint.positive),
             negative=np.array(joint.negative),
@@ -111,12 +144,12 @@ class FrictionSurface:
             torque_constant_error=joint.torque_constant_error,
             speeds=np.array([level.speed for level in joint.speeds]),
             postures=tuple(trial.configuration for trial in joint.gravity),
-            per_kelvin=sum(t.value for t in joint.nuisances if t.name == "thermal"),
+            per_kelvin=sum(thermal),
             even_terms=bool(joint.nuisance_covariance),
         )
 
     def kelvin(self, celsius: Array) -> Array:
-        """Return temperatures (N,) above that of the surface, 0 where one is not known."""
+        """Return temperatures (N,) K above the surface's, 0 where one is not known."""
         if self.temperature is None:
             return np.zeros(len(celsius))
         return np.where(np.isfinite(celsius), celsius - self.temperature, 0.0)
@@ -126,13 +159,17 @@ class FrictionSurface:
         return np.asarray(1.0 + self.per_kelvin * self.kelvin(celsius))
 
     def coulomb(self, q: Array) -> Array:
-        """Return twice the Coulomb friction (N,) N m at positions q (N,), the mean of both ways."""
+        """Return twice the Coulomb friction (N,) N m at positions q (N,).
+
+        It is the mean of both directions.
+        """
         slow = np.full_like(q, self.scaling.speed[0])
         return np.asarray(self.torque(q, slow) - self.torque(q, -slow))
 
     def mean_coulomb(self, places: int) -> float:
-        """Return the mean of the same over so many places of the identified positions."""
-        return float(np.mean(self.coulomb(np.linspace(*self.scaling.position, places))))
+        """Return the mean of `coulomb` over so many identified positions."""
+        q = np.linspace(*self.scaling.position, places)
+        return float(np.mean(self.coulomb(q)))
 
     @property
     def orders(self) -> tuple[int, int]:
@@ -142,67 +179,106 @@ class FrictionSurface:
 
     @property
     def entries(self) -> int:
-        """Number of entries of the surface, the first of `coefficients`; `extension` follows."""
+        """Number of the surface's entries, the first of `coefficients`."""
         return self.positive.size * len(self._sides)
 
     @cached_property
     def coefficients(self) -> Array:
-        """Entries of the surface, one direction after the other, and of its extension (k,)."""
-        return np.concatenate(
-            [*(side.ravel() for side in self._sides), self.extension.ravel()]
-        )
+        """Entries of the surface, direction by direction, then its extension (k,)."""
+        sides = [side.ravel() for side in self._sides]
+        return np.concatenate([*sides, self.extension.ravel()])
 
     @cached_property
     def extension(self) -> Array:
-        """Coefficients (directions, 4) outside the identified range: N m, slope N m s/rad."""
-        found = np.zeros((len(self._sides), 4))
-        found[:, FASTER] = np.maximum(-self.slopes, 0.0)
-        return found
+        """Coefficients (directions, 4) outside the identified range.
+
+        In N m; the one beyond the fastest speed is a slope, N m s/rad.
+        """
+        extension = np.zeros((len(self._sides), EXTENSION_SIZE))
+        extension[:, FASTER] = np.maximum(-self.slopes, 0.0)
+        return extension
 
     @cached_property
     def covariance(self) -> Array:
-        """Covariance (k, k) of `coefficients`; as in the file if that one has another size."""
+        """Covariance (k, k) of `coefficients`; the file's if that has another size."""
         size = self.entries
         if self.entry_covariance.shape != (size, size):
             return self.entry_covariance
-        errors = np.concatenate(list(map(self._errors_of, self._sides, self.slopes)))
+        errors = np.concatenate(
+            [
+                self._errors_of(side, slope)
+                for side, slope in zip(self._sides, self.slopes, strict=True)
+            ]
+        )
         return np.asarray(block_diag(self.entry_covariance, np.diag(errors**2)))
 
     def columns(self, q: Array, v: Array) -> Array:
-        """Derivatives (N, k) of the torque by `coefficients`, in which it is linear."""
+        """Compute the derivatives of the torque by `coefficients`.
+
+        Parameters
+        ----------
+        q, v : Array
+            Positions and velocities (N,) [rad, rad/s].
+
+        Returns
+        -------
+        Array
+            (N, k).
+        """
         basis = self.scaling.basis(q, v, *self.orders)
         extension = self._extension(q, v)
         sign = np.tanh(v / self.sign_width)[:, None]
         if not self.directional:
             return np.hstack([basis * sign, extension * sign])
-        # how much of either direction's surface counts, times two
-        ways = sign + 1.0, sign - 1.0
+
+        # How much of either direction's surface counts, times two.
+        forward = sign + 1.0
+        backward = sign - 1.0
         return np.hstack(
-            [part * way / 2 for part in (basis, extension) for way in ways]
+            [
+                basis * forward / 2,
+                basis * backward / 2,
+                extension * forward / 2,
+                extension * backward / 2,
+            ]
         )
 
     def torque(self, q: Array, v: Array) -> Array:
-        """Friction torque (N,) N m at positions q (N,) and velocities v (N,)."""
-        result = np.empty(len(q))
+        """Compute the friction torque.
+
+        Parameters
+        ----------
+        q, v : Array
+            Positions and velocities (N,) [rad, rad/s].
+
+        Returns
+        -------
+        Array
+            (N,) N m.
+        """
+        torque = np.empty(len(q))
         for part in tiles(len(q)):
-            at = q[part], v[part]
+            q_part = q[part]
+            v_part = v[part]
             if self.directional:
-                result[part] = self.columns(*at) @ self.coefficients
+                torque[part] = self.columns(q_part, v_part) @ self.coefficients
                 continue
-            level = self.scaling.basis(*at, *self.orders) @ self.positive.ravel()
+            # The usual case by fewer products than `columns` takes.
+            basis = self.scaling.basis(q_part, v_part, *self.orders)
+            level = basis @ self.positive.ravel()
             if self.extension.any():
-                level = level + self._extension(*at) @ self.extension[0]
-            result[part] = np.tanh(v[part] / self.sign_width) * level
-        return result
+                level = level + self._extension(q_part, v_part) @ self.extension[0]
+            torque[part] = np.tanh(v_part / self.sign_width) * level
+        return torque
 
     def odd_torque(self, q: Array, v: Array) -> Array:
-        """Friction torque (N,) N m that turns with the direction of motion."""
+        """Compute the friction torque (N,) N m that turns with the direction."""
         if not self.directional:
             return self.torque(q, v)
         return np.asarray((self.torque(q, v) - self.torque(q, -v)) / 2.0)
 
     def of_size(self, entries: Array) -> Self:
-        """Return a surface of other entries whose torque is the same for both directions."""
+        """Return a surface of other entries whose torque is the same both ways."""
         covariance = np.zeros((2 * entries.size, 2 * entries.size))
         return replace(
             self,
@@ -213,18 +289,18 @@ class FrictionSurface:
         )
 
     def error_columns(self, q: Array, v: Array) -> Array:
-        """Derivatives (N, k) of the torque by `coefficients`, but for terms of the drive.
+        """Compute the derivatives (N, k) that errors of `coefficients` go through.
 
-        What is alike both ways is an offset and asymmetries with errors of their own,
-        where the surface was identified with them: the errors of its coefficients are
-        then those of its odd part.
+        A surface that was identified with terms for what is the same both ways has the
+        errors of those apart: the errors of its coefficients are then those of its odd
+        part.
         """
         if not self.even_terms:
             return self.columns(q, v)
         return np.asarray((self.columns(q, v) - self.columns(q, -v)) / 2.0)
 
     def std_error(self, q: Array, v: Array) -> Array:
-        """Standard error (N,) N m of `torque`; zero where the file gives no covariance."""
+        """Compute the standard error (N,) N m of `torque`; 0 without a covariance."""
         X = self.columns(q, v)
         if self.covariance.shape != (X.shape[1], X.shape[1]):
             return np.zeros(len(q))
@@ -232,52 +308,59 @@ class FrictionSurface:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def stated_error(self, q: Array, v: Array) -> Array:
-        """Standard error (N,) N m of the physical torque: with that of the torque constant."""
-        common = self.torque_constant_error * self.torque(q, v)
-        return np.asarray(np.hypot(self.std_error(q, v), common))
+        """Compute the standard error (N,) N m with that of the torque constant."""
+        of_torque_constant = self.torque_constant_error * self.torque(q, v)
+        return np.asarray(np.hypot(self.std_error(q, v), of_torque_constant))
 
     def at_rest(self, q: Array) -> tuple[Array, Array]:
-        """Smallest and largest torque (N,) N m that friction can hold at rest."""
-        v = np.full(len(q), max(self.scaling.speed[0], SLIDES * self.sign_width))
-        low, high = self.torque(q, -v), self.torque(q, v)
-        return np.minimum(low, high), np.maximum(low, high)
+        """Compute the smallest and largest torque (N,) N m of friction at rest."""
+        slowest = max(self.scaling.speed[0], SLIDES * self.sign_width)
+        v = np.full(len(q), slowest)
+        backward = self.torque(q, -v)
+        forward = self.torque(q, v)
+        return np.minimum(backward, forward), np.maximum(backward, forward)
 
     def outside(self, q: Array, v: Array) -> Mask:
-        """Samples (N,) at which the surface goes on beyond what was identified."""
+        """Return samples (N,) beyond the identified range of positions and speeds."""
         return self.scaling.outside(q, v, sign_width=self.sign_width)
 
     def vague(self, q: Array, v: Array) -> Mask:
-        """Samples (N,) at which the surface's own standard error is a clear share of it, and large.
+        """Return samples (N,) whose standard error is a clear share of the surface.
 
-        Inside the ranges that the trials have reached, but in none of them at this
-        speed here.
+        It must be large for this surface as well. Such samples lie inside the ranges
+        that the trials have reached, but no trial had this speed at this position.
         """
-        shares = (self.scaling.over_position.share(q), 0.5 * (self.scaling.u(v) + 1.0))
-        row, column = (np.rint(share * (CELLS - 1)).astype(np.intp) for share in shares)
+        position_share = self.scaling.over_position.share(q)
+        speed_share = 0.5 * (self.scaling.u(v) + 1.0)
+        row = np.rint(position_share * (CELLS - 1)).astype(np.intp)
+        column = np.rint(speed_share * (CELLS - 1)).astype(np.intp)
         return np.asarray(self._vague[row, column] & (np.abs(v) > self.sign_width))
 
     @cached_property
     def _vague(self) -> Mask:
-        """The same on a grid (CELLS, CELLS) over position and scaled speed."""
-        basis, size = self._grid, self.positive.size
-        found = np.zeros(len(basis), dtype=bool)
-        for number, values in enumerate(self._sides):
-            own = slice(number * size, (number + 1) * size)
-            variance = np.einsum(
-                "nk,kl,nl->n", basis, self.entry_covariance[own, own], basis
-            )
-            clear = variance > (VAGUE * (basis @ values.ravel())) ** 2
-            found |= clear & (variance > UNUSUAL**2 * np.median(variance))
-        return found.reshape(CELLS, CELLS)
+        """Cells (CELLS, CELLS) over position and scaled speed that are vague."""
+        basis = self._grid
+        size = self.positive.size
+        vague = np.zeros(len(basis), dtype=bool)
+        for number, entries in enumerate(self._sides):
+            of_side = slice(number * size, (number + 1) * size)
+            covariance = self.entry_covariance[of_side, of_side]
+            variance = np.einsum("nk,kl,nl->n", basis, covariance, basis)
+            is_clear_share = variance > (VAGUE * (basis @ entries.ravel())) ** 2
+            is_unusual = variance > UNUSUAL**2 * np.median(variance)
+            vague |= is_clear_share & is_unusual
+        return vague.reshape(CELLS, CELLS)
 
     @cached_property
     def _grid(self) -> Array:
-        """Basis (CELLS^2, size (l + 1)) over position and scaled speed, speed fastest."""
-        share, (slow, fast) = np.linspace(0.0, 1.0, CELLS), self.scaling.speed
-        speeds = np.linspace(slow, fast, CELLS)
+        """Basis (CELLS^2, size (l + 1)) over a grid of position and scaled speed."""
+        slow, fast = self.scaling.speed
         if self.scaling.logarithmic:
             speeds = np.exp(np.linspace(np.log(slow), np.log(fast), CELLS))
-        q, v = np.meshgrid(self.scaling.over_position.at(share), speeds, indexing="ij")
+        else:
+            speeds = np.linspace(slow, fast, CELLS)
+        places = self.scaling.over_position.at(np.linspace(0.0, 1.0, CELLS))
+        q, v = np.meshgrid(places, speeds, indexing="ij")
         return self.scaling.basis(q.ravel(), v.ravel(), *self.orders)
 
     @property
@@ -287,36 +370,45 @@ class FrictionSurface:
     @cached_property
     def slopes(self) -> Array:
         """Viscous slope of each direction's surface, N m s/rad, of either sign."""
-        return np.array(
-            [self.scaling.slope(*self.orders) @ side.ravel() for side in self._sides]
-        )
+        weights = self.scaling.slope(*self.orders)
+        return np.array([weights @ side.ravel() for side in self._sides])
 
     def _extension(self, q: Array, v: Array) -> Array:
-        """Columns (N, 4) of the extension of one direction, without its sign."""
+        """Compute the columns (N, 4) of one direction's extension, without its sign."""
         speeds = np.stack([self.scaling.faster(v), self.scaling.slower(v)], axis=1)
         return np.hstack([self.scaling.over_position.novelty(q), speeds])
 
     def _errors_of(
         self, side: Array, slope: float, *, slope_doubt: float = 0.3
     ) -> Array:
-        """Standard errors (4,) of the extension of one direction's surface of a viscous slope."""
-        # Spread over position, twice; doubt about the slope; change near the slowest
-        # speed.
+        """Return standard errors (4,) of the extension of one direction's surface.
+
+        `slope` is the viscous slope of `side`, N m s/rad; it may be off by a share of
+        `slope_doubt`.
+        """
+        # Beyond the positions: the spread of friction over position.
         level = (self._grid @ side.ravel()).reshape(CELLS, CELLS)
         spread = NEW_GROUND * float(np.sqrt(np.mean((level - level.mean(axis=0)) ** 2)))
+
+        # Beyond the fastest speed: the doubt about the slope, and what the line misses.
         over_speed = self.scaling.over_position.mean(self.orders[0]) @ side
-        line = self.scaling.slope_speeds()
-        width = float(np.ptp(line))
-        bend = float(np.std(chebval(self.scaling.u(line), over_speed) - slope * line))
-        doubt = float(np.hypot(slope_doubt * slope, bend / width)) if width else 0.0
+        line_speeds = self.scaling.slope_speeds()
+        width = float(np.ptp(line_speeds))
+        slope_error = 0.0
+        if width:
+            on_line = chebval(self.scaling.u(line_speeds), over_speed)
+            bend = float(np.std(on_line - slope * line_speeds))
+            slope_error = float(np.hypot(slope_doubt * slope, bend / width))
+
+        # Below the slowest speed: what friction changes near it.
         slow, fast = self.scaling.speed
-        near = np.array([slow, min(np.e * slow, fast)])
-        change = float(np.ptp(chebval(self.scaling.u(near), over_speed)))
-        return np.array([spread, spread, doubt, change])
+        near_slowest = np.array([slow, min(np.e * slow, fast)])
+        change = float(np.ptp(chebval(self.scaling.u(near_slowest), over_speed)))
+        return np.array([spread, spread, slope_error, change])
 
 
 def friction_torque(laws: Sequence[FrictionLaw | None], q: Array, dq: Array) -> Array:
-    """Friction torque (N, n) N m; zero for a joint whose friction is not known."""
+    """Compute friction torque (N, n) N m; zero for a joint without a law."""
     torque = np.zeros(q.shape)
     for j, law in enumerate(laws):
         if law is not None:

@@ -1,4 +1,4 @@
-"""The bases of a friction surface over position and speed, and how they go on beyond their range.
+"""Bases of a friction surface over position and speed, continued beyond their range.
 
 Over position there are two kinds. A polynomial in Chebyshev's form knows one range. A
 Fourier series knows every angle, so it serves joints that turn more than once. Over
@@ -9,7 +9,9 @@ linear in the coefficients of the surface. With f_0 the mean over position and d
 distance from the range, a polynomial falls back to that mean as a random field of
 Gaussian correlation would on average:
 
-    f(q) = f_0 + rho (f(edge) - f_0),   rho = exp(-d^2 / (2 delta^2)),   delta = `FADE` * range.
+    f(q) = f_0 + rho (f(edge) - f_0),   rho = exp(-d^2 / (2 delta^2)),
+
+delta being `FADE` of the range.
 
 Beyond the fastest speed v_1 friction goes on as Coulomb plus viscous friction: a line
 whose slope is the least-squares slope of the position mean over the upper part of the
@@ -43,37 +45,36 @@ class Polynomial:
         return size - 1
 
     def values(self, q: Array, order: int) -> Array:
-        """Return T_0 ...
-
-        T_order (N, order + 1); beyond the range they fade to their means.
-        """
-        found = np.asarray(
-            chebvander(scaled(q, self.low, self.high), order), dtype=np.float64
-        )
-        gone = 1.0 - self._kept(q)
-        far = np.flatnonzero(gone)
-        if far.size:
-            found[far] += gone[far, None] * (self.mean(order) - found[far])
-        return found
+        """Compute T_0 to T_order (N, order + 1), which fade to their means outside."""
+        x = scaled(q, self.low, self.high)
+        values = np.asarray(chebvander(x, order), dtype=np.float64)
+        faded = 1.0 - self._correlation(q)
+        beyond = np.flatnonzero(faded)
+        if beyond.size:
+            to_mean = self.mean(order) - values[beyond]
+            values[beyond] += faded[beyond, None] * to_mean
+        return values
 
     def degrees(self, order: int) -> Array:
-        """Return 0 ... order: how fast each function varies."""
+        """Return 0 to `order`: how fast each function varies."""
         return np.arange(order + 1.0)
 
     def mean(self, order: int) -> Array:
-        """Return the integrals of T_j over [-1, 1] by 2: 1 / (1 - j^2), and 0 for odd j."""
+        """Return the mean of T_j over [-1, 1]: 1 / (1 - j^2), and 0 for odd j."""
         j = np.arange(order + 1.0)
-        return np.where(j % 2 == 0.0, 1.0 / np.where(j == 1.0, 1.0, 1.0 - j**2), 0.0)
+        is_even = j % 2 == 0.0
+        divisor = np.where(j == 1.0, 1.0, 1.0 - j**2)  # not zero
+        return np.where(is_even, 1.0 / divisor, 0.0)
 
     def novelty(self, q: Array) -> Array:
         """Return (N, 2): sqrt(1 - rho^2) below and above the range, 0 inside."""
-        new = np.sqrt(1.0 - self._kept(q) ** 2)
-        return np.stack(
-            [np.where(q < self.low, new, 0.0), np.where(q > self.high, new, 0.0)], 1
-        )
+        novelty = np.sqrt(1.0 - self._correlation(q) ** 2)
+        below = np.where(q < self.low, novelty, 0.0)
+        above = np.where(q > self.high, novelty, 0.0)
+        return np.stack([below, above], axis=1)
 
     def outside(self, q: Array, *, outside_position: float = 0.02) -> Mask:
-        """Return where positions left the range by more than `outside_position` of it."""
+        """Return where positions left the range by a share of `outside_position`."""
         return self._distance(q) > outside_position * (self.high - self.low)
 
     def share(self, q: Array) -> Array:
@@ -85,20 +86,20 @@ class Polynomial:
         return self.low + share * (self.high - self.low)
 
     def _distance(self, q: Array) -> Array:
+        """Return the distance d (N,) from the range; 0 inside."""
         return np.maximum(np.maximum(self.low - q, q - self.high), 0.0)
 
-    def _kept(self, q: Array) -> Array:
-        """Correlation rho (N,) with the edge of the range; 1 inside."""
+    def _correlation(self, q: Array) -> Array:
+        """Return the correlation rho (N,) with the edge of the range; 1 inside."""
         if self.high <= self.low:
             return np.ones_like(q)
-        return np.asarray(
-            np.exp(-0.5 * (self._distance(q) / (FADE * (self.high - self.low))) ** 2)
-        )
+        delta = FADE * (self.high - self.low)
+        return np.asarray(np.exp(-0.5 * (self._distance(q) / delta) ** 2))
 
 
 @dataclass(frozen=True)
 class Fourier:
-    """1, cos q, sin q, cos 2q, ...: friction that repeats with every turn of the joint."""
+    """1, cos q, sin q, cos 2q, ...: friction that repeats with every turn."""
 
     def size(self, order: int) -> int:
         """Return the number of functions: the mean and two per harmonic."""
@@ -111,12 +112,13 @@ class Fourier:
     def values(self, q: Array, order: int) -> Array:
         """Return the functions (N, 2 order + 1) at any position."""
         angle = np.outer(q, np.arange(1, order + 1))
-        found = np.ones((len(q), 2 * order + 1))
-        found[:, 1::2], found[:, 2::2] = np.cos(angle), np.sin(angle)
-        return found
+        values = np.ones((len(q), 2 * order + 1))
+        values[:, 1::2] = np.cos(angle)
+        values[:, 2::2] = np.sin(angle)
+        return values
 
     def degrees(self, order: int) -> Array:
-        """Return twice the harmonic: T_2k has k waves over its range, as harmonic k over a turn."""
+        """Return twice the harmonic: T_2k has k waves over its range, as harmonic k."""
         return np.asarray(2.0 * np.ceil(np.arange(2 * order + 1) / 2.0))
 
     def mean(self, order: int) -> Array:
@@ -140,8 +142,7 @@ class Fourier:
         return 2.0 * np.pi * share
 
 
-# An order is the highest degree of a polynomial, the highest harmonic of a Fourier
-# series.
+# An order is the highest degree of a polynomial, or the highest harmonic of a series.
 PositionBasis = Polynomial | Fourier
 
 
@@ -169,24 +170,34 @@ class Scaling:
     def basis(
         self, q: Array, v: Array, position_order: int, velocity_order: int
     ) -> Array:
-        """Return products (N, size (l + 1)) of both bases at q, v (N,), r fastest, beyond as well.
+        """Compute the products of both bases, continued beyond the ranges.
 
-        Orders are m and l; of v only the size counts.
+        Parameters
+        ----------
+        q, v : Array
+            Positions and velocities (N,); of a velocity only the size counts.
+        position_order, velocity_order : int
+            m and l.
+
+        Returns
+        -------
+        Array
+            (N, size (l + 1)), the speed's functions fastest.
         """
-        X = self.over_position.values(q, position_order)
-        found = tensor(
-            X, np.asarray(chebvander(self.u(v), velocity_order), dtype=np.float64)
-        )
-        faster = self.faster(v)
-        fast = np.flatnonzero(faster)
-        if fast.size:
-            found[fast] += faster[fast, None] * self.slope(
-                position_order, velocity_order
-            )
-        return found
+        over_position = self.over_position.values(q, position_order)
+        over_speed = chebvander(self.u(v), velocity_order)
+        products = tensor(over_position, np.asarray(over_speed, dtype=np.float64))
+
+        # Beyond the fastest speed the line goes on from the value there.
+        excess = self.faster(v)
+        beyond = np.flatnonzero(excess)
+        if beyond.size:
+            slope = self.slope(position_order, velocity_order)
+            products[beyond] += excess[beyond, None] * slope
+        return products
 
     def faster(self, v: Array) -> Array:
-        """Return by how much speeds (N,) are above the fastest identified one, rad/s."""
+        """Return by how much speeds (N,) exceed the fastest identified one, rad/s."""
         return np.maximum(np.abs(v) - self.speed[1], 0.0)
 
     def slower(self, v: Array) -> Array:
@@ -196,44 +207,44 @@ class Scaling:
         return np.maximum(1.0 - np.abs(v) / self.speed[0], 0.0)
 
     def slope(self, position_order: int, velocity_order: int) -> Array:
-        """Return the weights of the coefficients in the viscous slope beyond, N m s/rad."""
+        """Return the weights of the coefficients in the viscous slope beyond."""
         mean = self.over_position.mean(position_order)
         return np.outer(mean, _slope_over_speed(self, velocity_order)).ravel()
 
     def slope_speeds(self, *, slope_from: float = 0.5, points: int = 33) -> Array:
-        """Return the speeds over which the line beyond the fastest speed is fitted, rad/s."""
+        """Return the speeds rad/s that the line beyond the fastest is fitted over."""
         slow, fast = self.speed
         return np.linspace(max(slow, slope_from * fast), fast, points)
 
     def outside(
         self, q: Array, v: Array, *, sign_width: float, outside_speed: float = 0.02
     ) -> Mask:
-        """Return where position or speed left the identified range; rest has no friction law."""
-        fast = np.abs(v) > (1.0 + outside_speed) * self.speed[1]
-        slow = (np.abs(v) < (1.0 - outside_speed) * self.speed[0]) & (
-            np.abs(v) > sign_width
-        )
-        return self.over_position.outside(q) | fast | slow
+        """Return where (N,) position or speed left the identified range.
+
+        Rest is no such place: below `sign_width` friction follows no law.
+        """
+        speed = np.abs(v)
+        too_fast = speed > (1.0 + outside_speed) * self.speed[1]
+        too_slow = speed < (1.0 - outside_speed) * self.speed[0]
+        slides = speed > sign_width
+        return self.over_position.outside(q) | too_fast | (too_slow & slides)
 
 
 @lru_cache(maxsize=256)
 def _slope_over_speed(scaling: Scaling, order: int) -> Array:
-    """Least-squares slope of T_0 ...
-
-    T_order (order + 1,) over the speeds of the line.
-    """
+    """Return least-squares slopes (order + 1,) of T_0 to T_order over the line."""
     speeds = scaling.slope_speeds()
-    off = speeds - speeds.mean()
-    power = float(off @ off)
+    centred = speeds - speeds.mean()
+    power = float(centred @ centred)
     if power == 0.0:
         return np.zeros(order + 1)
-    slope: Array = off @ chebvander(scaling.u(speeds), order) / power
-    slope.flags.writeable = False
+    slope: Array = centred @ chebvander(scaling.u(speeds), order) / power
+    slope.flags.writeable = False  # it is shared by all callers
     return slope
 
 
 def tensor(over_position: Array, over_speed: Array) -> Array:
-    """Return the products (N, a b) of functions (N, a) and (N, b), the second fastest."""
+    """Return products (N, a b) of functions (N, a) and (N, b), the second fastest."""
     product = over_position[:, :, None] * over_speed[:, None, :]
     return np.asarray(product.reshape(len(over_position), -1))
 

@@ -38,21 +38,29 @@ REACH = 0.25  # periods of the cut-off, over which the low-pass mixes samples
 
 
 def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | None]:
-    """Friction of each joint in the robot's order; None where it has not been identified."""
-    found = stages.friction.joints if stages.friction else {}
-    told = (found.get(name) for name in robot.joint_names)
-    return [
-        None if joint is None else FrictionSurface.from_stage(joint) for joint in told
-    ]
+    """Return each joint's friction in the robot's order; None where not identified."""
+    joints = stages.friction.joints if stages.friction else {}
+    surfaces: list[FrictionSurface | None] = []
+    for name in robot.joint_names:
+        joint = joints.get(name)
+        surfaces.append(None if joint is None else FrictionSurface.from_stage(joint))
+    return surfaces
 
 
 @dataclass(frozen=True)
 class Predicted:
-    """What a model, or a part of it, says of the torque of a log, whatever was measured there.
+    """The torque that a model, or a part of it, predicts for a log.
 
-    `value` (N, n) N m is filtered like `motion.tau`. Coulomb's law at rest is an
-    interval: `low`, `high` (N, n) N m bound what the model allows, where a joint slides
-    `value` alone; of effects they are what these add to friction's interval.
+    What was measured there plays no part.
+
+    Attributes
+    ----------
+    value : Array
+        (N, n) N m, filtered like `motion.tau`.
+    low, high : Array
+        (N, n) N m, bounds of what the model allows. Coulomb's law at rest is an
+        interval; where a joint slides both are `value`. For effects they are what
+        these add to friction's interval.
     """
 
     value: Array
@@ -64,8 +72,19 @@ class Predicted:
 class TorqueModel:
     """Everything identified so far, ready to predict.
 
-    `phi` (n, 10) representative link parameters, `rotor` (n,) kg m^2, both None without
-    a rigid-body stage.
+    Attributes
+    ----------
+    robot : Robot
+    surfaces : list of FrictionSurface or None
+        By joint; None where friction has not been identified.
+    phi : Array, optional
+        (n, 10) representative link parameters; None without a rigid-body stage.
+    rotor : Array, optional
+        (n,) kg m^2 on the motor side; None without a rigid-body stage.
+    coupling : Coupling
+        How rotors act on the links that carry them.
+    delays_s : Array, optional
+        (n,) s, by which torques are logged late.
     """
 
     robot: Robot
@@ -77,37 +96,57 @@ class TorqueModel:
 
     @classmethod
     def from_stages(cls, stages: Stages, robot: Robot) -> Self:
-        """Use the inertia stage where there is one, else gravity alone, else friction alone."""
+        """Build from the inertia stage, else from gravity, else from friction."""
         rigid = stages.inertia or stages.gravity
-        surfaces = friction_surfaces(stages, robot)
-        if rigid is None:
-            return cls(robot, surfaces, None, None, "diagonal", delays_s(stages, robot))
-        phi, rotor = standard_parameters(rigid, robot.n)
-        coupling: Coupling = (
-            "gyroscopic" if rigid.rotor_coupling == "gyroscopic" else "diagonal"
+        phi: Array | None = None
+        rotor: Array | None = None
+        coupling: Coupling = "diagonal"
+        if rigid is not None:
+            phi, rotor = standard_parameters(rigid, robot.n)
+            if rigid.rotor_coupling == "gyroscopic":
+                coupling = "gyroscopic"
+        return cls(
+            robot=robot,
+            surfaces=friction_surfaces(stages, robot),
+            phi=phi,
+            rotor=rotor,
+            coupling=coupling,
+            delays_s=delays_s(stages, robot),
         )
-        return cls(robot, surfaces, phi, rotor, coupling, delays_s(stages, robot))
 
     def friction(self, q: Array, dq: Array) -> Array:
-        """Friction torque (N, n) N m."""
+        """Compute the friction torque (N, n) N m."""
         return friction_torque(self.surfaces, q, dq)
 
     def friction_of(self, joint: int, q: Array, v: Array) -> Array:
-        """Friction torque (N,) N m of one joint at its positions and velocities (N,)."""
+        """Compute a joint's friction torque (N,) N m at q, v (N,)."""
         surface = self.surfaces[joint]
         return np.zeros(len(q)) if surface is None else surface.torque(q, v)
 
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Rigid-body, gravity and rotor torque (N, n) N m."""
+        """Compute the rigid-body, gravity and rotor torque.
+
+        Parameters
+        ----------
+        q, dq, ddq : Array
+            (N, n) rad, rad/s, rad/s^2.
+
+        Returns
+        -------
+        Array
+            (N, n) N m; zero without a rigid-body stage.
+        """
         if self.phi is None or self.rotor is None:
             return np.zeros_like(q)
         torque = inverse_dynamics(
             self.robot.chain, self.robot.gravity, self.phi, q, dq, ddq
         )
-        return torque + self.rotors(q, dq, ddq) if self.rotor.any() else torque
+        if self.rotor.any():
+            torque = torque + self.rotors(q, dq, ddq)
+        return torque
 
     def rotors(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque (N, n) N m that turns the motors' rotors."""
+        """Compute the torque (N, n) N m that turns the motors' rotors."""
         if self.rotor is None or not self.rotor.any():
             return np.zeros_like(q)
         Y = rotor_regressor(
@@ -116,12 +155,12 @@ class TorqueModel:
         return Y @ self.rotor
 
     def predict(self, motion: Motion) -> Array:
-        """Torque (N, n) N m, filtered like `motion.tau` so that both can be compared."""
+        """Predict the torque (N, n) N m, filtered like `motion.tau`."""
         rigid, friction = self._terms(motion)
         return rigid + friction
 
     def _terms(self, motion: Motion) -> tuple[Array, Array]:
-        """Rigid-body and friction torque, each filtered like `motion.tau`."""
+        """Compute rigid-body and friction torque, each filtered like `motion.tau`."""
         rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
         friction = motion.filtered(sampled_friction(self.surfaces, motion), times=2)
         return self.late(rigid, motion), self.late(friction, motion)
@@ -131,78 +170,103 @@ class TorqueModel:
         if self.delays_s is None or not self.delays_s.any():
             return torque
         samples = np.arange(len(torque), dtype=np.float64)
-        shifts = self.delays_s * motion.rate_hz
-        columns = [
-            np.interp(samples - shift, samples, values)
-            for shift, values in zip(shifts, torque.T, strict=True)
+        delays = self.delays_s * motion.rate_hz
+        late = [
+            np.interp(samples - delay, samples, values)
+            for delay, values in zip(delays, torque.T, strict=True)
         ]
-        return np.stack(columns, axis=1)
+        return np.stack(late, axis=1)
 
     def predict_set(
         self, motion: Motion, slides: Mask, added: Predicted | None = None
     ) -> Predicted:
-        """Torque that the model allows: one value where joints slide, an interval at rest.
+        """Predict the torque that the model allows.
 
-        At rest friction takes whatever value balances, up to what it has at the slowest
-        speed; the interval holds the model's own value as well, which near the onset of
-        motion may lie beyond. What effects add is there in either state. The measured
-        torque plays no part.
+        It is one value where joints slide, and an interval at rest: there friction
+        takes whatever value balances, up to what it has at the slowest speed. The
+        interval holds the model's own value as well, which near the onset of motion may
+        lie beyond. The measured torque plays no part.
+
+        Parameters
+        ----------
+        motion : Motion
+        slides : Mask
+            (N, n), where joints certainly slide.
+        added : Predicted, optional
+            What effects add, in either state.
         """
         rigid, friction = self._terms(motion)
         if added is not None:
             rigid = rigid + added.value
         value = rigid + friction
-        low, high = value.copy(), value.copy()
+
+        low = value.copy()
+        high = value.copy()
         for j, surface in enumerate(self.surfaces):
-            if surface is not None:
-                least, most = surface.at_rest(motion.q[:, j])
-                if added is not None:
-                    least, most = least + added.low[:, j], most + added.high[:, j]
-                rests = ~slides[:, j]
-                low[rests, j] = np.minimum(value[:, j], rigid[:, j] + least)[rests]
-                high[rests, j] = np.maximum(value[:, j], rigid[:, j] + most)[rests]
+            if surface is None:
+                continue
+            friction_low, friction_high = surface.at_rest(motion.q[:, j])
+            if added is not None:
+                friction_low = friction_low + added.low[:, j]
+                friction_high = friction_high + added.high[:, j]
+            rests = ~slides[:, j]
+            lowest = np.minimum(value[:, j], rigid[:, j] + friction_low)
+            highest = np.maximum(value[:, j], rigid[:, j] + friction_high)
+            low[rests, j] = lowest[rests]
+            high[rests, j] = highest[rests]
         return Predicted(value, low, high)
 
     def outside(self, motion: Motion) -> Mask:
-        """Samples (N, n) at which a joint's friction was never identified."""
-        found = np.zeros(motion.q.shape, dtype=bool)
+        """Return samples (N, n) at which a joint's friction was never identified."""
+        outside = np.zeros(motion.q.shape, dtype=bool)
         for j, surface in enumerate(self.surfaces):
             if surface is not None:
-                found[:, j] = surface.outside(motion.q[:, j], motion.dq[:, j])
-        return found
+                outside[:, j] = surface.outside(motion.q[:, j], motion.dq[:, j])
+        return outside
 
 
 def delays_s(stages: Stages, robot: Robot) -> Array:
-    """Delays (n,) s of the joints' torques against their positions, zero where none is known."""
+    """Return the delays (n,) s of torques against positions, zero where not known."""
     joints = stages.friction.joints if stages.friction else {}
-    found = {
-        name: term.value
-        for name, joint in joints.items()
-        for term in joint.nuisances
-        if term.name == "delay"
-    }
-    return np.array([found.get(name, 0.0) for name in robot.joint_names])
+    delays = {}
+    for name, joint in joints.items():
+        for term in joint.nuisances:
+            if term.name == "delay":
+                delays[name] = term.value
+    return np.array([delays.get(name, 0.0) for name in robot.joint_names])
 
 
 def standard_parameters(stage: RigidStage, n: int) -> tuple[Array, Array]:
-    """Representative link parameters (n, 10) and rotor inertias (n,) of a stage."""
+    """Return representative links (n, 10) and rotor inertias (n,) of a stage."""
     values = np.array(
         [stage.representative.get(name, 0.0) for name in standard_names(n)]
     )
-    links = len(STANDARD) * n
-    return values[:links].reshape(n, len(STANDARD)), values[links:]
+    of_links = len(STANDARD) * n
+    return values[:of_links].reshape(n, len(STANDARD)), values[of_links:]
 
 
 def known_rotors(robot: Robot) -> Array:
-    """Rotor inertias (n,) kg m^2 of the robot file; zero where they are to be identified."""
+    """Return the robot file's rotor inertias (n,) kg m^2; zero where not given."""
     return np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
 
 
 def sliding(motion: Motion, slowest: Array, *, reach_periods: float = REACH) -> Mask:
-    """Samples (N, n) at which a joint certainly slides, so that friction opposes its motion.
+    """Return samples at which a joint certainly slides: friction opposes its motion.
 
     At rest, and where the filter mixes rest in, friction is anything up to stiction.
-    The filter is taken to mix over `reach_periods` of its cut-off on either side.
+
+    Parameters
+    ----------
+    motion : Motion
+    slowest : Array
+        (n,) speeds [rad/s; m/s where prismatic] from which a joint slides.
+    reach_periods : float
+        Periods of the cut-off over which the filter mixes on either side.
+
+    Returns
+    -------
+    Mask
+        (N, n).
     """
     velocity = np.where(motion.moving, motion.dq, 0.0)
     near = slowest_near(motion, velocity, reach_periods=reach_periods)
@@ -216,47 +280,79 @@ def slowest_near(
     per_period: float = 80.0,
     reach_periods: float = REACH,
 ) -> Array:
-    """Least of velocities (N, k) within some periods of the cut-off, without sign."""
-    cutoff = motion.lowpass.cutoff_hz
-    parts = max(1, math.ceil(per_period * cutoff / motion.rate_hz))
+    """Return the smallest speeds within some periods of the cut-off around each sample.
+
+    Parameters
+    ----------
+    motion : Motion
+    velocity : Array
+        (N, k).
+    per_period : float
+        Points per period of the cut-off that are looked at.
+    reach_periods : float
+        Periods on either side.
+
+    Returns
+    -------
+    Array
+        (N, k), without sign.
+    """
+    cutoff_hz = motion.lowpass.cutoff_hz
+    parts = max(1, math.ceil(per_period * cutoff_hz / motion.rate_hz))
+
+    # Velocities are joined by straight lines, so that thinning does not hide a reversal
+    # between two samples.
     share = (np.arange(parts) / parts)[:, None]
-    # Straight between samples, so that thinning does not hide a reversal between two.
-    ahead = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
-    fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(
-        -1, velocity.shape[1]
-    )
-    size = 2 * max(1, int(reach_periods * motion.rate_hz * parts / cutoff)) + 1
-    return np.asarray(minimum_filter1d(fine, size, axis=0, mode="nearest")[::parts])
+    following = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
+    between = velocity[:, None] * (1.0 - share) + following * share
+    speed = np.abs(between).reshape(-1, velocity.shape[1])
+
+    reach = max(1, int(reach_periods * motion.rate_hz * parts / cutoff_hz))
+    slowest = minimum_filter1d(speed, 2 * reach + 1, axis=0, mode="nearest")
+    return np.asarray(slowest[::parts])
 
 
 def sampled_friction(
     surfaces: Sequence[FrictionLaw | None], motion: Motion, *, dense: float = 80.0
 ) -> Array:
-    """Friction torque of a motion, its step at reversals kept below half of the rate.
+    """Compute the friction torque of a motion, its steps kept below half of the rate.
 
-    Returns (N, n) [N m; N where prismatic]: before the motion's own low-pass; zero for
-    a joint whose friction is not known.
+    Parameters
+    ----------
+    surfaces : sequence of FrictionLaw or None
+        By joint.
+    motion : Motion
+    dense : float
+        Samples per period of the cut-off from which steps need no care.
+
+    Returns
+    -------
+    Array
+        (N, n) [N m; N where prismatic], before the motion's own low-pass; zero for a
+        joint whose friction is not known.
     """
     torque = friction_torque(surfaces, motion.q, motion.dq)
     if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
         return _warmed(torque, surfaces, motion)
+
+    # Samples whose interpolation and low-pass stay within valid ones.
     inside = shrink(motion.valid, HALF + len(KNOTS) // 2)
     for j, surface in enumerate(surfaces):
-        if surface is not None:
-            near = np.flatnonzero(
-                inside & _near_reversals(motion, j, surface.sign_width)
+        if surface is None:
+            continue
+        reverses = _near_reversals(motion, j, surface.sign_width)
+        near = np.flatnonzero(inside & reverses)
+        if near.size:
+            torque[near, j] = _band_limited(
+                surface, motion.q[:, j], motion.dq[:, j], near
             )
-            if near.size:
-                torque[near, j] = _band_limited(
-                    surface, motion.q[:, j], motion.dq[:, j], near
-                )
     return _warmed(torque, surfaces, motion)
 
 
 def _warmed(
     torque: Array, surfaces: Sequence[FrictionLaw | None], motion: Motion
 ) -> Array:
-    """Friction torque (N, n) N m at the temperatures of the joints, where they were logged."""
+    """Scale friction torque (N, n) N m, in place, to the logged temperatures."""
     if motion.celsius is None:
         return torque
     for j, surface in enumerate(surfaces):
@@ -266,31 +362,43 @@ def _warmed(
 
 
 def _near_reversals(motion: Motion, j: int, width: float, *, wide: float = 3.0) -> Mask:
-    """Samples (N,) that the low-pass reaches from where a joint is slower than the sign's width."""
-    v, moving = motion.dq[:, j], motion.moving[:, j]
+    """Return samples (N,) that the low-pass reaches from where a joint reverses.
+
+    A moving joint reverses where it is slower than `wide` widths of the sign.
+    """
+    v = motion.dq[:, j]
+    moving = motion.moving[:, j]
     slow = np.abs(v) < wide * width
-    turns = (v[1:] * v[:-1] <= 0) | slow[1:] | slow[:-1]
-    turns &= moving[1:] & moving[:-1]
-    found: Mask = np.zeros(len(v), dtype=np.bool_)
-    found[:-1] = turns
-    found[1:] |= turns
-    return np.asarray(binary_dilation(found, np.ones(2 * HALF + 1, dtype=np.bool_)))
+
+    # Between two samples; both of them are then near.
+    reverses = (v[1:] * v[:-1] <= 0) | slow[1:] | slow[:-1]
+    reverses &= moving[1:] & moving[:-1]
+    near: Mask = np.zeros(len(v), dtype=np.bool_)
+    near[:-1] = reverses
+    near[1:] |= reverses
+    return np.asarray(binary_dilation(near, np.ones(2 * HALF + 1, dtype=np.bool_)))
 
 
 def _band_limited(surface: FrictionLaw, q: Array, dq: Array, near: Index) -> Array:
-    """Low-passed friction at samples `near` (M,) of a motion (N,)."""
-    used = np.unique(near[:, None] + np.arange(-HALF, HALF + 1))
-    q, dq = (x[used[:, None] + KNOTS] @ WEIGHTS for x in (q, dq))
-    parts = surface.torque(q.ravel(), dq.ravel()).reshape(len(used), PARTS)
-    first = np.searchsorted(used, near)[:, None] + np.arange(-HALF, HALF + 1)
-    return np.asarray(np.tensordot(parts[first], _taps(), axes=2))
+    """Compute low-passed friction at samples `near` (M,) of a motion (N,)."""
+    around = np.arange(-HALF, HALF + 1)
+    used = np.unique(near[:, None] + around)
+
+    # Friction at PARTS points from each sample that is used to the next.
+    knots = used[:, None] + KNOTS
+    q_points = q[knots] @ WEIGHTS
+    dq_points = dq[knots] @ WEIGHTS
+    torque = surface.torque(q_points.ravel(), dq_points.ravel())
+    torque = torque.reshape(len(used), PARTS)
+
+    windows = np.searchsorted(used, near)[:, None] + around
+    return np.asarray(np.tensordot(torque[windows], _taps(), axes=2))
 
 
 @lru_cache(maxsize=1)
 def _taps(*, beta: float = 7.5) -> Array:
-    """Low-pass (2 HALF + 1, PARTS) over the points of the samples around one."""
+    """Return the low-pass (2 HALF + 1, PARTS) over the points around a sample."""
+    length = 2 * HALF * PARTS + 1
     taps = np.zeros((2 * HALF + 1) * PARTS)
-    taps[: 2 * HALF * PARTS + 1] = firwin(
-        2 * HALF * PARTS + 1, 1 / PARTS, window=("kaiser", beta)
-    )
+    taps[:length] = firwin(length, 1 / PARTS, window=("kaiser", beta))
     return taps.reshape(2 * HALF + 1, PARTS)

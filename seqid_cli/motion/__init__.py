@@ -1,1 +1,1 @@
-"""From a recording to joint motion: filtering, differentiation, accelerometers, segmentation."""
+"""From a recording to joint motion: filters, derivatives, IMUs, segmentation."""

@@ -1,4 +1,4 @@
-"""The motion of a long log, block by block: the same values as `estimate_motion` and `decimated`.
+"""The motion of a long log, block by block: as by `estimate_motion` and `decimated`.
 
 Blocks lie on a fixed grid of sample numbers, whatever parts the samples come in. Each
 is worked on with so many samples more on either side that the zero-phase filters have
@@ -25,16 +25,31 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
-    """How a log is filtered."""
+    """How a log is filtered.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Of the log.
+    cutoff : Cutoff
+    step : Array
+        (n,) rad, noise steps of the encoders.
+    factor : int
+        Every `factor`-th sample stays.
+    rows : int
+        Samples of a block, a multiple of `factor`.
+    margin : int
+        Samples more that are needed on either side of a block.
+    """
 
     rate_hz: float
     cutoff: Cutoff
-    step: Array  # (n,) rad, noise steps
-    factor: int  # every which sample stays
-    rows: int  # samples of a block, a multiple of `factor`
-    margin: int  # more that are needed on either side
+    step: Array
+    factor: int
+    rows: int
+    margin: int
 
     @property
     def lowpass(self) -> Lowpass:
@@ -48,33 +63,59 @@ LEAST_BLOCK = 32_768  # samples; thinned ones need less memory and are twice as 
 def make_plan(
     rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff: float
 ) -> Plan:
-    """Plan the blocks for noise steps (n,) rad; `samples_per_cutoff` stay, infinite keeps all."""
+    """Plan the blocks of a log.
+
+    Parameters
+    ----------
+    rate_hz : float
+    cutoff : Cutoff
+    step : Array
+        (n,) rad, noise steps of the encoders.
+    samples_per_cutoff : float
+        Samples per period of the cut-off that stay; infinite keeps all.
+    """
     lowpass = Lowpass(cutoff.hz, rate_hz)
-    factor = (
-        max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz))) if lowpass.active else 1
+    factor = 1
+    if lowpass.active:
+        factor = max(1, int(rate_hz / (samples_per_cutoff * cutoff.hz)))
+
+    # All that a sample depends on: two passes and derivatives, or the looks at motion.
+    memory = 2 * lowpass.memory + SIDE
+    margin = max(memory, 2 * lowpass.settling, motion_reach(rate_hz))
+    if factor > 1:
+        margin = _rounded_up(margin + factor, factor)
+    least_rows = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK
+    return Plan(
+        rate_hz=rate_hz,
+        cutoff=cutoff,
+        step=step,
+        factor=factor,
+        rows=_rounded_up(max(least_rows, 2 * margin), factor),
+        margin=margin,
     )
-    margin = max(2 * lowpass.memory + SIDE, 2 * lowpass.settling, motion_reach(rate_hz))
-    margin = -(-(margin + factor) // factor) * factor if factor > 1 else margin
-    least = LEAST_BLOCK if factor == 1 else 2 * LEAST_BLOCK
-    rows = -(-max(least, 2 * margin) // factor) * factor
-    return Plan(rate_hz, cutoff, step, factor, rows, margin)
+
+
+def _rounded_up(value: int, factor: int) -> int:
+    """Return the smallest multiple of a factor that is no smaller than a value."""
+    return -(-value // factor) * factor
 
 
 def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
     """Filter, differentiate and decimate a log's samples; `t` counts from its first."""
     for window, start, stop in overlapping(blocks, plan.rows, plan.margin):
         t = (window.start + np.arange(window.samples)) / plan.rate_hz
-        # asked at the kept samples alone
-        later = np.broadcast_to(np.False_, window.q.shape)
+        # Which joints move is asked at the kept samples alone, below.
+        not_asked = np.broadcast_to(np.False_, window.q.shape)
         motion = filtered_motion(
-            t, window.q, window.valid, plan.rate_hz, plan.cutoff, later
+            t, window.q, window.valid, plan.rate_hz, plan.cutoff, not_asked
         )
-        lowpass, valid = motion.lowpass, window.valid
-        motion = replace(motion, tau=lowpass(lowpass(window.tau, valid), valid))
-        moving = moving_mask(
-            window.q, plan.rate_hz, plan.step, np.arange(start, stop, plan.factor)
-        )
-        yield replace(thinned(motion, plan.factor, start, stop), moving=moving)
+        once = motion.lowpass(window.tau, window.valid)
+        motion = replace(motion, tau=motion.lowpass(once, window.valid))
+
+        kept_samples = np.arange(start, stop, plan.factor)
+        moving = moving_mask(window.q, plan.rate_hz, plan.step, kept_samples)
+        motion = thinned(motion, plan.factor, start, stop)
+        yield replace(motion, moving=moving)
 
 
 S = TypeVar("S", Block, Motion)
@@ -83,33 +124,56 @@ S = TypeVar("S", Block, Motion)
 def joined(parts: list[S]) -> S:
     """Put consecutive parts together; motion must have torque."""
     first = parts[0]
-    names = first.PER_SAMPLE if len(parts) > 1 else ()
-    whole: dict[str, Any] = {
-        n: np.concatenate([getattr(x, n) for x in parts]) for n in names
-    }
-    return replace(first, **whole)
+    if len(parts) == 1:
+        return replace(first)
+    arrays: dict[str, Any] = {}
+    for name in first.PER_SAMPLE:
+        arrays[name] = np.concatenate([getattr(part, name) for part in parts])
+    return replace(first, **arrays)
 
 
 def overlapping(
     parts: Iterable[S], rows: int, margin: int
 ) -> Iterator[tuple[S, int, int]]:
-    """Cut samples into blocks of `rows` with `margin` more; yields [start, stop) within."""
+    """Cut samples into blocks that overlap.
+
+    Parameters
+    ----------
+    parts : iterable of Block or Motion
+        Consecutive samples, in parts of any length.
+    rows : int
+        Samples of a block.
+    margin : int
+        Samples more on either side, as far as there are any.
+
+    Yields
+    ------
+    tuple of Block or Motion, int and int
+        Samples, of which those from the first number up to the second are the block.
+    """
     held: list[S] = []
-    before = have = 0  # samples held in front of the next block, and in all
+    n_before = 0  # samples held in front of the next block
+    n_held = 0
     for part in parts:
         held.append(part)
-        have += part.samples
-        while have >= before + rows + margin:
-            whole = joined(held)
-            yield whole.part(slice(0, before + rows + margin)), before, before + rows
-            drop = max(0, before + rows - margin)
-            before, have = before + rows - drop, have - drop
-            held = [whole.part(slice(drop, drop + have))]
-    while have > before:
-        whole = joined(held)
-        stop = min(before + rows, have)
-        yield whole.part(slice(0, min(stop + margin, have))), before, stop
-        held, before = [whole], stop
+        n_held += part.samples
+        while n_held >= n_before + rows + margin:
+            samples = joined(held)
+            stop = n_before + rows
+            yield samples.part(slice(0, stop + margin)), n_before, stop
+
+            dropped = max(0, stop - margin)
+            n_before = stop - dropped
+            n_held = n_held - dropped
+            held = [samples.part(slice(dropped, dropped + n_held))]
+
+    # The rest is shorter than a block and its margin.
+    while n_held > n_before:
+        samples = joined(held)
+        stop = min(n_before + rows, n_held)
+        yield samples.part(slice(0, min(stop + margin, n_held))), n_before, stop
+        held = [samples]
+        n_before = stop
 
 
 @dataclass(frozen=True)
@@ -122,21 +186,27 @@ class SurveyedLog(LongLog):
 def open_surveyed(
     path: Path, robot: Robot, *, time_source: TimeSource = "header"
 ) -> SurveyedLog | None:
-    """Open a log to be passed over, as `open_long` does, and survey it, in one pass if it can."""
-    found: list[Survey] = []
+    """Open a log to be passed over, and survey it, in one pass if possible.
+
+    None where `open_long` returns None.
+    """
+    surveys: list[Survey] = []
 
     def watch(rate_hz: float, q: Array) -> None:
-        if not found:
-            found.append(Survey(robot.n, rate_hz))
-        found[0].push(q)
+        if not surveys:
+            surveys.append(Survey(robot.n, rate_hz))
+        surveys[0].push(q)
 
     log = open_long(path, robot, time_source=time_source, watch=watch)
     if log is None:
         return None
-    survey = found[0]
+
+    # The rate is known for certain at the log's end: another one may need other
+    # segments of the spectra.
+    survey = surveys[0]
     if not (log.exact and survey.at_rate(log.rate_hz, log.samples)):
         survey = Survey(robot.n, log.rate_hz, log.samples)
         for block in log.blocks():
             survey.push(block.q)
-    known = {field.name: getattr(log, field.name) for field in fields(LongLog)}
-    return SurveyedLog(**known, survey=survey)
+    of_log = {field.name: getattr(log, field.name) for field in fields(LongLog)}
+    return SurveyedLog(**of_log, survey=survey)

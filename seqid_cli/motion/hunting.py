@@ -23,7 +23,7 @@ from numpy.polynomial import Chebyshev
 
 from seqid_cli.typing import Array
 
-# of the frequency of counts: the lowest of a motion within one
+# Share of the frequency of counts: the lowest frequency of a motion within one count.
 WITHIN_COUNT = 1.0 / (2.0 * np.pi)
 
 
@@ -35,7 +35,7 @@ def torque_swing(
     floor: float = 0.3,
     above: float = 2.0,
 ) -> float:
-    """Return the amplitude [N m s] of the torque's integral at the frequency of counts and above.
+    """Return the amplitude of the torque's integral from the frequency of counts on.
 
     Parameters
     ----------
@@ -54,13 +54,14 @@ def torque_swing(
     Returns
     -------
     float
-        Amplitude of a sine with the same power; 0 where the trial is too short to tell.
+        Amplitude [N m s] of a sine with the same power; 0 where the trial is too short
+        to tell.
     """
     order = min(12, len(tau) // 8)
     time = np.linspace(-1.0, 1.0, len(tau))
-    left = tau - Chebyshev.fit(time, tau, order)(time)
+    without_trend = tau - Chebyshev.fit(time, tau, order)(time)
     window = np.hanning(len(tau))
-    power = np.abs(np.fft.rfft(left * window)) ** 2
+    power = np.abs(np.fft.rfft(without_trend * window)) ** 2
     f = np.fft.rfftfreq(len(tau), 1.0 / rate_hz)
     density = 2.0 * power / (rate_hz * float(window @ window))
 
@@ -68,12 +69,12 @@ def torque_swing(
     inside = f >= lowest
     if np.count_nonzero(inside) < 4:
         return 0.0
-    lines = np.clip(
-        density[inside] - above * np.quantile(density[inside], floor), 0.0, None
-    )
-    variance = (
-        float(np.sum(lines / (2.0 * np.pi * f[inside]) ** 2)) * rate_hz / len(tau)
-    )
+    noise = above * np.quantile(density[inside], floor)
+    lines = np.clip(density[inside] - noise, 0.0, None)
+
+    # Integration over time divides each line by its angular frequency.
+    of_integral = lines / (2.0 * np.pi * f[inside]) ** 2
+    variance = float(np.sum(of_integral)) * rate_hz / len(tau)
     return float(np.sqrt(2.0 * variance))
 
 
@@ -86,12 +87,25 @@ def stops(
     counts: float = 5.0,
     least_s: float = 0.1,
 ) -> bool:
-    """Tell whether positions (N,) rad pass one count or none in the time of so many `counts`.
+    """Return whether a joint passes one count or none in the time of several.
 
-    `speed` rad/s is the mean speed, `count` rad the encoder's step. Below `least_s` a
-    logger that repeats its values would stop as well.
+    Parameters
+    ----------
+    q : Array
+        Positions (N,) rad of the joint.
+    rate_hz : float
+    speed : float
+        Mean speed [rad/s].
+    count : float
+        The encoder's step [rad].
+    counts : float
+        Counts that it should pass.
+    least_s : float
+        Least time [s]: below it a logger that repeats its values would stop as well.
     """
-    samples = int(np.ceil(max(counts * count / speed, least_s) * rate_hz))
+    seconds = max(counts * count / speed, least_s)
+    samples = int(np.ceil(seconds * rate_hz))
     if count <= 0.0 or samples >= len(q):
         return False
-    return bool(np.abs(q[samples:] - q[:-samples]).min() < 1.5 * count)
+    travel = np.abs(q[samples:] - q[:-samples])
+    return bool(travel.min() < 1.5 * count)

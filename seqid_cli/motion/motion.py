@@ -22,11 +22,50 @@ SAMPLES_PER_CUTOFF = 10
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion on a uniform time base.
+    """Motion of n joints on a uniform time base.
 
-    `q`, `dq`, `ddq` (N, n) went through the low-pass once, `tau` (N, n) N m twice:
-    terms computed from the motion are to be filtered once more with `lowpass` (see
-    `filtered`), friction twice.
+    Terms computed from the motion are to be filtered once more with `lowpass` (see
+    `filtered`), friction twice: torque went through it twice.
+
+    Attributes
+    ----------
+    t : Array
+        (N,) s.
+    q, dq, ddq : Array
+        (N, n) rad, rad/s, rad/s^2 (m for slides), low-passed once.
+    tau : Array, optional
+        (N, n) N m, low-passed twice.
+    moving : Mask
+        (N, n), where each joint moves.
+    usable : Mask
+        (N,), false near ends and gaps, where the filter has not settled.
+    valid : Mask
+        (N,), false in gaps.
+    rate_hz : float
+        Samples per second.
+    lowpass : Lowpass
+        The filter of all quantities.
+    cutoff : Cutoff
+        What its cut-off was chosen from.
+    source : {"encoder", "imu", "fused"}
+        "imu": `dq` and `ddq` by Eq. 30-42; "fused": all by the smoother.
+    imus : tuple of str
+        IMUs that took part.
+    error : Array, optional
+        (n,) rad/s^2, standard deviation of `ddq` by IMUs.
+    encoder_error : Array, optional
+        (n,) rad/s^2, standard deviation of `ddq` by the encoders alone.
+    fused_error : Array, optional
+        (n,) rad/s^2, that of fused motion below the encoders' cut-off.
+    disagreement : Array, optional
+        (n,) rad/s^2, the part of both errors by which links and drives disagree. It
+        and `fused_error` are known where IMUs were asked.
+    velocity_error : Array, optional
+        (n,) rad/s, standard deviation of `dq` by IMUs.
+    warnings : tuple of str
+        What was not as it should be.
+    celsius : Array, optional
+        (N, n), the joints' temperatures, NaN where none was logged.
     """
 
     t: Array
@@ -35,25 +74,19 @@ class Motion:
     ddq: Array
     tau: Array | None
     moving: Mask
-    usable: Mask  # (N,) false near ends and gaps, where the filter has not settled
+    usable: Mask
     valid: Mask
     rate_hz: float
     lowpass: Lowpass
     cutoff: Cutoff
-    # Or "imu" (`dq` and `ddq` by Eq. 30-42), "fused" (all by the smoother).
     source: str = "encoder"
-    imus: tuple[str, ...] = ()  # that took part
-    # (n,) rad/s^2, standard deviation of `ddq` that they leave
+    imus: tuple[str, ...] = ()
     error: Array | None = None
-    encoder_error: Array | None = None  # that of the encoders alone
-    # Of fused motion below the encoders' cut-off, and the part of both errors by which
-    # links and drives disagree, (n,) rad/s^2; known where IMUs were asked.
+    encoder_error: Array | None = None
     fused_error: Array | None = None
     disagreement: Array | None = None
-    # (n,) rad/s, standard deviation of `dq` by IMUs
     velocity_error: Array | None = None
-    warnings: tuple[str, ...] = ()  # what was not as it should be
-    # (N, n) the joints' temperatures, NaN where none was logged
+    warnings: tuple[str, ...] = ()
     celsius: Array | None = None
 
     PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")
@@ -69,35 +102,51 @@ class Motion:
         return self.cutoff.acceleration_noise if self.error is None else self.error
 
     def part(self, where: slice) -> "Motion":
-        """Some samples; the filter stays."""
-        values = {name: getattr(self, name) for name in self.PER_SAMPLE}
-        own: dict[str, Any] = {
-            n: None if v is None else v[where] for n, v in values.items()
-        }
-        celsius = None if self.celsius is None else self.celsius[where]
-        return replace(self, celsius=celsius, **own)
+        """Return some samples; the filter stays."""
+        taken: dict[str, Any] = {}
+        for name in (*self.PER_SAMPLE, "celsius"):
+            values = getattr(self, name)
+            taken[name] = None if values is None else values[where]
+        return replace(self, **taken)
 
     def filtered(self, values: Array, times: int = 1, *, every: int = 1) -> Array:
-        """Send computed terms (N, ...) through the motion's own low-pass; see its call."""
+        """Send computed terms (N, ...) through the motion's own low-pass."""
         return self.lowpass(values, self.valid, times=times, every=every)
 
 
 def estimate_motion(
     recording: Recording, robot: Robot, options: MotionOptions
 ) -> Motion:
-    """Filter and differentiate the encoder positions of one log (Sec. 2.1, parallel filtering).
+    """Filter and differentiate the encoder positions of one log.
 
-    Returns: at the log's own rate. Raises InputError: no stretch is long enough to
-    filter.
+    All quantities go through the same filter (Sec. 2.1, parallel filtering).
+
+    Parameters
+    ----------
+    recording : Recording
+    robot : Robot
+    options : MotionOptions
+
+    Returns
+    -------
+    Motion
+        At the log's own rate.
+
+    Raises
+    ------
+    InputError
+        No stretch is long enough to filter.
     """
-    rate, resolution = recording.rate_hz, encoder_resolution(robot)
-    survey = survey_of_positions(recording.q, rate)
+    rate_hz = recording.rate_hz
+    resolution = encoder_resolution(robot)
+    survey = survey_of_positions(recording.q, rate_hz)
     cutoff = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
     if recording.sha256 not in options.own:
-        cutoff = as_asked(cutoff, recording.path, rate, options)
-    moving = moving_mask(recording.q, rate, survey.noise_step(resolution))
+        cutoff = as_asked(cutoff, recording.path, rate_hz, options)
+
+    moving = moving_mask(recording.q, rate_hz, survey.noise_step(resolution))
     motion = filtered_motion(
-        recording.t, recording.q, recording.valid, rate, cutoff, moving
+        recording.t, recording.q, recording.valid, rate_hz, cutoff, moving
     )
     tau, usable = filtered_torque(recording, motion.lowpass)
     return replace(
@@ -112,18 +161,49 @@ def estimate_motion(
 def filtered_motion(
     t: Array, q: Array, valid: Mask, rate_hz: float, cutoff: Cutoff, moving: Mask
 ) -> Motion:
-    """Filter and differentiate positions q (N, n) at times t (N,); no torque yet."""
+    """Filter and differentiate positions; torque is left out.
+
+    Parameters
+    ----------
+    t : Array
+        (N,) s.
+    q : Array
+        (N, n) rad, not filtered yet.
+    valid : Mask
+        (N,), false in gaps.
+    rate_hz : float
+    cutoff : Cutoff
+    moving : Mask
+        (N, n), where each joint moves.
+    """
     lowpass = Lowpass(cutoff.hz, rate_hz)
     q = lowpass(q, valid)
     dq, ddq = differentiate(q, rate_hz, valid)
-    usable = shrink(valid, 2 * lowpass.settling)
-    return Motion(t, q, dq, ddq, None, moving, usable, valid, rate_hz, lowpass, cutoff)
+    return Motion(
+        t=t,
+        q=q,
+        dq=dq,
+        ddq=ddq,
+        tau=None,
+        moving=moving,
+        usable=shrink(valid, 2 * lowpass.settling),
+        valid=valid,
+        rate_hz=rate_hz,
+        lowpass=lowpass,
+        cutoff=cutoff,
+    )
 
 
 def filtered_torque(
     recording: Recording, lowpass: Lowpass
 ) -> tuple[Array | None, Mask]:
-    """Torque (N, n) after two passes, if any, and the samples at which it has settled."""
+    """Return the torque (N, n) after two passes, if any, and where (N,) it has settled.
+
+    Raises
+    ------
+    InputError
+        It settles nowhere.
+    """
     usable = shrink(recording.valid, 2 * lowpass.settling)
     if recording.bridged is not None:
         usable &= ~recording.bridged
@@ -131,11 +211,12 @@ def filtered_torque(
         raise too_short(recording.path, lowpass.cutoff_hz)
     if recording.tau is None:
         return None, usable
-    return lowpass(lowpass(recording.tau, recording.valid), recording.valid), usable
+    once = lowpass(recording.tau, recording.valid)
+    return lowpass(once, recording.valid), usable
 
 
 def too_short(path: Path, cutoff_hz: float) -> InputError:
-    """The error of a log without a stretch that is long enough to filter."""
+    """Make the error of a log without a stretch that is long enough to filter."""
     message = (
         f"no stretch without a gap is long enough for a low-pass of {cutoff_hz:.3g} Hz"
     )
@@ -151,20 +232,34 @@ def as_asked(
     *,
     min_samples: float = 4.0,
 ) -> Cutoff:
-    """The cut-off of a log: the one that it has chosen, or the user's.
+    """Return the cut-off of a log: the one chosen from it, or the one asked for.
 
-    Raises InputError: it is too slow for the cut-off of the model to be used.
+    Parameters
+    ----------
+    chosen : Cutoff
+        The one chosen from the log.
+    path : Path
+        Of the log.
+    rate_hz : float
+        Of the log.
+    options : MotionOptions
+    min_samples : float
+        Samples per period of the cut-off that a log must have.
+
+    Raises
+    ------
+    InputError
+        The log is too slow for the cut-off of the model to be used.
     """
-    hz, highest = options.cutoff_hz, rate_hz / min_samples
+    hz = options.cutoff_hz
     if hz is None:
         return chosen
-    if hz > highest and options.origin not in ("", "as given"):
-        few = (
-            f"{rate_hz:.4g} samples per second are too few for the cut-off of"
-            f" {hz:.3g} Hz"
-        )
+    highest = rate_hz / min_samples
+    is_of_model = options.origin not in ("", "as given")
+    if hz > highest and is_of_model:
         message = (
-            f"{few}, {options.origin}; the highest that this log allows is"
+            f"{rate_hz:.4g} samples per second are too few for the cut-off of"
+            f" {hz:.3g} Hz, {options.origin}; the highest that this log allows is"
             f" {highest:.3g} Hz"
         )
         hint = (
@@ -178,38 +273,62 @@ def as_asked(
 def highest_bridged(
     recording: Recording, *, min_share: float = 0.05, max_periods: float = 0.2
 ) -> float:
-    """Highest cut-off [Hz] that bridged holes allow, where more than `min_share` of samples are."""
-    # A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi
-    # f h)^2 / 12: 13 percent at `max_periods` / h. A few holes are left out of the
-    # equations instead.
+    """Return the highest cut-off [Hz] that bridged holes allow.
+
+    A cubic across a hole of h seconds falls short of an acceleration of f Hz by
+    (2 pi f h)^2 / 12: 13 percent at `max_periods` / h. Where less than `min_share` of
+    the samples are bridged, they are left out of the equations instead.
+
+    Parameters
+    ----------
+    recording : Recording
+    min_share : float
+        Of the samples.
+    max_periods : float
+        Length of a hole in periods of the cut-off.
+    """
     if recording.bridged is None or recording.bridged.mean() < min_share:
         return HIGHEST_HZ
-    lengths = [
-        stop - start for start, stop in runs(recording.bridged, len(recording.t))
-    ]
+    holes = runs(recording.bridged, len(recording.t))
+    lengths = [stop - start for start, stop in holes]
     return max_periods * recording.rate_hz / (float(np.median(lengths)) + 1.0)
 
 
 def encoder_resolution(robot: Robot) -> Array:
-    """Encoder step of each joint (n,) rad; zero where the robot file does not give one."""
+    """Return the encoder steps (n,) rad of the robot file; zero where not given."""
     return np.array([joint.encoder_resolution or 0.0 for joint in robot.joints])
 
 
 def decimated(motion: Motion, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) -> Motion:
-    """Keep every k-th sample, at least `samples_per_cutoff` per period of the cut-off."""
+    """Keep every k-th sample, `samples_per_cutoff` or more per cut-off period."""
     # Low-passed signals lose nothing by it; the filter of computed terms runs on at the
     # lower rate.
     factor = int(motion.rate_hz / (samples_per_cutoff * motion.lowpass.cutoff_hz))
-    return thinned(motion, factor) if factor > 1 and motion.lowpass.active else motion
+    if factor > 1 and motion.lowpass.active:
+        return thinned(motion, factor)
+    return motion
 
 
 def thinned(
     motion: Motion, factor: int, start: int = 0, stop: int | None = None
 ) -> Motion:
-    """Keep every `factor`-th sample of [start, stop), valid if all up to the next one are."""
+    """Keep every `factor`-th sample of [start, stop).
+
+    One is valid if all samples up to the next one are.
+
+    Parameters
+    ----------
+    motion : Motion
+    factor : int
+    start, stop : int
+        Samples of the motion; all by default.
+    """
     stop = motion.samples if stop is None else stop
-    rate, groups = motion.rate_hz / factor, np.arange(0, stop - start, factor)
+    groups = np.arange(0, stop - start, factor)
     valid = np.logical_and.reduceat(motion.valid[start:stop], groups)
-    lowpass = Lowpass(motion.lowpass.cutoff_hz, rate, factor * motion.lowpass.every)
+
+    rate_hz = motion.rate_hz / factor
+    every = factor * motion.lowpass.every
+    lowpass = Lowpass(motion.lowpass.cutoff_hz, rate_hz, every)
     part = motion.part(slice(start, stop, factor))
-    return replace(part, valid=valid, rate_hz=rate, lowpass=lowpass)
+    return replace(part, valid=valid, rate_hz=rate_hz, lowpass=lowpass)

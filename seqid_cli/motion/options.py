@@ -10,16 +10,30 @@ SOURCES = ("auto", "needed", "encoder", "imu", "fused")
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """How logs are filtered."""
+    """How logs are filtered.
 
-    # the low-pass of all logs; None: each log chooses its own
+    Attributes
+    ----------
+    cutoff_hz : float, optional
+        The low-pass of all logs; None: each log chooses its own.
+    samples_per_cutoff : float
+        Samples per period of the cut-off that stay at least; infinite: all.
+    origin : str
+        Where the cut-off came from, for messages.
+    encoder_hz : float, optional
+        Cut-off that would suit the encoders alone.
+    reads_delays : bool
+        Whether the jerk is known well enough to estimate delays by it.
+    own : frozenset of str
+        SHA-256 of logs that choose for themselves.
+    kept : dict, optional
+        Motions of logs that are worked on again and again (see `log_motion`).
+    """
+
     cutoff_hz: float | None = None
-    # that stay per period of it at least; infinite: all
     samples_per_cutoff: float = 10.0
-    origin: str = ""  # where the cut-off came from
-    encoder_hz: float | None = None  # that would suit the encoders alone
-    # whether the jerk is known well enough to estimate delays by it
+    origin: str = ""
+    encoder_hz: float | None = None
     reads_delays: bool = True
-    own: frozenset[str] = frozenset()  # SHA-256 of logs that choose for themselves
-    # Motions of logs that are worked on again and again (see `log_motion`).
+    own: frozenset[str] = frozenset()
     kept: dict[Any, Any] | None = field(default=None, compare=False, repr=False)

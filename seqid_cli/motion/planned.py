@@ -26,7 +26,7 @@ REST_S = 0.3  # before the first stroke and after each
 
 @dataclass(frozen=True)
 class Shapes:
-    """The 2 K shapes of unit coefficients and their first two derivatives, each (2 K, N)."""
+    """The 2 K shapes of unit coefficients and their two derivatives, each (2 K, N)."""
 
     t: Array
     y: Array
@@ -35,65 +35,114 @@ class Shapes:
 
     @classmethod
     def over(cls, seconds: float, rate_hz: float) -> "Shapes":
-        """Sample them from 0 to `seconds`, both ends included."""
+        """Sample the shapes from 0 to `seconds`, both ends included."""
         t = np.linspace(0.0, seconds, round(seconds * rate_hz) + 1)
+
+        # The window w over x, from 0 to 1 in the ramps at both ends.
         ramp = seconds / (2 * HARMONICS)
-        up, down = np.clip(t / ramp, 0.0, 1.0), np.clip((seconds - t) / ramp, 0.0, 1.0)
-        x, sign = np.minimum(up, down), np.where(up <= down, 1.0, -1.0) / ramp
+        rising = np.clip(t / ramp, 0.0, 1.0)
+        falling = np.clip((seconds - t) / ramp, 0.0, 1.0)
+        x = np.minimum(rising, falling)
+        dx = np.where(rising <= falling, 1.0, -1.0) / ramp
         w = x**3 * (10 - 15 * x + 6 * x**2)
-        dw = sign * (30 * x**2 * (1 - x) ** 2)
+        dw = dx * (30 * x**2 * (1 - x) ** 2)
         ddw = 60 * x * (1 - x) * (1 - 2 * x) / ramp**2
-        pace = 2 * np.pi / seconds * np.repeat(np.arange(1, HARMONICS + 1), 2)[:, None]
-        lag = np.tile([0.0, np.pi / 2], HARMONICS)[:, None]
-        s, ds = np.sin(pace * t + lag), pace * np.cos(pace * t + lag)
+
+        # s: sine and cosine of every harmonic, one after the other.
+        harmonic = np.repeat(np.arange(1, HARMONICS + 1), 2)
+        pace = 2 * np.pi / seconds * harmonic[:, None]
+        phase = np.tile([0.0, np.pi / 2], HARMONICS)[:, None]
+        s = np.sin(pace * t + phase)
+        ds = pace * np.cos(pace * t + phase)
         dds = -(pace**2) * s
-        return cls(t, w * s, dw * s + w * ds, ddw * s + 2 * dw * ds + w * dds)
+        return cls(
+            t=t,
+            y=w * s,
+            dy=dw * s + w * ds,
+            ddy=ddw * s + 2 * dw * ds + w * dds,
+        )
 
 
 def profile(stroke: Stroke, rate_hz: float) -> tuple[Array, Array, Array]:
-    """Position, speed and acceleration (N,) of a stroke, its end included, its start not."""
-    way, v = abs(stroke.end - stroke.start), stroke.speed
+    """Compute position, speed and acceleration (N,) of a stroke.
+
+    Its end is included, its start is not.
+    """
+    distance = abs(stroke.end - stroke.start)
+    direction = np.sign(stroke.end - stroke.start)
+    v = stroke.speed
     ramp = np.pi * v / (2.0 * stroke.acceleration)
-    total = way / v + ramp
-    t = np.minimum(np.arange(1, int(np.ceil(total * rate_hz)) + 1) / rate_hz, total)
-    up, down = np.minimum(t, ramp), np.clip(t - (total - ramp), 0.0, ramp)
+    duration = distance / v + ramp
+    times = np.arange(1, int(np.ceil(duration * rate_hz)) + 1) / rate_hz
+    t = np.minimum(times, duration)
+
+    # Times within the first ramp, at full speed, and within the second ramp.
+    up = np.minimum(t, ramp)
+    cruise = np.clip(t - ramp, 0.0, duration - 2 * ramp)
+    down = np.clip(t - (duration - ramp), 0.0, ramp)
     pace = np.pi / ramp
-    moved = v * (up / 2 - np.sin(pace * up) / (2 * pace))
-    moved += v * np.clip(t - ramp, 0.0, total - 2 * ramp)
-    moved += v * (down / 2 + np.sin(pace * down) / (2 * pace))
-    speed = (
-        v
-        * np.where(t < total - ramp, 1 - np.cos(pace * up), 1 + np.cos(pace * down))
-        / 2
+    travelled = v * (up / 2 - np.sin(pace * up) / (2 * pace))
+    travelled += v * cruise
+    travelled += v * (down / 2 + np.sin(pace * down) / (2 * pace))
+
+    slows = t >= duration - ramp
+    speed = v * np.where(slows, 1 + np.cos(pace * down), 1 - np.cos(pace * up)) / 2
+    speeds_up = t < ramp
+    acceleration = (
+        v * pace / 2 * np.where(speeds_up, np.sin(pace * up), -np.sin(pace * down))
     )
-    push = v * pace / 2 * np.where(t < ramp, np.sin(pace * up), -np.sin(pace * down))
-    way_sign = np.sign(stroke.end - stroke.start)
-    return stroke.start + way_sign * moved, way_sign * speed, way_sign * push
+    position = stroke.start + direction * travelled
+    return position, direction * speed, direction * acceleration
 
 
 def sampled(
     move: PlannedMove, names: Sequence[str], rate_hz: float
 ) -> tuple[Array, ...]:
-    """Return times (N,) s, positions, speeds and accelerations (N, n) of a planned move."""
-    own = {}
-    if move.strokes:  # of one joint, each with a rest after it
-        rest = round(REST_S * rate_hz)
-        parts = [np.outer([move.strokes[0].start, 0.0, 0.0], np.ones(rest + 1))]
-        for stroke in move.strokes:
-            still = np.outer([stroke.end, 0.0, 0.0], np.ones(rest))
-            parts += [np.array(profile(stroke, rate_hz)), still]
-        own[move.joints[0]] = np.concatenate(parts, axis=1)
-        t = np.arange(own[move.joints[0]].shape[1]) / rate_hz
+    """Sample a planned move.
+
+    Parameters
+    ----------
+    move : PlannedMove
+    names : sequence of str
+        The n joints, in the order of the result's columns.
+    rate_hz : float
+
+    Returns
+    -------
+    tuple of Array
+        Times (N,) s, positions, speeds and accelerations (N, n) [rad; m for slides].
+    """
+    # Of each joint that moves: position, speed, acceleration (3, N).
+    by_joint = {}
+    if move.strokes:
+        joint = move.joints[0]
+        by_joint[joint] = _strokes(move, rate_hz)
+        t = np.arange(by_joint[joint].shape[1]) / rate_hz
     else:
         shapes = Shapes.over(move.duration_s, rate_hz)
-        t, c = shapes.t, np.empty(COEFFICIENTS)
+        t = shapes.t
         for name, motion in move.fourier.items():
-            c[0::2], c[1::2] = motion.sine, motion.cosine
-            own[name] = np.array(
+            c = np.empty(COEFFICIENTS)
+            c[0::2] = motion.sine
+            c[1::2] = motion.cosine
+            by_joint[name] = np.array(
                 [motion.centre + c @ shapes.y, c @ shapes.dy, c @ shapes.ddy]
             )
+
     states = np.zeros((3, len(t), len(names)))
     states[0] = [move.start[name] for name in names]
-    for name, values in own.items():
-        states[:, :, list(names).index(name)] = values
-    return t, *states
+    for name, state in by_joint.items():
+        states[:, :, list(names).index(name)] = state
+    q, dq, ddq = states
+    return t, q, dq, ddq
+
+
+def _strokes(move: PlannedMove, rate_hz: float) -> Array:
+    """Sample the strokes (3, N) of a move of one joint, a rest after each."""
+    n_rest = round(REST_S * rate_hz)
+    first = move.strokes[0].start
+    parts = [np.outer([first, 0.0, 0.0], np.ones(n_rest + 1))]
+    for stroke in move.strokes:
+        parts.append(np.array(profile(stroke, rate_hz)))
+        parts.append(np.outer([stroke.end, 0.0, 0.0], np.ones(n_rest)))
+    return np.concatenate(parts, axis=1)

@@ -1,4 +1,4 @@
-"""Which joints move when, and where one of them runs at constant velocity, from positions alone.
+"""Which joints move when, and where one joint runs at constant velocity, by positions.
 
 A coarse encoder shows a slow joint as rare single counts, so motion is looked for on
 several time scales: a joint moves where its position changes by more than two counts
@@ -22,22 +22,34 @@ from seqid_cli.typing import Array, Index, Mask
 SCALES_S = (0.1, 0.3, 1.0)
 TRAVEL_STEPS = 2.5  # noise steps of travel, beyond which a joint moves
 SMALLEST_STEP = 1e-4  # rad; below this a position change is not motion
-# of the fastest joint's travel, below which a locked joint is only shaken by it
+# Of the fastest joint's travel, below which a locked joint is only shaken by it.
 SHAKEN = 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Stretch:
-    """One joint at constant velocity, all others standing still."""
+    """One joint at constant velocity, all others standing still.
+
+    Attributes
+    ----------
+    joint : int
+    start, stop : int
+        Its samples, [start, stop).
+    move_start, move_stop : int
+        Samples of the move in one direction that it is part of.
+    velocity : float
+        rad/s, signed.
+    configuration : tuple of float
+        Mean position of every joint [rad].
+    """
 
     joint: int
     start: int
     stop: int
-    # where the move in one direction that the stretch is part of begins
     move_start: int
     move_stop: int
-    velocity: float  # rad/s, signed
-    configuration: tuple[float, ...]  # mean position of every joint, rad
+    velocity: float
+    configuration: tuple[float, ...]
 
     @property
     def samples(self) -> int:
@@ -46,129 +58,213 @@ class Stretch:
 
 
 def noise_step(q: Array, resolution: Array | None = None) -> Array:
-    """Smallest position change of each joint (n,) rad that counts as more than encoder noise."""
+    """Return the position changes that count as more than encoder noise.
+
+    Parameters
+    ----------
+    q : Array
+        Positions (N, n) rad.
+    resolution : Array, optional
+        (n,) rad, smallest steps of the encoders; zero where not known.
+
+    Returns
+    -------
+    Array
+        (n,) rad.
+    """
     step = np.maximum(encoder_step(q), 0.0 if resolution is None else resolution)
-    return np.asarray(
-        np.maximum(np.where(step > 0, step, 3 * white_noise(q)), SMALLEST_STEP)
-    )
+    noise = np.where(step > 0, step, 3 * white_noise(q))
+    return np.asarray(np.maximum(noise, SMALLEST_STEP))
 
 
 def motion_reach(rate_hz: float) -> int:
-    """Samples on either side that `moving_mask` looks at: half a time scale and its dilation."""
+    """Return the samples on either side that `moving_mask` looks at."""
+    # Half the longest time scale, and its dilation.
     return int(np.ceil(0.7 * max(SCALES_S) * rate_hz)) + 2
 
 
 def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) -> Mask:
-    """Where (K, n) joints at positions q (N, n) rad move, on any scale; noise `step` (n,) rad."""
-    # At the samples `at` (K,); all by default.
-    at, rows = np.arange(len(q)) if at is None else at, q.T
-    moving = np.zeros((len(rows), len(at)), dtype=np.bool_)
-    halves = (max(1, round(scale * rate_hz / 2)) for scale in SCALES_S)
-    for half in (half for half in halves if 2 * half < len(q)):
+    """Find which joints move when, on any time scale.
+
+    Parameters
+    ----------
+    q : Array
+        Positions (N, n) rad.
+    rate_hz : float
+    step : Array
+        (n,) rad, noise steps of the encoders.
+    at : Index, optional
+        Samples (K,) that are asked for; all by default.
+
+    Returns
+    -------
+    Mask
+        (K, n).
+    """
+    samples = np.arange(len(q)) if at is None else at
+    rows = q.T
+    moving = np.zeros((len(rows), len(samples)), dtype=np.bool_)
+    for scale_s in SCALES_S:
+        half = max(1, round(scale_s * rate_hz / 2))
+        if 2 * half >= len(q):
+            continue
         travel = np.abs(rows[:, 2 * half :] - rows[:, : -2 * half])
         least = np.maximum(TRAVEL_STEPS * step[:, None], SHAKEN * travel.max(axis=0))
-        changes = np.zeros((len(rows), travel.shape[1] + 1), dtype=np.int32)
-        np.cumsum(travel > least, axis=1, out=changes[:, 1:])
+
         # A change within the window moves its middle and a third of a half to either
-        # side.
-        reach = -(half // 3), half // 3 + 1
-        low, high = (np.clip(at - half + side, 0, travel.shape[1]) for side in reach)
-        moving |= changes[:, high] > changes[:, low]
+        # side; a running count says whether there is one.
+        n_windows = travel.shape[1]
+        count = np.zeros((len(rows), n_windows + 1), dtype=np.int32)
+        np.cumsum(travel > least, axis=1, out=count[:, 1:])
+        first = np.clip(samples - half - half // 3, 0, n_windows)
+        last = np.clip(samples - half + half // 3 + 1, 0, n_windows)
+        moving |= count[:, last] > count[:, first]
     return np.ascontiguousarray(moving.T)
 
 
 def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
-    """Velocity (N,) rad/s of one joint: difference of two half-window means over their distance."""
+    """Compute the velocity (N,) rad/s of one joint from means over windows.
+
+    It is the difference of two means, each over 2 `half` + 1 samples, over their
+    distance; zero near the ends.
+
+    Parameters
+    ----------
+    q : Array
+        Positions (N,) rad of the joint.
+    rate_hz : float
+    half : int
+        Samples between a sample and the middle of either mean.
+    """
     means = uniform_filter1d(q, 2 * half + 1, mode="nearest")
+    change = means[2 * half :] - means[: -2 * half]
     velocity = np.zeros_like(q)
-    velocity[half:-half] = (
-        (means[2 * half :] - means[: -2 * half]) * rate_hz / (2 * half)
-    )
+    velocity[half:-half] = change * rate_hz / (2 * half)
     return velocity
 
 
 def constant_velocity(
     q: Array, rate_hz: float, *, step: Array, valid: Mask
 ) -> list[Stretch]:
-    """Every stretch in which exactly one joint moves, at constant velocity, in time order."""
+    """Find all stretches in which exactly one joint moves, at constant velocity.
+
+    Parameters
+    ----------
+    q : Array
+        Positions (N, n) rad.
+    rate_hz : float
+    step : Array
+        (n,) rad, noise steps of the encoders.
+    valid : Mask
+        (N,), false in gaps.
+
+    Returns
+    -------
+    list of Stretch
+        In time order.
+    """
     moving = moving_mask(q, rate_hz, step)
     alone = valid & (moving.sum(axis=1) == 1)
-    found: list[Stretch] = []
+    stretches: list[Stretch] = []
     for j in range(q.shape[1]):
         for start, stop in runs(alone & moving[:, j], len(q)):
-            found += _stretches(q, rate_hz, j, start, stop, step[j])
-    return sorted(found, key=lambda stretch: stretch.start)
+            stretches += _stretches(q, rate_hz, j, start, stop, step[j])
+    return sorted(stretches, key=lambda stretch: stretch.start)
 
 
 def _stretches(
     q: Array, rate_hz: float, joint: int, start: int, stop: int, step: float
 ) -> list[Stretch]:
-    """Split one move of one joint at its reversals and keep what runs at constant velocity."""
-    result: list[Stretch] = []
-    for a, b in _directions(q[start:stop, joint], step):
-        begin, end = start + a, start + b
-        for c, d in _plateaus(q[begin:end, joint], rate_hz, step):
-            part = q[begin + c : begin + d]
+    """Split a move of one joint at its reversals, keep what has constant velocity."""
+    stretches: list[Stretch] = []
+    for first, last in _directions(q[start:stop, joint], step):
+        move_start = start + first
+        move_stop = start + last
+        move = q[move_start:move_stop]
+        for begin, end in _plateaus(move[:, joint], rate_hz, step):
+            part = move[begin:end]
             time = np.arange(len(part)) / rate_hz
             time -= time.mean()
-            slope = float(time @ part[:, joint] / (time @ time))
-            where = tuple(part.mean(axis=0).tolist())
-            if slope:
-                result.append(
-                    Stretch(joint, begin + c, begin + d, begin, end, slope, where)
+            velocity = float(time @ part[:, joint] / (time @ time))
+            if not velocity:
+                continue
+            stretches.append(
+                Stretch(
+                    joint=joint,
+                    start=move_start + begin,
+                    stop=move_start + end,
+                    move_start=move_start,
+                    move_stop=move_stop,
+                    velocity=velocity,
+                    configuration=tuple(part.mean(axis=0).tolist()),
                 )
-    return result
+            )
+    return stretches
 
 
 def _directions(position: Array, step: float) -> list[tuple[int, int]]:
-    """Index ranges between reversals; a reversal is a turn back by more than three counts."""
-    turns, extreme, direction = [0], 0, 0
-    # Indices at which the position has changed by a count or more: all that a turn can
-    # need.
+    """Return the index ranges between reversals of a joint's position (N,).
+
+    A reversal is a turn back by more than three counts.
+    """
+    # Only where the position has changed by a count or more can it turn.
     counts = np.round(position / step).astype(np.int64)
-    for i in (np.flatnonzero(np.diff(counts)) + 1).tolist():
+    changes = np.flatnonzero(np.diff(counts)) + 1
+
+    turns = [0]
+    extreme = 0
+    direction = 0
+    for i in changes.tolist():
         change = position[i] - position[extreme]
-        if direction == 0 and abs(change) > 3 * step:
-            direction, extreme = int(np.sign(change)), i
+        is_clear = abs(change) > 3 * step
+        if direction == 0 and is_clear:
+            direction = int(np.sign(change))
+            extreme = i
         elif direction * change > 0:
             extreme = i
-        elif direction != 0 and abs(change) > 3 * step:
+        elif direction != 0 and is_clear:
             turns.append(extreme)
-            direction, extreme = -direction, i
+            direction = -direction
+            extreme = i
     turns.append(len(position))
-    return [(a, b) for a, b in pairwise(turns) if b - a > 8]
+    return [(start, stop) for start, stop in pairwise(turns) if stop - start > 8]
 
 
 def _plateaus(
     position: Array, rate_hz: float, step: float, *, velocity_tolerance: float = 0.1
 ) -> list[tuple[int, int]]:
-    """Ranges of one-directional motion in which the velocity is constant."""
+    """Return the ranges of a move in one direction that have constant velocity."""
     travel = abs(position[-1] - position[0])
     if travel < 8 * step:
         return []
+
     # Half a window that holds about sixty counts, between 20 ms and a twelfth of the
     # move.
-    speed = np.quantile(np.abs(np.diff(position[:: max(1, len(position) // 50)])), 0.7)
-    speed *= rate_hz / max(1, len(position) // 50)
-    wanted = 30 * step * rate_hz / max(float(speed), 1e-9)
+    stride = max(1, len(position) // 50)
+    usual_change = np.quantile(np.abs(np.diff(position[::stride])), 0.7)
+    usual_speed = float(usual_change * (rate_hz / stride))
+    wanted = 30 * step * rate_hz / max(usual_speed, 1e-9)
     half = int(np.clip(wanted, max(2, 0.02 * rate_hz), max(2, len(position) / 12)))
     if 6 * half >= len(position):
         return []
-    inner = windowed_velocity(position, rate_hz, half)[half:-half]
-    drift = np.abs(inner[2 * half :] - inner[: -2 * half])
-    middle = inner[half:-half]
+
+    velocity = windowed_velocity(position, rate_hz, half)[half:-half]
+    drift = np.abs(velocity[2 * half :] - velocity[: -2 * half])
+    middle = velocity[half:-half]
     # Two windowed velocities of a quantised position differ by up to two counts per
     # window.
-    steady = drift < velocity_tolerance * np.abs(middle) + 1.2 * step * rate_hz / (
-        2 * half
-    )
-    found = []
-    for a, b in runs(steady, len(steady)):
-        whole = _trimmed(
-            position, a + 5 * half // 2, b + 2 * half - half // 2, rate_hz, step
-        )
-        found += [whole] if whole else []
-    return found
+    quantisation = 1.2 * step * rate_hz / (2 * half)
+    steady = drift < velocity_tolerance * np.abs(middle) + quantisation
+
+    # Counted from the position's first sample, windows at the ends left out.
+    plateaus = []
+    for first, last in runs(steady, len(steady)):
+        start = first + 5 * half // 2
+        stop = last + 2 * half - half // 2
+        plateau = _trimmed(position, start, stop, rate_hz, step)
+        if plateau:
+            plateaus.append(plateau)
+    return plateaus
 
 
 def _trimmed(
@@ -181,60 +277,88 @@ def _trimmed(
     least_share: float = 0.5,
     shortest_s: float = 0.12,
 ) -> tuple[int, int] | None:
-    """Cut a steady range back until its velocity is one and the same throughout."""
+    """Cut a steady range back until its velocity is one and the same throughout.
+
+    None where less than `least_share` of the move or `shortest_s` is left.
+    """
     # Drift within a window can be too slow to see and still add up, as near the top of
     # a sine; what is left must then be a fair share of the move.
-    least = max(8 * step, least_share * abs(float(position[-1] - position[0])))
+    least_travel = max(8 * step, least_share * abs(float(position[-1] - position[0])))
     while stop - start >= max(8, shortest_s * rate_hz):
         piece = position[start:stop]
-        if abs(float(piece[-1] - piece[0])) < least:
+        if abs(float(piece[-1] - piece[0])) < least_travel:
             break
-        first, last = _end_velocities(piece, step)
-        if max(first, last) <= 1.0:
+        at_start, at_stop = _end_velocities(piece, step)
+        if max(at_start, at_stop) <= 1.0:
             return start, stop
+
         cut = max(1, (stop - start) // 12)
-        start, stop = (start + cut, stop) if first > last else (start, stop - cut)
+        if at_start > at_stop:
+            start = start + cut
+        else:
+            stop = stop - cut
     return None
 
 
 def _end_velocities(
     piece: Array, step: float, *, slower: float = 0.1, steady: float = 0.15
 ) -> list[float]:
-    """How far the velocity at either end is from the mean, over what is allowed; a cubic fit."""
+    """Return how far the velocities at both ends are off, over what is allowed.
+
+    Velocities are those of a cubic fit. An end faster than the middle is a controller
+    settling: it may be off by `steady`. A slower one is the top of a sine: it may be
+    off by `slower`.
+    """
     x = np.linspace(-1.0, 1.0, len(piece))
-    cubic = Polynomial.fit(x, piece, 3, domain=[-1, 1], window=[-1, 1]).deriv()
+    velocity = Polynomial.fit(x, piece, 3, domain=[-1, 1], window=[-1, 1]).deriv()
     mean = float(piece[-1] - piece[0]) / 2
     # The slope of a cubic at its ends, from samples quantised to a step, is known to
     # about this.
     slack = 30 * step / np.sqrt(12 * len(piece)) / abs(mean)
-    first, middle, last = (float(cubic(at)) / mean for at in (-1.0, 0.0, 1.0))
-    # An end faster than the middle is a controller settling, a slower one the top of a
-    # sine.
-    steady, slower = steady + slack, slower + slack
-    return [
-        float(max(abs(end - 1) / steady, (middle - end) / slower))
-        for end in (first, last)
-    ]
+
+    middle = float(velocity(0.0)) / mean
+    excesses = []
+    for end in (-1.0, 1.0):
+        at_end = float(velocity(end)) / mean
+        from_mean = abs(at_end - 1) / (steady + slack)
+        below_middle = (middle - at_end) / (slower + slack)
+        excesses.append(float(max(from_mean, below_middle)))
+    return excesses
 
 
 def unmoved(
     q: Array, resolution: Array | None, samples: int, *, max_swing_steps: float = 1.5
 ) -> Mask:
-    """Where (N,) no joint leaves its place by more than the encoder's noise, for `samples`.
+    """Find where no joint leaves its place by more than the encoder's noise.
 
     Unlike `moving_mask`, whose windows are as long as a slow joint needs to pass two
     counts, it shows short rests between moves; a joint that creeps within a count
-    stands. `q` (N, n): positions, rad (m). `resolution` (n,): smallest steps of the
-    encoders, where known.
+    stands.
+
+    Parameters
+    ----------
+    q : Array
+        Positions (N, n) [rad; m where prismatic].
+    resolution : Array, optional
+        (n,), smallest steps of the encoders, where known.
+    samples : int
+        Length of the shortest rest.
+    max_swing_steps : float
+        Noise steps that a joint at rest may swing.
+
+    Returns
+    -------
+    Mask
+        (N,).
     """
     size = max(3, samples)
     swing = maximum_filter1d(q, size, axis=0) - minimum_filter1d(q, size, axis=0)
-    middle = (swing <= max_swing_steps * noise_step(q, resolution)).all(axis=1)
-    return np.asarray(maximum_filter1d(middle.astype(np.uint8), size) > 0)
+    rests = (swing <= max_swing_steps * noise_step(q, resolution)).all(axis=1)
+    # A window that rests does so in all its length, not in its middle alone.
+    return np.asarray(maximum_filter1d(rests.astype(np.uint8), size) > 0)
 
 
 def standing(moving: Mask, rate_hz: float, margin_s: float = 0.05) -> Mask:
-    """Where each joint (N, n) certainly stands still: not moving, with a margin around motion."""
-    return np.stack(
-        [shrink(~column, round(margin_s * rate_hz)) for column in moving.T], axis=1
-    )
+    """Return where (N, n) joints certainly stand still, a margin away from motion."""
+    margin = round(margin_s * rate_hz)
+    return np.stack([shrink(~column, margin) for column in moving.T], axis=1)

@@ -24,7 +24,7 @@ from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array, Mask
 
-# motion of a log, and for how many seconds the joint slides
+# Motion of a log, and for how many seconds the joint slides.
 Slid = Sequence[tuple[Motion, float]]
 
 GRID = 400  # frequencies, over which a band is integrated
@@ -53,25 +53,52 @@ PER_OCTAVE = 4  # bands
 
 
 def power_gain(lowpass: Lowpass, frequency: Array, times: int) -> Array:
-    """Power gain of `times` zero-phase passes at frequencies (F,) Hz."""
+    """Return the power gain of some zero-phase passes.
+
+    Parameters
+    ----------
+    lowpass : Lowpass
+    frequency : Array
+        (F,) Hz.
+    times : int
+        Number of passes.
+
+    Returns
+    -------
+    Array
+        (F,), 1 at rest.
+    """
     if not lowpass.active:
         return np.ones_like(frequency)
-    rate = lowpass.rate_hz
-    warped = np.tan(np.pi * np.minimum(frequency, 0.499999 * rate) / rate)
-    ratio = warped / np.tan(np.pi * lowpass.cutoff_hz / rate)
+    rate_hz = lowpass.rate_hz
+    # The bilinear transform bends the axis of frequencies: the tangent has no end.
+    below_nyquist = np.minimum(frequency, 0.499999 * rate_hz)
+    warped = np.tan(np.pi * below_nyquist / rate_hz)
+    ratio = warped / np.tan(np.pi * lowpass.cutoff_hz / rate_hz)
     return np.asarray((1.0 + ratio ** (2 * ORDER)) ** (-2.0 * times))
 
 
 def stretches(mask: Mask, length: int) -> list[int]:
-    """First samples of as many stretches of `length` samples as lie within True."""
-    return [
-        s for a, b in runs(mask, len(mask)) for s in range(a, b - length + 1, length)
-    ]
+    """Return the first samples of as many stretches of a length as lie within True."""
+    starts: list[int] = []
+    for first, last in runs(mask, len(mask)):
+        starts += range(first, last - length + 1, length)
+    return starts
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Two-sided densities (F,) N^2 m^2 / Hz, each of so many `averaged` (F,) periodograms."""
+    """Two-sided densities of a torque.
+
+    Attributes
+    ----------
+    frequency : Array
+        (F,) Hz.
+    density : Array
+        (F,) N^2 m^2 / Hz.
+    averaged : Array
+        (F,), numbers of periodograms that the densities are means of.
+    """
 
     frequency: Array
     density: Array
@@ -87,57 +114,83 @@ class Spectrum:
         *,
         robust: bool,
     ) -> Spectrum:
-        """Spectrum of values (N,) over stretches, below the Nyquist frequency; none of no stretch.
+        """Compute the spectrum over some stretches, below the Nyquist frequency.
 
-        The stretches have `length` samples from each of `starts` on; the trend of each
-        is removed. `robust` tapers them, as motion leaks, and takes the median over
-        them instead of the mean.
+        Parameters
+        ----------
+        values : Array
+            (N,) N m.
+        starts : sequence of int
+            First samples of the stretches. The trend of each stretch is removed.
+        length : int
+            Samples of a stretch.
+        rate_hz : float
+        robust : bool
+            Whether stretches are tapered, as motion leaks, and the median over them is
+            taken instead of the mean.
+
+        Returns
+        -------
+        Spectrum
+            Empty where there is no stretch.
         """
         frequency = np.fft.rfftfreq(length, 1.0 / rate_hz).astype(np.float64)
-        kept = (np.arange(len(frequency)) >= SLOWEST) & (
-            frequency < 0.5 * NYQUIST_SHARE * rate_hz
-        )
-        if not starts or not kept.any():
+        free_of_trend = np.arange(len(frequency)) >= SLOWEST
+        used = free_of_trend & (frequency < 0.5 * NYQUIST_SHARE * rate_hz)
+        if not starts or not used.any():
             return cls(np.zeros(0), np.zeros(0), np.zeros(0))
+
         window = np.hanning(length) if robust else np.ones(length)
-        pieces = window * detrend(
-            np.stack([values[s : s + length] for s in starts]), axis=1
-        )
-        power = np.abs(np.fft.rfft(pieces, axis=1)[:, kept]) ** 2 / (
-            rate_hz * np.sum(window**2)
-        )
+        stacked = np.stack([values[start : start + length] for start in starts])
+        pieces = window * detrend(stacked, axis=1)
+        spectra = np.fft.rfft(pieces, axis=1)[:, used]
+        power = np.abs(spectra) ** 2 / (rate_hz * np.sum(window**2))
+
         # The median of an exponential distribution is log 2 of its mean; that of two is
         # their mean.
-        middle = robust and len(starts) > 2
-        density = (
-            np.median(power, axis=0) / np.log(2.0) if middle else power.mean(axis=0)
-        )
+        if robust and len(starts) > 2:
+            density = np.median(power, axis=0) / np.log(2.0)
+        else:
+            density = power.mean(axis=0)
         count = len(starts) / HANN_MEDIAN if robust else len(starts)
-        return cls(frequency[kept], density, np.full(len(density), count))
+        return cls(frequency[used], density, np.full(len(density), count))
 
     def within(self, low: float, high: float) -> Spectrum:
-        """What lies between two frequencies, Hz."""
-        kept = (self.frequency > low) & (self.frequency < high)
-        return Spectrum(self.frequency[kept], self.density[kept], self.averaged[kept])
+        """Return the part between two frequencies, Hz."""
+        inside = (self.frequency > low) & (self.frequency < high)
+        return Spectrum(
+            self.frequency[inside], self.density[inside], self.averaged[inside]
+        )
 
     def at_least(self, density: float) -> Spectrum:
-        """The same where less than a density cannot be."""
+        """Return the spectrum where less than a density cannot be."""
         return replace(self, density=np.maximum(self.density, density))
 
-    @property
-    def bands(self) -> tuple[Array, Array, Array]:
-        """The same, array by array, in bands of a fraction of an octave."""
+    def in_bands(self) -> Spectrum:
+        """Return the spectrum averaged over bands of a fraction of an octave."""
         band = np.floor(PER_OCTAVE * np.log2(self.frequency))
         starts = np.flatnonzero(np.diff(band, prepend=-np.inf))
         count = np.diff(starts, append=len(band))
-        parts = (self.frequency, self.density, self.averaged)
-        frequency, density, averaged = (np.add.reduceat(x, starts) for x in parts)
-        return frequency / count, density / count, averaged
+        return Spectrum(
+            frequency=np.add.reduceat(self.frequency, starts) / count,
+            density=np.add.reduceat(self.density, starts) / count,
+            averaged=np.add.reduceat(self.averaged, starts),
+        )
 
 
 @dataclass(frozen=True)
 class Level:
-    """What noise may be: for each shape (K,) the logarithm of s, its variance, and a weight."""
+    """What noise may be, for each of K shapes.
+
+    Attributes
+    ----------
+    log_scale, variance : Array
+        (K,), the logarithm of s and its variance.
+    weight : Array
+        (K,), probability of the shape.
+    reference_hz : float
+        f0.
+    """
 
     log_scale: Array
     variance: Array
@@ -145,65 +198,98 @@ class Level:
     reference_hz: float
 
     def rms(self, slid: Slid) -> Array:
-        """RMS of the low-passed noise, ends of its 95 % interval, the most of any shape (4,)."""
-        total = sum(seconds for _, seconds in slid)
-        passed, scatter = np.zeros(len(RATIO)), np.zeros(len(RATIO))
+        """Return the RMS of the low-passed noise where a joint slides.
+
+        Returns
+        -------
+        Array
+            (4,) N m: the most likely one, the ends of its 95 % interval, the largest of
+            any shape.
+        """
+        total_s = sum(seconds for _, seconds in slid)
+        passed = np.zeros(len(RATIO))
+        scatter = np.zeros(len(RATIO))
         for motion, seconds in slid:
             top = min(0.5 * motion.rate_hz, 2.0 * motion.lowpass.cutoff_hz)
             frequency = np.geomspace(1.0 / motion.t[-1], top, GRID)
-            # of both signs together
-            passing = 2.0 * power_gain(motion.lowpass, frequency, 2)
-            density = passing * _shapes(frequency / self.reference_hz)
-            passed += seconds / total * np.trapezoid(density, frequency)
-            scatter += seconds / total**2 * np.trapezoid(density**2, frequency)
-        middle = self.log_scale + np.log(passed)
+            # A two-sided density: frequencies of both signs pass.
+            gain = 2.0 * power_gain(motion.lowpass, frequency, 2)
+            density = gain * _shapes(frequency / self.reference_hz)
+            passed += seconds / total_s * np.trapezoid(density, frequency)
+            scatter += seconds / total_s**2 * np.trapezoid(density**2, frequency)
+
+        # Logarithm of the mean square, by shape.
+        log_square = self.log_scale + np.log(passed)
         spread = np.sqrt(self.variance + scatter / passed**2)
-        likely, white = self.weight > UNLIKELY, self.weight[WHITE].sum() > 0.5
-        most_likely = likely & (WHITE if white else ~WHITE)
-        found = self._quantiles(middle, spread, most_likely, [0.5])
-        low, high = self._quantiles(middle, spread, likely, [TAIL, 1.0 - TAIL])
-        ends = min(low, found[0]), max(high, found[0]), max(high, middle.max())
-        return np.exp(0.5 * np.array([found[0], *ends]))
+
+        likely = self.weight > UNLIKELY
+        is_white = self.weight[WHITE].sum() > 0.5
+        most_likely = likely & (WHITE if is_white else ~WHITE)
+        (middle,) = self._quantiles(log_square, spread, most_likely, [0.5])
+        low, high = self._quantiles(log_square, spread, likely, [TAIL, 1.0 - TAIL])
+        log_squares = [
+            middle,
+            min(low, middle),
+            max(high, middle),
+            max(high, log_square.max()),
+        ]
+        return np.exp(0.5 * np.array(log_squares))
 
     def _quantiles(
         self, middle: Array, spread: Array, some: Mask, shares: list[float]
     ) -> Array:
-        """Quantiles of the logarithm of a mean square over some of the shapes."""
-        middle, spread = middle[some, None], spread[some, None]
-        ends = (middle - REACH * spread).min(), (middle + REACH * spread).max()
-        at = np.linspace(*ends, STEPS)
+        """Return quantiles of the logarithm of a mean square over some shapes."""
+        middle = middle[some, None]
+        spread = spread[some, None]
+        lowest = (middle - REACH * spread).min()
+        highest = (middle + REACH * spread).max()
+        at = np.linspace(lowest, highest, STEPS)
         below = self.weight[some] @ ndtr((at - middle) / spread)
         return np.interp(shares, below / below[-1], at)
 
 
 def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
-    """White and 1/f^a noise of a joint, of which spectra show at least as much as there is.
+    """Estimate white and 1/f^a noise of a joint.
 
-    r is their ratio at `reference_hz`. The excess of a band, noise that is not white
-    and an exponent other than 1 must each gain a log-likelihood of one (Akaike's
-    criterion).
+    The excess of a band, noise that is not white and an exponent other than 1 must each
+    gain a log-likelihood of one (Akaike's criterion).
+
+    Parameters
+    ----------
+    spectra : sequence of Spectrum
+        They show at least as much noise as there is.
+    reference_hz : float
+        f0, where r is the ratio of 1/f^a to white noise.
     """
-    bands = zip(*(one.bands for one in spectra), strict=True)
-    frequency, density, averaged = map(np.concatenate, bands)
-    # A mean of so many periodograms has a gamma distribution; its logarithm is off and
-    # scatters.
-    known = np.log(np.maximum(density, TINY)) - digamma(averaged) + np.log(averaged)
-    above = known - np.log(_shapes(frequency / reference_hz))
-    order = np.argsort(above, axis=1)
-    above = np.take_along_axis(above, order, axis=1)
+    bands = [spectrum.in_bands() for spectrum in spectra]
+    frequency = np.concatenate([band.frequency for band in bands])
+    density = np.concatenate([band.density for band in bands])
+    averaged = np.concatenate([band.averaged for band in bands])
+
+    # A mean of so many periodograms has a gamma distribution: its logarithm is off by
+    # digamma(a) - log(a) on the average, with the variance polygamma(1, a).
+    log_density = np.log(np.maximum(density, TINY)) - digamma(averaged)
+    log_density = log_density + np.log(averaged)
+    log_scale = log_density - np.log(_shapes(frequency / reference_hz))
+    order = np.argsort(log_scale, axis=1)
+    log_scale = np.take_along_axis(log_scale, order, axis=1)
     precision = 1.0 / polygamma(1, averaged)[order]
-    # Of the lowest 1, 2, ... bands: their mean, and what they and an excess of all
-    # others cost.
+
+    # For the lowest 1, 2, ... bands: their mean, and the log-likelihood that they and
+    # an excess of all others cost.
     total = np.cumsum(precision, axis=1)
-    mean = np.cumsum(precision * above, axis=1) / total
-    lost = 0.5 * (np.cumsum(precision * above**2, axis=1) - total * mean**2)
-    lost += np.arange(len(frequency))[::-1]
-    best = np.arange(len(above)), np.argmin(lost, axis=1)
-    prior = -MORE - np.log([np.count_nonzero(more == MORE) for more in MORE])
-    weight = softmax(prior - lost[best] - 0.5 * np.log(total[best]))
+    mean = np.cumsum(precision * log_scale, axis=1) / total
+    squares = np.cumsum(precision * log_scale**2, axis=1)
+    cost = 0.5 * (squares - total * mean**2)
+    cost += np.arange(len(frequency))[::-1]
+    best = (np.arange(len(log_scale)), np.argmin(cost, axis=1))
+
+    n_alike = [np.count_nonzero(n_parameters == MORE) for n_parameters in MORE]
+    prior = -MORE - np.log(n_alike)
+    weight = softmax(prior - cost[best] - 0.5 * np.log(total[best]))
     return Level(mean[best], 1.0 / total[best], weight, reference_hz)
 
 
 def _shapes(relative: Array) -> Array:
-    """S over s (K, F) at frequencies (F,) relative to f0."""
+    """Return S over s (K, F) at frequencies (F,) relative to f0."""
     return np.asarray(1.0 + RATIO[:, None] * relative ** -EXPONENT[:, None])

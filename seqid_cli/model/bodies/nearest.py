@@ -6,6 +6,7 @@ to the expected ones: the CAD's, or a guess from the arm's geometry.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -22,19 +23,32 @@ from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Chain, Robot
 from seqid_cli.typing import Array, Mask
 
-# of a parameter's scale; data without noise give no errors to weigh by
+# Of a parameter's scale; data without noise give no errors to weigh by.
 _LEAST_ERROR = 1e-9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Identified:
     """What the rigid-body stages of a file say.
 
-    `values`, `errors` (b,) and `covariance` (b, b) are of the base parameters `rows` of
-    `basis`, the ones that the logs determined; `moves` (n, b) is the part of these
-    errors that each joint's torque constant has. `whole_values` are those of the whole
-    basis, as the file's torque has them. `known` (n,) kg m^2 are rotor inertias of the
-    robot file and `free` lists joints whose rotor inertia was identified.
+    Attributes
+    ----------
+    basis : Basis
+        All base parameters of the robot.
+    rows : tuple of int
+        Those of the basis that the logs determined; b in number.
+    values, errors : Array
+        (b,), the determined base parameters and their standard errors.
+    covariance : Array
+        (b, b) of them.
+    moves : Array
+        (n, b), the part of these errors that each joint's torque constant has.
+    known : Array
+        (n,) kg m^2, rotor inertias of the robot file.
+    free : tuple of int
+        Joints whose rotor inertia was identified.
+    whole_values : Array
+        Values of the whole basis, as the file's torque has them.
     """
 
     basis: Basis
@@ -49,35 +63,40 @@ class Identified:
 
     @property
     def held_covariance(self) -> Array:
-        """Covariance (b, b) for torque constants as they are: of torque by the same drives."""
+        """Covariance (b, b) for torque constants as they are.
+
+        It holds for torque by the same drives.
+        """
         return np.asarray(self.covariance - self.moves.T @ self.moves)
 
     @property
     def open(self) -> tuple[str, ...]:
         """Expressions of the base parameters that the logs did not determine."""
-        every = range(self.basis.size)
-        return tuple(self.basis.expression_text(k) for k in every if k not in self.rows)
+        return tuple(
+            self.basis.expression_text(k)
+            for k in range(self.basis.size)
+            if k not in self.rows
+        )
 
     def deviations(self, phi: Array, rotor: Array) -> tuple[ExportedParameter, ...]:
         """Compare with links (n, 10) and rotors (n,), the identified ones in `free`."""
-        exported = self.basis.expression[list(self.rows)] @ np.concatenate(
-            [phi.ravel(), rotor]
-        )
-        found = []
+        parameters = np.concatenate([phi.ravel(), rotor])
+        exported = self.basis.expression[list(self.rows)] @ parameters
+        compared = []
         for k, old, new, error in zip(
             self.rows, self.values, exported, self.errors, strict=True
         ):
-            off = float((new - old) / error) if error > 0.0 else None
-            numbers = {
-                "identified": float(old),
-                "exported": float(new),
-                "std_error": float(error),
-            }
-            name, unit = self.basis.names[k], self.basis.unit(k)
-            found.append(
-                ExportedParameter(name=name, unit=unit, **numbers, std_errors=off)
+            compared.append(
+                ExportedParameter(
+                    name=self.basis.names[k],
+                    unit=self.basis.unit(k),
+                    identified=float(old),
+                    exported=float(new),
+                    std_error=float(error),
+                    std_errors=float((new - old) / error) if error > 0.0 else None,
+                )
             )
-        return tuple(found)
+        return tuple(compared)
 
 
 def identified(
@@ -85,21 +104,32 @@ def identified(
 ) -> Identified:
     """Collect the base parameters of a file.
 
-    `stages`: with gravity, with inertia, with both, or with neither. `more` (11 n,):
-    standard parameters, rotors last, that effects add to the identified ones. Raises
-    ConfigError if the parameters are not those of this robot file, or of no arm.
+    Parameters
+    ----------
+    stages : Stages
+        With gravity, with inertia, with both, or with neither.
+    robot : Robot
+    more : Array, optional
+        (11 n,), standard parameters, rotors last, that effects add to the identified
+        ones.
+    largest : float
+        Size from which a standard parameter is of no arm.
+
+    Raises
+    ------
+    ConfigError
+        The parameters are not those of this robot file, or of no arm.
     """
     basis = free_basis(robot)
-    rigid = stages.inertia or stages.gravity
     phi = np.zeros(basis.expression.shape[1])
+    rigid = stages.inertia or stages.gravity
     if rigid is not None:
-        phi = np.concatenate([x.ravel() for x in standard_parameters(rigid, robot.n)])
+        links, rotors = standard_parameters(rigid, robot.n)
+        phi = np.concatenate([links.ravel(), rotors.ravel()])
     if more is not None:
         phi = phi + more
-    found, covariance, moves = _determined(stages, basis, robot)
-    rows = tuple(basis.names.index(parameter.name) for parameter in found)
-    known = np.array([joint.rotor_inertia is not None for joint in robot.joints])
-    first = PER_LINK * robot.n
+
+    determined = _determined(stages, basis, robot)
     if not (np.abs(phi) < largest).all():
         message = (
             f"a standard parameter of the file is {np.abs(phi).max():.3g}, above"
@@ -107,66 +137,100 @@ def identified(
         )
         hint = "The file was edited or damaged: run the stage again that wrote it."
         raise ConfigError(message, where=str(robot.source), hint=hint)
+
+    rows = [basis.names.index(parameter.name) for parameter in determined.parameters]
     values = basis.expression @ phi
-    seen = basis.expression[list(rows)][:, first:].any(axis=0) & ~known
+    first_rotor = PER_LINK * robot.n
+    is_given = np.array([joint.rotor_inertia is not None for joint in robot.joints])
+    shows = basis.expression[rows][:, first_rotor:].any(axis=0)
+    given_rotors = known_rotors(robot)
+    if stages.inertia:
+        given_rotors = np.where(is_given, phi[first_rotor:], 0.0)
     return Identified(
         basis=basis,
-        rows=rows,
-        values=values[list(rows)],
-        errors=np.array([parameter.std_error for parameter in found]),
-        covariance=covariance,
-        moves=moves,
-        known=(
-            np.where(known, phi[first:], 0.0) if stages.inertia else known_rotors(robot)
-        ),
-        free=tuple(int(j) for j in np.flatnonzero(seen)),
+        rows=tuple(rows),
+        values=values[rows],
+        errors=np.array([parameter.std_error for parameter in determined.parameters]),
+        covariance=determined.covariance,
+        moves=determined.moves,
+        known=given_rotors,
+        free=tuple(int(j) for j in np.flatnonzero(shows & ~is_given)),
         whole_values=np.asarray(values),
     )
 
 
-def _determined(
-    stages: Stages, basis: Basis, robot: Robot
-) -> tuple[list[Parameter], Array, Array]:
-    """Parameters that the logs determined, inertia's word before gravity's, covariance, moves."""
-    found: list[Parameter] = []
-    blocks, moves = [np.zeros((0, 0))], [np.zeros((robot.n, 0))]
+class _Determined(NamedTuple):
+    """Base parameters that the logs determined; covariance (b, b), moves (n, b)."""
+
+    parameters: list[Parameter]
+    covariance: Array
+    moves: Array
+
+
+def _determined(stages: Stages, basis: Basis, robot: Robot) -> _Determined:
+    """Collect the determined parameters; inertia's count where both stages have one."""
+    parameters: list[Parameter] = []
+    covariances = [np.zeros((0, 0))]
+    moves = [np.zeros((robot.n, 0))]
     for name, stage in (("inertia", stages.inertia), ("gravity", stages.gravity)):
         if stage is None:
             continue
-        alien = next(
-            (p.name for p in stage.parameters if p.name not in basis.names), None
-        )
-        if alien is not None:
-            message = f"$.stages.{name}: {alien!r} is no base parameter of this robot"
-            hint = (
-                "The robot file has changed since: geometry, gravity or known rotor"
-                " inertias."
-            )
-            hint += (
-                " Give the one that the parameters were identified with, or identify"
-                " again."
-            )
-            raise ConfigError(message, where=str(robot.source), hint=hint)
-        taken = {parameter.name for parameter in found}
-        own = [
+        for parameter in stage.parameters:
+            if parameter.name not in basis.names:
+                raise _of_other_robot(name, parameter, robot)
+
+        earlier = {parameter.name for parameter in parameters}
+        new = [
             k
             for k, parameter in enumerate(stage.parameters)
-            if parameter.name not in taken
+            if parameter.name not in earlier
         ]
+        parameters += [stage.parameters[k] for k in new]
+
         errors = np.array([parameter.std_error for parameter in stage.parameters])
-        full = np.array(stage.covariance) if stage.covariance else np.diag(errors**2)
-        found += [stage.parameters[k] for k in own]
-        blocks.append(full[np.ix_(own, own)])
-        told, none = stage.torque_constant_moves, [0.0] * len(errors)
-        moves.append(
-            np.array([told.get(joint, none) for joint in robot.joint_names])[:, own]
-        )
-    common = np.hstack(moves)  # one error per joint
-    return found, block_diag(*blocks) + common.T @ common, common
+        covariance = np.diag(errors**2)
+        if stage.covariance:
+            covariance = np.array(stage.covariance)
+        covariances.append(covariance[np.ix_(new, new)])
+
+        no_moves = [0.0] * len(errors)
+        by_joint = [
+            stage.torque_constant_moves.get(joint, no_moves)
+            for joint in robot.joint_names
+        ]
+        moves.append(np.array(by_joint)[:, new])
+
+    # A torque constant is one error per joint: it is common to both stages.
+    of_torque_constants = np.hstack(moves)
+    common = of_torque_constants.T @ of_torque_constants
+    return _Determined(
+        parameters=parameters,
+        covariance=block_diag(*covariances) + common,
+        moves=of_torque_constants,
+    )
+
+
+def _of_other_robot(stage: str, parameter: Parameter, robot: Robot) -> ConfigError:
+    """Make the error of a parameter that the robot's basis does not have."""
+    message = f"$.stages.{stage}: {parameter.name!r} is no base parameter of this robot"
+    hint = (
+        "The robot file has changed since: geometry, gravity or known rotor inertias."
+        " Give the one that the parameters were identified with, or identify again."
+    )
+    return ConfigError(message, where=str(robot.source), hint=hint)
 
 
 def whitening(covariance: Array, least: float, *, min_variance: float = 1e-10) -> Array:
-    """Return W (b, b) with W'W the inverse of a covariance (b, b), errors at least `least`."""
+    """Return W (b, b) with W'W the inverse of a covariance (b, b).
+
+    Parameters
+    ----------
+    covariance : Array
+    least : float
+        Least standard error of a parameter.
+    min_variance : float
+        Least variance along an axis of the correlation, against rounding.
+    """
     if not len(covariance):
         return np.zeros((0, 0))
     errors = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), least)
@@ -185,44 +249,72 @@ def expected_links(
     *,
     min_mass: float = 1e-6,
 ) -> tuple[Array, tuple[bool, ...]]:
-    """Return the expected pseudo-inertias (n, 4, 4), positive definite; which of them are CAD's.
+    """Return the expected links: CAD's where it has them, or guessed.
 
-    `kept` (n, 10) are parts of the bodies that stay as they are, not of the links.
-    Identified combinations `E` (b, 10 n) and `G` (b, k) of links and rotors with their
-    `values` (b,) scale the guess.
+    Parameters
+    ----------
+    robot : Robot
+    kept : Array
+        (n, 10), parts of the bodies that stay as they are, not of the links.
+    E, G : Array
+        (b, 10 n) and (b, k), identified combinations of links and rotors.
+    values : Array
+        (b,) of these combinations; they scale the guess.
+    min_mass : float
+        Mass of a link of CAD [kg], below which it is guessed.
+
+    Returns
+    -------
+    tuple
+        Pseudo-inertias (n, 4, 4), positive definite, and which of them are CAD's.
     """
-    lengths, shapes = _shapes(robot.chain)
-    cad = np.zeros((robot.n, 10)) if robot.nominal is None else robot.nominal - kept
-    given = cad[:, 0] > min_mass
-    left = values - E @ np.where(given[:, None], cad, 0.0).ravel()
-    masses = _masses(shapes, E, left, given, np.asarray(G.any(axis=1)))
-    J = masses[:, None, None] * shapes
-    for i in np.flatnonzero(given):
-        J[i] = _solid(pseudo_inertia(cad[i]), lengths[i])
-    return J, tuple(given.tolist())
+    guess = _guessed_links(robot.chain)
+    cad = np.zeros((robot.n, 10))
+    if robot.nominal is not None:
+        cad = robot.nominal - kept
+    has_cad = cad[:, 0] > min_mass
+
+    beside_cad = values - E @ np.where(has_cad[:, None], cad, 0.0).ravel()
+    has_rotor = np.asarray(G.any(axis=1))
+    masses = _masses(guess.shapes, E, beside_cad, has_cad, has_rotor)
+
+    J = masses[:, None, None] * guess.shapes
+    for i in np.flatnonzero(has_cad):
+        J[i] = _solid(pseudo_inertia(cad[i]), guess.lengths[i])
+    return J, tuple(has_cad.tolist())
 
 
-def _shapes(
+class _Guess(NamedTuple):
+    """Lengths (n,) m, and pseudo-inertias (n, 4, 4) of guessed links of 1 kg."""
+
+    lengths: Array
+    shapes: Array
+
+
+def _guessed_links(
     chain: Chain, *, slimness: float = 0.25, usual: float = 0.3, shortest: float = 0.05
-) -> tuple[Array, Array]:
-    """Lengths (n,) m, and pseudo-inertias (n, 4, 4) of guessed links of 1 kg.
+) -> _Guess:
+    """Guess links from the arm's geometry.
 
     A link reaches from its own joint to the next; one of no length, as the last is, is
     as large as the others and centred on its joint.
     """
     reach = np.vstack([chain.position[1:], np.zeros((1, 3))])
     lengths = np.linalg.norm(reach, axis=1)
-    seen = lengths[lengths > 0.0]
-    lengths = np.where(lengths > 0.0, lengths, seen.mean() if len(seen) else usual)
+    nonzero_lengths = lengths[lengths > 0.0]
+    usual_length = nonzero_lengths.mean() if len(nonzero_lengths) else usual
+    lengths = np.where(lengths > 0.0, lengths, usual_length)
     lengths = np.maximum(lengths, shortest)
+
     shapes = np.zeros((chain.n, 4, 4))
     for J, along, length in zip(shapes, reach, lengths, strict=True):
+        # A rod, thickened.
         across = (slimness * length) ** 2
-        # a rod, thickened
         J[:3, :3] = across * np.eye(3) + np.outer(along, along) / 3.0
-        J[:3, 3] = J[3, :3] = 0.5 * along
+        J[:3, 3] = 0.5 * along
+        J[3, :3] = 0.5 * along
         J[3, 3] = 1.0
-    return lengths, shapes
+    return _Guess(lengths, shapes)
 
 
 def _masses(
@@ -234,28 +326,42 @@ def _masses(
     *,
     lightest: float = 0.05,
 ) -> Array:
-    """Masses (n,) kg of guessed links that come nearest to the identified values.
+    """Return masses (n,) kg of guessed links that come nearest to identified values.
 
-    `turned` (b,): values that hold a rotor of unknown inertia. A link that shows in
-    such ones alone (the first of an arm on the floor) has the mean mass of the others:
-    the rotor may be all of it.
+    Parameters
+    ----------
+    shapes : Array
+        (n, 4, 4), pseudo-inertias of 1 kg.
+    E, values : Array
+        (b, 10 n) and (b,), identified combinations.
+    given : Mask
+        (n,), links whose mass CAD gives.
+    turned : Mask
+        (b,), values that hold a rotor of unknown inertia.
+    lightest : float
+        Least mass of a link, as a share of the mean.
     """
-    links = np.split(E, len(shapes), axis=1)
-    columns = np.stack(
-        [own @ standard_of(J) for own, J in zip(links, shapes, strict=True)], axis=1
-    )
+    per_kilogram = [
+        of_link @ standard_of(J)
+        for of_link, J in zip(np.split(E, len(shapes), axis=1), shapes, strict=True)
+    ]
+    columns = np.stack(per_kilogram, axis=1)
     columns[:, given] = 0.0
+
+    # A link that shows beside unknown rotors alone (the first of an arm on the floor)
+    # has the mean mass of the others: the rotor may be all of it.
     hidden = np.asarray(columns.any(axis=0) & ~columns[~turned].any(axis=0))
     if hidden.any() and not (hidden | given).all():
         columns[columns[:, hidden].any(axis=1)] = 0.0
     else:
         hidden[:] = False
-    size = np.where(
-        columns.any(axis=1), np.abs(values) + np.abs(columns).max(axis=1), 0.0
-    )
+
+    shows = columns.any(axis=1)
+    size = np.where(shows, np.abs(values) + np.abs(columns).max(axis=1), 0.0)
     rows = size > 0.0
     if not rows.any():
         return np.ones(len(shapes))
+
     masses, _ = nnls(columns[rows] / size[rows, None], values[rows] / size[rows])
     masses[hidden] = masses[~given & ~hidden].mean()
     mean = float(masses[~given].mean()) if (~given).any() else 1.0
@@ -263,11 +369,13 @@ def _masses(
 
 
 def _solid(J: Array, length: float, *, thinnest: float = 0.02) -> Array:
-    """Return J with radii of gyration of no less than a small share of the link's length."""
-    mass, h = J[3, 3], J[:3, 3]
+    """Return J with radii of gyration of at least a share of the link's length."""
+    mass = J[3, 3]
+    h = J[:3, 3]
     S = J[:3, :3] - np.outer(h, h) / mass
-    radii, axes = np.linalg.eigh(S)
-    S = (axes * np.maximum(radii, mass * (thinnest * length) ** 2)) @ axes.T
+    moments, axes = np.linalg.eigh(S)
+    least_moment = mass * (thinnest * length) ** 2
+    S = (axes * np.maximum(moments, least_moment)) @ axes.T
     solid = J.copy()
     solid[:3, :3] = S + np.outer(h, h) / mass
     return solid
@@ -275,10 +383,16 @@ def _solid(J: Array, length: float, *, thinnest: float = 0.02) -> Array:
 
 @dataclass(frozen=True)
 class NearestBodies:
-    """Links (n, 10) and rotors (n,) that can exist, whether they meet the identified model.
+    """Bodies that can exist, the nearest to an identified model.
 
-    `from_cad` (n,): whether what the torque does not show of a link is the URDF's, or
-    guessed.
+    Attributes
+    ----------
+    links, rotor : Array
+        (n, 10) standard parameters and (n,) kg m^2.
+    exact : bool
+        Whether they meet the identified model.
+    from_cad : tuple of bool
+        (n,), whether what the torque does not show of a link is the URDF's, or guessed.
     """
 
     links: Array
@@ -290,25 +404,45 @@ class NearestBodies:
 def nearest_bodies(
     robot: Robot, found: Identified, kept: Array | None = None
 ) -> NearestBodies:
-    """Find bodies with the identified torque, or the nearest to it; their links without `kept`.
+    """Find bodies with the identified torque, or the nearest to it.
 
-    `kept` (n, 10): parts of the links that stay as they are; the rest must be able to
-    exist by itself. Raises QualityError if no physically consistent parameters are
-    found.
+    Parameters
+    ----------
+    robot : Robot
+    found : Identified
+    kept : Array, optional
+        (n, 10), parts of the links that stay as they are. The rest must be able to
+        exist by itself, and is what is returned.
+
+    Raises
+    ------
+    QualityError
+        No physically consistent parameters are found.
     """
-    first, free = PER_LINK * robot.n, list(found.free)
-    kept = np.zeros((robot.n, 10)) if kept is None else kept
-    every = found.basis.expression[list(found.rows)]
-    E, G = every[:, :first], every[:, first:][:, free]
-    scale = np.abs(found.values).max(initial=0.0) + np.abs(found.errors).max(
-        initial=0.0
-    )
-    W = whitening(found.covariance, _LEAST_ERROR * max(scale, 1e-12))
+    if kept is None:
+        kept = np.zeros((robot.n, 10))
+    first_rotor = PER_LINK * robot.n
+    free = list(found.free)
+    expression = found.basis.expression[list(found.rows)]
+    E = expression[:, :first_rotor]
+    G = expression[:, first_rotor:][:, free]
+
+    largest_value = np.abs(found.values).max(initial=0.0)
+    largest_error = np.abs(found.errors).max(initial=0.0)
+    scale = max(largest_value + largest_error, 1e-12)
+    W = whitening(found.covariance, _LEAST_ERROR * scale)
     values = found.values - E @ kept.ravel()
     J, from_cad = expected_links(robot, kept, E, values, G)
-    # sizes of the links' inertias, kg m^2
-    turning = J[:, :3, :3].trace(axis1=1, axis2=2)
-    sizes = (turning / gear_ratios(robot) ** 2)[free]
+
+    # Rotors are searched in units of their links' inertias on the motor side, kg m^2.
+    link_sizes = J[:, :3, :3].trace(axis1=1, axis2=2)
+    rotor_sizes = (link_sizes / gear_ratios(robot) ** 2)[free]
+    consistent = consistent_links(J, rotor_sizes, E, G, values, W)
     rotor = found.known.copy()
-    links, rotor[free], exact = consistent_links(J, sizes, E, G, values, W)
-    return NearestBodies(links, rotor, exact, from_cad)
+    rotor[free] = consistent.rotors
+    return NearestBodies(
+        links=consistent.links,
+        rotor=rotor,
+        exact=consistent.is_exact,
+        from_cad=from_cad,
+    )

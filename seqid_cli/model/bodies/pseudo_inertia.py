@@ -37,18 +37,33 @@ def pseudo_inertia(phi: Array) -> Array:
 
 def standard_of(J: Array) -> Array:
     """Return the standard parameters (..., 10) of J (..., 4, 4)."""
-    S, h, m = J[..., :3, :3], J[..., :3, 3], J[..., 3, 3]
+    S = J[..., :3, :3]
+    h = J[..., :3, 3]
+    m = J[..., 3, 3]
     trace = np.trace(S, axis1=-2, axis2=-1)
-    xx, yy, zz = (trace - S[..., k, k] for k in range(3))
-    inertia = [xx, -S[..., 0, 1], yy, -S[..., 0, 2], -S[..., 1, 2], zz]
+    inertia = [
+        trace - S[..., 0, 0],
+        -S[..., 0, 1],
+        trace - S[..., 1, 1],
+        -S[..., 0, 2],
+        -S[..., 1, 2],
+        trace - S[..., 2, 2],
+    ]
     return np.stack([m, *np.moveaxis(h, -1, 0), *inertia], axis=-1)
 
 
 @dataclass(frozen=True)
 class Body:
-    """A body as model files write it: mass kg, centre of mass m, inertia about it kg m^2.
+    """A body as model files write it.
 
-    `inertia` (3, 3) is in the axes of the link's frame.
+    Attributes
+    ----------
+    mass : float
+        kg.
+    center : Array
+        Centre of mass (3,) m in the link's frame.
+    inertia : Array
+        (3, 3) kg m^2 about the centre of mass, in the axes of the link's frame.
     """
 
     mass: float
@@ -57,15 +72,20 @@ class Body:
 
     @classmethod
     def of(cls, phi: Array) -> Self:
-        """Take standard parameters (10,) of a positive mass apart."""
+        """Convert standard parameters (10,) of a positive mass."""
         J = pseudo_inertia(phi)
         mass = float(J[3, 3])
         center = J[:3, 3] / mass
         S = J[:3, :3] - mass * np.outer(center, center)
         inertia = np.trace(S) * np.eye(3) - S
-        reach = np.sqrt(np.trace(J[:3, :3]) / mass)
-        return cls(mass, _tidy(center, reach), _tidy(inertia, np.trace(inertia)))
+        radius = np.sqrt(np.trace(J[:3, :3]) / mass)
+        return cls(
+            mass=mass,
+            center=_tidy(center, radius),
+            inertia=_tidy(inertia, np.trace(inertia)),
+        )
 
 
 def _tidy(values: Array, size: float, *, nothing: float = 1e-15) -> Array:
+    """Return values with zeros where only rounding is left of a body's size."""
     return np.where(np.abs(values) > nothing * size, values, 0.0)

@@ -1,1 +1,1 @@
-"""Physical effects beyond rigid body, friction surface and rotor inertia, one file each."""
+"""Physical effects beyond rigid body, friction surface and rotor: one file each."""

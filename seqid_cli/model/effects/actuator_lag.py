@@ -21,10 +21,16 @@ from seqid_cli.typing import Array
 
 
 class ActuatorLag(ModelledTorque):
-    """Command minus torque of a first-order drive; of one joint, or one lag of all (joint None)."""
+    """Command minus torque of a first-order drive.
+
+    Of one joint, or one lag of all joints (joint None).
+    """
 
     name = "actuator_lag"
-    timing = steady = even = shared = True
+    timing = True
+    steady = True
+    even = True
+    shared = True
     linear = (Coefficient("time_constant", "s", low=0.0, high=0.2),)
     alike = ("time_skew", "joint_elasticity")
     separate_by = (
@@ -33,23 +39,29 @@ class ActuatorLag(ModelledTorque):
     )
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
-        """Time derivative of the modelled torque."""
+        """Return the time derivative of the modelled torque."""
         law = Law(terms=("tau_rate",), memories={"tau_rate": Rate("tau")})
         return dict.fromkeys(touched(robot, joint), law)
 
     def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """The same from the torque a little later on the way."""
+        """Compute the derivative from the torque a little later on the way."""
         return steady_change(scene, joint)
 
     def true_torque(
         self, tau: Array, rate_hz: float, settings: Settings, c: Array
     ) -> Array:
         """Send the command through the lag, starting settled."""
-        lag = float(c[0])
-        if lag <= 0.0 or not len(tau):
+        time_constant = float(c[0])
+        if time_constant <= 0.0 or not len(tau):
             return tau.copy()
-        # Exact for torque that is linear between the samples.
-        past = float(np.exp(-1.0 / (rate_hz * lag)))
-        ramp = rate_hz * lag * (1.0 - past)
-        b, a, settled = [1.0 - ramp, ramp - past], [1.0, -past], ramp * tau[:1]
-        return np.asarray(lfilter(b, a, tau, axis=0, zi=settled)[0])
+
+        # This discrete filter is exact for torque that is linear between the samples.
+        decay = float(np.exp(-1.0 / (rate_hz * time_constant)))
+        ramp = rate_hz * time_constant * (1.0 - decay)
+        numerator = [1.0 - ramp, ramp - decay]
+        denominator = [1.0, -decay]
+
+        # The first command has lasted for long: the filter starts at its steady state.
+        settled = ramp * tau[:1]
+        torque, _ = lfilter(numerator, denominator, tau, axis=0, zi=settled)
+        return np.asarray(torque)

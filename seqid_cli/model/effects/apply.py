@@ -26,23 +26,42 @@ from seqid_cli.typing import Array
 def session_of(
     recordings: Sequence[Recording], starts: Sequence[float], shared: bool
 ) -> EffectSession:
-    """Describe the logs that effects are identified from, in the order of the scenes.
+    """Describe the logs that effects are identified from.
 
-    `starts` are those of the scenes, s; `shared` says whether the logs share a clock.
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        In the order of the scenes.
+    starts : sequence of float
+        Starts of the scenes [s].
+    shared : bool
+        Whether the logs share a clock.
     """
     logs = [recording.sha256 for recording in recordings]
     if not shared or not recordings:
         return EffectSession(logs=logs)
     origin = min(recording.start for recording in recordings)
-    return EffectSession(logs=logs, starts=[float(x) for x in starts], origin=origin)
+    return EffectSession(
+        logs=logs, starts=[float(start) for start in starts], origin=origin
+    )
 
 
 def scene_of_log(
     recording: Recording, robot: Robot, model: TorqueModel, motion: Motion
 ) -> Scene:
-    """Return the scene of one log by itself; `motion` is of it, possibly decimated."""
-    load, temperature = recording.load, recording.temperature
-    picked = slice(None, None, round(recording.rate_hz / motion.rate_hz))
+    """Return the scene of one log by itself.
+
+    Parameters
+    ----------
+    recording : Recording
+    robot : Robot
+    model : TorqueModel
+    motion : Motion
+        Of the log, possibly decimated.
+    """
+    load = recording.load
+    temperature = recording.temperature
+    kept_samples = slice(None, None, round(recording.rate_hz / motion.rate_hz))
     return Scene(
         robot=robot,
         motion=motion,
@@ -50,45 +69,73 @@ def scene_of_log(
         sign_width=sign_widths(model, np.max(np.abs(motion.dq), axis=0)),
         start=recording.offset,
         period=1.0 / recording.rate_hz,
-        temperature=None if temperature is None else temperature[picked],
-        sensor=None if load is None else motion.filtered(load[picked]),
+        temperature=None if temperature is None else temperature[kept_samples],
+        sensor=None if load is None else motion.filtered(load[kept_samples]),
     )
 
 
 def placed(scene: Scene, recording: Recording, session: EffectSession | None) -> Scene:
-    """Return the scene as a session counts it: number, start, clock."""
+    """Return the scene as a session counts it: number, start, clock.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of the log by itself.
+    recording : Recording
+        The log.
+    session : EffectSession, optional
+        None leaves the scene as it is.
+    """
     if session is None:
         return scene
+
     # A session may know a recording by its own digest, or by that of its log.
-    names = [recording.sha256, *([recording.whole.sha256] if recording.whole else [])]
-    known = next((x for x in names if x in session.logs), None)
-    if known is not None:
-        number = session.logs.index(known)
-        within = 0.0 if known == recording.sha256 else recording.offset
+    digests = [recording.sha256]
+    if recording.whole:
+        digests.append(recording.whole.sha256)
+    digest = next((digest for digest in digests if digest in session.logs), None)
+    if digest is not None:
+        number = session.logs.index(digest)
         if not session.starts:
             return replace(
                 scene, log=number, start=recording.offset, shared_clock=False
             )
-        return replace(
-            scene, log=number, start=session.starts[number] + within, shared_clock=True
-        )
-    last = len(session.logs)
+        within_log = 0.0 if digest == recording.sha256 else recording.offset
+        start = session.starts[number] + within_log
+        return replace(scene, log=number, start=start, shared_clock=True)
+
+    # A log that the session does not know, without a common clock or of another time.
     if (
         session.origin is None
         or abs(recording.start - session.origin) > LONGEST_SESSION_S
     ):
+        last = len(session.logs)
         return replace(scene, log=last, start=recording.offset, shared_clock=False)
+
+    # By the clock it follows the log of the session that started last before it.
     start = recording.start - session.origin
-    before = [k for k, other in enumerate(session.starts) if other <= start]
-    number = max(before, key=lambda k: session.starts[k]) if before else -1
+    earlier = [k for k, other in enumerate(session.starts) if other <= start]
+    number = max(earlier, key=lambda k: session.starts[k]) if earlier else -1
     return replace(scene, log=number, start=start, shared_clock=True)
 
 
 def effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
-    """Torque (N, n) N m of effects, unfiltered, on a scene that is placed in their session."""
+    """Compute the torque of effects, unfiltered.
+
+    Parameters
+    ----------
+    scene : Scene
+        Placed in the session of the effects.
+    fitted : sequence of FittedEffect or SmoothTerm
+
+    Returns
+    -------
+    Array
+        (N, n) N m.
+    """
     total = np.zeros_like(scene.motion.q)
-    for item in fitted:
-        for j, torque in item.torques(scene).items():
+    for effect in fitted:
+        for j, torque in effect.torques(scene).items():
             total[:, j] += torque
     return total
 
@@ -96,43 +143,73 @@ def effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
 def added_torque(
     scene: Scene, recording: Recording, fitted: Sequence[Fitted], slowest: Array
 ) -> Predicted:
-    """What effects add to a log's prediction; at rest up to friction's at `slowest` (n,)."""
-    torque, low, high = (np.zeros_like(scene.motion.q) for _ in range(3))
-    for place, items in _by_session(scene, recording, fitted):
-        for passes in {item.passes for item in items}:
-            same = [item for item in items if item.passes == passes]
-            torque += scene.motion.filtered(effect_torque(place, same), times=passes)
-        laws = (x for x in items if isinstance(x, FittedEffect))
-        rubbing = [x for x in laws if x.effect.family == "friction"]
-        if rubbing:
-            high += np.maximum(effect_torque(_at_speed(place, slowest), rubbing), 0.0)
-            low += np.minimum(effect_torque(_at_speed(place, -slowest), rubbing), 0.0)
+    """Compute what effects add to a log's prediction.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of the log by itself.
+    recording : Recording
+    fitted : sequence of FittedEffect or SmoothTerm
+    slowest : Array
+        (n,) rad/s. At rest effects of friction may have anything up to their torque at
+        this speed.
+
+    Returns
+    -------
+    Predicted
+        Each (N, n) N m, low-passed.
+    """
+    torque = np.zeros_like(scene.motion.q)
+    low = np.zeros_like(scene.motion.q)
+    high = np.zeros_like(scene.motion.q)
+    for placed_scene, effects in _by_session(scene, recording, fitted):
+        # Effects with the same number of passes are filtered together.
+        for passes in {effect.passes for effect in effects}:
+            same_passes = [effect for effect in effects if effect.passes == passes]
+            unfiltered = effect_torque(placed_scene, same_passes)
+            torque += scene.motion.filtered(unfiltered, times=passes)
+
+        friction = [
+            effect
+            for effect in effects
+            if isinstance(effect, FittedEffect) and effect.effect.family == "friction"
+        ]
+        if friction:
+            forward = effect_torque(_at_speed(placed_scene, slowest), friction)
+            backward = effect_torque(_at_speed(placed_scene, -slowest), friction)
+            high += np.maximum(forward, 0.0)
+            low += np.minimum(backward, 0.0)
     return Predicted(torque, low, high)
 
 
 def effects_variance(
     scene: Scene, recording: Recording, fitted: Sequence[Fitted]
 ) -> Array:
-    """Return the variance (N, n) (N m)^2 of the effects' torque by errors of their coefficients.
+    """Compute the variance of the effects' torque by errors of their coefficients.
 
     Settings (a speed, an order, a lag) count as known. Effects count as independent of
     each other: a file says nothing of what their errors have in common.
+
+    Returns
+    -------
+    Array
+        (N, n) (N m)^2.
     """
     variance = np.zeros_like(scene.motion.q)
-    for place, items in _by_session(scene, recording, fitted):
-        laws = [item for item in items if isinstance(item, FittedEffect)]
-        for law in laws:
-            if not law.covariance.any():
+    for placed_scene, effects in _by_session(scene, recording, fitted):
+        for item in effects:
+            if not isinstance(item, FittedEffect) or not item.covariance.any():
                 continue
-            columns = law.effect.columns(place, law.joint, law.settings)
+            columns = item.effect.columns(placed_scene, item.joint, item.settings)
             for j, unfiltered in columns.items():
-                X = scene.motion.filtered(unfiltered, times=law.passes)
-                variance[:, j] += np.sum((X @ law.covariance) * X, axis=1)
+                X = scene.motion.filtered(unfiltered, times=item.passes)
+                variance[:, j] += np.sum((X @ item.covariance) * X, axis=1)
     return variance
 
 
 def _at_speed(scene: Scene, speed: Array) -> Scene:
-    """Return the scene as if every joint moved steadily at a speed (n,), wherever it is."""
+    """Return the scene as if all joints moved steadily at speeds (n,), wherever."""
     motion = scene.motion
     steady = np.broadcast_to(speed, motion.q.shape).copy()
     return replace(scene, motion=replace(motion, dq=steady, ddq=np.zeros_like(steady)))
@@ -142,14 +219,12 @@ def _by_session(
     scene: Scene, recording: Recording, fitted: Sequence[Fitted]
 ) -> Iterator[tuple[Scene, list[Fitted]]]:
     """Split effects by session, each with the scene placed in it."""
-    left = list(fitted)
-    while left:
-        session = left[0].session
-        yield (
-            placed(scene, recording, session),
-            [x for x in left if x.session == session],
-        )
-        left = [x for x in left if x.session != session]
+    remaining = list(fitted)
+    while remaining:
+        session = remaining[0].session
+        of_session = [effect for effect in remaining if effect.session == session]
+        yield placed(scene, recording, session), of_session
+        remaining = [effect for effect in remaining if effect.session != session]
 
 
 def without_effects(
@@ -161,30 +236,52 @@ def without_effects(
     motion: MotionOptions,
     source: str = "auto",
 ) -> Recording:
-    """Return a recording with torque as it would be without the `fitted` effects, at its own rate.
+    """Return a recording with torque as it would be without some effects.
 
     Effects of the measurement are undone in the channel that they distort: torque is
     scaled, shifted in time or sent through the drive's lag, an encoder's error is taken
-    off the position. The torque of all others, as the model in `stages` says it, is
-    subtracted. `source` {"auto", "encoder", "imu"} says where accelerations come from.
-    Raises InputError if the log carries neither torque nor current.
+    off the position. The torque of all others is subtracted.
+
+    Parameters
+    ----------
+    recording : Recording
+    robot : Robot
+    stages : Stages
+        The model, by whose torques effects follow from the motion.
+    fitted : sequence of FittedEffect or SmoothTerm
+    motion : MotionOptions
+    source : {"auto", "encoder", "imu"}
+        Where accelerations come from.
+
+    Returns
+    -------
+    Recording
+        At its own rate.
+
+    Raises
+    ------
+    InputError
+        The log carries neither torque nor current.
     """
     torque_of(recording)
-    rest: list[Fitted] = []
+    to_subtract: list[Fitted] = []
     for item in fitted:
         if isinstance(item, FittedEffect) and isinstance(
             item.effect, MeasurementEffect
         ):
-            joint, settings, c = item.joint, item.settings, item.coefficients
-            recording = item.effect.restored(recording, robot, joint, settings, c)
+            recording = item.effect.restored(
+                recording, robot, item.joint, item.settings, item.coefficients
+            )
         else:
-            rest.append(item)
-    if not rest:
+            to_subtract.append(item)
+    if not to_subtract:
         return recording
+
     assert recording.tau is not None
     best = log_motion(recording, robot, motion, imu=stages.imu, source=source)
-    scene = scene_of_log(recording, robot, TorqueModel.from_stages(stages, robot), best)
+    model = TorqueModel.from_stages(stages, robot)
+    scene = scene_of_log(recording, robot, model, best)
     torque = np.zeros_like(recording.tau)
-    for place, items in _by_session(scene, recording, rest):
-        torque += effect_torque(place, items)
+    for placed_scene, effects in _by_session(scene, recording, to_subtract):
+        torque += effect_torque(placed_scene, effects)
     return replace(recording, tau=recording.tau - torque)

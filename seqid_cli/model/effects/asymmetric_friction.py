@@ -14,12 +14,12 @@ robotics: an overview", CDC 2005.
 
 from collections.abc import Mapping
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionEffect, Settings
 from seqid_cli.model.effects.law import Law
 from seqid_cli.robot.types import Robot
 
 
-class AsymmetricFriction(FrictionLaw):
+class AsymmetricFriction(FrictionEffect):
     """Coulomb and viscous friction that depend on the direction of motion."""
 
     name = "asymmetric_friction"
@@ -37,5 +37,5 @@ class AsymmetricFriction(FrictionLaw):
     )
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Whether the joint moves, by Coulomb friction at the place, and its speed."""
+        """Return a constant where it moves, times Coulomb friction, and the speed."""
         return {joint: Law(terms=("abs(sign(dq)) * coulomb_share", "abs(dq)"))}

@@ -1,7 +1,8 @@
 """The base does not stand as the robot file says: gravity comes from another direction.
 
     tau = G(q; R(t) g) - G(q; g)
-        = sin(a) / a (t_1 G(q; e_1 x g) + t_2 G(q; e_2 x g)) - (1 - cos(a)) G(q; g),    a = |t|
+        = sin(a) / a (t_1 G(q; e_1 x g) + t_2 G(q; e_2 x g)) - (1 - cos(a)) G(q; g)
+    a = |t|
 
 g [m/s^2] is gravity in the base frame, G(q; .) the gravity torque of the model, linear
 in it, and t [rad] a rotation of gravity about two axes e_1, e_2 square to it: x and y
@@ -34,7 +35,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 LARGEST_RAD = 0.35
-PARALLEL = 1e-6
+PARALLEL = 1e-6  # sine of the angle below which an axis counts as along gravity
 AROUND = ("around_1", "around_2")
 
 
@@ -43,12 +44,21 @@ class BaseTilt(Effect):
 
     name = "base_tilt"
     family = "body"
-    arm = change = exact = True
+    arm = True
+    change = True
+    exact = True
     passes = 1
     settings = (
         Setting("upright", "1", low=0.0, high=1.0, continuous=False),
         *(
-            Setting(name, "rad", -LARGEST_RAD, LARGEST_RAD, False, asked=False)
+            Setting(
+                name,
+                "rad",
+                low=-LARGEST_RAD,
+                high=LARGEST_RAD,
+                continuous=False,
+                asked=False,
+            )
             for name in AROUND
         ),
     )
@@ -60,24 +70,28 @@ class BaseTilt(Effect):
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the two rotations, and the first link's moments where they are new."""
-        bounds = -LARGEST_RAD, LARGEST_RAD
-        rotations = tuple(Coefficient(f"tilt_{k}", "rad", *bounds) for k in (1, 2))
+        rotations = tuple(
+            Coefficient(f"tilt_{k}", "rad", low=-LARGEST_RAD, high=LARGEST_RAD)
+            for k in (1, 2)
+        )
+        if not settings["upright"]:
+            return rotations
         moments = tuple(Coefficient(f"moment_{k}", "N m") for k in (1, 2))
-        return (*rotations, *moments) if settings["upright"] else rotations
+        return (*rotations, *moments)
 
     def available(self, scenes: Scenes, joint: Joint) -> bool:
-        """Gravity parameters are needed."""
+        """Return whether gravity parameters and gravity itself are known."""
         return scenes[0].model.phi is not None and bool(scenes[0].robot.gravity.any())
 
     def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
-        """Whether the first joint turns about gravity; no rotation to begin with."""
+        """Return whether the first joint turns about gravity, and no rotation yet."""
         upright = float(first_joint_upright(scenes[0].robot))
         return {"upright": [upright], **{key: [0.0] for key in AROUND}}
 
     def sharpened(self, settings: Settings, c: Array) -> dict[str, float]:
-        """The rotation that was found."""
-        found = np.clip(c[:2], -LARGEST_RAD, LARGEST_RAD).tolist()
-        return {**settings, **dict(zip(AROUND, found, strict=True))}
+        """Return settings about the rotation that was estimated."""
+        rotation = np.clip(c[:2], -LARGEST_RAD, LARGEST_RAD).tolist()
+        return {**settings, **dict(zip(AROUND, rotation, strict=True))}
 
     def plausible(
         self,
@@ -88,86 +102,132 @@ class BaseTilt(Effect):
         *,
         most_moment: float = 10.0,
     ) -> bool:
-        """Ask that a tilt comes with the first link's moments, where other joints would show it.
+        """Ask that moments come with a tilt, where other joints would show it.
 
-        Moments alone are any function of the first joint's angle: `most_moment` of the
-        largest torque that a gear passes on, per rad.
+        Moments without a tilt are any function of the first joint's angle. They may be
+        `most_moment` of the largest torque that a gear passes on, per rad of tilt.
         """
-        alone = not settings["upright"] or scenes[0].robot.n == 1
-        tilt, moments = np.linalg.norm(c[:2]), np.linalg.norm(c[2:])
-        largest = max(float(np.max(np.abs(scene.load))) for scene in scenes)
-        tilted = alone or moments <= most_moment * largest * tilt
-        return bool(tilted) and super().plausible(scenes, joint, settings, c)
+        other_joints_show_it = settings["upright"] and scenes[0].robot.n > 1
+        tilted = True
+        if other_joints_show_it:
+            tilt = np.linalg.norm(c[:2])
+            moments = np.linalg.norm(c[2:])
+            largest_load = max(float(np.max(np.abs(scene.load))) for scene in scenes)
+            tilted = bool(moments <= most_moment * largest_load * tilt)
+        return tilted and super().plausible(scenes, joint, settings, c)
 
     def body_terms(
         self, robot: Robot, joint: Joint, settings: Settings
     ) -> list[BodyTerm]:
-        """Return two directions square to gravity, less what is lost along it."""
+        """Return two directions square to gravity, less what is lost along it.
+
+        With the rotation t_0 of the settings, a = |t_0|: sin(a) / a e_k x g minus (1 -
+        cos(a)) / a^2 t_0k g.
+        """
         gravity = robot.gravity
-        across = [np.cross(axis, gravity) for axis in tilt_axes(gravity)]
-        around = np.array([settings.get(name, 0.0) for name in AROUND])
-        angle = float(np.linalg.norm(around))
-        lost = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2  # (1 - cos(a)) / a^2
-        turned = (
-            np.sinc(angle / np.pi) * np.array(across) - lost * around[:, None] * gravity
-        )
-        moments = 2 * int(settings["upright"])
-        return [*(BodyTerm(gravity=g) for g in turned), *[BodyTerm()] * moments]
+        across = np.array([np.cross(axis, gravity) for axis in tilt_axes(gravity)])
+        rotation = np.array([settings.get(name, 0.0) for name in AROUND])
+        angle = float(np.linalg.norm(rotation))
+
+        # np.sinc(x) is sin(pi x) / (pi x): both factors stay finite where a is 0.
+        kept_across = np.sinc(angle / np.pi)
+        lost_along = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+        directions = kept_across * across - lost_along * rotation[:, None] * gravity
+
+        terms = [BodyTerm(gravity=direction) for direction in directions]
+        if settings["upright"]:
+            terms += [BodyTerm(), BodyTerm()]  # the moments change no gravity
+        return terms
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
-        """Return the first link's moments, where they are new: a sine and cosine of its angle."""
+        """Return sine and cosine of the first joint's angle for the moments, if any."""
         if not settings["upright"]:
             return {}
+
+        # Their torque is a sine of q: its values at 0 and at a quarter turn tell it.
         across = np.cross(tilt_axes(robot.gravity)[0], robot.gravity)
         places = np.zeros((2, robot.n))
         places[1, 0] = 0.5 * np.pi
-        (cos_1, cos_2), (sin_1, sin_2) = first_link_moments(
-            robot, across, places
-        ).tolist()
-        numbers = {"cos_1": cos_1, "cos_2": cos_2, "sin_1": sin_1, "sin_2": sin_2}
-        terms = "0.0", "0.0", *(f"cos_{k} * cos(q) + sin_{k} * sin(q)" for k in (1, 2))
+        at_zero, at_quarter_turn = first_link_moments(robot, across, places).tolist()
+        numbers = {
+            "cos_1": at_zero[0],
+            "cos_2": at_zero[1],
+            "sin_1": at_quarter_turn[0],
+            "sin_2": at_quarter_turn[1],
+        }
+        terms = (
+            "0.0",
+            "0.0",
+            "cos_1 * cos(q) + sin_1 * sin(q)",
+            "cos_2 * cos(q) + sin_2 * sin(q)",
+        )
         return {0: Law(terms=terms, numbers=numbers)}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """Gravity torque of the turned directions, and the moments."""
-        q, phi, robot = scene.motion.q, scene.model.phi, scene.robot
+        """Compute the gravity torque of the turned directions, and the moments."""
+        robot = scene.robot
+        q = scene.motion.q
+        phi = scene.model.phi
         terms = self.body_terms(robot, joint, settings)
-        result = {j: np.zeros((scene.samples, len(terms))) for j in range(robot.n)}
+        columns = {j: np.zeros((scene.samples, len(terms))) for j in range(robot.n)}
         if phi is None:
-            return result
+            return columns
+
         still = np.zeros_like(q)
         for k, term in enumerate(terms):
-            if term.gravity.any():
-                torque = inverse_dynamics(
-                    robot.chain, term.gravity, phi, q, still, still
-                )
-                for j, column in result.items():
-                    column[:, k] = torque[:, j]
+            if not term.gravity.any():
+                continue
+            torque = inverse_dynamics(robot.chain, term.gravity, phi, q, still, still)
+            for j, column in columns.items():
+                column[:, k] = torque[:, j]
         for j, law in self.laws(robot, joint, settings).items():
-            result[j] += law.columns(scene, j)
-        return result
+            columns[j] += law.columns(scene, j)
+        return columns
 
 
 def first_joint_upright(robot: Robot) -> bool:
-    """Whether the first joint turns about gravity, so that its link's weight never shows."""
-    chain, gravity = robot.chain, robot.gravity
-    across = np.linalg.norm(np.cross(chain.rotation[0] @ chain.axis[0], gravity))
-    return not chain.prismatic[0] and bool(across < PARALLEL * np.linalg.norm(gravity))
+    """Return whether the first joint turns about gravity.
+
+    The weight of its link then never shows in a torque.
+    """
+    chain = robot.chain
+    axis_in_base = chain.rotation[0] @ chain.axis[0]
+    across = np.linalg.norm(np.cross(axis_in_base, robot.gravity))
+    along = bool(across < PARALLEL * np.linalg.norm(robot.gravity))
+    return not chain.prismatic[0] and along
 
 
 def first_link_moments(robot: Robot, gravity: Array, q: Array) -> Array:
-    """Torque (N, 2) at the first joint of two first moments square to its axis, of unit weight."""
-    square = np.linalg.svd(robot.chain.axis[:1])[2][1:].T  # (3, 2)
+    """Compute the first joint's torque of two first moments square to its axis.
+
+    Parameters
+    ----------
+    robot : Robot
+    gravity : Array
+        (3,) m/s^2, in the base frame.
+    q : Array
+        Positions (N, n) rad.
+
+    Returns
+    -------
+    Array
+        (N, 2), for moments of unit weight [N m].
+    """
+    square_to_axis = np.linalg.svd(robot.chain.axis[:1])[2][1:].T  # (3, 2)
     moments = slice(STANDARD.index("mx"), STANDARD.index("mz") + 1)
     Y = gravity_regressor(robot.chain, gravity, q)[:, 0, moments]
-    return np.asarray(Y @ square / np.linalg.norm(gravity))
+    return np.asarray(Y @ square_to_axis / np.linalg.norm(gravity))
 
 
 def tilt_axes(gravity: Array) -> tuple[Array, Array]:
-    """Two unit axes (3,) square to gravity and to each other: x and y where gravity is along z."""
+    """Return two unit axes (3,) square to gravity and to each other.
+
+    They are x and y where gravity is along z.
+    """
     size = float(np.linalg.norm(gravity))
     if size == 0.0:
         return np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+
     along = gravity / size
     start = np.eye(3)[0 if abs(along[0]) < 0.9 else 1]
     first = start - (start @ along) * along

@@ -1,4 +1,4 @@
-"""What effects declare that is no formula: links that deviate, bodies and gravity that change."""
+"""What effects declare beside formulas: links that deviate, bodies that change."""
 
 from dataclasses import dataclass, field
 
@@ -27,7 +27,10 @@ class Play:
 
 @dataclass(frozen=True)
 class Wave:
-    """The measured angle is wrong by sine and cosine of `rate` times itself; rotors feel it too."""
+    """The measured angle is wrong by sine and cosine of `rate` times itself.
+
+    Rotors feel it too.
+    """
 
     rate: float
 
@@ -37,11 +40,21 @@ Deviation = Twist | Play | Wave
 
 @dataclass(frozen=True, kw_only=True)
 class BodyTerm:
-    """What one coefficient changes in the rigid body, per unit of it; a torque linear in each.
+    """What one coefficient changes in the rigid body, per unit of it.
 
-    `last_link` (10,) standard parameters added to the last link, `armature` (n,) kg m^2
-    and `rotor` (n,) kg m^2, gear ratio times rotor inertia that turns the link before
-    its joint; `gravity` (3,) m/s^2 in the base frame, which the links feel besides.
+    Torque is linear in each of the changes.
+
+    Attributes
+    ----------
+    last_link : Array
+        (10,) standard parameters added to the last link.
+    armature : Array, optional
+        (n,) kg m^2 at the joints.
+    rotor : Array, optional
+        (n,) kg m^2, gear ratio times inertia of rotors that turn the link before their
+        joint.
+    gravity : Array
+        (3,) m/s^2 in the base frame, which the links feel besides.
     """
 
     last_link: Array = field(default_factory=lambda: np.zeros(10))

@@ -26,7 +26,8 @@ class Drift(Effect):
 
     name = "drift"
     family = "measurement"
-    drive = slow = True
+    drive = True
+    slow = True
     passes = 1
     settings = (Setting("duration", "s", low=0.0, continuous=False),)
     over = "session_time"
@@ -39,10 +40,10 @@ class Drift(Effect):
     )
 
     def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
-        """The session's end."""
+        """Return the session's end as the only duration."""
         return {"duration": [session(scenes)]}
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
-        """Return one and time."""
+        """Return a constant and the time, held beyond the session."""
         law = Law(terms=("1.0", "min(max(t, 0.0), duration)"), numbers=settings)
         return dict.fromkeys(touched(robot, joint), law)

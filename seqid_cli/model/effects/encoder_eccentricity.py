@@ -1,4 +1,4 @@
-"""A joint's encoder disc sits off centre: the angle it reports wanders once or twice per turn.
+"""A joint's encoder disc sits off centre: its angle wanders once or twice per turn.
 
     q_measured = q + e_s sin(p) + e_c cos(p),        p = order N q
     tau_effect = -(d tau / d q, dq, ddq) . (e, de/dt, d2e/dt2)
@@ -24,16 +24,18 @@ from seqid_cli.model.effects.effect import (
     GridAxes,
     Setting,
     Settings,
+    amplitude_and_phase,
 )
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import modelled_slopes
+from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 ORDERS = (1.0, 2.0)
-# below it an order of the joint and one of the motor are the same thing
+# Below this gear ratio an order of the joint and one of the motor are the same thing.
 FINE_GEAR = 5.0
 LARGEST_RAD = 0.05
 
@@ -42,13 +44,13 @@ class EncoderEccentricity(MeasurementEffect):
     """Periodic error of the measured angle, through the whole model."""
 
     name = "encoder_eccentricity"
-    steady = even = True
+    steady = True
+    even = True
     settings = (Setting("order", "cycles per motor turn", low=0.0, continuous=False),)
     linear = (
         Coefficient("error_sin", "rad", -LARGEST_RAD, LARGEST_RAD),
         Coefficient("error_cos", "rad", -LARGEST_RAD, LARGEST_RAD),
     )
-    wave = "error"
     alike = ("torque_ripple", "joint_elasticity")
     separate_by = (
         "one slow and one fast pass at constant speed: torque from a wrong angle grows"
@@ -56,28 +58,44 @@ class EncoderEccentricity(MeasurementEffect):
     )
 
     def axes(self, scenes: Scenes, joint: int) -> GridAxes:
-        """Orders 1 and 2 of the motor, and of the joint where that is something else."""
-        gear = abs(float(scenes[0].gear[joint]))
-        slow = [order / gear for order in ORDERS] if gear > FINE_GEAR else []
-        return {"order": [*ORDERS, *slow]}
+        """Return orders 1 and 2 of the motor, and those of the joint if they differ."""
+        gear_ratio = abs(float(scenes[0].gear[joint]))
+        of_joint = []
+        if gear_ratio > FINE_GEAR:
+            of_joint = [order / gear_ratio for order in ORDERS]
+        return {"order": [*ORDERS, *of_joint]}
 
     def deviation(self, robot: Robot, joint: int, settings: Settings) -> Wave:
-        """Sine and cosine of the angle that the encoder reports."""
+        """Return the wave over the angle that the encoder reports."""
         return Wave(settings["order"] * float(gear_ratios(robot)[joint]))
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
-        """Minus the derivative of the modelled torque along the error and its derivatives."""
+        """Return minus the derivative of the modelled torque along the angle's error.
+
+        The error e and its time derivatives are those of sin(p) and cos(p).
+        """
         motion = scene.motion
-        k = self.deviation(scene.robot, joint, settings).rate
-        p, dp, ddp = (k * x[:, joint] for x in (motion.q, motion.dq, motion.ddq))
-        sin, cos = np.sin(p), np.cos(p)
+        rate = self.deviation(scene.robot, joint, settings).rate
+        p = rate * motion.q[:, joint]
+        dp = rate * motion.dq[:, joint]
+        ddp = rate * motion.ddq[:, joint]
+
+        sin = np.sin(p)
+        cos = np.cos(p)
         errors = [
             [sin, cos * dp, cos * ddp - sin * dp**2],
             [cos, -sin * dp, -sin * ddp - cos * dp**2],
         ]
-        return dict(
-            enumerate(-np.einsum("knj,ckn->jnc", modelled_slopes(scene, joint), errors))
-        )
+        # Indices: c coefficient, k derivative, n sample, j joint that feels it.
+        torque = -np.einsum("knj,ckn->jnc", modelled_slopes(scene, joint), errors)
+        return dict(enumerate(torque))
+
+    def values(
+        self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Return amplitude and phase of the angle's error."""
+        unit = robot.joints[joint].unit(self.linear[0].unit)
+        return amplitude_and_phase("error", unit, c, covariance)
 
     def restored(
         self,
@@ -88,7 +106,8 @@ class EncoderEccentricity(MeasurementEffect):
         c: Array,
     ) -> Recording:
         """Take the error off the measured angle."""
-        p = settings["order"] * float(gear_ratios(robot)[joint]) * recording.q[:, joint]
+        gear_ratio = float(gear_ratios(robot)[joint])
+        p = settings["order"] * gear_ratio * recording.q[:, joint]
         q = recording.q.copy()
         q[:, joint] -= c[0] * np.sin(p) + c[1] * np.cos(p)
         return replace(recording, q=q)

@@ -27,9 +27,9 @@ class ExternalContact(Effect):
     )
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
-        """No torque is touched."""
+        """Return no law: no torque is touched."""
         return {}
 
     def available(self, scenes: Scenes, joint: Joint) -> bool:
-        """Never: it is no column to be screened."""
+        """Return False: it has no column to be screened."""
         return False

@@ -18,10 +18,18 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True)
 class FittedEffect:
-    """An effect of the catalogue at a joint (None: of the whole arm, or of all joints alike).
+    """An effect of the catalogue at a joint, with its numbers.
 
-    `coefficients` (k,) and `covariance` (k, k) belong to the columns; `session` says
-    which logs the effect's times and log numbers are of.
+    Attributes
+    ----------
+    effect : Effect
+    joint : int or None
+        None for the whole arm, or all joints alike.
+    settings : mapping of str to float
+    coefficients, covariance : Array
+        (k,) and (k, k), of the effect's columns.
+    session : EffectSession, optional
+        The logs that the effect's times and log numbers are of.
     """
 
     effect: Effect
@@ -33,16 +41,16 @@ class FittedEffect:
 
     @property
     def passes(self) -> int:
-        """How many times the low-pass is to be applied."""
+        """Number of times that the low-pass is to be applied."""
         return self.effect.passes
 
     @property
     def local(self) -> bool:
-        """Whether its torque at a moment follows from the motion around it."""
+        """True if its torque at a moment follows from the motion around it."""
         return self.effect.local(self.settings)
 
     def torques(self, scene: Scene) -> dict[int, Array]:
-        """Torque (N,) N m of every joint that is touched, unfiltered."""
+        """Compute the torque (N,) N m of every joint that is touched, unfiltered."""
         columns = self.effect.columns(scene, self.joint, self.settings)
         return {j: X @ self.coefficients for j, X in columns.items()}
 
@@ -53,38 +61,49 @@ Fitted = FittedEffect | SmoothTerm
 def fitted_effects(
     stages: Stages, robot: Robot, *, unexplained: bool = False
 ) -> list[Fitted]:
-    """Restore the effects of a parameter file; smooth terms only where `unexplained` are wanted.
+    """Restore the effects of a parameter file.
 
-    Raises ConfigError if an effect is not known, or its joint, settings or coefficients
-    are not what it takes; the message names the key.
+    Parameters
+    ----------
+    stages : Stages
+    robot : Robot
+    unexplained : bool
+        Whether smooth terms are wanted as well.
+
+    Returns
+    -------
+    list of FittedEffect or SmoothTerm
+
+    Raises
+    ------
+    ConfigError
+        An effect is not known, or its joint, settings or coefficients are not what it
+        takes; the message names the key.
     """
-    found: list[Fitted] = []
+    fitted: list[Fitted] = []
     catalogue = catalogue_of(robot) if stages.effects else {}
     for index, entry in enumerate(stages.effects or []):
         key = f"$.stages.effects[{index}]"
         if entry.effect != UNEXPLAINED:
-            found.append(_restored(key, entry, robot, catalogue))
+            fitted.append(_restored(key, entry, robot, catalogue))
         elif unexplained:
-            found.append(SmoothTerm.from_stage(entry, robot, key))
-    return found
+            fitted.append(SmoothTerm.from_stage(entry, robot, key))
+    return fitted
 
 
 def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
     """Write an effect down; `fitted_effects` restores it exactly."""
-    effect, settings, joint = (
-        fitted.effect,
-        fitted.settings,
-        robot.name_of(fitted.joint),
+    joint = robot.name_of(fitted.joint)
+    values = fitted.effect.reported(
+        robot, fitted.joint, fitted.settings, fitted.coefficients, fitted.covariance
     )
-    c, covariance = fitted.coefficients, fitted.covariance
-    physical = effect.reported(robot, fitted.joint, settings, c, covariance)
     return EffectOfJoint(
-        effect=effect.name,
+        effect=fitted.effect.name,
         joint=joint,
-        parameters=[Parameter(**vars(value), joint=joint or "") for value in physical],
-        settings={name: float(value) for name, value in settings.items()},
-        coefficients=c.tolist(),
-        covariance=covariance.tolist(),
+        parameters=[Parameter(**vars(value), joint=joint or "") for value in values],
+        settings={name: float(value) for name, value in fitted.settings.items()},
+        coefficients=fitted.coefficients.tolist(),
+        covariance=fitted.covariance.tolist(),
         session=fitted.session,
     )
 
@@ -92,6 +111,7 @@ def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
 def _restored(
     key: str, entry: EffectOfJoint, robot: Robot, catalogue: Mapping[str, Effect]
 ) -> FittedEffect:
+    """Restore the effect that stands under `key` in a parameter file."""
     effect = catalogue.get(entry.effect)
     if effect is None:
         message = (
@@ -99,109 +119,113 @@ def _restored(
         )
         hint = (
             f"An effect of your own must stand in {robot.source.name} as [[effect]]; a"
-            " newer "
+            " newer seqid may have written the file: update, or take the effect out of"
+            " it."
         )
-        hint += "seqid may have written the file: update, or take the effect out of it."
         raise ConfigError(message, hint=hint)
+
     settings = _settings(key, effect, entry)
     coefficients = _coefficients(key, effect, entry, settings)
     count = len(coefficients)
-    covariance = (
-        np.array(entry.covariance) if entry.covariance else np.zeros((count, count))
-    )
+    covariance = np.zeros((count, count))
+    if entry.covariance:
+        covariance = np.array(entry.covariance)
     if covariance.shape != (count, count):
         raise damaged(f"{key}.covariance", f"must have {count} rows of {count} numbers")
-    more = len(effect.coefficients(settings)) - count
-    coefficients, covariance = (
-        np.pad(coefficients, (0, more)),
-        np.pad(covariance, (0, more)),
-    )
-    joint = _joint(key, effect, entry, robot)
+
+    # Coefficients that files of earlier versions lack are zero.
+    n_lacking = len(effect.coefficients(settings)) - count
     return FittedEffect(
-        effect, joint, settings, coefficients, covariance, entry.session
+        effect=effect,
+        joint=_joint(key, effect, entry, robot),
+        settings=settings,
+        coefficients=np.pad(coefficients, (0, n_lacking)),
+        covariance=np.pad(covariance, (0, n_lacking)),
+        session=entry.session,
     )
 
 
 def _joint(key: str, effect: Effect, entry: EffectOfJoint, robot: Robot) -> int | None:
+    """Return the index of an entry's joint; None for the whole arm or all joints."""
+    key = f"{key}.joint"
     if entry.joint is None:
-        if not (effect.arm or effect.shared):
-            raise damaged(
-                f"{key}.joint", f"{effect.name} is an effect of one joint: name it"
-            )
-        return None
+        if effect.arm or effect.shared:
+            return None
+        raise damaged(key, f"{effect.name} is an effect of one joint: name it")
     if effect.arm:
-        raise damaged(
-            f"{key}.joint", f"{effect.name} is of the whole arm: must be null"
-        )
+        raise damaged(key, f"{effect.name} is of the whole arm: must be null")
     if entry.joint not in robot.joint_names:
-        known = ", ".join(robot.joint_names)
-        raise damaged(
-            f"{key}.joint", f"{entry.joint!r} is none of the robot's joints: {known}"
-        )
+        names = ", ".join(robot.joint_names)
+        raise damaged(key, f"{entry.joint!r} is none of the robot's joints: {names}")
     return robot.joint_names.index(entry.joint)
 
 
 def _settings(key: str, effect: Effect, entry: EffectOfJoint) -> dict[str, float]:
-    known = [setting.name for setting in effect.settings]
+    """Return an entry's settings, all of them within the effect's limits."""
+    allowed = [setting.name for setting in effect.settings]
     for name in entry.settings:
-        if name not in known:
-            takes = ", ".join(known) or "none"
+        if name not in allowed:
+            takes = ", ".join(allowed) or "none"
             raise damaged(f"{key}.settings.{name}", f"{effect.name} takes {takes}")
-    found = {}
+
+    values = {}
     for setting in effect.settings:
-        value, where = (
-            entry.settings.get(setting.name),
-            f"{key}.settings.{setting.name}",
-        )
-        if value is None and not setting.asked:
-            continue
+        value = entry.settings.get(setting.name)
+        where = f"{key}.settings.{setting.name}"
         if value is None:
-            raise damaged(where, f"is missing, and {effect.name} needs it")
+            if setting.asked:
+                raise damaged(where, f"is missing, and {effect.name} needs it")
+            continue
         if isinstance(value, str | bool) or not np.isfinite(value):
             raise damaged(where, f"must be a number, is {value!r}")
         if not setting.low <= value <= setting.high:
             limits = f"{setting.low:g} to {setting.high:g}"
             raise damaged(where, f"must lie within {limits}, is {value!r}")
-        found[setting.name] = float(value)
-    return found
+        values[setting.name] = float(value)
+    return values
 
 
 def _coefficients(
     key: str, effect: Effect, entry: EffectOfJoint, settings: Mapping[str, float]
 ) -> Array:
-    """Coefficients as written, or the parameters of their names; late ones may be missing."""
+    """Return an entry's coefficients, or else its parameters of the same names.
+
+    The `later` ones of the effect may be missing.
+    """
     names = [spec.name for spec in effect.coefficients(settings)]
-    early = [name for name in names if name not in effect.later]
-    if len(entry.coefficients or entry.parameters) == len(early):
-        names = early
+    earlier_names = [name for name in names if name not in effect.later]
+    if len(entry.coefficients or entry.parameters) == len(earlier_names):
+        names = earlier_names
+
     if entry.coefficients:
         if len(entry.coefficients) != len(names):
             count = f"{len(names)} numbers, has {len(entry.coefficients)}"
             raise damaged(f"{key}.coefficients", f"{effect.name} takes {count}")
         return np.array(entry.coefficients, dtype=float)
+
     values = {parameter.name: parameter.value for parameter in entry.parameters}
     missing = [name for name in names if name not in values]
     if missing:
-        raise damaged(
-            f"{key}.coefficients", f"{effect.name} lacks {', '.join(missing)}"
-        )
+        problem = f"{effect.name} lacks {', '.join(missing)}"
+        raise damaged(f"{key}.coefficients", problem)
     return np.array([values[name] for name in names], dtype=float)
 
 
 def effect_notes(stages: Stages, *, unexplained: bool = False) -> list[str]:
-    """Say which effects of a parameter file take part in a prediction, and what is left out."""
-    notes, entries = [], stages.effects or []
+    """Say which effects of a file take part in a prediction, and which do not."""
+    entries = stages.effects or []
+    notes = []
     taken = [entry for entry in entries if unexplained or entry.effect != UNEXPLAINED]
     if taken:
         named = ", ".join(
             f"{entry.effect} ({entry.joint or 'all joints'})" for entry in taken
         )
         notes.append(f"effects in the prediction: {named}")
+
     smooth = [entry.joint or "" for entry in entries if entry.effect == UNEXPLAINED]
     if smooth and not unexplained:
-        left = (
-            "a smooth term of no known cause is left out (--with-unexplained takes"
-            " it in)"
+        notes.append(
+            "a smooth term of no known cause is left out (--with-unexplained takes it"
+            f" in): {', '.join(smooth)}"
         )
-        notes.append(f"{left}: {', '.join(smooth)}")
     return notes

@@ -1,4 +1,4 @@
-"""Friction that is no longer what the parameter file says: wear, new grease, a tightened bearing.
+"""Friction that is no longer what the file says: wear, new grease, a tighter bearing.
 
     tau = dF_c s(v) + dF_v v
 
@@ -12,18 +12,19 @@ Mechatronics 19(5), 2014.
 
 from collections.abc import Mapping
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionEffect, Settings
 from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Joint, Scenes
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
-class FrictionChange(FrictionLaw):
+class FrictionChange(FrictionEffect):
     """A constant change of Coulomb and viscous friction."""
 
     name = "friction_change"
-    change = sided = True
+    change = True
+    sided = True
     over = "speed"
     linear = (
         Coefficient("coulomb_change", "N m"),
@@ -42,29 +43,30 @@ class FrictionChange(FrictionLaw):
     )
 
     def available(self, scenes: Scenes, joint: Joint) -> bool:
-        """Ask that the joint moves and that its friction was known."""
-        known = joint is None or all(
+        """Return whether the joint moves and its friction was identified before."""
+        identified = joint is None or all(
             scene.model.surfaces[joint] is not None for scene in scenes
         )
-        return known and super().available(scenes, joint)
+        return identified and super().available(scenes, joint)
 
     def searched(self, settings: Settings) -> int:
-        """Return 1: when it happened, which no channel tells; laws with a cause do without."""
+        """Return 1: the time of the change, which no channel tells.
+
+        Laws with a cause do without it.
+        """
         return 1
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Direction and velocity."""
+        """Return direction and velocity."""
         return {joint: Law(terms=("sign(dq)", "dq"))}
 
     def plausible(
         self, scenes: Scenes, joint: int, settings: Settings, c: Array
     ) -> bool:
-        """Ask that friction, the change included, still takes power from the motion."""
-        power = 0.0
+        """Return whether friction with its change takes energy from the motion."""
+        energy = 0.0
         for scene in scenes:
-            torque = (
-                scene.friction[:, joint]
-                + self.columns(scene, joint, settings)[joint] @ c
-            )
-            power += float(torque @ scene.motion.dq[:, joint]) / scene.motion.rate_hz
-        return power >= 0.0
+            change = self.columns(scene, joint, settings)[joint] @ c
+            torque = scene.friction[:, joint] + change
+            energy += float(torque @ scene.motion.dq[:, joint]) / scene.motion.rate_hz
+        return energy >= 0.0

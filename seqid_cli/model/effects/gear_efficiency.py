@@ -25,7 +25,7 @@ from seqid_cli.typing import Array
 
 
 class GearEfficiency(LoadLoss):
-    """Losses in proportion to the transmitted torque, of their own in either power direction."""
+    """Losses in proportion to the transmitted torque, for each direction of power."""
 
     name = "gear_efficiency"
     even = True
@@ -42,13 +42,17 @@ class GearEfficiency(LoadLoss):
     )
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Magnitude of the load times direction, where the gear drives and where it is driven."""
+        """Return load size times direction, where the gear drives and where driven."""
         load, numbers = self.load(settings)
-        # Both are the same size; where the gear drives they have the same sign, else
-        # opposite ones.
-        parts = {"load_j": load, "loss": "0.5 * abs(load_j) * sign(dq)"}
-        parts["driven"] = "0.5 * load_j * abs(sign(dq))"
-        terms = "loss + driven", "loss - driven"
+        # Both parts have the same size. Their signs agree where the gear drives, so
+        # that their sum is the loss there and their difference is nothing; where the
+        # gear is driven it is the other way round.
+        parts = {
+            "load_j": load,
+            "loss": "0.5 * abs(load_j) * sign(dq)",
+            "driven": "0.5 * load_j * abs(sign(dq))",
+        }
+        terms = ("loss + driven", "loss - driven")
         return {joint: Law(terms=terms, parts=parts, numbers=numbers)}
 
     def values(
@@ -61,10 +65,11 @@ class GearEfficiency(LoadLoss):
     ) -> list[Value]:
         """Return the losses and, behind them, the efficiencies that they stand for."""
         losses = super().values(robot, joint, settings, c, covariance)
-        driving, driven = losses
-        inverse = 1.0 / max(1.0 + driving.value, 0.1)
+        driving, backdriving = losses
+        eta_d = 1.0 / max(1.0 + driving.value, 0.1)
+        eta_b = 1.0 - backdriving.value
         return [
             *losses,
-            Value("driving_efficiency", inverse, inverse**2 * driving.std_error, "1"),
-            Value("backdriving_efficiency", 1.0 - driven.value, driven.std_error, "1"),
+            Value("driving_efficiency", eta_d, eta_d**2 * driving.std_error, "1"),
+            Value("backdriving_efficiency", eta_b, backdriving.std_error, "1"),
         ]

@@ -1,4 +1,4 @@
-"""Losses that grow with the torque which a gear passes on, where its rotor may not be known.
+"""Losses that grow with the torque which a gear passes on; its rotor may be unknown.
 
 The gear passes to the link what turns the joint but for its own rotor,
 
@@ -15,10 +15,12 @@ multi-DOF robots", ICRA 2011.
 from collections.abc import Mapping, Sequence
 
 from seqid_cli.model.effects.effect import (
-    FrictionLaw,
+    AnyJoint,
+    FrictionEffect,
     Grid,
     Setting,
     Settings,
+    knows_load,
     rotor_hidden,
 )
 from seqid_cli.model.effects.scene import Scenes
@@ -29,38 +31,42 @@ ROTOR = "reflected_rotor_inertia"
 SHARES = (0.02, 0.06, 0.2, 0.6)  # of the smallest inertia about the joint
 
 
-class LoadLoss(FrictionLaw):
+class LoadLoss(FrictionEffect):
     """An effect of the torque that a gear passes on."""
 
-    sided = steady = True
+    sided = True
+    steady = True
     settings = (
         Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),
     )
-    needs = ("motion", "load")
+
+    def available(self, scenes: Scenes, joint: AnyJoint) -> bool:
+        """Return whether the joint moves and the model knows the load of its gear."""
+        return super().available(scenes, joint) and knows_load(scenes)
 
     def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
-        """Yield no rotor, then some that it may have."""
+        """Yield no rotor, then some rotors that the joint may have."""
         yield {}
         yield from self.beyond(scenes, joint)
 
     def beyond(self, scenes: Scenes, joint: int) -> Grid:
-        """Yield rotor inertias where neither robot file nor motion nor a sensor tells them."""
+        """Yield rotor inertias if neither file nor motion nor a sensor tells them."""
         measured = all(scene.sensor is not None for scene in scenes)
         if measured or not rotor_hidden(scenes[0].robot, joint):
             return
-        most = _most(scenes, joint)
-        if most > 0.0:
-            yield from ({ROTOR: share * most} for share in SHARES)
+        largest = _smallest_inertia(scenes, joint)
+        if largest > 0.0:
+            yield from ({ROTOR: share * largest} for share in SHARES)
 
     def between(self, settings: Settings) -> tuple[Setting, ...]:
-        """The rotor inertia, where there is one to search."""
+        """Return the rotor inertia, where there is one to search."""
         return self.settings if ROTOR in settings else ()
 
     def load(self, settings: Settings) -> tuple[str, Mapping[str, float]]:
-        """Return the formula of the torque [N m] that the gear passes to the link, and its numbers.
+        """Return the formula of the torque passed to the link, and its numbers.
 
-        A torque sensor behind the gear does not see a rotor, whoever is looking for
-        one.
+        The torque is in N m. A torque sensor behind the gear does not see a rotor,
+        whether one is searched or not.
         """
         if ROTOR not in settings:
             return "load", {}
@@ -69,11 +75,16 @@ class LoadLoss(FrictionLaw):
     def plausible(
         self, scenes: Scenes, joint: int, settings: Settings, c: Array
     ) -> bool:
-        """Ask for bounded losses, and for a link that has inertia of its own."""
-        possible = ROTOR not in settings or settings[ROTOR] <= _most(scenes, joint)
-        return possible and super().plausible(scenes, joint, settings, c)
+        """Return whether losses are bounded and the link has inertia of its own."""
+        leaves_a_link = ROTOR not in settings or settings[ROTOR] <= _smallest_inertia(
+            scenes, joint
+        )
+        return leaves_a_link and super().plausible(scenes, joint, settings, c)
 
 
-def _most(scenes: Scenes, joint: int) -> float:
-    """The smallest modelled inertia kg m^2 about a joint that the logs show, never negative."""
-    return max(min(float(link_inertia(s, joint)[:, joint].min()) for s in scenes), 0.0)
+def _smallest_inertia(scenes: Scenes, joint: int) -> float:
+    """Return the smallest modelled inertia about a joint, kg m^2, at least 0."""
+    smallest = min(
+        float(link_inertia(scene, joint)[:, joint].min()) for scene in scenes
+    )
+    return max(smallest, 0.0)

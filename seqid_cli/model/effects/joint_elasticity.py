@@ -1,8 +1,9 @@
-"""The gear twists under load: the link is not where the motor's encoder says, or the other way.
+"""The gear twists under load: motor and link do not stand at the same angle.
 
 Encoder on the motor (encoder_side 0): with x = q_link - q_measured the joint's twist,
 
-    M x'' + D x' + K x = -tau_L,        tau_effect = (d tau / d q, dq, ddq) . (x, x', x'')
+    M x'' + D x' + K x = -tau_L
+    tau_effect = (d tau / d q, dq, ddq) . (x, x', x'')
 
 Encoder on the link (encoder_side 1, where the robot file says so): rotor and motor
 friction feel dq_m = dq + tau_L' / K,
@@ -34,6 +35,7 @@ from seqid_cli.model.effects.effect import (
     Grid,
     Setting,
     Settings,
+    knows_load,
 )
 from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.memory import FrictionSlope, Rate
@@ -44,14 +46,17 @@ from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-BLUNT, RINGING = 0.15, 0.06  # damping, of critical
+# Damping, of critical.
+BLUNT = 0.15
+RINGING = 0.06
 SHARPER = (RINGING, 0.03, 0.015)
-# resonance of the grid's ends over the low-pass's cut-off
-SOFTEST, STIFFEST = 0.25, 6.0
+# Resonances of the grid's ends over the low-pass's cut-off.
+SOFTEST = 0.25
+STIFFEST = 6.0
 POINTS = 8
 FINE = 8  # resonances in the band, where gears may ring on
 AGREEMENT = 4.0  # of compliance and trial stiffness, as a ratio
-# over the cut-off, of a joint whose shape is that of a stiff one
+# Resonance over the cut-off, of a joint whose shape is that of a stiff one.
 LOWEST_RESONANCE = 0.4
 
 
@@ -67,9 +72,9 @@ class JointElasticity(Effect):
             "damping_ratio", "1", low=0.0, high=1.0, continuous=False, then=SHARPER
         ),
     )
-    needs = ("load",)
     passes = 1
-    timing = apart = True
+    timing = True
+    apart = True
     linear = (Coefficient("compliance", "rad/(N m)", low=0.0),)
     alike = ("time_skew", "actuator_lag", "encoder_eccentricity")
     separate_by = (
@@ -78,55 +83,65 @@ class JointElasticity(Effect):
     )
 
     def local(self, settings: Settings) -> bool:
-        """Only where the encoder is on the link: a twist rings on."""
-        return settings["encoder_side"] > 0.5
+        """Return whether the encoder is on the link: a twist rings on."""
+        return _encoder_on_link(settings)
+
+    def available(self, scenes: Scenes, joint: int) -> bool:
+        """Return whether the model knows the load of the gear."""
+        return knows_load(scenes)
 
     def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
-        """Yield resonances around the cut-off; the robot file tells where the encoder sits."""
-        inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
-        cutoff = scenes[0].motion.lowpass.cutoff_hz
-        # N m/rad, of a resonance at the cut-off
-        unit = inertia * (2 * np.pi * cutoff) ** 2
-        link = scenes[0].robot.joints[joint].encoder_side == "link"
-        tried = [
-            (share, BLUNT)
-            for share in np.geomspace(SOFTEST, STIFFEST, POINTS)[:: 1 + link]
-        ]
-        if not link:
-            tried += [
-                (share, RINGING) for share in np.geomspace(LOWEST_RESONANCE, 1.0, FINE)
-            ]
-        for share, ratio in tried:
-            settings = {
-                "trial_stiffness": float(unit * share**2),
-                "encoder_side": float(link),
+        """Yield resonances around the cut-off; the file says where the encoder is."""
+        stiffness_at_cutoff = _stiffness_at_cutoff(scenes[0], joint)
+        on_link = scenes[0].robot.joints[joint].encoder_side == "link"
+
+        # On the link every second resonance is enough: its columns hardly change.
+        shares = np.geomspace(SOFTEST, STIFFEST, POINTS)[:: 1 + on_link]
+        tried = [(share, BLUNT) for share in shares]
+        if not on_link:
+            in_band = np.geomspace(LOWEST_RESONANCE, 1.0, FINE)
+            tried += [(share, RINGING) for share in in_band]
+
+        for share, damping_ratio in tried:
+            yield {
+                "trial_stiffness": float(stiffness_at_cutoff * share**2),
+                "encoder_side": float(on_link),
+                "damping_ratio": damping_ratio,
             }
-            yield {**settings, "damping_ratio": ratio}
 
     def laws(
         self, robot: Robot, joint: int, settings: Settings
     ) -> Mapping[int, Law] | None:
-        """Rotor and friction on the motor's motion, where the encoder is on the link."""
-        if settings["encoder_side"] <= 0.5:
+        """Return rotor and friction on the motor's motion; encoder on the link."""
+        if not _encoder_on_link(settings):
             return None
-        slope = FrictionSlope(lead="load_rate", per=1.0 / settings["trial_stiffness"])
-        rates = {"load_rate": Rate("load"), "load_bend": Rate("load", 2)}
-        term = "rotor * load_bend + slope * load_rate"
-        return {joint: Law(terms=(term,), memories={**rates, "slope": slope})}
+        compliance = 1.0 / settings["trial_stiffness"]
+        law = Law(
+            terms=("rotor * load_bend + slope * load_rate",),
+            memories={
+                "load_rate": Rate("load"),
+                "load_bend": Rate("load", 2),
+                "slope": FrictionSlope(lead="load_rate", per=compliance),
+            },
+        )
+        return {joint: law}
 
     def deviation(self, robot: Robot, joint: int, settings: Settings) -> Twist | None:
-        """Twist of the gear, where the encoder is on the motor."""
-        if settings["encoder_side"] > 0.5:
+        """Return the twist of the gear, if the encoder is on the motor."""
+        if _encoder_on_link(settings):
             return None
         return Twist(settings["trial_stiffness"], settings.get("damping_ratio", BLUNT))
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
-        """Torque per unit compliance, on all joints (link's side: on its own)."""
-        twisted = self.deviation(scene.robot, joint, settings)
-        if twisted is None:
+        """Compute the torque per unit compliance, on all joints.
+
+        With the encoder on the link only the joint itself feels it.
+        """
+        deviation = self.deviation(scene.robot, joint, settings)
+        if deviation is None:
             return super().columns(scene, joint, settings)
-        bent = twist(scene, joint, twisted.stiffness, twisted.damping_ratio)
-        return link_deviation(scene, joint, bent)
+        angle = twist(scene, joint, deviation.stiffness, deviation.damping_ratio)
+        return link_deviation(scene, joint, angle)
 
     def values(
         self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
@@ -134,58 +149,84 @@ class JointElasticity(Effect):
         """Return the stiffness 1 / c, its error by the delta method."""
         compliance = max(float(c[0]), 1e-12)
         error = float(np.sqrt(max(covariance[0, 0], 0.0))) / compliance**2
-        return [
-            Value(
-                "stiffness",
-                1.0 / compliance,
-                error,
-                robot.joints[joint].unit("N m/rad"),
-            )
-        ]
+        unit = robot.joints[joint].unit("N m/rad")
+        return [Value("stiffness", 1.0 / compliance, error, unit)]
 
     def plausible(
         self, scenes: Scenes, joint: int, settings: Settings, c: Array
     ) -> bool:
-        """The compliance agrees with the stiffness that shaped it, where that shows in the band."""
-        if c[0] <= 0.0 or settings["encoder_side"] > 0.5:
-            return bool(c[0] > 0.0)
-        inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
-        # N m/rad
-        band = inertia * (2 * np.pi * scenes[0].motion.lowpass.cutoff_hz) ** 2
-        if settings["trial_stiffness"] < band:
-            return bool(
-                1.0 / AGREEMENT < c[0] * settings["trial_stiffness"] < AGREEMENT
-            )
-        return bool(1.0 / c[0] > LOWEST_RESONANCE**2 * band)
+        """Return whether the compliance agrees with the stiffness of its column.
+
+        The shape shows where the resonance lies in the band of the motion. Elsewhere
+        the compliance must not put the resonance into that band.
+        """
+        if c[0] <= 0.0:
+            return False
+        if _encoder_on_link(settings):
+            return True
+
+        stiffness_at_cutoff = _stiffness_at_cutoff(scenes[0], joint)
+        if settings["trial_stiffness"] < stiffness_at_cutoff:
+            ratio = c[0] * settings["trial_stiffness"]
+            return bool(1.0 / AGREEMENT < ratio < AGREEMENT)
+        return bool(1.0 / c[0] > LOWEST_RESONANCE**2 * stiffness_at_cutoff)
+
+
+def _encoder_on_link(settings: Settings) -> bool:
+    return settings["encoder_side"] > 0.5
+
+
+def _stiffness_at_cutoff(scene: Scene, joint: int) -> float:
+    """Return the stiffness of a joint that resonates at the cut-off, N m/rad."""
+    inertia = max(float(np.mean(link_inertia(scene, joint)[:, joint])), 1e-9)
+    return float(inertia * (2 * np.pi * scene.motion.lowpass.cutoff_hz) ** 2)
 
 
 def twist(scene: Scene, joint: int, stiffness: float, ratio: float = BLUNT) -> Array:
-    """Twist K x (N,) N m of a joint of given stiffness and damping, driven by the measured motion.
+    """Compute the twist K x (N,) N m of a compliant joint under the measured motion.
 
-    Trapezoidal (average acceleration) steps, stable however stiff the joint is; before
-    the first sample of each stretch without a gap the twist is taken for quasi-static.
+    Parameters
+    ----------
+    scene : Scene
+    joint : int
+    stiffness : float
+        K [N m/rad].
+    ratio : float
+        Damping over critical damping [-].
+
+    Returns
+    -------
+    Array
+        Trapezoidal (average acceleration) steps, stable however stiff the joint is.
+        Before the first sample of each stretch without a gap the twist is taken for
+        quasi-static.
     """
     load = scene.load[:, joint]
     mass = np.maximum(link_inertia(scene, joint)[:, joint], 1e-9) / stiffness
     damping = 2.0 * ratio * np.sqrt(mass)
-    result = -load
+
+    torque = -load
     for start, stop in runs(scene.motion.valid, scene.samples):
-        if stop - start > 3:
-            at = slice(start, stop)
-            result[at] = _oscillator(
-                load[at], mass[at], damping[at], scene.motion.rate_hz
-            )
-    return result
+        if stop - start <= 3:
+            continue
+        run = slice(start, stop)
+        torque[run] = _oscillator(
+            load[run], mass[run], damping[run], scene.motion.rate_hz
+        )
+    return torque
 
 
 def _oscillator(load: Array, mass: Array, damping: Array, rate_hz: float) -> Array:
-    """Solve mass z'' + damping z' + z = -load; the time steps form a triangular band."""
-    a, d = mass[1:-1] * rate_hz**2, 0.5 * damping[1:-1] * rate_hz
+    """Solve mass z'' + damping z' + z = -load; time steps form a triangular band."""
+    inertial = mass[1:-1] * rate_hz**2
+    viscous = 0.5 * damping[1:-1] * rate_hz
+
     band = np.zeros((3, len(load)))
     band[0, :2] = 1.0
-    band[0, 2:] = a + d + 0.25
-    band[1, 1:-1] = 0.5 - 2.0 * a
-    band[2, :-2] = a - d + 0.25
+    band[0, 2:] = inertial + viscous + 0.25
+    band[1, 1:-1] = 0.5 - 2.0 * inertial
+    band[2, :-2] = inertial - viscous + 0.25
+
     right = -load
     right[2:] = -0.25 * (load[2:] + 2.0 * load[1:-1] + load[:-2])
     return np.asarray(dtbsv(2, band, right, lower=1))

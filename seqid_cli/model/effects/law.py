@@ -1,4 +1,4 @@
-"""Laws of effects, written once: as formulas that are evaluated here and written out as code.
+"""Laws of effects as formulas, which are evaluated here and written out as code.
 
     tau_j = sum_k c_k X_k,        X_k: a text in the grammar of `robot.formula`
 
@@ -6,7 +6,7 @@ A term may name the symbols of that grammar, the law's own `numbers` (settings a
 them), its `parts` (sub-formulas that several terms share) and its `memories`. Laws of
 the catalogue may besides name what no formula of a robot file can:
 
-    coulomb_share   Coulomb friction at the place over its mean, 1 where none is identified
+    coulomb_share   Coulomb friction at the place over its mean, 1 if not identified
     rotor           the model's rotor inertia as the joint feels it, kg m^2
     sign_width      the speed over which the direction changes, rad/s
     load_is_modelled  1, and 0 where a torque sensor behind the gear measures the load
@@ -38,7 +38,7 @@ Compiled = Callable[[Lookup], Evaluated]
 
 
 def _power(base: Evaluated, exponent: Evaluated) -> Evaluated:
-    """Raise to a power; the operator of arrays has a short way for 1, 2 and 0.5."""
+    """Return a power; the operator of arrays has a short way for 1, 2 and 0.5."""
     if isinstance(base, np.ndarray):
         return np.asarray(base**exponent)
     return np.asarray(np.power(base, exponent))
@@ -72,7 +72,7 @@ class Law:
     memories : mapping of name to Memory
         Quantities that do not follow from the instant alone.
     note : str
-        What a reader of exported code has to know of it.
+        What a reader of exported code has to know of the law.
     """
 
     terms: tuple[str, ...]
@@ -87,71 +87,98 @@ class Law:
         joint: int,
         shared: dict[int, dict[str, Evaluated]] | None = None,
     ) -> Array:
-        """Evaluate the terms of a joint: torque (N, k) per unit coefficient, unfiltered.
+        """Evaluate the terms of a joint.
 
-        `shared` holds parts that laws of other joints have evaluated, by the parts'
-        identity.
+        Parameters
+        ----------
+        scene : Scene
+        joint : int
+        shared : dict, optional
+            Parts that laws of other joints have evaluated, by the identity of `parts`;
+            those of this law are added.
+
+        Returns
+        -------
+        Array
+            Torque (N, k) per unit coefficient, unfiltered.
         """
-        remembered: dict[str, Evaluated] = {}
+        evaluated: dict[str, Evaluated] = {}
         for name, memory in self.memories.items():
-            remembered[name] = memory.of_scene(scene, joint, remembered)
+            evaluated[name] = memory.of_scene(scene, joint, evaluated)
         if shared is not None and id(self.parts) in shared:
-            remembered |= shared[id(self.parts)]
-        names = self._lookup(remembered, lambda name: quantity(scene, joint, name))
-        if shared is not None and self.parts and self._parts_name_joints:
-            shared[id(self.parts)] = {name: names(name) for name in self.parts}
+            evaluated |= shared[id(self.parts)]
 
-        torques = [compiled(term)(names) for term in self.terms]
-        computed = (
-            not isinstance(tree_of(self.terms[0]), ast.Name) if self.terms else False
-        )
-        if len(torques) == 1 and computed and np.ndim(torques[0]):
+        lookup = self._lookup(evaluated, lambda name: quantity(scene, joint, name))
+        if shared is not None and self.parts and self._parts_name_joints:
+            shared[id(self.parts)] = {name: lookup(name) for name in self.parts}
+
+        torques = [compiled(term)(lookup) for term in self.terms]
+        if self._is_one_computed_array(torques):
             X = np.asarray(torques[0])[:, None]  # the usual case costs no copy
         else:
             X = np.empty((scene.samples, len(torques)))
             for k, torque in enumerate(torques):
                 X[:, k] = torque
+
+        # Where no temperature is known, the law adds nothing.
         for j in self.temperatures(joint):
             X[~np.isfinite(quantity(scene, j, "temperature"))] = 0.0
         return X
 
+    def _is_one_computed_array(self, torques: list[Evaluated]) -> bool:
+        """Return whether the only term made a new array, no quantity of the scene."""
+        if len(torques) != 1:
+            return False
+        is_name = isinstance(tree_of(self.terms[0]), ast.Name)
+        return not is_name and bool(np.ndim(torques[0]))
+
     def of_values(self, values: Mapping[str, Evaluated]) -> Array:
         """Evaluate the only term with values (N, ...) of the names that it has."""
-        names = self._lookup(values, values.__getitem__)
-        return np.asarray(compiled(self.terms[0])(names))
+        lookup = self._lookup(values, values.__getitem__)
+        return np.asarray(compiled(self.terms[0])(lookup))
 
     @property
     def _parts_name_joints(self) -> bool:
-        """Whether parts are the same at every joint: their quantities are of named joints."""
-        taken = symbols_in(
-            tuple(self.parts.values()), frozenset({*self.numbers, *self.parts})
-        )
-        return all(symbol.joint is not None for symbol in taken)
+        """True if parts are the same at every joint: their quantities name joints."""
+        texts = tuple(self.parts.values())
+        symbols = symbols_in(texts, frozenset({*self.numbers, *self.parts}))
+        return all(symbol.joint is not None for symbol in symbols)
 
     @property
     def symbols(self) -> frozenset[Symbol]:
         """Quantities that terms, parts and memories take."""
-        taken = [text for memory in self.memories.values() for text in memory.takes]
-        texts = (*self.terms, *self.parts.values(), *taken)
-        named = {*self.numbers, *self.parts, *self.memories}
-        return symbols_in(texts, frozenset(named))
+        remembered = [
+            text for memory in self.memories.values() for text in memory.takes
+        ]
+        texts = (*self.terms, *self.parts.values(), *remembered)
+        own_names = {*self.numbers, *self.parts, *self.memories}
+        return symbols_in(texts, frozenset(own_names))
 
     def temperatures(self, joint: int) -> list[int]:
         """Return the joints whose temperature the law of a joint takes."""
-        warm = (symbol for symbol in self.symbols if symbol.name == "temperature")
-        return sorted({joint if s.joint is None else s.joint for s in warm})
+        return sorted(
+            {
+                joint if symbol.joint is None else symbol.joint
+                for symbol in self.symbols
+                if symbol.name == "temperature"
+            }
+        )
 
     def _lookup(self, values: Mapping[str, Evaluated], elsewhere: Lookup) -> Lookup:
-        known: dict[str, Evaluated] = {**self.numbers, **values}
+        """Return a function that gives the value of a name, and remembers it.
+
+        Names are numbers, `values`, parts, or found `elsewhere`.
+        """
+        value_of: dict[str, Evaluated] = {**self.numbers, **values}
 
         def lookup(name: str) -> Evaluated:
-            if name not in known:
-                known[name] = elsewhere(name)
-            return known[name]
+            if name not in value_of:
+                value_of[name] = elsewhere(name)
+            return value_of[name]
 
         for name, text in self.parts.items():
-            if name not in known:
-                known[name] = compiled(text)(lookup)
+            if name not in value_of:
+                value_of[name] = compiled(text)(lookup)
         return lookup
 
 
@@ -163,19 +190,19 @@ def tree_of(text: str) -> ast.expr:
 
 @lru_cache(maxsize=256)
 def names_in(text: str) -> frozenset[str]:
-    """Return the names of a term, those of functions left out; `sign(dq)` names dq."""
-    tree = tree_of(text)
-    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
-    return frozenset(node.id for node in nodes if id(node) not in called)
+    """Return the names of a term without those of functions; `sign(dq)` names dq."""
+    nodes = list(ast.walk(tree_of(text)))
+    functions = {id(node.func) for node in nodes if isinstance(node, ast.Call)}
+    names = (node for node in nodes if isinstance(node, ast.Name))
+    return frozenset(node.id for node in names if id(node) not in functions)
 
 
 @lru_cache(maxsize=256)
 def symbols_in(texts: tuple[str, ...], numbers: frozenset[str]) -> frozenset[Symbol]:
     """Return the quantities that texts name, but for names of numbers."""
     names = frozenset[str]().union(*map(names_in, texts)) - numbers
-    found = (catalogue_symbol(name) for name in names)
-    return frozenset(symbol for symbol in found if symbol is not None)
+    symbols = (catalogue_symbol(name) for name in names)
+    return frozenset(symbol for symbol in symbols if symbol is not None)
 
 
 @lru_cache(maxsize=256)
@@ -184,11 +211,12 @@ def catalogue_symbol(name: str) -> Symbol | None:
     match = _NUMBERED.fullmatch(name)
     if match is None:
         return symbol_of(name)
-    return Symbol(match[1], int(match[2]) - 1 if match[2] else None)
+    joint = int(match[2]) - 1 if match[2] else None
+    return Symbol(match[1], joint)
 
 
 def direction_of(node: ast.expr) -> str | None:
-    """Return the velocity whose direction a call takes: "dq" of `sign(dq)`, else None."""
+    """Return the velocity whose direction a call takes: "dq" of `sign(dq)`, or None."""
     match node:
         case ast.Call(func=ast.Name(id="sign"), args=[ast.Name(id=name)]):
             symbol = symbol_of(name)
@@ -203,7 +231,10 @@ def compiled(text: str) -> Compiled:
 
 
 def _compiled(node: ast.expr) -> Compiled:
-    """Return the function of a node; nested closures cost discovery less than walking trees."""
+    """Return the function of a node.
+
+    Terms are evaluated very often: nested closures take less time than walking a tree.
+    """
     direction = direction_of(node)
     if direction is not None:
         return lambda lookup: lookup(f"sign({direction})")
@@ -219,23 +250,24 @@ def _compiled(node: ast.expr) -> Compiled:
         case ast.UnaryOp(operand=inner):
             return _compiled(inner)
         case ast.BinOp(left=first, op=op, right=second):
-            operator, left, right = (
-                _OPERATORS[type(op)],
-                _compiled(first),
-                _compiled(second),
-            )
+            operator = _OPERATORS[type(op)]
+            left = _compiled(first)
+            right = _compiled(second)
             return lambda lookup: operator(left(lookup), right(lookup))
-        case ast.Call(func=ast.Name(id=name), args=[argument]):
-            function, of = _CALLS[name], _compiled(argument)
-            return lambda lookup: function(of(lookup))
+        case ast.Call(func=ast.Name(id=name), args=[inner]):
+            function = _CALLS[name]
+            argument = _compiled(inner)
+            return lambda lookup: function(argument(lookup))
         case ast.Call(func=ast.Name(id=name), args=[first, second]):
-            function, left, right = _CALLS[name], _compiled(first), _compiled(second)
+            function = _CALLS[name]
+            left = _compiled(first)
+            right = _compiled(second)
             return lambda lookup: function(left(lookup), right(lookup))
     raise AssertionError(ast.dump(node))
 
 
 def quantity(scene: Scene, joint: int, name: str) -> Evaluated:
-    """Return a quantity (N,) of the joint, or of the one whose number its name ends with."""
+    """Return a quantity (N,) of the joint, or of the one whose number ends its name."""
     if name.startswith("sign("):
         symbol = symbol_of(name[len("sign(") : -1])
         assert symbol is not None
@@ -271,19 +303,26 @@ PLACES = 65  # over which the mean of Coulomb friction is taken
 
 
 def coulomb_share(scene: Scene, joint: int) -> Array:
-    """Coulomb friction (N,) at the place of every sample over its mean; 1 where none is told."""
-    surface, q = scene.model.surfaces[joint], scene.motion.q[:, joint]
+    """Return Coulomb friction (N,) at the place of every sample over its mean.
+
+    It is 1 where friction trials have not identified it.
+    """
+    surface = scene.model.surfaces[joint]
+    q = scene.motion.q[:, joint]
     if surface is None or len(surface.speeds) == 0:
         return np.ones_like(q)
     mean = surface.mean_coulomb(PLACES)
+    if mean <= 0.0:
+        return np.ones_like(q)
     low, high = surface.scaling.position
-    return (
-        surface.coulomb(np.clip(q, low, high)) / mean if mean > 0.0 else np.ones_like(q)
-    )
+    return np.asarray(surface.coulomb(np.clip(q, low, high)) / mean)
 
 
 def factor_of(tree: ast.expr, coefficient: str) -> ast.expr | None:
-    """Return what a coefficient is multiplied by in a formula that is linear in it, or None."""
+    """Return what a coefficient is multiplied by in a formula that is linear in it.
+
+    None where the formula does not have the coefficient.
+    """
     match tree:
         case ast.Name(id=name):
             return ast.Constant(1.0) if name == coefficient else None
@@ -291,7 +330,8 @@ def factor_of(tree: ast.expr, coefficient: str) -> ast.expr | None:
             factor = factor_of(inner, coefficient)
             return None if factor is None else ast.UnaryOp(op, factor)
         case ast.BinOp(left=left, op=ast.Mult() as op, right=right):
-            first, second = factor_of(left, coefficient), factor_of(right, coefficient)
+            first = factor_of(left, coefficient)
+            second = factor_of(right, coefficient)
             if first is None and second is None:
                 return None
             return ast.BinOp(first or left, op, second or right)
@@ -299,13 +339,11 @@ def factor_of(tree: ast.expr, coefficient: str) -> ast.expr | None:
             factor = factor_of(left, coefficient)
             return None if factor is None else ast.BinOp(factor, op, right)
         case ast.BinOp(left=left, op=(ast.Add() | ast.Sub()) as op, right=right):
-            first, second = factor_of(left, coefficient), factor_of(right, coefficient)
-            if first is None or second is None:
-                minus = first is None and isinstance(op, ast.Sub) and second is not None
-                return (
-                    ast.UnaryOp(ast.USub(), second)
-                    if minus and second
-                    else first or second
-                )
-            return ast.BinOp(first, op, second)
+            first = factor_of(left, coefficient)
+            second = factor_of(right, coefficient)
+            if first is not None and second is not None:
+                return ast.BinOp(first, op, second)
+            if second is not None and isinstance(op, ast.Sub):
+                return ast.UnaryOp(ast.USub(), second)
+            return first or second
     return None

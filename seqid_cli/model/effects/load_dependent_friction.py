@@ -31,6 +31,6 @@ class LoadDependentFriction(LoadLoss):
     )
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Magnitude of the load times direction."""
+        """Return the size of the load times the direction."""
         load, numbers = self.load(settings)
         return {joint: Law(terms=(f"abs({load}) * sign(dq)",), numbers=numbers)}

@@ -20,7 +20,7 @@ SMALL_S = 1e-6  # below it the derivative over time is exact enough
 
 
 class MeasurementEffect(Effect):
-    """An effect that a recording can be freed of by correcting the channel that it distorts."""
+    """An effect that is undone by correcting the channel that it distorts."""
 
     family = "measurement"
 
@@ -33,11 +33,14 @@ class MeasurementEffect(Effect):
         settings: Settings,
         c: Array,
     ) -> Recording:
-        """Return a recording without the effect of coefficients c (k,) of a joint, or of all."""
+        """Return a recording without the effect of coefficients c (k,).
+
+        It is the effect of a joint, or of all joints alike where `joint` is None.
+        """
 
 
 class TorqueMeasurement(MeasurementEffect):
-    """One that distorts torque: `true_torque` inverts it, sample by sample or in time."""
+    """An effect on measured torque: `true_torque` inverts it, by samples or in time."""
 
     passes = 1  # what has steps is low-passed once in the columns already
 
@@ -55,61 +58,71 @@ class TorqueMeasurement(MeasurementEffect):
         settings: Settings,
         c: Array,
     ) -> Recording:
-        """Replace the torque of the joint, or of all."""
+        """Replace the torque of the joint, or of all joints."""
         assert recording.tau is not None
-        which = slice(None) if joint is None else slice(joint, joint + 1)
+        touched_joints = slice(None) if joint is None else slice(joint, joint + 1)
         tau = recording.tau.copy()
-        tau[:, which] = self.true_torque(tau[:, which], recording.rate_hz, settings, c)
+        tau[:, touched_joints] = self.true_torque(
+            tau[:, touched_joints], recording.rate_hz, settings, c
+        )
         return replace(recording, tau=tau)
 
 
 class ModelledTorque(TorqueMeasurement):
-    """One whose column is a function of the modelled torque: its law has one term."""
+    """An effect whose column is a function of the modelled torque: one term."""
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """Evaluate the law of the torque as it should be."""
+        """Evaluate the law of the torque as the model has it."""
         laws = self.laws(scene.robot, joint, settings)
         assert laws is not None
         law = next(iter(laws.values()))  # the same at every joint
 
-        def changed(tau: Array) -> Array:
+        def law_of_torque(tau: Array) -> Array:
             values = {"tau": tau}
             for name, memory in law.memories.items():
                 assert isinstance(memory, Late | Rate)
                 values[name] = memory.of_series(tau, scene.motion)
             return law.of_values(values)
 
-        return of_modelled(scene, joint, changed)
+        return of_modelled(scene, joint, law_of_torque)
 
 
 def touched(robot: Robot, joint: Joint) -> list[int]:
-    """Joints that an effect of one joint, or of all, touches."""
+    """Return the joints that an effect of one joint, or of all joints, touches."""
     return list(range(robot.n)) if joint is None else [joint]
 
 
 def steady_change(scene: Scene, joint: Joint, seconds: float = 0.0) -> Columns:
-    """Change of the torque of steady motion over `seconds`, SMALL_S at least, (N, 1) per second."""
-    motion, which = scene.motion, touched(scene.robot, joint)
+    """Compute the change per second (N, 1) of the torque of a steady motion.
+
+    It is taken over `seconds`, SMALL_S at least.
+    """
+    motion = scene.motion
+    joints = touched(scene.robot, joint)
     seconds = seconds if abs(seconds) > SMALL_S else SMALL_S
-    later = replace(scene, motion=replace(motion, q=motion.q + seconds * motion.dq))
-    now, then = ((one.carried + one.friction)[:, which] for one in (scene, later))
-    change = (then - now) / seconds
-    return {j: change[:, [k]] for k, j in enumerate(which)}
+
+    later_motion = replace(motion, q=motion.q + seconds * motion.dq)
+    later = replace(scene, motion=later_motion)
+    torque_now = (scene.carried + scene.friction)[:, joints]
+    torque_later = (later.carried + later.friction)[:, joints]
+    change = (torque_later - torque_now) / seconds
+    return {j: change[:, [k]] for k, j in enumerate(joints)}
 
 
 def of_modelled(
     scene: Scene, joint: Joint, function: Callable[[Array], Array]
 ) -> Columns:
-    """Columns function(tau) of the torque as it should be, ready for one more low-pass.
+    """Compute columns function(tau) of the model's torque, ready for one more low-pass.
 
-    The load is measured where a torque sensor does that, else modelled. Rigid torque
-    comes from motion that was low-passed once, friction has steps: what friction adds
-    to the column is low-passed once here, so that one pass more treats both like
-    measured torque.
+    The load is measured where a torque sensor does that, else modelled.
     """
-    which = touched(scene.robot, joint)
-    carried = scene.carried[:, which]
-    smooth = function(carried)
-    stepped = function(carried + scene.friction[:, which]) - smooth
-    total = smooth + scene.motion.filtered(stepped)
-    return {j: total[:, [k]] for k, j in enumerate(which)}
+    joints = touched(scene.robot, joint)
+    carried = scene.carried[:, joints]
+
+    # Rigid torque comes from motion that was low-passed once, friction has steps. What
+    # friction adds to the column is low-passed once here, so that one pass more treats
+    # both like measured torque.
+    of_carried = function(carried)
+    by_friction = function(carried + scene.friction[:, joints]) - of_carried
+    column = of_carried + scene.motion.filtered(by_friction)
+    return {j: column[:, [k]] for k, j in enumerate(joints)}

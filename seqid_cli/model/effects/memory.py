@@ -16,9 +16,9 @@ from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array
 
-NOTHING = (
-    1e-30  # share of the past that is forgotten; keeps products out of the denormals
-)
+# Share of the past below which it is forgotten. It keeps products out of the denormals,
+# with which processors are slow.
+NOTHING = 1e-30
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class Late:
-    """The modelled torque as it was some `seconds` before; later, where they are negative."""
+    """The modelled torque as it was some `seconds` before; negative ones are later."""
 
     seconds: float
     takes: ClassVar[tuple[str, ...]] = ("tau",)
@@ -73,13 +73,13 @@ class Late:
         return self.of_series(scene.modelled[:, [joint]], scene.motion)[:, 0]
 
     def of_series(self, torque: Array, motion: Motion) -> Array:
-        """Return late torques (N, k)."""
+        """Return torques (N, k) as they were `seconds` before."""
         return delayed(torque, self.seconds, motion.rate_hz)
 
 
 @dataclass(frozen=True)
 class FrictionSlope:
-    """Secant slope of the joint's own friction, to the speed that `lead` times `per` adds."""
+    """Secant slope of a joint's friction, up to `lead` times `per` more speed."""
 
     lead: str  # the memory that holds it
     per: float
@@ -89,23 +89,35 @@ class FrictionSlope:
         self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
     ) -> Array:
         """Return the slope (N,) N m s/rad of a joint."""
-        return scene.friction_slope(joint, np.asarray(remembered[self.lead]) * self.per)
+        added_speed = np.asarray(remembered[self.lead]) * self.per
+        return scene.friction_slope(joint, added_speed)
 
 
 Memory = Bristles | Rate | Late | FrictionSlope
 
 
 def deflection(q: Array, distance: float) -> Array:
-    """Deflection (N,) of Dahl's bristles as a share of their largest: within +-1, from 0 on.
+    """Compute the deflection of Dahl's bristles as a share of their largest.
 
-    Each sample maps the deflection before it affinely, x <- keep x + gain. Maps are
-    composed by doubling, in log2(N) sweeps over all samples, so there is no loop over
-    time. Positions q (N,) [rad] are taken as monotonic between samples; `distance` is
-    z_max [rad].
+    Parameters
+    ----------
+    q : Array
+        Positions (N,) [rad], taken as monotonic between samples.
+    distance : float
+        z_max [rad].
+
+    Returns
+    -------
+    Array
+        x (N,) within +-1; the bristles start undeflected.
     """
-    way = np.diff(q, prepend=q[:1]) / distance
-    keep = np.exp(-np.abs(way))
-    gain = -np.sign(way) * np.expm1(-np.abs(way))
+    travel = np.diff(q, prepend=q[:1]) / distance
+
+    # Each sample maps the deflection before it affinely, x <- keep x + gain. Maps are
+    # composed by doubling, in log2(N) sweeps over all samples, so there is no loop over
+    # time: after each sweep a map is of `span` samples.
+    keep = np.exp(-np.abs(travel))
+    gain = -np.sign(travel) * np.expm1(-np.abs(travel))
     span = 1
     while span < len(q):
         gain[span:] += keep[span:] * gain[:-span]
@@ -114,11 +126,25 @@ def deflection(q: Array, distance: float) -> Array:
         if not keep[span:].any():
             break
         span *= 2
-    return np.asarray(np.clip(gain, -1.0, 1.0))  # rounding
+
+    # Rounding may carry it a little beyond its largest.
+    return np.asarray(np.clip(gain, -1.0, 1.0))
 
 
 def delayed(values: Array, delay_s: float, rate_hz: float) -> Array:
-    """Values (N, k) as they were `delay_s` before, held at the ends, by cubic splines."""
+    """Return values as they were some time before, by cubic splines.
+
+    They are held at the ends.
+
+    Parameters
+    ----------
+    values : Array
+        (N, k).
+    delay_s : float
+        Negative for values as they will be.
+    rate_hz : float
+    """
     if not len(values):
         return values.copy()
-    return np.asarray(shift(values, (delay_s * rate_hz, 0.0), order=3, mode="nearest"))
+    samples = delay_s * rate_hz
+    return np.asarray(shift(values, (samples, 0.0), order=3, mode="nearest"))

@@ -1,4 +1,4 @@
-"""Viscous friction that is not linear in the speed: shear-thinning grease, or worse than linear.
+"""Viscous friction that is not linear in the speed: thinning grease, or a cubic.
 
     tau = c s(v) (|v| / v_1)^e,   v_1 = 1 rad/s
 
@@ -14,22 +14,28 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
+from seqid_cli.model.effects.effect import (
+    Coefficient,
+    FrictionEffect,
+    Setting,
+    Settings,
+)
 from seqid_cli.model.effects.law import Law
 from seqid_cli.model.effects.scene import Joint, Scenes
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-TAKEN = ((0.85, 1.15), (1.8, 2.2))  # exponents that go by other names
+NAMED_OTHERWISE = ((0.85, 1.15), (1.8, 2.2))  # exponents of other effects
 
 
-class NonlinearViscous(FrictionLaw):
+class NonlinearViscous(FrictionEffect):
     """Friction with a power of the speed."""
 
     name = "nonlinear_viscous"
     settings = (Setting("exponent", "1", low=0.3, high=4.0, grid=(0.5, 3.0)),)
     over = "speed"
-    sided = steady = True
+    sided = True
+    steady = True
     alike = ("quadratic_drag", "stribeck", "thermal_friction")
     separate_by = (
         "a ladder of eight constant speeds up and down again, both ways, from a"
@@ -43,12 +49,14 @@ class NonlinearViscous(FrictionLaw):
         return (Coefficient("viscous_torque", "N m", low=low),)
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Power of the speed times direction."""
+        """Return a power of the speed times the direction."""
         return {joint: Law(terms=("abs(dq) ** exponent * sign(dq)",), numbers=settings)}
 
     def plausible(
         self, scenes: Scenes, joint: Joint, settings: Settings, c: Array
     ) -> bool:
-        """Ask for an exponent that is neither viscous friction's nor quadratic drag's."""
-        taken = any(low < settings["exponent"] < high for low, high in TAKEN)
-        return not taken and super().plausible(scenes, joint, settings, c)
+        """Return whether the exponent is not viscous friction's or quadratic drag's."""
+        named_otherwise = any(
+            low < settings["exponent"] < high for low, high in NAMED_OTHERWISE
+        )
+        return not named_otherwise and super().plausible(scenes, joint, settings, c)

@@ -1,4 +1,4 @@
-"""Effects of one's own: formulas of the robot file, and those of installed packages.
+"""Effects that a robot file adds: its own formulas, and classes of installed packages.
 
     tau = sum_k c_k X_k(q, dq, ddq, load, ...; settings)
 
@@ -29,7 +29,7 @@ from seqid_cli.robot.types import OwnEffect, Robot
 
 GROUP = "seqid.effects"  # of entry points
 GRID = 5  # values of a setting that are tried first
-STEADY = {"q", "dq", "theta", "load", "tau"}  # what steady motion tells
+STEADY = {"q", "dq", "theta", "load", "tau"}  # symbols whose values a steady motion has
 
 _MEASURE: Mapping[str, Over] = {
     "q": "position",
@@ -42,61 +42,72 @@ _MEASURE: Mapping[str, Over] = {
 }
 
 
-def own_effect(asked: OwnEffect, robot: Robot) -> Effect:
-    """Make an effect of what a robot file asks for: by its formula, or of an installed package.
+def own_effect(declared: OwnEffect, robot: Robot) -> Effect:
+    """Make the effect that a robot file asks for.
 
-    Raises ConfigError if no package offers it, or it cannot be loaded.
+    It is of the file's formula, or of an installed package.
+
+    Raises
+    ------
+    ConfigError
+        No package offers the effect, or it cannot be loaded.
     """
-    if asked.formula is not None:
-        return FormulaEffect(asked, asked.formula)
-    name, where, key = asked.name, str(robot.source), f"effect {asked.name!r}"
+    if declared.formula is not None:
+        return FormulaEffect(declared, declared.formula)
+
+    where = str(robot.source)
+    key = f"effect {declared.name!r}"
     points = {point.name: point for point in entry_points(group=GROUP)}
-    if name not in points:
+    if declared.name not in points:
         offered = ", ".join(sorted(points)) or "none"
         hint = f'Give torque = "c1 * ...", or install the package. Offered: {offered}.'
         message = f"{key} has no formula, and no installed package offers it"
         raise ConfigError(message, where=where, hint=hint)
-    source = points[name].value
+
+    point = points[declared.name]
     try:
-        made = points[name].load()
-        effect = made() if inspect.isclass(made) else made
+        loaded = point.load()
+        effect = loaded() if inspect.isclass(loaded) else loaded
     except Exception as problem:  # whatever a package of somebody else's raises
-        text = f"{type(problem).__name__}: {problem}"
-        raise ConfigError(
-            f"{key} cannot be loaded from {source}: {text}", where=where
-        ) from None
-    if not isinstance(effect, Effect) or effect.name != name:
+        reason = f"{type(problem).__name__}: {problem}"
+        message = f"{key} cannot be loaded from {point.value}: {reason}"
+        raise ConfigError(message, where=where) from None
+
+    if not isinstance(effect, Effect) or effect.name != declared.name:
         hint = (
             "It must be a subclass of seqid_cli.model.effects.effect.Effect with this"
             " name."
         )
-        raise ConfigError(
-            f"{key}: {source} is no effect of that name", where=where, hint=hint
-        )
+        message = f"{key}: {point.value} is no effect of that name"
+        raise ConfigError(message, where=where, hint=hint)
     return effect
 
 
 class FormulaEffect(Effect):
-    """What a formula of the robot file says."""
+    """An effect by a formula of the robot file."""
 
-    def __init__(self, asked: OwnEffect, formula: Formula) -> None:
-        self.name, self.formula = asked.name, formula
+    def __init__(self, declared: OwnEffect, formula: Formula) -> None:
+        self.name = declared.name
+        self.formula = formula
         self.__doc__ = f"{formula.text}, of the robot file."
+
         names = {symbol.name for symbol in formula.symbols}
         calls = (node for node in ast.walk(formula.tree) if isinstance(node, ast.Call))
         self.sided = any(ast.unparse(call) == "sign(dq)" for call in calls)
         self.family = "friction" if self.sided else "transmission"
-        # Over the one quantity of its own joint that it depends on beside the
-        # direction.
-        some = names - {"dq"} or names
-        alone = len(some) == 1 and all(
-            symbol.joint is None for symbol in formula.symbols
-        )
-        self.over = _MEASURE.get(next(iter(some)), "torque") if alone else "torque"
         self.steady = self.sided and names <= STEADY
+
+        # It is shown over the one quantity of its own joint that it depends on beside
+        # the direction, if there is one.
+        quantities = names - {"dq"} or names
+        of_own_joint = all(symbol.joint is None for symbol in formula.symbols)
+        if len(quantities) == 1 and of_own_joint:
+            (quantity,) = quantities
+            self.over = _MEASURE.get(quantity, "torque")
+
         self.settings = tuple(
             Setting(name, "", low=low, high=high, logarithmic=low > 0.0)
-            for name, (low, high) in asked.settings.items()
+            for name, (low, high) in declared.settings.items()
         )
         self.separate_by = (
             f"motions in which {', '.join(sorted(names)) or 'nothing else'} change"
@@ -105,45 +116,52 @@ class FormulaEffect(Effect):
         self._names = names
 
     def local(self, settings: Settings) -> bool:
-        """Not where it needs the session's clock or the temperature."""
+        """Return whether it needs neither the session's clock nor the temperature."""
         return not self._names & {"t", "temperature"}
 
     def available(self, scenes: Scenes, joint: Joint) -> bool:
-        """Ask for the channels and the model that it names."""
-        warm = all(scene.temperature is not None for scene in scenes)
-        return joint is not None and (warm or "temperature" not in self._names)
+        """Return whether the logs have the channels that the formula names."""
+        if joint is None:
+            return False
+        is_logged = all(scene.temperature is not None for scene in scenes)
+        return is_logged or "temperature" not in self._names
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return the formula's own; their units follow from its terms."""
+        """Return the formula's coefficients; their units follow from its terms."""
         return tuple(Coefficient(name, "SI") for name in self.formula.coefficients)
 
     def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
-        """Values between the limits of each setting, evenly or by ratio."""
-        return {
-            s.name: (
-                (np.geomspace if s.logarithmic else np.linspace)(
-                    s.low, s.high, GRID
-                ).tolist()
-            )
-            for s in self.settings
-        }
+        """Return values between the limits of each setting, evenly or by ratio."""
+        axes = {}
+        for setting in self.settings:
+            spaced = np.geomspace if setting.logarithmic else np.linspace
+            axes[setting.name] = spaced(setting.low, setting.high, GRID).tolist()
+        return axes
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Return what the formula has beside each of its coefficients."""
+        """Return the factor of each of the formula's coefficients."""
         factors = [factor_of(self.formula.tree, c) for c in self.formula.coefficients]
         terms = tuple(ast.unparse(factor) for factor in factors if factor is not None)
         return {joint: Law(terms=terms, numbers=settings)}
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
-        """Evaluate every term; raises ConfigError where one is no finite number."""
+        """Evaluate every term.
+
+        Raises
+        ------
+        ConfigError
+            A term is no finite number at some sample.
+        """
+        law = self.laws(scene.robot, joint, settings)[joint]
         with np.errstate(all="ignore"):
-            X = self.laws(scene.robot, joint, settings)[joint].columns(scene, joint)
-        bad = len(X) - int(np.isfinite(X).all(axis=1).sum())
-        if not bad:
+            X = law.columns(scene, joint)
+        n_bad = len(X) - int(np.isfinite(X).all(axis=1).sum())
+        if not n_bad:
             return {joint: X}
-        many = f"{scene.robot.joint_names[joint]} for {bad} of {len(X)} samples"
+
         message = (
-            f"effect {self.name!r}: {self.formula.text!r} is no finite number at {many}"
+            f"effect {self.name!r}: {self.formula.text!r} is no finite number at"
+            f" {scene.robot.joint_names[joint]} for {n_bad} of {len(X)} samples"
         )
         hint = (
             "Keep divisors and arguments of log and sqrt away from zero, as in abs(dq)"

@@ -1,4 +1,4 @@
-"""A body at the flange that the parameters do not know of: put on, taken off, or changed.
+"""A body at the flange that the parameters do not know of: added, removed or changed.
 
     tau = Y_n(q, dq, ddq) phi    from log `from_log` on, 0 before it
 
@@ -32,7 +32,9 @@ class Payload(Effect):
 
     name = "payload"
     family = "body"
-    arm = change = exact = True
+    arm = True
+    change = True
+    exact = True
     settings = (Setting("from_log", "1", low=0.0, continuous=False),)
     passes = 1
     linear = tuple(
@@ -45,23 +47,29 @@ class Payload(Effect):
     )
 
     def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
-        """From any log on."""
+        """Return the numbers of all logs: the payload is there from any of them on."""
         return {"from_log": sorted({float(scene.log) for scene in scenes})}
 
     def body_terms(
         self, robot: Robot, joint: Joint, settings: Settings
     ) -> list[BodyTerm]:
-        """Return the parameters of the last link, one by one, as from `from_log` on."""
+        """Return the last link's parameters one by one, from `from_log` on."""
         return [BodyTerm(last_link=unit) for unit in np.eye(PER_LINK)]
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """Last link's columns of the regressor, for every joint."""
-        motion, n = scene.motion, scene.robot.n
+        """Return the last link's columns of the regressor, for every joint."""
+        motion = scene.motion
+        n = scene.robot.n
         if scene.log < settings["from_log"]:
             return {j: np.zeros((scene.samples, PER_LINK)) for j in range(n)}
-        last = list(range(PER_LINK * (n - 1), PER_LINK * n))
-        states = motion.q, motion.dq, motion.ddq
+
+        of_last_link = list(range(PER_LINK * (n - 1), PER_LINK * n))
         Y = torque_regressor(
-            scene.robot.chain, scene.robot.gravity, *states, columns=last
+            scene.robot.chain,
+            scene.robot.gravity,
+            motion.q,
+            motion.dq,
+            motion.ddq,
+            columns=of_last_link,
         )
         return {j: np.ascontiguousarray(Y[:, j]) for j in range(n)}

@@ -16,6 +16,7 @@ comparable size.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -40,11 +41,15 @@ NEIGHBOURHOOD_HZ = 1.5
 PIECES = 8  # values that a log is demodulated to
 STEPS = 6.0  # frequencies per one over the span
 MOST_STEPS = 200_000
+MOST_PRODUCTS = 2_000_000  # frequencies times samples, worked on at once
 
 
 @dataclass(frozen=True)
 class Signal:
-    """One log's values (N,) at `rate_hz`, the first at time `start` s; zero where none counts."""
+    """One log's values (N,) at `rate_hz`, the first at time `start` s.
+
+    A value of zero does not count.
+    """
 
     values: Array
     rate_hz: float
@@ -52,96 +57,151 @@ class Signal:
 
     @property
     def length_s(self) -> float:
-        """Duration."""
+        """Duration, s."""
         return len(self.values) / self.rate_hz
+
+
+class Line(NamedTuple):
+    """Frequency of a line [Hz] and its coherence [-].
+
+    The coherence is 1 if amplitude and phase are always the same.
+    """
+
+    frequency: float
+    coherence: float
 
 
 def strongest_lines(
     signals: Sequence[Signal], low_hz: float, count: int
 ) -> list[float]:
-    """At most `count` frequencies [Hz] from `low_hz` on that stand out of the summed power.
+    """Find the frequencies that stand out of the summed power of some logs.
 
-    The clearest comes first.
+    Parameters
+    ----------
+    signals : sequence of Signal
+    low_hz : float
+        Lowest frequency [Hz] that is looked at.
+    count : int
+        Number of frequencies that are returned at most.
+
+    Returns
+    -------
+    list of float
+        Frequencies [Hz], the clearest first.
     """
-    longest = max((signal.length_s for signal in signals), default=0.0)
+    longest_s = max((signal.length_s for signal in signals), default=0.0)
     top = 0.45 * min((signal.rate_hz for signal in signals), default=0.0)
-    low = max(low_hz, 8.0 / longest) if longest > 0.0 else np.inf
+    low = max(low_hz, 8.0 / longest_s) if longest_s > 0.0 else np.inf
     if low >= top:
         return []
-    grid = np.arange(low, top, 0.25 / longest)
+
+    # Four frequencies per resolution of the longest log.
+    spacing = 0.25 / longest_s
+    grid = np.arange(low, top, spacing)
     power = np.zeros(len(grid))
-    for own in signals:
-        size = 4 * len(own.values)
-        lines = periodogram(own.values, own.rate_hz, "hann", size, scaling="spectrum")
-        power += np.interp(grid, *lines)
-    width = max(9, int(NEIGHBOURHOOD_HZ / (0.25 / longest)))
+    for signal in signals:
+        frequency, spectrum = periodogram(
+            signal.values,
+            signal.rate_hz,
+            "hann",
+            4 * len(signal.values),
+            scaling="spectrum",
+        )
+        power += np.interp(grid, frequency, spectrum)
+
+    width = max(9, int(NEIGHBOURHOOD_HZ / spacing))
     floor = median_filter(power, size=min(width, len(grid)), mode="nearest")
-    ratio = power / np.maximum(floor, 1e-12 * max(float(power.max()), 1e-300))
-    found: list[float] = []
-    for k in np.argsort(-ratio):
-        if ratio[k] < PEAK or len(found) == count:
+    least_floor = 1e-12 * max(float(power.max()), 1e-300)
+    clearness = power / np.maximum(floor, least_floor)
+
+    # Neighbours of a line that was taken are its own slopes.
+    lines: list[float] = []
+    for k in np.argsort(-clearness):
+        if clearness[k] < PEAK or len(lines) == count:
             break
-        if all(abs(grid[k] - f) > 4.0 / longest for f in found):
-            found.append(float(grid[k]))
-    return found
+        if all(abs(grid[k] - line) > 4.0 / longest_s for line in lines):
+            lines.append(float(grid[k]))
+    return lines
 
 
 def amplitude(signal: Signal, frequency: float) -> float:
-    """Amplitude of the signal's line at a frequency, over the values that count."""
-    z, _, weight = _demodulated(signal, frequency)
-    return float(2.0 * np.abs(weight @ z) / max(float(weight.sum()), 1.0))
+    """Return the amplitude of the signal's line at a frequency [Hz]."""
+    pieces = _demodulated(signal, frequency)
+    total = np.abs(pieces.weight @ pieces.z)
+    return float(2.0 * total / max(float(pieces.weight.sum()), 1.0))
 
 
-def refined(signals: Sequence[Signal], near: float) -> tuple[float, float]:
-    """Sharpen a line's frequency by its phases; the logs share the clock of their starts.
+def refined(signals: Sequence[Signal], near: float) -> Line:
+    """Sharpen a line's frequency by its phases; logs share the clock of their starts.
 
-    Power tells it to within one over the longest log, phases to a fraction of one over
-    the time that the logs span; demodulated to a few values per log, their search costs
-    next to nothing. Returns the frequency (Hz) and the coherence: 1 if amplitude and
-    phase are always the same.
+    Power tells the frequency to within one over the longest log, phases to a fraction
+    of one over the time that the logs span. Demodulated to a few values per log, their
+    search costs next to nothing.
     """
-    parts = zip(*(_demodulated(signal, near) for signal in signals), strict=True)
-    z, t, weight = map(np.concatenate, parts)
-    longest = max(signal.length_s for signal in signals)
-    reach, step = 0.75 / longest, 1.0 / (STEPS * max(float(np.ptp(t)), longest))
+    pieces = [_demodulated(signal, near) for signal in signals]
+    z = np.concatenate([piece.z for piece in pieces])
+    t = np.concatenate([piece.t for piece in pieces])
+    weight = np.concatenate([piece.weight for piece in pieces])
+
+    longest_s = max(signal.length_s for signal in signals)
+    reach = 0.75 / longest_s
+    step = 1.0 / (STEPS * max(float(np.ptp(t)), longest_s))
     half = min(int(np.ceil(reach / step)), MOST_STEPS)
     offsets = step * np.arange(-half, half + 1)
-    score = _coherence(z, t, weight, np.asarray(offsets, dtype=np.float64))
-    centre = offsets[int(np.argmax(score))]
+    coherence = _coherence(z, t, weight, np.asarray(offsets, dtype=np.float64))
+    centre = offsets[int(np.argmax(coherence))]
+
     for _ in range(3):  # each closes in by a factor of eight
         close = centre + step * np.linspace(-1.0, 1.0, 33)
-        score = _coherence(z, t, weight, close)
-        centre, step = close[int(np.argmax(score))], step / 8.0
-    return near + float(centre), float(score.max())
+        coherence = _coherence(z, t, weight, close)
+        centre = close[int(np.argmax(coherence))]
+        step = step / 8.0
+    return Line(near + float(centre), float(coherence.max()))
 
 
 def _coherence(z: Complex, t: Array, weight: Array, offsets: Array) -> Array:
+    """Return the coherence (F,) of values z (M,) turned back by `offsets` (F,) Hz."""
     total = float(weight @ np.abs(z) ** 2) * float(weight.sum())
-    chunks = np.array_split(offsets, max(1, len(offsets) * len(t) // 2_000_000))
-    sums = [
-        np.abs(np.exp(-2j * np.pi * np.outer(part, t)) @ (weight * z)) ** 2
-        for part in chunks
-    ]
+    n_parts = max(1, len(offsets) * len(t) // MOST_PRODUCTS)
+    sums = []
+    for part in np.array_split(offsets, n_parts):
+        turned_back = np.exp(-2j * np.pi * np.outer(part, t))
+        sums.append(np.abs(turned_back @ (weight * z)) ** 2)
     return np.concatenate(sums) / max(total, 1e-300)
 
 
-def _demodulated(signal: Signal, frequency: float) -> tuple[Complex, Array, Array]:
-    """Means of a signal, turned back by a frequency, in equal pieces; their times and numbers."""
-    counts = np.flatnonzero(signal.values)
-    time = signal.start + counts / signal.rate_hz
-    turned = signal.values[counts] * np.exp(-2j * np.pi * frequency * time)
-    piece = counts * PIECES // max(len(signal.values), 1)
+class _Pieces(NamedTuple):
+    """Means z (PIECES,) of a signal in equal pieces, turned back by a frequency.
+
+    `t` (PIECES,) s are the mean times of the pieces, `weight` (PIECES,) the numbers of
+    values in them.
+    """
+
+    z: Complex
+    t: Array
+    weight: Array
+
+
+def _demodulated(signal: Signal, frequency: float) -> _Pieces:
+    """Turn a signal back by a frequency and take means over equal pieces of it."""
+    counted = np.flatnonzero(signal.values)
+    time = signal.start + counted / signal.rate_hz
+    turned = signal.values[counted] * np.exp(-2j * np.pi * frequency * time)
+
+    piece = counted * PIECES // max(len(signal.values), 1)
     weight = np.bincount(piece, minlength=PIECES).astype(np.float64)
-    number, there = np.maximum(weight, 1.0), [turned.real, turned.imag, time]
-    real, imag, t = (np.bincount(piece, x, minlength=PIECES) / number for x in there)
-    return real + 1j * imag, t, weight
+    number = np.maximum(weight, 1.0)
+    real = np.bincount(piece, turned.real, minlength=PIECES) / number
+    imag = np.bincount(piece, turned.imag, minlength=PIECES) / number
+    t = np.bincount(piece, time, minlength=PIECES) / number
+    return _Pieces(real + 1j * imag, t, weight)
 
 
 LOWEST_HZ = 1.0
 LINES = 6  # looked at
 COHERENT = 0.6
 SAME = 0.4  # smallest share of the median amplitude that a log may show
-# share of the modelled torque's line below which the line is the model's error
+# Share of the modelled torque's line below which the line is the model's error.
 OF_MOTION = 0.3
 
 
@@ -167,132 +227,144 @@ class PeriodicDisturbance(Effect):
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return a sine and a cosine, for each log if each has its own clock."""
-        logs = round(settings["clocks"])
-        if logs == 0:
+        n_clocks = round(settings["clocks"])
+        if n_clocks == 0:
             return (Coefficient("sine", "N m"), Coefficient("cosine", "N m"))
-        pairs = product(range(1, logs + 1), ("sine", "cosine"))
-        return tuple(Coefficient(f"{part}_{log}", "N m") for log, part in pairs)
+        pairs = product(range(1, n_clocks + 1), ("sine", "cosine"))
+        return tuple(Coefficient(f"{wave}_{log}", "N m") for log, wave in pairs)
 
     def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
-        """Lines of the residual that keep amplitude and phase and are not made by the motion."""
-        shared = all(scene.shared_clock for scene in scenes)
-        ends = [scene.time[[0, -1]] for scene in scenes]
-        fixed = {
-            "clocks": 0.0 if shared else float(len(scenes)),
-            "span": float(np.ptp(ends)),
-        }
-        pairs = zip(residual, scenes, strict=True)
-        residual = [_without_peaks(r, scene.slides, joint) for r, scene in pairs]
-        whole = _signals(scenes, joint, residual)
-        made = _signals(scenes, joint, [scene.modelled for scene in scenes])
-        for near in strongest_lines(whole, LOWEST_HZ, LINES):
+        """Yield lines that keep amplitude and phase and are not made by the motion."""
+        on_one_clock = all(scene.shared_clock for scene in scenes)
+        n_clocks = 0.0 if on_one_clock else float(len(scenes))
+        span = float(np.ptp([scene.time[[0, -1]] for scene in scenes]))
+
+        residual = [
+            _without_peaks(torque, scene.slides, joint)
+            for torque, scene in zip(residual, scenes, strict=True)
+        ]
+        sliding = _signals(scenes, joint, residual)
+        modelled = _signals(scenes, joint, [scene.modelled for scene in scenes])
+        for near in strongest_lines(sliding, LOWEST_HZ, LINES):
             signals = _signals(scenes, joint, residual, near)
-            frequency, coherence = (
-                refined(signals, near) if shared else _by_log(signals, near)
-            )
-            here, left, motion = (
-                np.array([amplitude(log, frequency) for log in x])
-                for x in (signals, whole, made)
-            )
-            alike = here.min() >= SAME * np.median(here)
+            line = refined(signals, near) if on_one_clock else _by_log(signals, near)
+
+            of_logs = _amplitudes(signals, line.frequency)
+            of_sliding = np.median(_amplitudes(sliding, line.frequency))
+            of_motion = np.median(_amplitudes(modelled, line.frequency))
             if (
-                coherence >= COHERENT
-                and alike
-                and np.median(left) > OF_MOTION * np.median(motion)
+                line.coherence >= COHERENT
+                and of_logs.min() >= SAME * np.median(of_logs)
+                and of_sliding > OF_MOTION * of_motion
             ):
-                yield {"frequency": frequency, **fixed}
+                yield {"frequency": line.frequency, "clocks": n_clocks, "span": span}
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Sine and cosine; nothing where every log has a phase of its own."""
-        logs = round(settings["clocks"])
+        """Return sine and cosine; nothing where every log has a phase of its own."""
+        n_clocks = round(settings["clocks"])
         frequency = settings["frequency"]
-        if logs:
+        if n_clocks:
             note = (
                 f"a line of {frequency:.6g} Hz whose phase is another in every log: no"
                 " torque"
             )
-            return {joint: Law(terms=("0.0",) * (2 * logs), note=note)}
-        numbers = {"turning": 2.0 * np.pi * frequency}
-        terms = "sin(turning * t)", "cos(turning * t)"
-        return {joint: Law(terms=terms, numbers=numbers)}
+            return {joint: Law(terms=("0.0",) * (2 * n_clocks), note=note)}
+
+        law = Law(
+            terms=("sin(turning * t)", "cos(turning * t)"),
+            numbers={"turning": 2.0 * np.pi * frequency},
+        )
+        return {joint: law}
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
-        """Sine and cosine; zero for a log whose phase is not known."""
-        logs = round(settings["clocks"])
-        known = scene.shared_clock if logs == 0 else not scene.shared_clock
+        """Compute sine and cosine; zero for a log whose phase is not known."""
+        n_clocks = round(settings["clocks"])
         line = self.laws(scene.robot, joint, {**settings, "clocks": 0.0})[joint]
-        if logs == 0 and known:
-            return {joint: line.columns(scene, joint)}
-        wide = np.zeros((scene.samples, 2 * max(logs, 1)))
-        if 0 <= scene.log < logs and known:
-            wide[:, 2 * scene.log : 2 * scene.log + 2] = line.columns(scene, joint)
-        return {joint: wide}
+        if n_clocks == 0:
+            if scene.shared_clock:
+                return {joint: line.columns(scene, joint)}
+            return {joint: np.zeros((scene.samples, 2))}
+
+        columns = np.zeros((scene.samples, 2 * n_clocks))
+        if 0 <= scene.log < n_clocks and not scene.shared_clock:
+            of_log = slice(2 * scene.log, 2 * scene.log + 2)
+            columns[:, of_log] = line.columns(scene, joint)
+        return {joint: columns}
 
     def values(
         self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
-        """Amplitude, and phase where all logs share it."""
+        """Return amplitude and frequency, and the phase where all logs share it."""
+        # One amplitude of every clock; their mean is weighted by their errors.
         variance = np.maximum(np.diag(covariance), 0.0).reshape(-1, 2).mean(axis=1)
-        # of every clock
-        amplitudes, errors = np.hypot(c[::2], c[1::2]), np.sqrt(variance)
+        amplitudes = np.hypot(c[::2], c[1::2])
+        errors = np.sqrt(variance)
         weight = 1.0 / np.maximum(errors, 1e-300) ** 2
         mean = float(np.sum(weight * amplitudes) / np.sum(weight))
         error = float(np.sum(weight) ** -0.5)
+
         # The Cramer-Rao bound of a line's frequency, over the time that one phase was
         # followed.
-        sharp = (
-            np.sqrt(3.0)
-            / np.pi
-            / max(settings["span"], 1e-9)
-            * error
-            / max(mean, 1e-300)
-        )
-        found = [
+        span = max(settings["span"], 1e-9)
+        frequency_error = np.sqrt(3.0) / np.pi / span * error / max(mean, 1e-300)
+        values = [
             Value("amplitude", mean, error, robot.joints[joint].unit("N m")),
-            Value("frequency", settings["frequency"], min(float(sharp), 1e3), "Hz"),
+            Value(
+                "frequency",
+                settings["frequency"],
+                min(float(frequency_error), 1e3),
+                "Hz",
+            ),
         ]
         if round(settings["clocks"]) == 0:
-            error = float(errors[0] / max(amplitudes[0], 1e-300))
-            found.append(
-                Value("phase", float(np.arctan2(c[1], c[0])), min(error, np.pi), "rad")
-            )
-        return found
+            phase = float(np.arctan2(c[1], c[0]))
+            phase_error = float(errors[0] / max(amplitudes[0], 1e-300))
+            values.append(Value("phase", phase, min(phase_error, np.pi), "rad"))
+        return values
+
+
+def _amplitudes(signals: Sequence[Signal], frequency: float) -> Array:
+    return np.array([amplitude(signal, frequency) for signal in signals])
 
 
 def _signals(
     scenes: Scenes, joint: int, torque: Sequence[Array], line_hz: float = np.inf
 ) -> list[Signal]:
-    """Torque (N, n) of each log where it counts: below the cut-off only where the joint slides."""
-    found = []
+    """Return the torque (N, n) of each log where it counts for a line.
+
+    Below the cut-off that is only where the joint slides.
+    """
+    signals = []
     for scene, tau in zip(scenes, torque, strict=True):
         motion = scene.motion
         counts = scene.slides[:, joint] | (line_hz > motion.lowpass.cutoff_hz)
-        found.append(
-            Signal(np.where(counts, tau[:, joint], 0.0), motion.rate_hz, scene.start)
-        )
-    return found
+        values = np.where(counts, tau[:, joint], 0.0)
+        signals.append(Signal(values, motion.rate_hz, scene.start))
+    return signals
 
 
 def _without_peaks(
     torque: Array, slides: Mask, joint: int, *, most: float = 4.0
 ) -> Array:
-    """Torque (N, n) of which a joint has no more than `most` times its median size."""
-    # A line has 1.4 times that; where friction is unknown, and at reversals, more is
-    # left.
-    result, own = torque.copy(), torque[:, joint]
-    limit = (
-        most * float(np.median(np.abs(own[slides[:, joint]])))
-        if slides[:, joint].any()
-        else 0
-    )
+    """Clip a joint's torque to `most` times its median size; returns (N, n)."""
+    # A line has 1.4 times the median size. Where friction is unknown, and at reversals,
+    # the residual has more.
+    clipped = torque.copy()
+    of_joint = torque[:, joint]
+    if not slides[:, joint].any():
+        return clipped
+
+    limit = most * float(np.median(np.abs(of_joint[slides[:, joint]])))
     if limit > 0.0:
-        result[:, joint] = np.clip(own, -limit, limit)
-    return result
+        clipped[:, joint] = np.clip(of_joint, -limit, limit)
+    return clipped
 
 
-def _by_log(signals: Sequence[Signal], near: float) -> tuple[float, float]:
-    """Frequency and coherence if only the phases within each log are known."""
-    found = np.array([refined([signal], near) for signal in signals])
+def _by_log(signals: Sequence[Signal], near: float) -> Line:
+    """Return frequency and coherence if only the phases within each log are known."""
+    lines = [refined([signal], near) for signal in signals]
+    frequencies = np.array([line.frequency for line in lines])
+    # The variance of a line's frequency falls with the third power of its length.
     weight = np.array([signal.length_s**3 for signal in signals])
-    frequency = float(np.sum(weight * found[:, 0]) / np.sum(weight))
-    return frequency, float(np.median(found[:, 1]))
+    frequency = float(np.sum(weight * frequencies) / np.sum(weight))
+    return Line(frequency, float(np.median([line.coherence for line in lines])))

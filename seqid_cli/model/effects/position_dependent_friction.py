@@ -15,7 +15,7 @@ import numpy as np
 
 from seqid_cli.model.effects.effect import (
     Coefficient,
-    FrictionLaw,
+    FrictionEffect,
     GridAxes,
     Setting,
     Settings,
@@ -27,7 +27,7 @@ from seqid_cli.robot.types import Robot
 WAVES = (1.0, 2.0, 3.0, 5.0)  # per turn of the joint
 
 
-class PositionDependentFriction(FrictionLaw):
+class PositionDependentFriction(FrictionEffect):
     """Friction in waves over the position."""
 
     name = "position_dependent_friction"
@@ -54,9 +54,9 @@ class PositionDependentFriction(FrictionLaw):
         return tuple(Coefficient(f"{part}_{k}", "N m") for k, part in pairs)
 
     def axes(self, scenes: Scenes, joint: int) -> GridAxes:
-        """A turn of the joint with one wave or more; twice the travel of a sliding joint."""
-        slides = scenes[0].robot.joints[joint].prismatic
-        period = 2.0 * travel(scenes, joint) if slides else 2.0 * np.pi
+        """Return a turn, or twice the travel of a sliding joint, and the waves."""
+        prismatic = scenes[0].robot.joints[joint].prismatic
+        period = 2.0 * travel(scenes, joint) if prismatic else 2.0 * np.pi
         return {"period": (period,), "waves": WAVES}
 
     def simpler(self, settings: Settings) -> dict[str, float] | None:
@@ -65,7 +65,7 @@ class PositionDependentFriction(FrictionLaw):
         return {**settings, "waves": fewer[-1]} if fewer else None
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Direction of motion times cosines and sines."""
+        """Return the direction of motion times cosines and sines."""
         waves = range(1, round(settings["waves"]) + 1)
         parts = {"turn": "rate * q", "way": "sign(dq)"}
         terms = [

@@ -1,4 +1,4 @@
-"""Presliding hysteresis: friction builds up over a distance after a reversal, not at once.
+"""Presliding hysteresis: friction builds up over a distance after a reversal.
 
     tau = F_p (x - s(v)),   x' = (v - |v| x) / z_max,   x = z / z_max
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from seqid_cli.model.effects.effect import (
     Coefficient,
-    FrictionLaw,
+    FrictionEffect,
     GridAxes,
     Setting,
     Settings,
@@ -33,10 +33,12 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 DISTANCES = 11
-SHORTEST, LONGEST = 1e-4, 0.2  # of the joint's travel, at most of 1 rad
+# Of the joint's travel, at most of 1 rad.
+SHORTEST = 1e-4
+LONGEST = 0.2
 
 
-class PreslidingHysteresis(FrictionLaw):
+class PreslidingHysteresis(FrictionEffect):
     """Bristle deflection after reversals."""
 
     name = "presliding_hysteresis"
@@ -52,17 +54,17 @@ class PreslidingHysteresis(FrictionLaw):
     )
 
     def local(self, settings: Settings) -> bool:
-        """No: the deflection remembers the last reversals, however long ago."""
+        """Return False: the deflection remembers reversals, however long ago."""
         return False
 
     def axes(self, scenes: Scenes, joint: int) -> GridAxes:
-        """Distances from a ten-thousandth to a fifth of the way, by ratios of about two."""
+        """Return distances up to a fifth of the travel, by ratios of about two."""
         scale = min(travel(scenes, joint), 1.0)
-        distances = np.maximum(np.geomspace(SHORTEST, LONGEST, DISTANCES) * scale, 1e-7)
-        return {"presliding_distance": [float(x) for x in distances]}
+        distances = np.geomspace(SHORTEST, LONGEST, DISTANCES) * scale
+        return {"presliding_distance": np.maximum(distances, 1e-7).tolist()}
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Deflection less the step that the base model has."""
+        """Return the deflection less the step that the base model has."""
         bristles = Bristles(settings["presliding_distance"])
         return {
             joint: Law(terms=("bristle - sign(dq)",), memories={"bristle": bristles})
@@ -71,6 +73,6 @@ class PreslidingHysteresis(FrictionLaw):
     def plausible(
         self, scenes: Scenes, joint: int, settings: Settings, c: Array
     ) -> bool:
-        """Ask for friction that settles within the way: else it would be a spring."""
+        """Return whether friction settles within the travel: else it is a spring."""
         settles = settings["presliding_distance"] < 0.5 * travel(scenes, joint)
         return settles and super().plausible(scenes, joint, settings, c)

@@ -9,17 +9,18 @@ identification and compensation in robotic manipulators", IEEE Trans. Instrum. M
 
 from collections.abc import Mapping
 
-from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionEffect, Settings
 from seqid_cli.model.effects.law import Law
 from seqid_cli.robot.types import Robot
 
 
-class QuadraticDrag(FrictionLaw):
+class QuadraticDrag(FrictionEffect):
     """Friction with the square of the speed."""
 
     name = "quadratic_drag"
     over = "speed"
-    sided = steady = True
+    sided = True
+    steady = True
     linear = (Coefficient("drag_coefficient", "N m s^2/rad^2", low=0.0),)
     alike = ("nonlinear_viscous", "stribeck", "thermal_friction")
     separate_by = (
@@ -28,5 +29,5 @@ class QuadraticDrag(FrictionLaw):
     )
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Speed times velocity."""
+        """Return speed times velocity."""
         return {joint: Law(terms=("dq * abs(dq)",))}

@@ -1,51 +1,98 @@
-"""The catalogue: every effect, by name. Adding one is a file and its name here.
+"""The catalogue: every effect, by name. Adding one is a file and its class here.
 
-A robot file adds its own (`own`) without touching the source.
+A robot file adds effects of its own (`own`) without touching the source.
 """
 
 from collections.abc import Mapping
-from importlib import import_module
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.model.effects.actuator_lag import ActuatorLag
+from seqid_cli.model.effects.asymmetric_friction import AsymmetricFriction
+from seqid_cli.model.effects.backlash import Backlash
+from seqid_cli.model.effects.base_tilt import BaseTilt
+from seqid_cli.model.effects.drift import Drift
 from seqid_cli.model.effects.effect import Effect
+from seqid_cli.model.effects.encoder_eccentricity import EncoderEccentricity
+from seqid_cli.model.effects.external_contact import ExternalContact
+from seqid_cli.model.effects.friction_change import FrictionChange
+from seqid_cli.model.effects.gear_efficiency import GearEfficiency
+from seqid_cli.model.effects.joint_elasticity import JointElasticity
+from seqid_cli.model.effects.load_dependent_friction import LoadDependentFriction
+from seqid_cli.model.effects.nonlinear_viscous import NonlinearViscous
 from seqid_cli.model.effects.own import own_effect
+from seqid_cli.model.effects.payload import Payload
+from seqid_cli.model.effects.periodic_disturbance import PeriodicDisturbance
+from seqid_cli.model.effects.position_dependent_friction import (
+    PositionDependentFriction,
+)
+from seqid_cli.model.effects.presliding_hysteresis import PreslidingHysteresis
+from seqid_cli.model.effects.quadratic_drag import QuadraticDrag
+from seqid_cli.model.effects.rotor_inertia import RotorInertia
+from seqid_cli.model.effects.spring import Spring
+from seqid_cli.model.effects.stribeck import Stribeck
+from seqid_cli.model.effects.thermal_friction import ThermalFriction
+from seqid_cli.model.effects.time_skew import TimeSkew
+from seqid_cli.model.effects.torque_bias import TorqueBias
+from seqid_cli.model.effects.torque_constant import TorqueConstant
+from seqid_cli.model.effects.torque_ripple import TorqueRipple
+from seqid_cli.model.effects.torque_saturation import TorqueSaturation
+from seqid_cli.model.effects.transmission_coupling import TransmissionCoupling
 from seqid_cli.robot.types import Robot
 
-# Each is a file, and in it a class by the same name.
-_NAMES = """
-    stribeck load_dependent_friction gear_efficiency asymmetric_friction thermal_friction
-    quadratic_drag nonlinear_viscous presliding_hysteresis friction_change
-    position_dependent_friction
-    torque_constant torque_saturation torque_bias drift time_skew actuator_lag periodic_disturbance
-    external_contact
-    spring payload base_tilt rotor_inertia
-    transmission_coupling encoder_eccentricity torque_ripple joint_elasticity backlash
-"""
+# Effects are searched and listed in this order.
+EFFECTS: tuple[type[Effect], ...] = (
+    # friction
+    Stribeck,
+    LoadDependentFriction,
+    GearEfficiency,
+    AsymmetricFriction,
+    ThermalFriction,
+    QuadraticDrag,
+    NonlinearViscous,
+    PreslidingHysteresis,
+    FrictionChange,
+    PositionDependentFriction,
+    # the measurement
+    TorqueConstant,
+    TorqueSaturation,
+    TorqueBias,
+    Drift,
+    TimeSkew,
+    ActuatorLag,
+    PeriodicDisturbance,
+    ExternalContact,
+    # bodies, and a spring beside them
+    Spring,
+    Payload,
+    BaseTilt,
+    RotorInertia,
+    # the transmission
+    TransmissionCoupling,
+    EncoderEccentricity,
+    TorqueRipple,
+    JointElasticity,
+    Backlash,
+)
 
-
-CATALOGUE: Mapping[str, Effect] = {
-    name: getattr(
-        import_module(f"{__package__}.{name}"), name.title().replace("_", "")
-    )()
-    for name in _NAMES.split()
-}
+CATALOGUE: Mapping[str, Effect] = {effect.name: effect() for effect in EFFECTS}
 
 
 def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
-    """The catalogue with what the robot file adds.
+    """Return the catalogue with the effects that the robot file adds.
 
-    Raises ConfigError if an added effect has a name of the catalogue, or cannot be
-    loaded.
+    Raises
+    ------
+    ConfigError
+        An added effect has a name of the catalogue, or cannot be loaded.
     """
-    for asked in robot.effects:
-        if asked.name in CATALOGUE:
+    for declared in robot.effects:
+        if declared.name in CATALOGUE:
             hint = "Give it another name; those of the catalogue are looked for anyway."
-            message = f"effect {asked.name!r} is one of the catalogue"
+            message = f"effect {declared.name!r} is one of the catalogue"
             raise ConfigError(message, where=str(robot.source), hint=hint)
-    return {
-        **CATALOGUE,
-        **{asked.name: own_effect(asked, robot) for asked in robot.effects},
-    }
+
+    added = {declared.name: own_effect(declared, robot) for declared in robot.effects}
+    return {**CATALOGUE, **added}
 
 
 def setting_units(effect: str) -> dict[str, str]:

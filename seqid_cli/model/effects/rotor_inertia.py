@@ -1,4 +1,4 @@
-"""A motor's rotor is not as heavy as the robot file says, or turns the link that carries it.
+"""A motor's rotor is not as heavy as the file says, or turns the link that carries it.
 
     tau_j = dJ N_j^2 ddq_j                                        (coupling 0)
     tau   = J d(rotor torque)/dJ, all of its joints               (coupling 1)
@@ -33,7 +33,8 @@ class RotorInertia(Effect):
 
     name = "rotor_inertia"
     family = "body"
-    drive = exact = True
+    drive = True
+    exact = True
     settings = (Setting("coupling", "1", low=0.0, high=1.0, continuous=False),)
     passes = 1
     over = "acceleration"
@@ -50,36 +51,50 @@ class RotorInertia(Effect):
         return (Coefficient("rotor_inertia_error", "kg m^2"),)
 
     def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
-        """The diagonal term, and the coupling where the model lacks it."""
-        carried = bool(joint) and not scenes[0].robot.chain.prismatic[joint]
-        lacks = carried and scenes[0].model.coupling == "diagonal"
-        return {"coupling": [0.0, 1.0] if lacks else [0.0]}
+        """Return the diagonal term, and the coupling where the model lacks it."""
+        # A rotor on the base, or of a slide, turns no link that carries it.
+        rides_on_link = bool(joint) and not scenes[0].robot.chain.prismatic[joint]
+        lacks_coupling = rides_on_link and scenes[0].model.coupling == "diagonal"
+        return {"coupling": [0.0, 1.0] if lacks_coupling else [0.0]}
 
     def plausible(
         self, scenes: Scenes, joint: int, settings: Settings, c: Array
     ) -> bool:
-        """No rotor is left with a negative inertia; one that no file gives may have been any."""
-        known = scenes[0].robot.joints[joint].rotor_inertia
+        """Return whether the rotor's inertia, its error included, is not negative.
+
+        A rotor that the robot file does not give may have any.
+        """
+        inertia_in_file = scenes[0].robot.joints[joint].rotor_inertia
         if settings["coupling"] > 0.5:
             return bool(c[0] >= 0.0)
-        return known is None or bool(c[0] >= -known)
+        return inertia_in_file is None or bool(c[0] >= -inertia_in_file)
 
     def body_terms(
         self, robot: Robot, joint: int, settings: Settings
     ) -> list[BodyTerm]:
         """Return the armature, or the rotor that turns the link before the joint."""
-        gear, own = gear_ratios(robot), np.eye(robot.n)[joint]
+        gear_ratio = gear_ratios(robot)
+        of_joint = np.eye(robot.n)[joint]
         if settings["coupling"] <= 0.5:
-            return [BodyTerm(armature=gear**2 * own)]
-        return [BodyTerm(rotor=np.where(robot.chain.prismatic, 0.0, gear * own))]
+            return [BodyTerm(armature=gear_ratio**2 * of_joint)]
+        rotor = np.where(robot.chain.prismatic, 0.0, gear_ratio * of_joint)
+        return [BodyTerm(rotor=rotor)]
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
-        """Acceleration times the square of the gear ratio, or the couplings alone."""
+        """Return acceleration times gear ratio squared, or the couplings alone."""
         motion = scene.motion
+        diagonal = scene.gear[joint] ** 2 * motion.ddq[:, joint]
         if settings["coupling"] <= 0.5:
-            return {joint: (scene.gear[joint] ** 2 * motion.ddq[:, joint])[:, None]}
-        states = motion.q, motion.dq, motion.ddq
-        Y = rotor_regressor(scene.robot.chain, *states, scene.gear, "gyroscopic")
+            return {joint: diagonal[:, None]}
+
+        Y = rotor_regressor(
+            scene.robot.chain,
+            motion.q,
+            motion.dq,
+            motion.ddq,
+            scene.gear,
+            "gyroscopic",
+        )
         torque = Y[:, :, joint].copy()
-        torque[:, joint] -= scene.gear[joint] ** 2 * motion.ddq[:, joint]
+        torque[:, joint] -= diagonal
         return {j: torque[:, j : j + 1] for j in range(joint + 1)}

@@ -1,9 +1,9 @@
-"""One log as the effects see it: its motion, its clock, and what the model says about it."""
+"""One log as the effects see it: its motion, its clock, and the model's torques."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 
 import numpy as np
@@ -33,28 +33,45 @@ DEFAULT_SIGN_SHARE = 0.004  # of a joint's top speed
 class Scene:
     """Everything that an effect's columns may be built from.
 
-    `motion` is at the log's own rate or at least 24 samples per period of the cut-off;
-    its q, dq, ddq (N, n) have been filtered once. The torques of `model`, the one so
-    far, stand for what nobody measures (the load of a gear). `sign_width` (n,) is the
-    speed [rad/s; m/s where prismatic] over which the sign of each joint's velocity
-    changes.
-
-    `log` is the number of the log, in the order in which they were given, `start` the
-    time of the first sample [s]: on a clock that all logs share if `shared_clock`,
-    which then tells how long after each other they were recorded; else 0. `period` is
-    the sample period of the log itself [s].
-
-    Absent where the log does not have them, (N, n): `temperature` degC as logged;
-    `sensor` [N m], the load as a torque sensor behind the gear measures it, filtered
-    like the motion; `encoder`, positions as it reports them, and `measured` torque [N
-    m; N where prismatic], neither filtered. `full` is the same log at its own rate,
-    where this one has been decimated.
+    Attributes
+    ----------
+    robot : Robot
+    motion : Motion
+        At the log's own rate or at least 24 samples per period of the cut-off; its q,
+        dq, ddq (N, n) have been filtered once.
+    model : TorqueModel
+        The model so far. Its torques stand for what nobody measures (the load of a
+        gear).
+    sign_width : Array
+        (n,) speed [rad/s; m/s where prismatic] over which the sign of each joint's
+        velocity changes.
+    log : int
+        Number of the log, in the order in which they were given.
+    start : float
+        Time of the first sample [s], on the clock that all logs share if
+        `shared_clock`; else 0.
+    shared_clock : bool
+        Whether the clock tells how long after each other the logs were recorded.
+    period : float
+        Sample period of the log itself [s].
+    temperature : Array, optional
+        (N, n) degC, as logged.
+    sensor : Array, optional
+        (N, n) N m, the load as a torque sensor behind the gear measures it, filtered
+        like the motion.
+    encoder : Array, optional
+        (N, n) positions as the encoder reports them, not filtered.
+    measured : Array, optional
+        (N, n) torque [N m; N where prismatic], not filtered.
+    full : Scene, optional
+        The same log at its own rate, where this one has been decimated.
     """
 
     robot: Robot
     motion: Motion
     model: TorqueModel
     sign_width: Array
+    _: KW_ONLY
     log: int = 0
     start: float = 0.0
     shared_clock: bool = False
@@ -72,12 +89,12 @@ class Scene:
 
     @cached_property
     def memo(self) -> dict[tuple[str, int], tuple[Array, ...]]:
-        """What effects have computed of this scene and want to keep with it."""
+        """Results of effects that are kept with the scene."""
         return {}
 
     @property
     def angle(self) -> Array:
-        """Positions (N, n) for what is finer than the low-pass: the encoder's where there are."""
+        """Positions (N, n) for what is finer than the low-pass: the encoder's."""
         return self.motion.q if self.encoder is None else self.encoder
 
     @cached_property
@@ -92,24 +109,28 @@ class Scene:
 
     @cached_property
     def stops(self) -> Mask:
-        """Samples (N, n) that the low-pass mixes with some where a sliding joint stops or turns.
+        """Samples (N, n) that the low-pass mixes with a stop or a reversal.
 
         A controller that hunts, or a joint that shakes, may stop many times where the
         low-passed motion goes on; friction then has less than its usual mean.
         """
-        motion, rate = self.motion, self.motion.rate_hz
-        gone = np.diff(self.angle, axis=0, prepend=self.angle[:1]) * np.sign(motion.dq)
-        back, step = np.zeros_like(self.slides), noise_step(self.angle)
-        for j, least in enumerate(step):
-            expected, way = (
-                np.cumsum(np.abs(motion.dq[:, j])) / rate,
-                np.cumsum(gone[:, j]),
-            )
-            later = np.interp(expected + 2.0 * TRAVEL_STEPS * least, expected, way)
-            back[:, j] = later - way < least
-        reach = max(1, int(REACH * rate / motion.lowpass.cutoff_hz))
-        within = np.ones((2 * reach + 1, 1), dtype=bool)
-        return np.asarray(binary_dilation(back & self.slides, within))
+        motion = self.motion
+        rate_hz = motion.rate_hz
+        steps = np.diff(self.angle, axis=0, prepend=self.angle[:1]) * np.sign(motion.dq)
+
+        # Where the low-passed speed promises a travel of several noise steps and the
+        # encoder shows less than one, the joint has stopped or turned back.
+        stopped = np.zeros_like(self.slides)
+        for j, step in enumerate(noise_step(self.angle)):
+            expected = np.cumsum(np.abs(motion.dq[:, j])) / rate_hz
+            travelled = np.cumsum(steps[:, j])
+            ahead = expected + 2.0 * TRAVEL_STEPS * step
+            travelled_ahead = np.interp(ahead, expected, travelled)
+            stopped[:, j] = travelled_ahead - travelled < step
+
+        reach = max(1, int(REACH * rate_hz / motion.lowpass.cutoff_hz))
+        window = np.ones((2 * reach + 1, 1), dtype=bool)
+        return np.asarray(binary_dilation(stopped & self.slides, window))
 
     @cached_property
     def sign(self) -> Array:
@@ -129,30 +150,31 @@ class Scene:
 
     @cached_property
     def load(self) -> Array:
-        """Torque (N, n) that the gear passes to the link: measured, else modelled without rotor."""
+        """Torque (N, n) N m that the gear passes to the link.
+
+        It is measured, or else modelled without the rotor.
+        """
         return self.modelled_load if self.sensor is None else self.sensor
 
     @cached_property
     def rotor(self) -> Array:
         """Inertias (n,) kg m^2 of the rotors as the joints feel them."""
-        rotor = (
-            known_rotors(self.robot) if self.model.rotor is None else self.model.rotor
-        )
+        rotor = self.model.rotor
+        if rotor is None:
+            rotor = known_rotors(self.robot)
         return np.asarray(self.gear**2 * rotor)
 
     @cached_property
     def modelled_load(self) -> Array:
-        """The same (N, n) N m as the model has it, rotors left out."""
+        """Modelled torque (N, n) N m that the gear passes to the link."""
         return self.rigid - self.rotor * self.motion.ddq
 
     @cached_property
     def carried(self) -> Array:
-        """Torque (N, n) N m of links and rotors: modelled, but for a load that is measured."""
-        return (
-            self.rigid
-            if self.sensor is None
-            else self.rigid - self.modelled_load + self.sensor
-        )
+        """Torque (N, n) N m of links and rotors; the load is measured if possible."""
+        if self.sensor is None:
+            return self.rigid
+        return self.rigid - self.modelled_load + self.sensor
 
     @cached_property
     def friction(self) -> Array:
@@ -160,20 +182,29 @@ class Scene:
         return sampled_friction(self.model.surfaces, self.motion)
 
     def friction_slope(self, joint: int, lead: Array) -> Array:
-        """Secant slope (N,) of a joint's friction, from its speed to `lead` (N,) rad/s more.
+        """Compute the secant slope of a joint's friction over its speed.
 
-        Over as much as a sample resolves at the least: of the step at a reversal the
-        area counts.
+        Parameters
+        ----------
+        joint : int
+        lead : Array
+            (N,) rad/s, how far the secant reaches beyond the joint's speed.
+
+        Returns
+        -------
+        Array
+            (N,) N m s/rad. The secant is at least as long as a sample resolves: the
+            area under the step at a reversal counts.
         """
         motion = self.motion
-        q, v = motion.q[:, joint], motion.dq[:, joint] + 0.5 * lead
+        q = motion.q[:, joint]
+        middle = motion.dq[:, joint] + 0.5 * lead
         per_sample = 2.0 * np.abs(motion.ddq[:, joint]) / motion.rate_hz
-        half = np.maximum(
-            np.maximum(self.sign_width[joint], per_sample), 0.5 * np.abs(lead)
-        )
-        ahead, behind = (
-            self.model.friction_of(joint, q, v + side * half) for side in (1, -1)
-        )
+        shortest = np.maximum(self.sign_width[joint], per_sample)
+        half = np.maximum(shortest, 0.5 * np.abs(lead))
+
+        ahead = self.model.friction_of(joint, q, middle + half)
+        behind = self.model.friction_of(joint, q, middle - half)
         return np.asarray((ahead - behind) / (2.0 * half))
 
     @cached_property
@@ -184,19 +215,26 @@ class Scene:
     @cached_property
     def modelled_filtered(self) -> Array:
         """Modelled torque (N, n), low-passed like the measured one."""
-        motion = self.motion
-        return motion.filtered(self.rigid) + motion.filtered(self.friction, times=2)
+        rigid = self.motion.filtered(self.rigid)
+        friction = self.motion.filtered(self.friction, times=2)
+        return rigid + friction
 
 
 Scenes = Sequence[Scene]
 
 
 def sign_widths(model: TorqueModel, top_speed: Array) -> Array:
-    """Speeds (n,) over which friction changes its sign: the file's, or a share of the top speed."""
-    usual = zip(
-        model.surfaces, np.maximum(DEFAULT_SIGN_SHARE * top_speed, 1e-6), strict=True
+    """Return the speeds (n,) over which friction changes its sign.
+
+    They are the file's, or else a share of the joints' top speeds (n,), rad/s.
+    """
+    usual = np.maximum(DEFAULT_SIGN_SHARE * top_speed, 1e-6)
+    return np.array(
+        [
+            width if surface is None else surface.sign_width
+            for surface, width in zip(model.surfaces, usual, strict=True)
+        ]
     )
-    return np.array([width if own is None else own.sign_width for own, width in usual])
 
 
 def moves(scenes: Scenes, joint: int) -> bool:
@@ -205,15 +243,21 @@ def moves(scenes: Scenes, joint: int) -> bool:
 
 
 def top_speed(scenes: Scenes, joint: int) -> float:
-    """Return a joint's highest speed [rad/s; m/s where prismatic] once settled, at least 1e-6."""
+    """Return a joint's highest speed once the filter has settled.
+
+    In rad/s (m/s where prismatic); at least 1e-6.
+    """
     speeds = [np.abs(scene.motion.dq[scene.motion.usable, joint]) for scene in scenes]
     return max(float(np.max(np.concatenate(speeds), initial=0.0)), 1e-6)
 
 
 def travel(scenes: Scenes, joint: int) -> float:
-    """Return the range of the joint's positions [rad; m where prismatic], at least 1e-6."""
-    positions = np.concatenate([s.motion.q[s.motion.usable, joint] for s in scenes])
-    return max(float(np.ptp(positions)) if len(positions) else 0.0, 1e-6)
+    """Return the range of a joint's positions, rad (m if prismatic), at least 1e-6."""
+    usable = [scene.motion.q[scene.motion.usable, joint] for scene in scenes]
+    positions = np.concatenate(usable)
+    if not len(positions):
+        return 1e-6
+    return max(float(np.ptp(positions)), 1e-6)
 
 
 def session(scenes: Scenes) -> float:

@@ -1,4 +1,4 @@
-"""Smooth functions of what a motion says: the axes that they are drawn over and their bases.
+"""Smooth functions of quantities of the motion: their axes and their bases.
 
 An axis takes one number per sample from a scene and spreads it over a few functions:
 cubic B-splines between knots, held at the ends. A shape is the product of one or two
@@ -44,17 +44,24 @@ MEASURES: tuple[str, ...] = get_args(Measure)
 FACTORS: tuple[str, ...] = get_args(Factor)
 
 DEGREE = 3
-MOST_AXES, MOST_KNOTS = 2, 64
+# Of a term in a parameter file.
+MOST_AXES = 2
+MOST_KNOTS = 64
 
 
 @dataclass(frozen=True)
 class Axis:
     """One quantity of one joint and the functions over it.
 
-    `measure` says what is taken: `speed` and `load_size` are magnitudes, `time` counts
-    from the log's start and `session_time` on the clock of all logs. `joint` is whose
-    it is (of no matter for times), `knots` are the ends of the spline's pieces,
-    ascending, in the measure's unit.
+    Attributes
+    ----------
+    measure : Measure
+        The quantity: `speed` and `load_size` are magnitudes, `time` counts from the
+        log's start and `session_time` on the clock of all logs.
+    joint : int
+        Index of its joint; of no matter for times.
+    knots : tuple of float
+        Ends of the spline's pieces, ascending, in the unit of the quantity.
     """
 
     measure: Measure
@@ -68,7 +75,8 @@ class Axis:
 
     def values(self, scene: Scene) -> Array | None:
         """Return the quantity (N,), None where the scene does not have it."""
-        motion, j = scene.motion, self.joint
+        motion = scene.motion
+        j = self.joint
         match self.measure:
             case "position":
                 return motion.q[:, j]
@@ -90,49 +98,74 @@ class Axis:
                 return scene.time if scene.shared_clock else None
 
     def basis(self, scene: Scene) -> Array:
-        """Compute the functions (N, size) of a scene; zero where it lacks the quantity."""
+        """Compute the functions (N, size) of a scene; zero if it lacks the quantity."""
         x = self.values(scene)
-        return (
-            np.zeros((scene.samples, self.size))
-            if x is None
-            else splines(x, self.knots)
-        )
+        if x is None:
+            return np.zeros((scene.samples, self.size))
+        return splines(x, self.knots)
 
 
 def splines(x: Array, knots: Sequence[float]) -> Array:
-    """Cubic B-splines (N, len(knots) + 2) of x (N,), held beyond the first and the last knot."""
-    each, held = np.eye(len(knots) + DEGREE - 1), np.clip(x, knots[0], knots[-1])
-    return np.asarray(BSpline(_padded(knots), each, DEGREE)(held))
+    """Compute cubic B-splines (N, len(knots) + 2) of x (N,).
+
+    They are held beyond the first and the last knot.
+    """
+    unit_coefficients = np.eye(len(knots) + DEGREE - 1)
+    held = np.clip(x, knots[0], knots[-1])
+    return np.asarray(BSpline(_padded(knots), unit_coefficients, DEGREE)(held))
 
 
 def greville(knots: Sequence[float]) -> Array:
-    """Abscissae of the splines' coefficients: coefficients linear in them make a straight line."""
-    return np.convolve(
-        _padded(knots)[1:-1], np.full(DEGREE, 1.0 / DEGREE), mode="valid"
-    )
+    """Return the abscissae of the splines' coefficients.
+
+    Coefficients that are linear in them make a straight line.
+    """
+    mean = np.full(DEGREE, 1.0 / DEGREE)
+    return np.convolve(_padded(knots)[1:-1], mean, mode="valid")
 
 
 def _padded(knots: Sequence[float]) -> Array:
-    """The knots with both ends as often as splines that are held there take them."""
+    """Repeat the knots at both ends as often as splines that are held there need."""
     return np.pad(np.asarray(knots, dtype=np.float64), DEGREE, mode="edge")
 
 
 def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Array:
-    """Products (N, K) of the axes' functions times the factor, `one` or the joint's `direction`.
+    """Compute the products of the axes' functions, times a factor.
 
-    Unfiltered; K is the product of the axes' sizes, of which the last one runs fastest.
+    Parameters
+    ----------
+    scene : Scene
+    joint : int
+        Whose direction is the factor `direction`.
+    axes : sequence of Axis
+    factor : {"one", "direction"}
+
+    Returns
+    -------
+    Array
+        (N, K), unfiltered; K is the product of the axes' sizes, the last runs fastest.
     """
     basis = reduce(tensor, [axis.basis(scene) for axis in axes])
-    return basis * scene.sign[:, joint, None] if factor == "direction" else basis
+    if factor == "direction":
+        return basis * scene.sign[:, joint, None]
+    return basis
 
 
 @dataclass(frozen=True)
 class SmoothTerm:
     """A smooth torque at one joint.
 
-    `quantities` are what it depends on, as the contract spells it, the strongest first.
-    `coefficients` (K,) N m, one per product of the axes' functions, times a factor:
-    `one` or the `direction`. `session` says which logs its times are of.
+    Attributes
+    ----------
+    joint : int
+    quantities : tuple of str
+        What it depends on, as files spell it, the strongest first.
+    axes : tuple of Axis
+    factor : {"one", "direction"}
+    coefficients : Array
+        (K,) N m, one per product of the axes' functions.
+    session : EffectSession, optional
+        The logs that its times are of.
     """
 
     name: ClassVar[str] = UNEXPLAINED
@@ -147,92 +180,117 @@ class SmoothTerm:
 
     @property
     def local(self) -> bool:
-        """Whether its torque at a moment follows from the motion around it."""
+        """True if its torque at a moment follows from the motion around it."""
         return not {axis.measure for axis in self.axes} & {"temperature", "time"}
 
     def torques(self, scene: Scene) -> dict[int, Array]:
-        """Torque (N,) N m of its joint, unfiltered; the low-pass is to be applied twice."""
-        return {
-            self.joint: (
-                shape(scene, self.joint, self.axes, self.factor) @ self.coefficients
-            )
-        }
+        """Compute the torque (N,) N m of its joint, unfiltered.
+
+        The low-pass is to be applied twice.
+        """
+        functions = shape(scene, self.joint, self.axes, self.factor)
+        return {self.joint: functions @ self.coefficients}
 
     def to_stage(self, robot: Robot) -> EffectOfJoint:
         """Write the term down; its coefficients have no errors."""
         name = robot.joint_names[self.joint]
-        settings: dict[str, str | float | int | bool]
-        settings = {"depends_on": " ".join(self.quantities), "factor": self.factor}
+        settings: dict[str, str | float | int | bool] = {
+            "depends_on": " ".join(self.quantities),
+            "factor": self.factor,
+        }
         for number, axis in enumerate(self.axes, start=1):
             settings[f"axis_{number}"] = axis.measure
             settings[f"axis_{number}_joint"] = robot.joint_names[axis.joint]
             for k, knot in enumerate(axis.knots):
                 settings[f"axis_{number}_knot_{k}"] = float(knot)
+
         unit = robot.joints[self.joint].unit("N m")
-        terms = [
+        parameters = [
             Parameter(
                 name=f"c_{k}", value=float(c), std_error=0.0, unit=unit, joint=name
             )
             for k, c in enumerate(self.coefficients)
         ]
         return EffectOfJoint(
-            effect=UNEXPLAINED, joint=name, parameters=terms, settings=settings
+            effect=UNEXPLAINED, joint=name, parameters=parameters, settings=settings
         )
 
     @classmethod
     def from_stage(
         cls, entry: EffectOfJoint, robot: Robot, key: str = "$.stages.effects"
     ) -> Self:
-        """Restore a term from a parameter file, in which its entry stands under `key`.
+        """Restore a term from a parameter file.
 
-        Raises ConfigError if a key is missing or contradicts another; the message names
-        it.
+        Parameters
+        ----------
+        entry : EffectOfJoint
+        robot : Robot
+        key : str
+            Where the entry stands in the file.
+
+        Raises
+        ------
+        ConfigError
+            A key is missing or contradicts another; the message names it.
         """
-        settings, names = entry.settings, robot.joint_names
+        settings = entry.settings
+        names = robot.joint_names
+        joint = names.index(_member(f"{key}.joint", entry.joint, names))
+        factor = _member(f"{key}.settings.factor", settings.get("factor"), FACTORS)
+        axes = tuple(
+            _axis(key, f"axis_{number}", entry, robot)
+            for number in range(1, MOST_AXES + 1)
+            if f"axis_{number}" in settings
+        )
 
-        def one_of(name: str, value: object, known: Sequence[str]) -> str:
-            if value not in known:
-                raise damaged(
-                    f"{key}.{name}", f"must be one of {', '.join(known)}, is {value!r}"
-                )
-            return str(value)
-
-        def axis(name: str) -> Axis:
-            measure = one_of(f"settings.{name}", settings[name], MEASURES)
-            owner = one_of(
-                f"settings.{name}_joint", settings.get(f"{name}_joint"), names
-            )
-            every = (f"{name}_knot_{k}" for k in range(MOST_KNOTS + 1))
-            found = [settings[knot] for knot in takewhile(settings.__contains__, every)]
-            numbers = [
-                float(x) for x in found if not isinstance(x, str) and isfinite(x)
-            ]
-            ascending = all(low < high for low, high in pairwise(numbers))
-            if not (2 <= len(numbers) == len(found) <= MOST_KNOTS and ascending):
-                what = (
-                    f"must be 2 to {MOST_KNOTS} finite numbers in ascending order, is"
-                    f" {found}"
-                )
-                raise damaged(f"{key}.settings.{name}_knot", what)
-            return Axis(cast(Measure, measure), names.index(owner), tuple(numbers))
-
-        joint = names.index(one_of("joint", entry.joint, names))
-        factor = one_of("settings.factor", settings.get("factor"), FACTORS)
-        known = (f"axis_{number}" for number in range(1, MOST_AXES + 1))
-        axes = tuple(axis(name) for name in known if name in settings)
         size = prod(axis.size for axis in axes)
-        values = np.array([parameter.value for parameter in entry.parameters])
-        if not axes or size != len(values):
-            raise damaged(
-                f"{key}.parameters", f"has {len(values)} coefficients, expected {size}"
-            )
-        if not np.all(np.isfinite(values)):
+        coefficients = np.array([parameter.value for parameter in entry.parameters])
+        if not axes or size != len(coefficients):
+            problem = f"has {len(coefficients)} coefficients, expected {size}"
+            raise damaged(f"{key}.parameters", problem)
+        if not np.all(np.isfinite(coefficients)):
             raise damaged(f"{key}.parameters", "has a coefficient that is not finite")
-        quantities = tuple(str(settings.get("depends_on", "")).split())
-        return cls(joint, quantities, axes, cast(Factor, factor), values, entry.session)
+        return cls(
+            joint=joint,
+            quantities=tuple(str(settings.get("depends_on", "")).split()),
+            axes=axes,
+            factor=cast(Factor, factor),
+            coefficients=coefficients,
+            session=entry.session,
+        )
 
 
-def damaged(key: str, what: str) -> ConfigError:
-    """What a parameter file says under `key` is nothing that this program wrote."""
+def _axis(key: str, name: str, entry: EffectOfJoint, robot: Robot) -> Axis:
+    """Restore the axis `name` of a term that stands under `key` in a parameter file."""
+    settings = entry.settings
+    measure = _member(f"{key}.settings.{name}", settings[name], MEASURES)
+    joint_key = f"{name}_joint"
+    joint_name = _member(
+        f"{key}.settings.{joint_key}", settings.get(joint_key), robot.joint_names
+    )
+
+    knot_keys = (f"{name}_knot_{k}" for k in range(MOST_KNOTS + 1))
+    in_file = [settings[knot] for knot in takewhile(settings.__contains__, knot_keys)]
+    knots = [float(x) for x in in_file if not isinstance(x, str) and isfinite(x)]
+    are_numbers = len(knots) == len(in_file)
+    ascend = all(low < high for low, high in pairwise(knots))
+    if not (are_numbers and ascend and 2 <= len(knots) <= MOST_KNOTS):
+        problem = (
+            f"must be 2 to {MOST_KNOTS} finite numbers in ascending order, is {in_file}"
+        )
+        raise damaged(f"{key}.settings.{name}_knot", problem)
+    joint = robot.joint_names.index(joint_name)
+    return Axis(cast(Measure, measure), joint, tuple(knots))
+
+
+def _member(key: str, value: object, allowed: Sequence[str]) -> str:
+    """Return a value that must be one of the texts allowed under a key."""
+    if value not in allowed:
+        raise damaged(key, f"must be one of {', '.join(allowed)}, is {value!r}")
+    return str(value)
+
+
+def damaged(key: str, problem: str) -> ConfigError:
+    """Make the error of a file that has under `key` what this program never writes."""
     hint = "The file was edited or damaged: run seqid refine again, which wrote it."
-    return ConfigError(f"{key}: {what}", hint=hint)
+    return ConfigError(f"{key}: {problem}", hint=hint)

@@ -41,7 +41,7 @@ class Spring(Effect):
     )
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
-        """Return stiffness, torque at q = 0 and, where asked, what the cubic law has besides."""
+        """Return stiffness, torque at q = 0 and, if `cubic`, the two further ones."""
         linear = (
             Coefficient("stiffness", "N m/rad"),
             Coefficient("torque_at_zero", "N m"),
@@ -52,7 +52,7 @@ class Spring(Effect):
         return linear
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Position, one, its cube and its square."""
+        """Return the position, a constant and, if `cubic`, its cube and square."""
         terms: tuple[str, ...] = ("q", "1.0")
         if settings["cubic"] > 0.5:
             terms += ("q * q * q", "q * q")
@@ -62,12 +62,15 @@ class Spring(Effect):
         self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return stiffness, rest position -c_1 / c_0 (delta method), and the others."""
-        found = super().values(robot, joint, settings, c, covariance)
+        values = super().values(robot, joint, settings, c, covariance)
         if c[0] == 0.0:
-            return found
+            return values
+
         slope = np.zeros(len(c))
-        slope[:2] = c[1] / c[0] ** 2, -1.0 / c[0]
-        error = float(np.sqrt(max(float(slope @ covariance @ slope), 0.0)))
+        slope[0] = c[1] / c[0] ** 2
+        slope[1] = -1.0 / c[0]
+        variance = float(slope @ covariance @ slope)
+        error = float(np.sqrt(max(variance, 0.0)))
         unit = robot.joints[joint].unit("rad")
-        found[1] = Value("rest_position", float(-c[1] / c[0]), error, unit)
-        return found
+        values[1] = Value("rest_position", float(-c[1] / c[0]), error, unit)
+        return values

@@ -14,7 +14,7 @@ import numpy as np
 
 from seqid_cli.model.effects.effect import (
     Coefficient,
-    FrictionLaw,
+    FrictionEffect,
     GridAxes,
     Setting,
     Settings,
@@ -28,10 +28,12 @@ from seqid_cli.typing import Array
 ABOVE = 1.5  # times the speed from which samples count
 EXPONENTS = (0.5, 1.0, 2.0)
 SPEEDS = 7
-SLOWEST_SHARE, FASTEST_SHARE = 0.02, 0.5  # of the top speed
+# Of the top speed.
+SLOWEST_SHARE = 0.02
+FASTEST_SHARE = 0.5
 
 
-class Stribeck(FrictionLaw):
+class Stribeck(FrictionEffect):
     """A hump of friction at low speed."""
 
     name = "stribeck"
@@ -40,7 +42,8 @@ class Stribeck(FrictionLaw):
         Setting("exponent", "1", low=0.5, high=2.0, continuous=False),
     )
     over = "speed"
-    sided = steady = True
+    sided = True
+    steady = True
     linear = (Coefficient("stribeck_torque", "N m", low=0.0),)
     alike = ("presliding_hysteresis", "quadratic_drag", "nonlinear_viscous")
     separate_by = (
@@ -51,27 +54,27 @@ class Stribeck(FrictionLaw):
     )
 
     def axes(self, scenes: Scenes, joint: int) -> GridAxes:
-        """Speeds from the sign's width to half the top speed, by ratios of about two."""
+        """Return speeds by ratios of about two, and exponents."""
         top = top_speed(scenes, joint)
         slow = min(SLIDES * float(scenes[0].sign_width[joint]), SLOWEST_SHARE * top)
         speeds = np.clip(np.geomspace(slow, FASTEST_SHARE * top, SPEEDS), 1e-6, 100.0)
-        return {"stribeck_speed": [float(x) for x in speeds], "exponent": EXPONENTS}
+        return {"stribeck_speed": speeds.tolist(), "exponent": EXPONENTS}
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Hump times direction."""
+        """Return the hump times the direction."""
         term = "exp(-((abs(dq) / stribeck_speed) ** exponent)) * sign(dq)"
         return {joint: Law(terms=(term,), numbers=settings)}
 
     def plausible(
         self, scenes: Scenes, joint: int, settings: Settings, c: Array
     ) -> bool:
-        """Ask for more friction at low speed, and that the hump ends within the speeds seen.
+        """Return whether the hump is of more friction, and within the logs' speeds.
 
-        It must show mostly at speeds at which the joint certainly slides: of a narrower
-        one little more is seen than what the low-pass brings over from reversals, where
-        nothing is known.
+        It must show mostly at speeds at which the joint certainly slides. Of a narrower
+        one the logs show little more than what the low-pass brings over from reversals,
+        where nothing is known.
         """
         speed = settings["stribeck_speed"]
-        slides = ABOVE * SLIDES * float(scenes[0].sign_width[joint])
-        ends = slides <= speed < top_speed(scenes, joint)
-        return ends and super().plausible(scenes, joint, settings, c)
+        slowest = ABOVE * SLIDES * float(scenes[0].sign_width[joint])
+        within = slowest <= speed < top_speed(scenes, joint)
+        return within and super().plausible(scenes, joint, settings, c)

@@ -1,6 +1,7 @@
 """Friction that changes with temperature: grease thins while the gear warms up.
 
-    tau = h (a_c s(v) + a_v v),   h = T - T_0 where temperature is logged, exp(-t / T_w) otherwise
+    tau = h (a_c s(v) + a_v v)
+    h = T - T_0 where temperature is logged, exp(-t / T_w) otherwise
 
 T [degC] is the logged temperature, T_0 that at which the file's friction was identified
 (the mean over the logs, where the file does not know it), a_c [N m/K] and a_v [N m
@@ -25,7 +26,7 @@ import numpy as np
 
 from seqid_cli.model.effects.effect import (
     Coefficient,
-    FrictionLaw,
+    FrictionEffect,
     GridAxes,
     Setting,
     Settings,
@@ -39,11 +40,13 @@ from seqid_cli.typing import Array
 # Time constants within one log: after three of them 95 % of the warm-up is over.
 SEVERAL = 3.0
 LEAST_KELVIN = 2.0  # of change, below which a logged temperature says nothing
-SHORTEST_S, LONGEST_S = 5.0, 1e5
+# Bounds of the time constant.
+SHORTEST_S = 5.0
+LONGEST_S = 1e5
 TIME_CONSTANTS = 8
 
 
-class ThermalFriction(FrictionLaw):
+class ThermalFriction(FrictionEffect):
     """Coulomb and viscous friction that follow the temperature."""
 
     name = "thermal_friction"
@@ -65,23 +68,24 @@ class ThermalFriction(FrictionLaw):
     )
 
     def possible(self, scenes: Scenes, joint: Joint) -> bool:
-        """Where logs or file do not know the temperature: a steady one has no law of time."""
+        """Return whether logs or file do not know the temperature.
+
+        A steady temperature follows no law of time.
+        """
         surface = None if joint is None else scenes[0].model.surfaces[joint]
-        logged = all(scene.temperature is not None for scene in scenes)
-        known = logged and surface is not None and surface.temperature is not None
-        return not known and self.available(scenes, joint)
+        is_logged = all(scene.temperature is not None for scene in scenes)
+        in_file = surface is not None and surface.temperature is not None
+        return not (is_logged and in_file) and self.available(scenes, joint)
 
     def local(self, settings: Settings) -> bool:
-        """Only without a logged temperature."""
+        """Return whether no logged temperature is needed."""
         return not settings["logged"]
 
     def axis(self, joint: int, settings: Settings) -> Axis | None:
         """Return the logged temperature, or time."""
-        return (
-            Axis("temperature", joint)
-            if settings["logged"]
-            else super().axis(joint, settings)
-        )
+        if settings["logged"]:
+            return Axis("temperature", joint)
+        return super().axis(joint, settings)
 
     def searched(self, settings: Settings) -> int:
         """Return 1 for the time constant, without a logged temperature."""
@@ -90,45 +94,58 @@ class ThermalFriction(FrictionLaw):
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the change of Coulomb and of viscous friction."""
         if settings["logged"]:
-            coulomb = Coefficient("coulomb_per_kelvin", "N m/K")
-            return coulomb, Coefficient("viscous_per_kelvin", "N m s/(rad K)")
-        coulomb = Coefficient("coulomb_when_cold", "N m")
-        return coulomb, Coefficient("viscous_when_cold", "N m s/rad")
+            return (
+                Coefficient("coulomb_per_kelvin", "N m/K"),
+                Coefficient("viscous_per_kelvin", "N m s/(rad K)"),
+            )
+        return (
+            Coefficient("coulomb_when_cold", "N m"),
+            Coefficient("viscous_when_cold", "N m s/rad"),
+        )
 
     def axes(self, scenes: Scenes, joint: int) -> GridAxes:
-        """Time constants that the logs cover; with a temperature they do nothing."""
-        span, logged, longest = (
-            session(scenes),
-            _logged(scenes, joint),
-            longest_warm_up(scenes),
-        )
-        times = [span] if logged else np.geomspace(0.04 * span, longest, TIME_CONSTANTS)
-        if not logged and longest < SHORTEST_S:
-            times = []
+        """Return time constants that the logs cover.
+
+        With a logged temperature the time constant does nothing.
+        """
+        span = session(scenes)
+        if _is_logged(scenes, joint):
+            return {
+                "warm_up_time": [float(np.clip(span, SHORTEST_S, LONGEST_S))],
+                "logged": [1.0],
+                "reference_temperature": [_reference(scenes, joint)],
+            }
+
+        longest = longest_warm_up(scenes)
+        times = []
+        if longest >= SHORTEST_S:
+            constants = np.geomspace(0.04 * span, longest, TIME_CONSTANTS)
+            times = np.clip(constants, SHORTEST_S, LONGEST_S).tolist()
         return {
-            "warm_up_time": [
-                float(np.clip(time, SHORTEST_S, LONGEST_S)) for time in times
-            ],
-            "logged": [float(logged)],
-            "reference_temperature": [_reference(scenes, joint) if logged else 0.0],
+            "warm_up_time": times,
+            "logged": [0.0],
+            "reference_temperature": [0.0],
         }
 
     def plausible(
         self, scenes: Scenes, joint: Joint, settings: Settings, c: Array
     ) -> bool:
         """Return whether the logs cover the time constant as well."""
-        covered = settings["logged"] or settings["warm_up_time"] <= longest_warm_up(
-            scenes
-        )
+        longest = longest_warm_up(scenes)
+        covered = settings["logged"] or settings["warm_up_time"] <= longest
         return bool(covered) and super().plausible(scenes, joint, settings, c)
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """Direction and velocity, each times the temperature or the warm-up."""
+        """Return direction and velocity, each times the temperature or the warm-up."""
         heat = "exp(-t / warm_up_time)"
         if settings["logged"]:
             heat = "temperature - reference_temperature"
-        terms = "heat * sign(dq)", "heat * dq"
-        return {joint: Law(terms=terms, parts={"heat": heat}, numbers=settings)}
+        law = Law(
+            terms=("heat * sign(dq)", "heat * dq"),
+            parts={"heat": heat},
+            numbers=settings,
+        )
+        return {joint: law}
 
 
 def longest_warm_up(scenes: Scenes) -> float:
@@ -138,31 +155,37 @@ def longest_warm_up(scenes: Scenes) -> float:
     begins a clock of its own, it must go by several times.
     """
     on_one_clock = len(scenes) > 1 and all(scene.shared_clock for scene in scenes)
-    return session(scenes) if on_one_clock else session(scenes) / SEVERAL
+    if on_one_clock:
+        return session(scenes)
+    return session(scenes) / SEVERAL
 
 
 def _celsius(scene: Scene, joint: int) -> Array:
-    """Logged temperature (N,) degC; zero where there is none."""
+    """Return the logged temperature (N,) degC; zero where there is none."""
     if scene.temperature is None:
         return np.zeros(scene.samples)
     return np.nan_to_num(scene.temperature[:, joint], nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _logged(scenes: Scenes, joint: int) -> bool:
-    """Whether every log has a joint's temperature, and it changes enough, also from friction's."""
-    found = [s.temperature[:, joint] for s in scenes if s.temperature is not None]
-    if len(found) < len(scenes):
+def _is_logged(scenes: Scenes, joint: int) -> bool:
+    """Return whether every log has a joint's temperature, and it changes enough.
+
+    A change from the temperature of the friction trials counts as well.
+    """
+    of_logs = [
+        scene.temperature[:, joint] for scene in scenes if scene.temperature is not None
+    ]
+    if len(of_logs) < len(scenes):
         return False
-    logged = np.concatenate(found)
-    possible = np.all((logged > -60.0) & (logged < 200.0))
-    return bool(
-        possible
-        and np.ptp(np.append(logged, _reference(scenes, joint))) >= LEAST_KELVIN
-    )
+
+    celsius = np.concatenate(of_logs)
+    is_physical = np.all((celsius > -60.0) & (celsius < 200.0))
+    change = np.ptp(np.append(celsius, _reference(scenes, joint)))
+    return bool(is_physical and change >= LEAST_KELVIN)
 
 
 def _reference(scenes: Scenes, joint: int) -> float:
-    """Temperature [degC] at which the file's friction was identified, else the mean of the logs."""
+    """Return the temperature [degC] of the file's friction, or else the logs' mean."""
     surface = scenes[0].model.surfaces[joint]
     if surface is not None and surface.temperature is not None:
         return surface.temperature

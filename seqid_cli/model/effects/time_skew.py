@@ -28,28 +28,34 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 LARGEST_S = 0.1
-# Free base parameters take up part of a delay, so that the residual's own comes out too
-# short.
-# ratio of d to d_0 beyond which the column does not belong to the coefficient
+# Ratio of d to d_0 beyond which the column does not belong to the coefficient. Free
+# base parameters take up part of a delay: the residual's own comes out too short.
 CONSISTENT = 1.5
 
 
 class TimeSkew(ModelledTorque):
-    """Modelled torque, shifted, minus itself; of one joint, or one delay of all (joint None)."""
+    """Modelled torque, shifted, minus itself.
+
+    Of one joint, or one delay of all joints (joint None).
+    """
 
     name = "time_skew"
     settings = (
         Setting(
             "around",
             "s",
-            -LARGEST_S,
-            LARGEST_S,
-            False,
+            low=-LARGEST_S,
+            high=LARGEST_S,
+            continuous=False,
             grid=(0.0,),
             agreement=CONSISTENT,
         ),
     )
-    timing = steady = even = first_order = shared = True
+    timing = True
+    steady = True
+    even = True
+    first_order = True
+    shared = True
     linear = (Coefficient("delay", "s", low=-LARGEST_S, high=LARGEST_S),)
     alike = ("actuator_lag", "joint_elasticity")
     separate_by = (
@@ -58,7 +64,7 @@ class TimeSkew(ModelledTorque):
     )
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
-        """Change of the modelled torque per second of delay."""
+        """Return the change of the modelled torque per second of delay."""
         around = settings["around"]
         law = Law(terms=("-tau_rate",), memories={"tau_rate": Rate("tau")})
         if abs(around) >= SMALL_S:
@@ -68,13 +74,12 @@ class TimeSkew(ModelledTorque):
         return dict.fromkeys(touched(robot, joint), law)
 
     def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """The same from the torque a little earlier on the way."""
-        return {
-            j: -X for j, X in steady_change(scene, joint, -settings["around"]).items()
-        }
+        """Compute the change from the torque a little earlier on the way."""
+        change = steady_change(scene, joint, -settings["around"])
+        return {j: -X for j, X in change.items()}
 
     def true_torque(
         self, tau: Array, rate_hz: float, settings: Settings, c: Array
     ) -> Array:
-        """Shift back."""
+        """Shift the torque back."""
         return delayed(tau, -float(c[0]), rate_hz)

@@ -20,7 +20,10 @@ class TorqueBias(TorqueMeasurement):
     """A constant."""
 
     name = "torque_bias"
-    drive = slow = change = exact = True
+    drive = True
+    slow = True
+    change = True
+    exact = True
     over = "session_time"
     linear = (Coefficient("offset", "N m"),)
     alike = ("asymmetric_friction", "spring", "drift", "base_tilt")
@@ -30,7 +33,7 @@ class TorqueBias(TorqueMeasurement):
     )
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
-        """Return ones."""
+        """Return a constant."""
         return dict.fromkeys(touched(robot, joint), Law(terms=("1.0",)))
 
     def true_torque(

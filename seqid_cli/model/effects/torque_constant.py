@@ -1,4 +1,4 @@
-"""A joint's true torque per ampere differs from the robot file's, or its drive's gain does.
+"""A joint's true torque per ampere, or its drive's gain, is not the robot file's.
 
     tau_measured = (1 + e) tau
 
@@ -22,7 +22,9 @@ class TorqueConstant(ModelledTorque):
     """Torque in proportion to the modelled one."""
 
     name = "torque_constant"
-    drive = change = exact = True
+    drive = True
+    change = True
+    exact = True
     linear = (Coefficient("relative_error", "1", low=-0.9, high=9.0),)
     alike = ("payload", "torque_saturation", "load_dependent_friction")
     separate_by = (
@@ -38,5 +40,5 @@ class TorqueConstant(ModelledTorque):
     def true_torque(
         self, tau: Array, rate_hz: float, settings: Settings, c: Array
     ) -> Array:
-        """Divide by the factor, unless it is no factor at all."""
+        """Divide by 1 + e, which is held above zero."""
         return tau / max(1.0 + float(c[0]), 1e-3)

@@ -25,7 +25,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 LOSSES_AT_PEAK = (0.0, 0.1)  # b_0 tau_peak^2
-# ratio of b to b_0 beyond which the column does not belong to the coefficient
+# Ratio of b to b_0 beyond which the column does not belong to the coefficient
 CONSISTENT = 4.0
 
 
@@ -33,7 +33,10 @@ class TorqueSaturation(ModelledTorque):
     """Torque constant that falls with the square of the current."""
 
     name = "torque_saturation"
-    drive = steady = even = first_order = True
+    drive = True
+    steady = True
+    even = True
+    first_order = True
     settings = (
         Setting("around", "1/(N m)^2", low=0.0, continuous=False, agreement=CONSISTENT),
     )
@@ -47,29 +50,36 @@ class TorqueSaturation(ModelledTorque):
     )
 
     def axes(self, scenes: Scenes, joint: Joint) -> GridAxes:
-        """Up to a fifth of the modelled peak torque lost."""
-        which = slice(None) if joint is None else joint
-        seen = (np.abs(scene.modelled[scene.motion.usable, which]) for scene in scenes)
-        peak = max(float(np.max(torque, initial=0.0)) for torque in seen)
-        return {
-            "around": (
-                [loss / peak**2 for loss in LOSSES_AT_PEAK] if peak > 0.0 else [0.0]
-            )
-        }
+        """Return b_0 that lose up to a tenth of the modelled peak torque."""
+        joints = slice(None) if joint is None else joint
+        peak = 0.0
+        for scene in scenes:
+            torque = np.abs(scene.modelled[scene.motion.usable, joints])
+            peak = max(peak, float(np.max(torque, initial=0.0)))
+        if peak <= 0.0:
+            return {"around": [0.0]}
+        return {"around": [loss / peak**2 for loss in LOSSES_AT_PEAK]}
 
     def laws(self, robot: Robot, joint: Joint, settings: Settings) -> Mapping[int, Law]:
-        """Measured minus true torque per unit of b; beyond the law's largest torque it is held."""
-        law = Law(terms=("tau * tau * tau",))
-        b = settings["around"]
-        if b > 0.0:
-            numbers = {"root": float(np.sqrt(3.0 * b))}
-            parts = {"x": "min(max(1.5 * root * tau, -1.0), 1.0)"}
-            parts["measured"] = "2.0 * sin(asin(x) / 3.0) / root"
-            # The same as (measured - true) / b, which loses its digits where both are
-            # small.
-            law = Law(
-                terms=("measured * measured * measured",), parts=parts, numbers=numbers
-            )
+        """Return measured minus true torque per unit of b.
+
+        Beyond the largest torque that the law has, the measured torque is held.
+        """
+        b_0 = settings["around"]
+        if b_0 <= 0.0:
+            law = Law(terms=("tau * tau * tau",))
+            return dict.fromkeys(touched(robot, joint), law)
+
+        # The cubic equation for m is solved by a sine. Its m cubed is the same as
+        # (measured - true) / b_0, which loses its digits where both are small.
+        law = Law(
+            terms=("measured * measured * measured",),
+            parts={
+                "x": "min(max(1.5 * root * tau, -1.0), 1.0)",
+                "measured": "2.0 * sin(asin(x) / 3.0) / root",
+            },
+            numbers={"root": float(np.sqrt(3.0 * b_0))},
+        )
         return dict.fromkeys(touched(robot, joint), law)
 
     def true_torque(
@@ -77,6 +87,6 @@ class TorqueSaturation(ModelledTorque):
     ) -> Array:
         """Apply the law, held where it would fall again."""
         b = max(float(c[0]), 0.0)
-        top = 1.0 / np.sqrt(3.0 * b) if b > 0.0 else np.inf
-        held = np.clip(tau, -top, top)
-        return np.asarray(held * (1.0 - b * held**2))
+        turning_point = 1.0 / np.sqrt(3.0 * b) if b > 0.0 else np.inf
+        measured = np.clip(tau, -turning_point, turning_point)
+        return np.asarray(measured * (1.0 - b * measured**2))

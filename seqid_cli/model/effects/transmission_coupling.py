@@ -1,4 +1,4 @@
-"""One motor turns with two joints: its friction and inertia act on the sum of their rates.
+"""One motor turns with two joints: friction and inertia act on the sum of their rates.
 
     u = dq_j + a dq_k,        tau_u = F_c s(u) + F_v u + J du/dt
     tau_j = tau_u,            tau_k = a tau_u                  (virtual work)
@@ -18,6 +18,7 @@ differences: s(u) - s(dq_j) and so on.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,7 +40,8 @@ class TransmissionCoupling(Effect):
 
     name = "transmission_coupling"
     family = "transmission"
-    drive = steady = True
+    drive = True
+    steady = True
     settings = (
         Setting("neighbour", "1", low=-1.0, high=1.0, continuous=False),
         Setting(
@@ -59,61 +61,80 @@ class TransmissionCoupling(Effect):
     )
 
     def available(self, scenes: Scenes, joint: Joint) -> bool:
-        """A neighbour is needed."""
+        """Return whether the joint has a neighbour."""
         return scenes[0].robot.n > 1
 
     def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
-        """The joint before and the one after, first the one of the own kind, and ratios.
+        """Yield ratios to both neighbours, first to the one of the joint's own kind.
 
-        Between sliding and turning ratios are in units of the top speeds.
+        Between sliding and turning joints ratios are in units of the top speeds.
         """
-        mixed = (
-            scenes[0].robot.chain.prismatic != scenes[0].robot.chain.prismatic[joint]
-        )
-        near = [k for k in (joint - 1, joint + 1) if 0 <= k < len(mixed)]
-        for k in sorted(near, key=lambda k: bool(mixed[k])):
-            unit = top_speed(scenes, joint) / top_speed(scenes, k) if mixed[k] else 1.0
-            yield from (
-                {"neighbour": float(k - joint), "ratio": unit * x} for x in RATIOS
-            )
+        prismatic = scenes[0].robot.chain.prismatic
+        of_other_kind = prismatic != prismatic[joint]
+        neighbours = [k for k in (joint - 1, joint + 1) if 0 <= k < len(prismatic)]
+        neighbours.sort(key=lambda k: bool(of_other_kind[k]))
+
+        for k in neighbours:
+            unit = 1.0
+            if of_other_kind[k]:
+                unit = top_speed(scenes, joint) / top_speed(scenes, k)
+            for ratio in RATIOS:
+                yield {"neighbour": float(k - joint), "ratio": unit * ratio}
 
     def axis(self, joint: int, settings: Settings) -> Axis:
         """Return the neighbour's velocity."""
-        return Axis("velocity", joint + int(settings["neighbour"]))
+        return Axis("velocity", _partner(joint, settings))
 
     def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
-        """What direction, rate and acceleration of the combination add, on both joints."""
-        k, partner = joint + 1, joint + int(settings["neighbour"])
+        """Return what direction, rate and acceleration of the combination add.
+
+        Joints are counted from 1 in formulas.
+        """
+        partner = _partner(joint, settings)
+        j = joint + 1
+        k = partner + 1
         parts = {
-            "u": f"dq_{k} + ratio * dq_{partner + 1}",
-            "du": f"ddq_{k} + ratio * ddq_{partner + 1}",
-            "width": (
-                f"sqrt(sign_width_{k} ** 2 + (ratio * sign_width_{partner + 1}) ** 2)"
-            ),
+            "u": f"dq_{j} + ratio * dq_{k}",
+            "du": f"ddq_{j} + ratio * ddq_{k}",
+            "width": f"sqrt(sign_width_{j} ** 2 + (ratio * sign_width_{k}) ** 2)",
             "way": "tanh(u / width)",
         }
-        own = f"way - sign(dq_{k})", f"u - dq_{k}", f"du - ddq_{k}"
-        other = "ratio * way", "ratio * u", "ratio * du"
+        at_joint = (f"way - sign(dq_{j})", f"u - dq_{j}", f"du - ddq_{j}")
+        at_partner = ("ratio * way", "ratio * u", "ratio * du")
         return {
-            joint: Law(terms=own, parts=parts, numbers=settings),
-            partner: Law(terms=other, parts=parts, numbers=settings),
+            joint: Law(terms=at_joint, parts=parts, numbers=settings),
+            partner: Law(terms=at_partner, parts=parts, numbers=settings),
         }
 
     def guessed(
         self, scene: Scene, joint: int, settings: Settings
     ) -> Mapping[int, Mask]:
-        """Where the drive sticks, though both joints move."""
-        partner, ratio, width = _drive(scene, joint, settings)
-        rate = scene.motion.dq[:, [joint]] + ratio * scene.motion.dq[:, [partner]]
-        sticks = slowest_near(scene.motion, rate)[:, 0] < SLIDES * width
-        return {joint: sticks, partner: sticks}
+        """Return the samples at which the drive sticks, though both joints move."""
+        drive = _drive(scene, joint, settings)
+        dq = scene.motion.dq
+        rate = dq[:, [joint]] + drive.ratio * dq[:, [drive.partner]]
+        slowest = slowest_near(scene.motion, rate)[:, 0]
+        sticks = slowest < SLIDES * drive.sign_width
+        return {joint: sticks, drive.partner: sticks}
 
 
-def _drive(scene: Scene, joint: int, settings: Settings) -> tuple[int, float, float]:
-    """Partner, ratio, and the speed over which the drive's direction changes."""
-    partner, ratio = joint + int(settings["neighbour"]), float(settings["ratio"])
-    return (
-        partner,
-        ratio,
-        float(np.hypot(*(scene.sign_width[[joint, partner]] * (1.0, ratio)))),
-    )
+def _partner(joint: int, settings: Settings) -> int:
+    return joint + int(settings["neighbour"])
+
+
+class _Drive(NamedTuple):
+    """The drive that turns with two joints.
+
+    `sign_width` is the speed over which its direction changes.
+    """
+
+    partner: int
+    ratio: float
+    sign_width: float
+
+
+def _drive(scene: Scene, joint: int, settings: Settings) -> _Drive:
+    partner = _partner(joint, settings)
+    ratio = float(settings["ratio"])
+    widths = scene.sign_width[[joint, partner]] * (1.0, ratio)
+    return _Drive(partner, ratio, float(np.hypot(*widths)))

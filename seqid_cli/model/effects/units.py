@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sized
 
 UNEXPLAINED = "unexplained"
-# standard error, from which on no sample shows a parameter; files hold no larger
+# Standard error from which on no sample shows a parameter; files hold no larger one.
 UNTOLD = 1e29
 
 
@@ -26,7 +26,10 @@ class Value:
 def smooth_in_words(
     coefficients: Sized, settings: Mapping[str, str | float | int | bool]
 ) -> str:
-    """Say on what a smooth term that no effect explains depends; its numbers tell nobody more."""
+    """Say on what a smooth term that no effect explains depends.
+
+    Its coefficients would tell a reader nothing.
+    """
     quantities = ", ".join(str(settings.get("depends_on", "")).split())
     return (
         f"a smooth function of {quantities}, {len(coefficients)} coefficients without"

@@ -37,39 +37,55 @@ from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.typing import Array, Mask
 
 KAPPA = 30.0
-LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
+# Bounds of the cut-off.
+LOWEST_HZ = 1.0
+HIGHEST_HZ = 80.0
 BANDWIDTHS = 10.0
-# of white noise after two passes of the low-pass, over its cut-off
+# Bandwidth of white noise after two passes of the low-pass, over the cut-off.
 NOISE_BANDWIDTH = 0.807
 
 
 @dataclass(frozen=True)
 class Cutoff:
-    """The cut-off and what it was chosen from."""
+    """The cut-off and what it was chosen from.
+
+    Attributes
+    ----------
+    hz : float
+    encoder_step : Array
+        (n,) rad, the smallest step of each encoder.
+    noise_density : Array
+        (n,) rad^2/Hz of the positions' noise.
+    alone_hz : float, optional
+        The encoders' own choice where `hz` is another's.
+    """
 
     hz: float
-    encoder_step: Array  # (n,) rad, the smallest step seen
-    noise_density: Array  # (n,) rad^2/Hz of the position noise
-    alone_hz: float | None = None  # the encoders' own choice where `hz` is another's
+    encoder_step: Array
+    noise_density: Array
+    alone_hz: float | None = None
 
     @property
     def acceleration_noise(self) -> Array:
-        """Standard deviation (n,) rad/s^2 of the differentiated encoder below the cut-off."""
+        """Standard deviation (n,) rad/s^2 of differentiated positions."""
         return np.asarray(np.sqrt(differentiated_error(self.noise_density, self.hz)))
 
     @property
     def above_own(self) -> bool:
-        """Whether it is another's choice, and higher than the encoders alone would have chosen."""
+        """True if it is another's choice, and higher than the encoders' own."""
         return self.alone_hz is not None and self.alone_hz < self.hz
 
 
 def differentiated_error(density: Array | float, hz: float | Array) -> Array:
-    """Power of twice differentiated white noise of a density (rad^2/Hz) below a cut-off."""
+    """Return N(f): power of twice differentiated white noise below a cut-off.
+
+    `density` in rad^2/Hz gives (rad/s^2)^2.
+    """
     return np.asarray(density * (2 * np.pi) ** 4 * hz**5 / 5)
 
 
 def smoothed_error(variance: Array, density: Array, hz: float) -> Array:
-    """Power of the smoother's acceleration error below a cut-off.
+    """Return the power of the smoother's acceleration error below a cut-off.
 
     Above some f_c the IMUs make the error of the acceleration white of density s, below
     it the encoder holds it down to s (f / f_c)^4. Velocity and position then have the
@@ -77,42 +93,53 @@ def smoothed_error(variance: Array, density: Array, hz: float) -> Array:
     follow. No more than the smoother's whole error lies below a cut-off, and no more
     than the encoder alone would have.
 
-    `variance` (n, 3): typical variance of the smoother's q, dq, ddq; infinite where the
-    encoder is used instead. `density` (n,): noise of the encoders [rad^2/Hz]. `hz`:
-    cut-off. Returns (n,): [(rad/s^2)^2].
+    Parameters
+    ----------
+    variance : Array
+        (n, 3), typical variance of the smoother's q, dq, ddq; infinite where the
+        encoder is used instead.
+    density : Array
+        (n,), noise of the encoders [rad^2/Hz].
+    hz : float
+        Cut-off.
+
+    Returns
+    -------
+    Array
+        (n,) (rad/s^2)^2.
     """
-    known = np.asarray(np.isfinite(variance).all(axis=1))
-    used = np.where(known[:, None], np.maximum(variance, 1e-300), 1.0)
-    position, velocity, acceleration = used.T
-    white = 0.75 * 2 * np.pi * velocity * np.sqrt(velocity / position)
-    error: Array = np.where(known, np.minimum(acceleration, white * hz), np.inf)
+    is_smoothed = np.asarray(np.isfinite(variance).all(axis=1))
+    finite = np.where(is_smoothed[:, None], np.maximum(variance, 1e-300), 1.0)
+    position, velocity, acceleration = finite.T
+    s = 0.75 * 2 * np.pi * velocity * np.sqrt(velocity / position)
+    error: Array = np.where(is_smoothed, np.minimum(acceleration, s * hz), np.inf)
     return np.minimum(error, differentiated_error(density, hz))
 
 
 def encoder_step(q: Array) -> Array:
-    """Smallest step of each joint's position, rad; zero where the position is not quantised."""
+    """Return the smallest steps (n,) of positions (N, n) rad; zero if not quantised."""
     return np.array([step_of(position) for position in q.T])
 
 
 def step_of(position: Array) -> float:
-    """Smallest step of a joint's position (N,), of which nearly all others are multiples, or 0."""
-    levels = np.diff(np.unique(np.round(position, 10)))
-    levels = levels[levels > 1e-9]
-    if len(levels) < 3:
-        return float(levels.min()) if len(levels) else 0.0
-    smallest = float(np.median(levels[levels < 1.5 * levels.min()]))
-    near = levels[levels < 20 * smallest] / smallest
-    quantised = np.mean(np.abs(near - np.round(near)) < 0.1) > 0.9 and len(
-        near
-    ) > 0.3 * len(levels)
-    # Unquantised noise also has a smallest distance, but not one that its steps are
-    # multiples of.
-    return smallest if quantised else 0.0
+    """Return the smallest step of a joint's position (N,); zero if not quantised."""
+    steps = np.diff(np.unique(np.round(position, 10)))
+    steps = steps[steps > 1e-9]
+    if len(steps) < 3:
+        return float(steps.min()) if len(steps) else 0.0
+    smallest = float(np.median(steps[steps < 1.5 * steps.min()]))
+
+    # Noise that is not quantised also has a smallest step, but its other steps are no
+    # multiples of that.
+    counts = steps[steps < 20 * smallest] / smallest
+    are_multiples = np.mean(np.abs(counts - np.round(counts)) < 0.1) > 0.9
+    are_many = len(counts) > 0.3 * len(steps)
+    return smallest if are_multiples and are_many else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseShares:
-    """How much of each joint's acceleration and jerk is noise below each of some cut-offs.
+    """How much of each joint's acceleration and jerk is noise below some cut-offs.
 
     Energies of logs add up. They are zero of joints that do not move.
 
@@ -138,36 +165,36 @@ class NoiseShares:
         )
 
     def of_joints(self, which: Mask) -> "NoiseShares":
-        """Return these of `which` (n,) joints as those of all n, zero of the others."""
+        """Return shares of `which` (n,) joints as those of all n, zero for others."""
 
-        def wide(values: Array) -> Array:
+        def of_all(values: Array) -> Array:
             result = np.zeros((len(which), values.shape[1]))
             result[which] = values
             return result
 
         return NoiseShares(
-            acceleration=wide(self.acceleration),
-            acceleration_noise=wide(self.acceleration_noise),
-            jerk=wide(self.jerk),
-            jerk_noise=wide(self.jerk_noise),
+            acceleration=of_all(self.acceleration),
+            acceleration_noise=of_all(self.acceleration_noise),
+            jerk=of_all(self.jerk),
+            jerk_noise=of_all(self.jerk_noise),
         )
 
     def of_acceleration(self) -> Array:
-        """Return noise over true motion (C,) of the joint whose acceleration is known worst."""
+        """Return noise over motion (C,) of the joint with the worst acceleration."""
         return _worst_share(self.acceleration, self.acceleration_noise)
 
     def of_jerk(self) -> Array:
-        """Return noise over true motion (C,) of the joint whose jerk is known worst."""
+        """Return noise over motion (C,) of the joint with the worst jerk."""
         return _worst_share(self.jerk, self.jerk_noise)
 
 
 def _worst_share(measured: Array, noise: Array) -> Array:
-    """Return the largest ratio (C,) of noise to true motion, of joints (n, C) that move."""
+    """Return the largest ratio (C,) of noise to true motion of moving joints (n, C)."""
     moves = measured[:, -1] > 0.0
-    true = np.maximum(measured[moves] - noise[moves], 1e-12 * measured[moves, -1:])
+    motion = np.maximum(measured[moves] - noise[moves], 1e-12 * measured[moves, -1:])
     # Power beyond the first point where noise takes over is noise, whatever its level.
-    true = np.maximum.accumulate(true, axis=1)
-    return np.asarray(np.max(noise[moves] / true, axis=0, initial=0.0))
+    motion = np.maximum.accumulate(motion, axis=1)
+    return np.asarray(np.max(noise[moves] / motion, axis=0, initial=0.0))
 
 
 def noise_shares(
@@ -192,31 +219,46 @@ def noise_shares(
     seconds : float
         Length of the log [s].
     """
+
+    def power(densities: Array) -> Array:
+        return np.array(
+            [power_below(frequency, density, cutoffs) for density in densities]
+        )
+
     jerk = (2.0 * np.pi * frequency) ** 2 * acceleration
-    powers = [
-        np.array([power_below(frequency, density, cutoffs) for density in densities])
-        for densities in (acceleration, jerk)
-    ]
     # Of noise whose power grows with f^5, n (2 pi)^4 f^5 / 5, the jerk has n (2 pi)^6
     # f^7 / 7.
     jerk_error = error * (2.0 * np.pi * cutoffs) ** 2 * 5.0 / 7.0
     return NoiseShares(
-        acceleration=seconds * powers[0],
+        acceleration=seconds * power(acceleration),
         acceleration_noise=seconds * error,
-        jerk=seconds * powers[1],
+        jerk=seconds * power(jerk),
         jerk_noise=seconds * jerk_error,
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Score:
-    """J of the module's text for each of some cut-offs, summed over joints."""
+    """J of the module's text for each of some cut-offs, summed over joints.
 
-    values: Array  # above the Nyquist rate like the last below
-    bandwidth_hz: float  # of their motion
-    joints: int  # that move
+    Attributes
+    ----------
+    values : Array
+        (C,) of J; above the Nyquist rate like the last below it.
+    bandwidth_hz : float
+        Of the motion.
+    joints : int
+        Number of joints that move.
+    seconds : float
+        Length of the log.
+    shares : NoiseShares, optional
+        Of all joints of the robot, or of those that were given.
+    """
+
+    values: Array
+    bandwidth_hz: float
+    joints: int
     seconds: float = math.inf
-    # of all joints of the robot, or of those that were given
     shares: NoiseShares | None = None
 
 
@@ -227,61 +269,94 @@ def highest_of(
     *,
     per_parameter: float = 2.0,
 ) -> float:
-    """Highest cut-off [Hz] for a motion's bandwidth, and for the joints that move so long."""
+    """Return the highest cut-off [Hz] for a motion.
+
+    Parameters
+    ----------
+    bandwidth_hz : float
+        Of the motion.
+    joints : int
+        Number of joints that move.
+    seconds : float
+        Length of the log.
+    per_parameter : float
+        Independent samples of a joint's torque per inertial parameter of the moving
+        links that must be left.
+    """
     # Low-passed noise has 2 B independent samples a second, B its bandwidth.
-    needed = (
-        per_parameter * PER_LINK * joints / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
-    )
-    return max(BANDWIDTHS * bandwidth_hz, 2 * LOWEST_HZ, needed)
+    n_samples = per_parameter * PER_LINK * joints
+    needed_hz = n_samples / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
+    return max(BANDWIDTHS * bandwidth_hz, 2 * LOWEST_HZ, needed_hz)
 
 
 def smoothed_score(
     dq: Array, ddq: Array, error: Array, rate_hz: float, cutoffs: Array
 ) -> Score:
-    """Score cut-offs (C,) Hz by the smoothed motion (N, m) [rad/s, rad/s^2] of joints that move.
+    """Score cut-offs by the smoothed motion of the joints that move.
 
-    `error` (C, m): power of the acceleration's error below each, as of
-    `smoothed_error`.
+    Parameters
+    ----------
+    dq, ddq : Array
+        (N, m) rad/s, rad/s^2.
+    error : Array
+        (C, m), power of the acceleration's error below each cut-off, as
+        `smoothed_error` returns it.
+    rate_hz : float
+    cutoffs : Array
+        (C,) Hz.
     """
 
-    def spectra(values: Array, seconds: int) -> tuple[Array, Array]:
-        length = min(len(values), max(256, int(seconds * rate_hz)))
+    def spectra(values: Array, segment_s: int) -> tuple[Array, Array]:
+        length = min(len(values), max(256, int(segment_s * rate_hz)))
         frequency, density = welch(
             values, rate_hz, nperseg=length, detrend=False, axis=0
         )
         return frequency, density.T
 
-    values, (frequency, densities) = np.zeros(len(cutoffs)), spectra(ddq, 8)
+    # J of each joint: information about its acceleration, less its bias.
+    frequency, densities = spectra(ddq, 8)
     below = np.minimum(cutoffs, rate_hz / 2)
-    shares = noise_shares(frequency, densities, error.T, below, len(ddq) / rate_hz)
-    for density, own in zip(densities, error.T, strict=True):
+    values = np.zeros(len(cutoffs))
+    for density, noise in zip(densities, error.T, strict=True):
         power = power_below(frequency, density, below)
-        signal = np.maximum(power - own, 1e-12)
-        values += np.log(signal) - KAPPA * own / signal
+        signal = np.maximum(power - noise, 1e-12)
+        values += np.log(signal) - KAPPA * noise / signal
+    shares = noise_shares(frequency, densities, error.T, below, len(ddq) / rate_hz)
+
     frequency, densities = spectra(dq, 20)
-    widest = max(
-        (bandwidth_of(frequency, one, rate_hz) for one in densities), default=0.0
+    bandwidths = [bandwidth_of(frequency, density, rate_hz) for density in densities]
+    return Score(
+        values=values,
+        bandwidth_hz=max(bandwidths, default=0.0),
+        joints=len(densities),
+        shares=shares,
     )
-    return Score(values, widest, len(densities), shares=shares)
 
 
 def lowest_as_good(score: Array, joints: int, *, worth: float = 0.01) -> int:
-    """Index of the lowest cut-off whose score of smoothed motion is nearly the best."""
-    return int(np.flatnonzero(score >= score[first_maximum(score)] - worth * joints)[0])
+    """Return the index of the lowest cut-off whose score is nearly the best.
+
+    For smoothed motion: a higher cut-off must be `worth` more per joint.
+    """
+    best = score[first_maximum(score)]
+    as_good = score >= best - worth * joints
+    return int(np.flatnonzero(as_good)[0])
 
 
 def power_below(frequency: Array, density: Array, cutoffs: Array) -> Array:
-    """Power of a signal below each cut-off (C,) by its spectrum (F,)."""
+    """Return the power of a signal below each cut-off (C,) by its spectrum (F,)."""
     total = np.concatenate(([0.0], np.cumsum(density[1:] * frequency[1])))
     return np.asarray(np.interp(cutoffs, frequency, total))
 
 
 def first_maximum(score: Array, *, clear_fall: float = 0.05) -> int:
-    """Index of the best value before the first clear fall."""
+    """Return the index of the best value before the first clear fall."""
     # A slow joint's quantisation is tones, not white noise; above the motion's
     # bandwidth they would count as signal and raise the score again.
     fallen = np.flatnonzero(score < np.maximum.accumulate(score) - clear_fall)
-    return int(np.argmax(score[: fallen[0]] if len(fallen) else score))
+    if len(fallen):
+        score = score[: fallen[0]]
+    return int(np.argmax(score))
 
 
 def bandwidth_of(
@@ -330,11 +405,15 @@ def bandwidth_of(
     power = np.concatenate(([0.0], np.cumsum(density)))
     noise = np.concatenate(([0.0], np.cumsum(floor)))
     tones = (2.0 * np.pi * frequency) ** 2 * step**2 / 12.0 / frequency[1]
-    most = np.maximum(min_signal_to_noise * (noise[high] - noise[low]), tones)
-    shows = power[high] - power[low] > most
+    most_noise = np.maximum(min_signal_to_noise * (noise[high] - noise[low]), tones)
+    shows_motion = power[high] - power[low] > most_noise
 
-    peak = int(np.argmax(np.where(shows, density, -1.0)))
-    silent = np.flatnonzero(~shows[peak:])
-    end = max(1, peak + int(silent[0]) if len(silent) else len(frequency))
+    # The motion ends at the first silent place above its peak.
+    peak = int(np.argmax(np.where(shows_motion, density, -1.0)))
+    silent = np.flatnonzero(~shows_motion[peak:])
+    end = len(frequency)
+    if len(silent):
+        end = peak + int(silent[0])
+    end = max(1, end)
     motion = np.cumsum(np.maximum(density[:end] - floor[:end], 0.0))
     return float(frequency[np.searchsorted(motion, 0.99 * motion[-1])])

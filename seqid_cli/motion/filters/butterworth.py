@@ -1,4 +1,4 @@
-"""Zero-phase low-pass of uniformly sampled channels, also of every M-th sample of a log.
+"""Zero-phase low-pass of uniformly sampled channels, also of every M-th sample.
 
 The low-pass is a fourth-order Butterworth run forward and backward: its phase is zero,
 and its gain is the squared one,
@@ -36,9 +36,10 @@ NEGLIGIBLE = 1e-14
 
 @dataclass(frozen=True)
 class Lowpass:
-    """Zero-phase low-pass of signals at `rate_hz`, which may be each `every`-th sample of a log.
+    """Zero-phase low-pass of signals at `rate_hz`.
 
-    The response is that of the log's own rate.
+    They may be every `every`-th sample of a log; the response is that of the log's own
+    rate.
     """
 
     cutoff_hz: float
@@ -47,7 +48,7 @@ class Lowpass:
 
     @property
     def active(self) -> bool:
-        """False where the cut-off lies too close to the Nyquist rate to filter anything."""
+        """False where the cut-off is too close to the Nyquist rate to filter."""
         return self.cutoff_hz < 0.45 * self.rate_hz
 
     @property
@@ -68,17 +69,30 @@ class Lowpass:
         times: int = 1,
         every: int = 1,
     ) -> Array:
-        """Filter (N, ...) in its precision along the first axis, each valid run by itself.
+        """Filter along the first axis, each run of valid samples by itself.
 
-        `valid` (N,): false where samples must not leak into others; these are returned
-        as they are. `times`: number of passes. `every`: samples 0, `every`, 2 `every`,
-        ... are returned only.
+        Parameters
+        ----------
+        values : Array
+            (N, ...), in single or double precision.
+        valid : Mask, optional
+            (N,), false where samples must not leak into others; these are returned as
+            they are.
+        times : int
+            Number of passes.
+        every : int
+            Samples 0, `every`, 2 `every`, ... are returned only.
+
+        Returns
+        -------
+        Array
+            (N / every, ...), in the precision of the values.
         """
         kind = np.float32 if values.dtype == np.float32 else np.float64
         rows: Array = np.array(values.reshape(len(values), -1).T, dtype=kind, order="C")
-        kept: Array = rows if every == 1 else np.array(rows[:, ::every])
-        self.filter_rows(rows, valid, into=kept, times=times, every=every)
-        return np.ascontiguousarray(kept.T).reshape(-1, *values.shape[1:])
+        filtered: Array = rows if every == 1 else np.array(rows[:, ::every])
+        self.filter_rows(rows, valid, into=filtered, times=times, every=every)
+        return np.ascontiguousarray(filtered.T).reshape(-1, *values.shape[1:])
 
     def filter_rows(
         self,
@@ -91,58 +105,90 @@ class Lowpass:
         every: int = 1,
         tile: int = 131072,
     ) -> None:
-        """Filter signals `rows` (c, N), each run of valid samples by itself.
+        """Filter signals in rows, each run of valid samples by itself.
 
-        `only`: numbers of the signals to filter; all by default. `into` (c, N / every):
-        where they go, by default in place. What is not filtered stays as it is. `tile`:
-        values that are worked on at once. Others: as of a call.
+        Parameters
+        ----------
+        rows : Array
+            (c, N).
+        valid, times, every
+            As of a call.
+        only : Index, optional
+            Numbers of the signals to filter; all by default.
+        into : Array, optional
+            (c, N / every), where they go, by default in place. What is not filtered
+            stays as it is.
+        tile : int
+            Values that are worked on at once.
         """
-        kept = rows if into is None else into
+        target = rows if into is None else into
         chosen = np.arange(len(rows)) if only is None else only
-        for start, stop in runs(valid, rows.shape[1]) if self.active else ():
+        if not self.active:
+            return
+        for start, stop in runs(valid, rows.shape[1]):
+            # Columns of the target, counted in steps of `every`, that lie in the run.
             first = -(-start // every)
+            last = -(-stop // every)
             if stop - start <= SHORTEST or first * every >= stop:
                 continue
-            last = -(-stop // every)
-            height = max(1, tile // (stop - start + 2 * times * self.memory))
-            for top in range(0, len(chosen), height):
-                own = chosen[top : top + height]
-                run = rows[own, start:stop]
-                kept[own, first:last] = self._filtered(
+
+            length = stop - start + 2 * times * self.memory
+            n_rows = max(1, tile // length)
+            for top in range(0, len(chosen), n_rows):
+                some = chosen[top : top + n_rows]
+                run = rows[some, start:stop]
+                target[some, first:last] = self._filtered(
                     run, times, every, first * every - start
                 )
 
     def _filtered(self, rows: Array, times: int, every: int, first: int) -> Array:
-        """Filter (c, N), prolonged by point reflections at its ends, samples from `first` on."""
-        # What a pass makes of the prolonged signal is prolonged in the same way, so
-        # that passes at once are passes one by one.
+        """Filter rows (c, N), prolonged by point reflections at their ends.
+
+        Every `every`-th sample from `first` on is returned. What a pass makes of the
+        prolonged signal is prolonged in the same way, so that passes at once are passes
+        one by one.
+        """
         response = _response(self, times, every)
-        samples, reach = rows.shape[1], response.reach
-        hop = response.size - 2 * reach
+        samples = rows.shape[1]
+        reach = response.reach
         if samples <= reach:
-            wide = np.pad(
-                rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd"
-            )
+            margins = ((0, 0), (reach, reach))
+            wide = np.pad(rows, margins, mode="reflect", reflect_type="odd")
         else:  # the same, faster
-            before, behind = rows[:, reach:0:-1], rows[:, -2 : -reach - 2 : -1]
-            ends = 2.0 * rows[:, :1] - before, 2.0 * rows[:, -1:] - behind
-            wide = np.concatenate([ends[0], rows, ends[1]], axis=1)
-        kept = np.empty((len(rows), -(-(samples - first) // every)), rows.dtype)
+            before = 2.0 * rows[:, :1] - rows[:, reach:0:-1]
+            behind = 2.0 * rows[:, -1:] - rows[:, -2 : -reach - 2 : -1]
+            wide = np.concatenate([before, rows, behind], axis=1)
+
+        # Overlap-save: each piece is as long as the transform, less what wraps around.
+        hop = response.size - 2 * reach
+        filtered = np.empty((len(rows), -(-(samples - first) // every)), rows.dtype)
         for start in range(first, samples, hop):
             stop = min(start + hop, samples)
             piece = response.of(wide[:, start : stop + 2 * reach])
             at = slice((start - first) // every, -(-(stop - first) // every))
-            kept[:, at] = piece[:, : at.stop - at.start]
-        return kept
+            filtered[:, at] = piece[:, : at.stop - at.start]
+        return filtered
 
 
 def single(values: Array) -> Array:
-    """The same values in single precision, which is enough for columns of an effect."""
+    """Return values in single precision, which is enough for columns of an effect."""
     return cast(Array, values.astype(np.float32))
 
 
 class _Response:
-    """Gain of some passes over pieces of `longer` reaches and `least` samples, or a little more."""
+    """Gain of some passes, for pieces of `longer` reaches and `least` samples or more.
+
+    Attributes
+    ----------
+    every : int
+        Of so many samples one is wanted.
+    reach : int
+        Samples on either side that a filtered one depends on, a multiple of `every`.
+    size : int
+        Of the Fourier transform.
+    gain : Array
+        (size / 2 + 1,), real: the phase is zero.
+    """
 
     def __init__(
         self,
@@ -154,45 +200,52 @@ class _Response:
         least: int = 512,
     ) -> None:
         h = impulse_response(lowpass)
-        self.every = every  # of so many samples one is wanted
-        # that depend, on either side
-        self.reach = -(-times * (len(h) // 2) // every) * every
-        self.size = every * next_fast_len(
-            -(-(longer * self.reach + least) // every), real=True
-        )
-        both = np.zeros(self.size)
-        both[: len(h)] = h
-        # the phase is zero
-        self.gain = rfft(np.roll(both, -(len(h) // 2))).real ** times
+        half = len(h) // 2
+        self.every = every
+        self.reach = -(-times * half // every) * every
+        wanted = -(-(longer * self.reach + least) // every)
+        self.size = every * next_fast_len(wanted, real=True)
+
+        # The middle of h at sample 0, so that the phase is zero.
+        padded = np.zeros(self.size)
+        padded[: len(h)] = h
+        self.gain = rfft(np.roll(padded, -half)).real ** times
 
     def of(self, piece: Array) -> Array:
         """Filter a piece (c, m), from its sample `reach` on; zeros follow it."""
         spectrum = rfft(piece, self.size)
         spectrum *= self.gain.astype(piece.dtype)
-        size, highest = self.size // self.every, self.size // 2
+        size = self.size // self.every
+        highest = self.size // 2
         half = size // 2 + 1
         folded = spectrum if self.every == 1 else spectrum[:, :half].copy()
+
         # Of every M-th sample: what lies above half its rate comes back below.
         for turn in range(size, highest + 1, size):
             above = spectrum[:, turn : turn + half]
-            folded[:, : above.shape[1]] += above * (turn < highest)
+            if turn < highest:
+                folded[:, : above.shape[1]] += above
             folded += spectrum[:, turn - half + 1 : turn + 1][:, ::-1].conj()
-        found = irfft(folded, size)
-        found /= self.every
-        return np.asarray(found[:, self.reach // self.every :])
+        filtered = irfft(folded, size)
+        filtered /= self.every
+        return np.asarray(filtered[:, self.reach // self.every :])
 
 
 @lru_cache(maxsize=64)
 def impulse_response(lowpass: Lowpass) -> Array:
-    """Response (2 memory + 1,) of both ways, with a gain of 1 at rest."""
+    """Return h (2 memory + 1,) of both ways together, with a gain of 1 at rest."""
+    # In cycles per sample of the log. The transform is long enough for h to decay to
+    # nothing, from either end of the axis.
     cutoff = lowpass.cutoff_hz / (lowpass.rate_hz * lowpass.every)
-    # Long enough to decay to nothing, from either end of the axis.
     size = 1 << int(np.ceil(np.log2(32.0 / min(cutoff, 0.5 - cutoff))))
-    ratio = np.tan(np.pi * np.arange(size // 2 + 1) / size) / np.tan(np.pi * cutoff)
-    h = irfft(1.0 / (1.0 + ratio ** (2 * ORDER)), size)[: size // 2 : lowpass.every]
-    reach = int(np.flatnonzero(np.abs(h) > NEGLIGIBLE * h[0])[-1])
-    both = np.concatenate([h[reach:0:-1], h[: reach + 1]])
-    return np.asarray(both / both.sum())
+    frequency = np.arange(size // 2 + 1) / size
+    ratio = np.tan(np.pi * frequency) / np.tan(np.pi * cutoff)
+    gain = 1.0 / (1.0 + ratio ** (2 * ORDER))
+
+    h = irfft(gain, size)[: size // 2 : lowpass.every]
+    memory = int(np.flatnonzero(np.abs(h) > NEGLIGIBLE * h[0])[-1])
+    symmetric = np.concatenate([h[memory:0:-1], h[: memory + 1]])
+    return np.asarray(symmetric / symmetric.sum())
 
 
 _response = lru_cache(maxsize=64)(_Response)

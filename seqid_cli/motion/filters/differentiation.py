@@ -15,31 +15,47 @@ SIDE = len(FIRST) // 2  # samples on either side that a derivative takes
 
 
 def runs(mask: Mask | None, length: int) -> list[tuple[int, int]]:
-    """Half-open index ranges in which `mask` is True; the whole length where it is None."""
+    """Return half-open index ranges in which `mask` is True; [0, length) for None."""
     if mask is None:
         return [(0, length)]
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    padded = np.concatenate(([0], mask.astype(np.int8), [0]))
+    edges = np.flatnonzero(np.diff(padded)).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def shrink(mask: Mask, samples: int) -> Mask:
     """Take `samples` off both ends of every run of True."""
-    return minimum_filter1d(mask.view(np.uint8), 2 * samples + 1, mode="constant").view(
-        np.bool_
-    )
+    # The smallest value around a sample; beyond the ends there is nothing.
+    numbers = mask.view(np.uint8)
+    shrunk = minimum_filter1d(numbers, 2 * samples + 1, mode="constant")
+    return shrunk.view(np.bool_)
 
 
 def differentiate(
     values: Array, rate_hz: float, valid: Mask | None = None
 ) -> tuple[Array, Array]:
-    """First and second derivative of samples (N, ...) far below a fifth of their rate."""
-    # They do not reach across samples that are not valid, and are zero outside valid
-    # runs.
-    first, second = np.zeros_like(values), np.zeros_like(values)
-    width = [(SIDE, SIDE)] + [(0, 0)] * (values.ndim - 1)
+    """Compute the first and second derivative of band-limited samples.
+
+    Parameters
+    ----------
+    values : Array
+        (N, ...), whose band ends far below a fifth of the rate.
+    rate_hz : float
+    valid : Mask, optional
+        (N,); derivatives do not reach across samples that are not valid.
+
+    Returns
+    -------
+    tuple of Array
+        Both (N, ...), per s and per s^2; zero outside valid runs.
+    """
+    first = np.zeros_like(values)
+    second = np.zeros_like(values)
+    margins = [(SIDE, SIDE)] + [(0, 0)] * (values.ndim - 1)
+    inner = slice(SIDE, -SIDE)
     for start, stop in runs(valid, len(values)):
-        # Mirrored through the end points.
-        piece = np.pad(values[start:stop], width, mode="reflect", reflect_type="odd")
-        first[start:stop] = correlate1d(piece, FIRST * rate_hz, axis=0)[SIDE:-SIDE]
-        second[start:stop] = correlate1d(piece, SECOND * rate_hz**2, axis=0)[SIDE:-SIDE]
+        # A run goes on beyond its ends by its reflection through the end points.
+        piece = np.pad(values[start:stop], margins, mode="reflect", reflect_type="odd")
+        first[start:stop] = correlate1d(piece, FIRST * rate_hz, axis=0)[inner]
+        second[start:stop] = correlate1d(piece, SECOND * rate_hz**2, axis=0)[inner]
     return first, second

@@ -1,4 +1,4 @@
-"""Joint accelerations from every calibrated IMU, and the choice of where motion comes from.
+"""Joint accelerations from all calibrated IMUs, and the choice of the motion's source.
 
 An IMU on link m, its readings turned into the link's frame, sees
 
@@ -36,13 +36,26 @@ from seqid_cli.typing import Array
 
 
 class LinkReading(NamedTuple):
-    """Angular acceleration (N, 3) rad/s^2 of the link that carries the IMU, in its frame."""
+    """Angular motion of the link that carries an IMU, in the link's frame.
+
+    Attributes
+    ----------
+    name : str
+        Of the IMU.
+    link : int
+    dw : Array
+        (N, 3) rad/s^2.
+    noise : float
+        Standard deviation of `dw`.
+    turning : Turning, optional
+        None where the IMU's layout does not see the angular velocity.
+    """
 
     name: str
     link: int
     dw: Array
     noise: float
-    turning: Turning | None  # None where its layout does not see the angular velocity
+    turning: Turning | None
 
 
 def log_motion(
@@ -53,30 +66,56 @@ def log_motion(
     imu: ImuStage | None,
     source: str,
 ) -> Motion:
-    """Motion of a log at its own rate, of the encoders or better (see `best_motion`).
+    """Return the motion of a log at its own rate, by the encoders or better.
 
-    With `options.kept` the motion of logs that differ in their torque alone is made
-    once. Raises InputError: no stretch is long enough to filter, or the log lacks an
-    IMU that `source` needs.
+    Parameters
+    ----------
+    recording : Recording
+    robot : Robot
+    options : MotionOptions
+        With `kept`, the motion of logs that differ in their torque alone is made once.
+    imu : ImuStage, optional
+    source : str
+        See `best_motion`.
+
+    Raises
+    ------
+    InputError
+        No stretch is long enough to filter, or the log lacks an IMU that `source`
+        needs.
     """
     if options.kept is None:
         encoder = estimate_motion(recording, robot, options)
         return best_motion(recording, robot, imu, encoder, source=source)
-    sha256 = recording.sha256
-    arrays = id(recording.q), id(recording.valid), id(imu)
-    key = (sha256, *arrays, source, options.cutoff_hz, sha256 in options.own)
+
+    key = (
+        recording.sha256,
+        id(recording.q),
+        id(recording.valid),
+        id(imu),
+        source,
+        options.cutoff_hz,
+        recording.sha256 in options.own,
+    )
     if key not in options.kept:
-        made = log_motion(
+        motion = log_motion(
             recording, robot, replace(options, kept=None), imu=imu, source=source
         )
-        # what is kept keeps its place in memory
-        options.kept[key] = recording, imu, made
-    known: Recording
+        # Held objects keep their places in memory, by which the key knows them.
+        options.kept[key] = _KeptMotion(recording, imu, motion)
+    kept: _KeptMotion = options.kept[key]
+    if recording.tau is kept.recording.tau:
+        return kept.motion
+    tau, _ = filtered_torque(recording, kept.motion.lowpass)
+    return replace(kept.motion, tau=tau)
+
+
+class _KeptMotion(NamedTuple):
+    """A motion, with the log and the calibration that it was made of."""
+
+    recording: Recording
+    imu: ImuStage | None
     motion: Motion
-    known, _, motion = options.kept[key]
-    if recording.tau is known.tau:
-        return motion
-    return replace(motion, tau=filtered_torque(recording, motion.lowpass)[0])
 
 
 def best_motion(
@@ -89,13 +128,26 @@ def best_motion(
 ) -> Motion:
     """Improve the encoders' motion by the IMUs that are calibrated and healthy.
 
-    `source`: "imu" replaces `dq` and `ddq` (Eq. 30-42), "fused" all motion, and the
-    filter with it; both insist: a log without a usable IMU is an error. "auto" is
-    "fused" where that can be had, contradicts no encoder and has the smaller left-out
-    error (see `smoother.left_out`), and "encoder" elsewhere; "needed" takes the encoder
-    as well where it is nearly as good (see `fused.needed`). Raises UsageError: it is
-    unknown. Raises InputError: it insists, and no calibrated, healthy IMU is in the
-    log.
+    Parameters
+    ----------
+    recording : Recording
+    robot : Robot
+    stage : ImuStage, optional
+    motion : Motion
+        By the encoders, at the log's own rate.
+    source : str
+        "imu" replaces `dq` and `ddq` (Eq. 30-42), "fused" all motion, and the filter
+        with it; both insist: a log without a usable IMU is an error. "auto" is "fused"
+        where that can be had, contradicts no encoder and has the smaller left-out error
+        (see `smoother.left_out`), and "encoder" elsewhere. "needed" takes the encoder
+        as well where it is nearly as good (see `fused.needed`).
+
+    Raises
+    ------
+    UsageError
+        The source is unknown.
+    InputError
+        The source insists, and no calibrated, healthy IMU is in the log.
     """
     if source not in SOURCES:
         raise UsageError(f"motion source {source!r} is not one of {', '.join(SOURCES)}")
@@ -105,10 +157,14 @@ def best_motion(
         return _from_imus(recording, robot, stage, motion)
     if source == "needed" and not promising(recording, robot, stage, motion):
         return motion
-    found = fused_motion(recording, robot, stage, motion, insist=source == "fused")
-    if source == "fused" and found.source != "fused":
-        raise _impossible(source, recording, robot, stage, found.warnings)
-    return motion if source == "needed" and not needed(found, motion) else found
+
+    insists = source == "fused"
+    fused = fused_motion(recording, robot, stage, motion, insist=insists)
+    if insists and fused.source != "fused":
+        raise _impossible(source, recording, robot, stage, fused.warnings)
+    if source == "needed" and not needed(fused, motion):
+        return motion
+    return fused
 
 
 def _from_imus(
@@ -119,18 +175,20 @@ def _from_imus(
     *,
     max_noise_ratio: float = 1.5,
 ) -> Motion:
-    """Motion by the IMUs: `dq` by Eq. 31 and 41, `ddq` by Eq. 30 and 42, `q` the encoders'."""
-    readings, warnings = [], [*absent_imus(recording, robot, stage)]
+    """Return motion by the IMUs: `dq` by Eq. 31, 41, `ddq` by Eq. 30, 42."""
+    readings = []
+    warnings = [*absent_imus(recording, robot, stage)]
     for imu in robot.imus:
         calibration = stage.imus.get(imu.name) if stage else None
         sees = imu.name in recording.gyros or layout(imu).acceleration
         if calibration is None or imu.name not in recording.accelerometers or not sees:
             continue
         reading = _link_reading(imu, calibration, recording, motion)
-        # What the encoders alone say of the link; its mean over a whole log they know
-        # well.
-        states = motion.q, motion.dq, motion.ddq, reading.link
-        expected = link_angular_motion(robot.chain, *states)[1]
+        # Encoders know the mean acceleration of a link over a whole log well: what the
+        # IMU has beside it is its bias.
+        expected = link_angular_motion(
+            robot.chain, motion.q, motion.dq, motion.ddq, reading.link
+        )[1]
         bias = (reading.dw - expected)[motion.usable].mean(axis=0)
         reading = reading._replace(dw=reading.dw - bias)
         if _healthy(reading, expected, motion):
@@ -145,10 +203,10 @@ def _from_imus(
 
     # Jolts between two samples fold into the band of the motion; encoders show them as
     # error.
-    apart = np.mean((ddq - motion.ddq)[motion.usable] ** 2, axis=0)
+    difference = np.mean((ddq - motion.ddq)[motion.usable] ** 2, axis=0)
     noise = motion.cutoff.acceleration_noise**2
-    shown = np.sqrt(np.maximum(error**2, apart - noise))
-    error = np.where(apart > max_noise_ratio * noise, shown, error)
+    by_difference = np.sqrt(np.maximum(error**2, difference - noise))
+    error = np.where(difference > max_noise_ratio * noise, by_difference, error)
     return replace(
         motion,
         dq=velocities.dq,
@@ -169,7 +227,7 @@ def _impossible(
     stage: ImuStage | None,
     reasons: Sequence[str],
 ) -> InputError:
-    """The error of a log that has no IMU to go by, with what stands in the way."""
+    """Make the error of a log that has no usable IMU, with the reasons."""
     if not robot.imus:
         why = "the robot file names no IMU"
     elif stage is None or not stage.imus:
@@ -183,31 +241,37 @@ def _impossible(
 
 def _link_reading(
     imu: Imu,
-    known: ImuCalibration,
+    calibration: ImuCalibration,
     log: Recording,
     motion: Motion,
     *,
     axis_error: float = 0.003,
 ) -> LinkReading:
-    """One IMU's angular acceleration in its link's frame, its calibration taken off."""
-    raw = log.accelerometers[imu.name], log.gyros.get(imu.name)
-    imu, values, gyro = calibrated(imu, known, *raw)
-    t, valid = log.t, log.valid
+    """Return one IMU's angular motion in its link's frame, calibration taken off."""
+    imu, values, gyro = calibrated(
+        imu, calibration, log.accelerometers[imu.name], log.gyros.get(imu.name)
+    )
+    t = log.t
+    valid = log.valid
 
-    def on_encoders_clock(values: Array, offset_s: float) -> Array:
+    def on_encoders_clock(readings: Array, offset_s: float) -> Array:
         # Readings stamped t were taken at t - `offset_s`.
         if not offset_s:
-            return values
-        return np.column_stack(
-            [np.interp(t + offset_s, t[valid], v[valid]) for v in values.T]
+            return readings
+        moved = [
+            np.interp(t + offset_s, t[valid], channel[valid]) for channel in readings.T
+        ]
+        return np.column_stack(moved)
+
+    values = on_encoders_clock(values, calibration.time_offset_s)
+    if gyro is not None:
+        gyro = on_encoders_clock(
+            gyro, calibration.time_offset_s + calibration.gyro_delay_s
         )
 
-    values = on_encoders_clock(values, known.time_offset_s)
-    if gyro is not None:
-        gyro = on_encoders_clock(gyro, known.time_offset_s + known.gyro_delay_s)
-    rotation = np.array(known.rotation)
+    rotation = np.array(calibration.rotation)
     dw = read_angular(imu, values, gyro, motion.lowpass, valid).dw @ rotation.T
-    noise = (known.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
+    noise = (calibration.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
     size = np.sqrt(np.mean(np.sum(dw**2, axis=1)))
     turning = turning_of(imu, rotation, values, gyro, motion, axis_error=axis_error)
     return LinkReading(
@@ -222,38 +286,56 @@ def _link_reading(
 def _healthy(
     reading: LinkReading, expected: Array, motion: Motion, *, disagreement: float = 0.5
 ) -> bool:
-    """Whether an IMU agrees with what the encoders say its link does."""
-    own = np.flatnonzero(motion.moving[:, : reading.link + 1].any(axis=0))
-    noise = np.sqrt(np.sum(motion.cutoff.acceleration_noise[own] ** 2)) + reading.noise
-    both = (x[motion.usable] for x in (reading.dw - expected, expected))
-    error, size = (np.sqrt(np.mean(np.sum(x**2, axis=1))) for x in both)
-    # not if it is no number
-    return bool(len(own) and error < disagreement * size + 3 * noise)
+    """Return whether an IMU agrees with what the encoders say its link does.
+
+    `expected` (N, 3) rad/s^2 is the angular acceleration by the encoders.
+    """
+    moving = np.flatnonzero(motion.moving[:, : reading.link + 1].any(axis=0))
+    encoder_noise = np.sqrt(np.sum(motion.cutoff.acceleration_noise[moving] ** 2))
+    noise = encoder_noise + reading.noise
+
+    difference = (reading.dw - expected)[motion.usable]
+    error = np.sqrt(np.mean(np.sum(difference**2, axis=1)))
+    size = np.sqrt(np.mean(np.sum(expected[motion.usable] ** 2, axis=1)))
+    # An error that is no number does not agree.
+    return bool(len(moving) and error < disagreement * size + 3 * noise)
 
 
 def _solve(
     robot: Robot, motion: Motion, readings: list[LinkReading], *, unseen: float = 1e-06
 ) -> tuple[Array, Array]:
-    """Weighted least squares per sample for the moving joints: accelerations, their error (n,)."""
+    """Solve a weighted least squares per sample for the joints that move.
+
+    Returns accelerations (N, n) rad/s^2 and their standard deviations (n,). Encoders
+    take part with a share `unseen` of their weight: only what no IMU sees is theirs.
+    """
     moving = np.flatnonzero(motion.moving.any(axis=0))
-    count, N = len(moving), motion.samples
-    normal, right = np.zeros((N, count, count)), np.zeros((N, count))
+    count = len(moving)
+    normal = np.zeros((motion.samples, count, count))
+    right = np.zeros((motion.samples, count))
+
+    # The IMUs' part: dw_m - c_m = sum of z_i ddq_i.
     still = np.zeros_like(motion.q)
-    for _, link, dw, sigma, _ in readings:
+    for reading in readings:
+        link = reading.link
         c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[1]
-        J, own = np.zeros((N, 3, count)), moving <= link
-        J[:, :, own] = axes_in_link(robot, motion.q, link)[:, moving[own]].swapaxes(
-            1, 2
-        )
-        weight = 1.0 / max(sigma, 1e-9) ** 2
+        moves_link = moving <= link
+        axes = axes_in_link(robot, motion.q, link)[:, moving[moves_link]]
+        J = np.zeros((motion.samples, 3, count))
+        J[:, :, moves_link] = axes.swapaxes(1, 2)
+        weight = 1.0 / max(reading.noise, 1e-9) ** 2
         normal += weight * np.einsum("nik,nil->nkl", J, J)
-        right += weight * np.einsum("nik,ni->nk", J, dw - c)
+        right += weight * np.einsum("nik,ni->nk", J, reading.dw - c)
+
     noise = np.maximum(motion.cutoff.acceleration_noise, 1e-9)
-    encoder = unseen / noise[moving] ** 2
-    normal[:, range(count), range(count)] += encoder
-    right += encoder * motion.ddq[:, moving]
-    ddq, error = np.zeros_like(motion.ddq), noise.copy()
+    of_encoders = unseen / noise[moving] ** 2
+    normal[:, range(count), range(count)] += of_encoders
+    right += of_encoders * motion.ddq[:, moving]
+
+    ddq = np.zeros_like(motion.ddq)
     ddq[:, moving] = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    error = noise.copy()
     variance = np.median(np.linalg.inv(normal), axis=0).diagonal()
-    error[moving] = np.minimum(np.sqrt(variance), noise[moving] / np.sqrt(unseen))
-    return ddq, np.where(error > 0.5 * noise / np.sqrt(unseen), noise, error)
+    by_encoder_alone = noise / np.sqrt(unseen)
+    error[moving] = np.minimum(np.sqrt(variance), by_encoder_alone[moving])
+    return ddq, np.where(error > 0.5 * by_encoder_alone, noise, error)

@@ -32,11 +32,18 @@ NO_LOWPASS_HZ = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Turning:
-    """What one IMU says of its link's angular velocity, in the link's frame, sample by sample.
+    """What one IMU says of its link's angular velocity, in the link's frame.
 
-    `rates` (N, 3) rad/s of a gyro, or `products` (N, 3, 3) rad^2/s^2 of an array;
-    `noise` is the standard deviation of either below the motion's cut-off. Neither went
-    through a low-pass.
+    Attributes
+    ----------
+    link : int
+    rates : Array, optional
+        (N, 3) rad/s of a gyro.
+    products : Array
+        (N, 3, 3) rad^2/s^2, of an array if there is no gyro. Neither went through a
+        low-pass.
+    noise : float
+        Standard deviation of either below the motion's cut-off.
     """
 
     link: int
@@ -47,7 +54,7 @@ class Turning:
 
 @dataclass(frozen=True, kw_only=True)
 class JointVelocities:
-    """Velocities (N, n) rad/s below the motion's cut-off, and their standard deviation (n,)."""
+    """Velocities (N, n) rad/s below the cut-off, and their standard deviation (n,)."""
 
     dq: Array
     error: Array
@@ -62,7 +69,7 @@ def turning_of(
     *,
     axis_error: float,
 ) -> Turning | None:
-    """Return what an IMU says of its link's angular velocity, or None where it does not see it.
+    """Return what an IMU says of its link's angular velocity; None if nothing.
 
     Parameters
     ----------
@@ -76,16 +83,16 @@ def turning_of(
     axis_error : float
         Share of the angular velocity by which axes and gains may be off.
     """
-    seen = layout(imu)
-    if gyro is None and not seen.products:
+    sees = layout(imu)
+    if gyro is None and not sees.products:
         return None
-    raw = Lowpass(NO_LOWPASS_HZ, motion.rate_hz)
-    reading = read_angular(imu, accelerations, gyro, raw, motion.valid)
+    no_lowpass = Lowpass(NO_LOWPASS_HZ, motion.rate_hz)
+    reading = read_angular(imu, accelerations, gyro, no_lowpass, motion.valid)
 
     # Of white noise per sample, what lies below the cut-off.
     band = np.sqrt(min(2.0 * motion.lowpass.cutoff_hz / motion.rate_hz, 1.0))
     if gyro is None:
-        per_reading = float(np.sqrt(np.mean(seen.errors[6:] ** 2)))
+        per_reading = float(np.sqrt(np.mean(sees.errors[6:] ** 2)))
         white = per_reading * float(np.sqrt(np.mean(white_noise(accelerations) ** 2)))
         size = float(np.sqrt(np.mean(np.sum(reading.products**2, axis=(1, 2)))))
     else:
@@ -102,7 +109,7 @@ def turning_of(
 def joint_velocities(
     recording: Recording, robot: Robot, motion: Motion, turning: list[Turning]
 ) -> JointVelocities:
-    """Return joint velocities by all IMUs (Eq. 31 and 41), the encoders' where none says better.
+    """Return joint velocities by all IMUs (Eq. 31 and 41), or else the encoders'.
 
     Parameters
     ----------
@@ -112,67 +119,88 @@ def joint_velocities(
         One of each IMU that sees its link's angular velocity; none leaves the
         encoders'.
     """
-    hz, density = motion.lowpass.cutoff_hz, motion.cutoff.noise_density
+    hz = motion.lowpass.cutoff_hz
+    density = motion.cutoff.noise_density
     encoder_noise = np.sqrt(density * (2 * np.pi) ** 2 * hz**3 / 3)
     moving = np.flatnonzero(motion.moving.any(axis=0))
     if not turning or not len(moving):
         return JointVelocities(dq=motion.dq, error=encoder_noise)
 
-    # Both sources before the low-pass, so that it acts once on either.
+    # The encoders' part of the normal equations. Both sources come before the low-pass,
+    # so that it acts once on either.
     encoder, _ = differentiate(recording.q, motion.rate_hz, motion.valid)
     information = np.maximum(encoder_noise[moving], 1e-12) ** -2.0
     count = len(moving)
     normal = np.zeros((motion.samples, count, count))
     normal[:, range(count), range(count)] = information
     right = information * encoder[:, moving]
+
+    # The IMUs' part: w_m = sum of z_i dq_i.
     still = np.zeros_like(motion.q)
-    for one in turning:
-        w_e = link_angular_motion(robot.chain, motion.q, motion.dq, still, one.link)[0]
-        w, weight = _angular_velocity(one, w_e, motion)
+    for of_imu in turning:
+        link = of_imu.link
+        w_e = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[0]
+        w, weight = _angular_velocity(of_imu, w_e, motion)
+        moves_link = moving <= link
+        axes = axes_in_link(robot, motion.q, link)[:, moving[moves_link]]
         J = np.zeros((motion.samples, 3, count))
-        before = moving <= one.link
-        axes = axes_in_link(robot, motion.q, one.link)[:, moving[before]]
-        J[:, :, before] = axes.swapaxes(1, 2)
+        J[:, :, moves_link] = axes.swapaxes(1, 2)
         weighted = np.einsum("nji,njk->nik", J, weight)
         normal += weighted @ J
         right += np.einsum("nik,nk->ni", weighted, w)
-    raw = np.where(
-        motion.valid[:, None], np.linalg.solve(normal, right[:, :, None])[:, :, 0], 0.0
-    )
 
-    dq, error = motion.dq.copy(), encoder_noise.copy()
-    dq[:, moving] = motion.lowpass(raw, motion.valid)
+    solved = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
+    unfiltered = np.where(motion.valid[:, None], solved, 0.0)
+    dq = motion.dq.copy()
+    dq[:, moving] = motion.lowpass(unfiltered, motion.valid)
     variance = np.linalg.inv(normal)[motion.usable].mean(axis=0).diagonal()
+    error = encoder_noise.copy()
     error[moving] = np.sqrt(variance)
     return JointVelocities(dq=dq, error=error)
 
 
-def _angular_velocity(one: Turning, w_e: Array, motion: Motion) -> tuple[Array, Array]:
-    """Angular velocity (N, 3) rad/s of a link before any low-pass, and its information (N, 3, 3).
+def _angular_velocity(
+    of_imu: Turning, w_e: Array, motion: Motion
+) -> tuple[Array, Array]:
+    """Estimate a link's angular velocity by its IMU, before any low-pass.
 
-    `w_e` (N, 3) rad/s, by the encoders and low-passed, has the sign.
+    `w_e` (N, 3) rad/s, by the encoders and low-passed, has the sign. Returns w (N, 3)
+    rad/s and its information (N, 3, 3).
     """
-    if one.rates is not None:
-        off = one.rates - w_e
-        bias = off[motion.usable].mean(axis=0)
-        weight = np.broadcast_to(np.eye(3) / one.noise**2, (len(w_e), 3, 3))
-        return one.rates - bias, weight
+    if of_imu.rates is not None:
+        bias = (of_imu.rates - w_e)[motion.usable].mean(axis=0)
+        weight = np.broadcast_to(np.eye(3) / of_imu.noise**2, (len(w_e), 3, 3))
+        return of_imu.rates - bias, weight
 
-    off = one.products - w_e[:, :, None] * w_e[:, None, :]
-    off = off - off[motion.usable].mean(axis=0)
+    # d of the module's text, from w w' - w_e w_e' = w_e d' + d w_e'.
+    difference = of_imu.products - w_e[:, :, None] * w_e[:, None, :]
+    difference = difference - difference[motion.usable].mean(axis=0)
     square = np.maximum(np.sum(w_e**2, axis=1), 1e-12)
-    across = np.einsum("nij,nj->ni", off, w_e)
-    along = 0.5 * np.sum(across * w_e, axis=1) / square
-    change = (across - w_e * along[:, None]) / square[:, None]
+    by_w_e = np.einsum("nij,nj->ni", difference, w_e)
+    along = 0.5 * np.sum(by_w_e * w_e, axis=1) / square
+    d = (by_w_e - w_e * along[:, None]) / square[:, None]
 
     # Along w_e the square is known, 2 |w_e| d; across it a product, |w_e| d.
     direction = w_e / np.sqrt(square)[:, None]
     shape = np.eye(3) + 3.0 * direction[:, :, None] * direction[:, None, :]
-    return w_e + change, shape * (square / one.noise**2)[:, None, None]
+    return w_e + d, shape * (square / of_imu.noise**2)[:, None, None]
 
 
 def axes_in_link(robot: Robot, q: Array, link: int) -> Array:
-    """Axes (N, link + 1, 3) of joints 0..link in the frame of `link`; zero where prismatic."""
+    """Return the joint axes up to a link, in the frame of that link.
+
+    Parameters
+    ----------
+    robot : Robot
+    q : Array
+        Positions (N, n) rad.
+    link : int
+
+    Returns
+    -------
+    Array
+        (N, link + 1, 3); zero where prismatic.
+    """
     frames = forward(robot.chain, q)
     axes: Array = np.einsum("nji,nkj->nki", frames.R[:, link], frames.z[:, : link + 1])
     axes[:, robot.chain.prismatic[: link + 1]] = 0.0

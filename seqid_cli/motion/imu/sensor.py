@@ -1,4 +1,4 @@
-"""The readings of an IMU on a link, as a function of the joints' motion and of where it sits.
+"""The readings of an IMU on a link, by the joints' motion and by its mounting.
 
 Symbols: `x` (N, 15) is a link's motion in its own frame: f (3) specific force of its
 origin, H (9) with f + H r the specific force at r, w (3) its angular velocity. With u
@@ -21,107 +21,209 @@ MOTION = 15  # f, H, w
 
 @dataclass(frozen=True)
 class Mounting:
-    """An IMU on its link: accelerometers in its frame, then its gyro."""
+    """An IMU of k accelerometers on its link, C channels with those of its gyro.
+
+    Attributes
+    ----------
+    link : int
+    positions : Array
+        (k, 3) m, of the accelerometers in the IMU's frame.
+    axes : Array
+        (C, 3), sensing axes of all channels in the IMU's frame, as long as their gains;
+        accelerometers first.
+    R : Array
+        (3, 3), from the IMU's frame to the link's.
+    lever : Array
+        (3,) m, the IMU's origin in the link's frame.
+    """
 
     link: int
-    positions: Array  # (k, 3) m
-    axes: Array  # (C, 3) of all channels in its frame, as long as their gains
-    R: Array  # (3, 3) from the IMU to the link
-    lever: Array  # (3,) m, the IMU's origin in the link's frame
+    positions: Array
+    axes: Array
+    R: Array
+    lever: Array
 
     @property
     def channels(self) -> int:
-        """Number of readings."""
+        """Number of readings, C."""
         return len(self.axes)
 
     @property
+    def _sensing_axes(self) -> Array:
+        """U (C, 3), in the link's frame."""
+        return self.axes @ self.R.T
+
+    @property
+    def _places(self) -> Array:
+        """P (k, 3) m, in the link's frame."""
+        return self.lever + self.positions @ self.R.T
+
+    @property
     def matrix(self) -> Array:
-        """Readings (C, 15) of the link's motion."""
-        u, k = self.axes @ self.R.T, len(self.positions)
-        places = self.lever + self.positions @ self.R.T
+        """Readings (C, 15) per the link's motion x."""
+        u = self._sensing_axes
+        p = self._places
+        k = len(p)
         A = np.zeros((len(u), MOTION))
-        A[:k, :3], A[k:, 12:] = u[:k], u[k:]
-        A[:k, 3:12] = (u[:k, :, None] * places[:, None, :]).reshape(k, 9)
+        A[:k, :3] = u[:k]
+        A[:k, 3:12] = (u[:k, :, None] * p[:, None, :]).reshape(k, 9)
+        A[k:, 12:] = u[k:]
         return A
 
     def by_motion(self, x: Array, slopes: Array) -> Array:
-        """Derivatives (N, C, 3, m) of readings in q, dq, ddq, by the link's `link_slopes`."""
-        u, k = self.axes @ self.R.T, len(self.positions)
-        places = self.lever + self.positions @ self.R.T
-        outer = u[:k, :, None] * places[:, None, :]
+        """Compute the derivatives of the readings by the joints' motion.
+
+        Parameters
+        ----------
+        x : Array
+            Motion (N, 15) of the link.
+        slopes : Array
+            (N, 9, 3 m), as `link_slopes` returns them.
+
+        Returns
+        -------
+        Array
+            (N, C, 3, m), by q, dq, ddq of m joints.
+        """
+        u = self._sensing_axes
+        p = self._places
+        k = len(p)
+        w = x[:, 12:]
+
+        # u'(w x (w x p)) is w'(u p') w - u'p w'w: a quadratic form, whose slope by w is
+        # Q w.
+        outer = u[:k, :, None] * p[:, None, :]
         Q = outer + outer.transpose(0, 2, 1)
         Q -= 2 * np.einsum("kaa->k", outer)[:, None, None] * np.eye(3)
+
+        # Readings by f, dw and w of the link.
         rows = np.zeros((len(x), len(u), 9))
-        rows[:, :k, :3], rows[:, :k, 3:6] = u[:k], np.cross(places, u[:k])
-        rows[:, :k, 6:] = np.einsum("kab,nb->nka", Q, x[:, 12:])
+        rows[:, :k, :3] = u[:k]
+        rows[:, :k, 3:6] = np.cross(p, u[:k])
+        rows[:, :k, 6:] = np.einsum("kab,nb->nka", Q, w)
         rows[:, k:, 6:] = u[k:]
-        return (rows @ slopes).reshape(*rows.shape[:2], -1, 3).swapaxes(2, 3)
+        by_joints = (rows @ slopes).reshape(*rows.shape[:2], -1, 3)
+        return by_joints.swapaxes(2, 3)
 
     def by_place(self, x: Array) -> tuple[Array, Array, Array]:
-        """Derivatives (N, C, 3) in own axis, lever and a turn [rad], all in the link's frame."""
-        u, k = self.axes @ self.R.T, len(self.positions)
-        reach = np.zeros_like(u)
-        reach[:k] = self.positions @ self.R.T
+        """Compute the derivatives (N, C, 3) of the readings by the mounting.
+
+        They are by each channel's own axis, by the lever [m] and by a turn of the IMU
+        [rad], all in the link's frame; x (N, 15) is the link's motion.
+        """
+        u = self._sensing_axes
+        k = len(self.positions)
+        from_origin = np.zeros_like(u)
+        from_origin[:k] = self.positions @ self.R.T
+        f = x[:, :3]
         H = x[:, 3:12].reshape(-1, 3, 3)
-        seen = np.repeat(x[:, None, 12:], len(u), axis=1)
-        seen[:, :k] = x[:, None, :3] + (self.lever + reach[:k]) @ H.transpose(0, 2, 1)
-        pull = np.zeros_like(seen)
-        pull[:, :k] = u[:k] @ H
-        return seen, pull, np.cross(u, seen) + np.cross(reach, pull)
+        w = x[:, 12:]
+
+        # The vector that each channel reads a component of: that is the slope by its
+        # axis.
+        by_axis = np.repeat(w[:, None], len(u), axis=1)
+        places = self.lever + from_origin[:k]
+        by_axis[:, :k] = f[:, None] + places @ H.transpose(0, 2, 1)
+
+        by_lever = np.zeros_like(by_axis)
+        by_lever[:, :k] = u[:k] @ H
+        by_turn = np.cross(u, by_axis) + np.cross(from_origin, by_lever)
+        return by_axis, by_lever, by_turn
 
 
 def _head(chain: Chain, count: int) -> Chain:
-    """The first joints alone."""
-    own = slice(count)
+    """Return the first joints of a chain alone."""
+    first = slice(count)
     return Chain(
-        chain.rotation[own], chain.position[own], chain.axis[own], chain.prismatic[own]
+        rotation=chain.rotation[first],
+        position=chain.position[first],
+        axis=chain.axis[first],
+        prismatic=chain.prismatic[first],
     )
 
 
 def link_state(robot: Robot, link: int, motion: Array) -> Array:
-    """Motion (N, 15) of a link by q, dq, ddq (3, n, N) of the joints."""
-    found = link_motion(
-        _head(robot.chain, link + 1), robot.gravity, *motion[:, : link + 1]
-    )
-    return np.vstack([found.a[-1], found.H[-1].reshape(9, -1), found.w[-1]]).T
+    """Compute the motion x (N, 15) of a link by q, dq, ddq (3, n, N) of the joints."""
+    q, dq, ddq = motion[:, : link + 1]
+    links = link_motion(_head(robot.chain, link + 1), robot.gravity, q, dq, ddq)
+    return np.vstack([links.a[-1], links.H[-1].reshape(9, -1), links.w[-1]]).T
 
 
 def link_slopes(robot: Robot, link: int, motion: Array) -> Array:
-    """Derivatives (N, 9, 3 m) of a link's f, dw, w in q, dq, ddq (3, n, N), joint after joint."""
-    # From link to link they are carried on as the motion itself is (`link_motion`).
+    """Compute the derivatives of a link's f, dw, w by the joints' motion.
+
+    They are carried on from link to link as the motion itself is (`link_motion`).
+
+    Parameters
+    ----------
+    robot : Robot
+    link : int
+    motion : Array
+        q, dq, ddq (3, n, N) of the joints.
+
+    Returns
+    -------
+    Array
+        (N, 9, 3 m), of m = link + 1 joints, one after the other q, dq, ddq of each.
+    """
     head = _head(robot.chain, link + 1)
-    own = link_motion(head, robot.gravity, *motion[:, : link + 1])
+    q, dq, ddq = motion[:, : link + 1]
+    links = link_motion(head, robot.gravity, q, dq, ddq)
+
     D = np.zeros((motion.shape[2], 9, 3 * head.n))
     for i, axis in enumerate(head.axis):
-        z, speed, slides = axis[:, None], motion[1, i], head.prismatic[i]
-        w = own.w[i] - (0.0 if slides else z * speed)  # of the link before, as below
+        z = axis[:, None]
+        slides = head.prismatic[i]
+
+        # Angular motion of the link before, in this link's frame.
+        w = links.w[i]
+        dw = links.dw[i]
+        if not slides:
+            w = w - z * dq[i]
         across = cross(w, z)
-        dw = own.dw[i] - (0.0 if slides else z * motion[2, i] + across * speed)
+        if not slides:
+            dw = dw - (z * ddq[i] + across * dq[i])
+
+        # The slopes by the motion of the joints before.
         if i:
             step = np.zeros((len(D), 9, 9))
-            R, p = own.R[i].transpose(2, 1, 0), own.p[i]
-            step[:, :3, :3] = step[:, 3:6, 3:6] = step[:, 6:, 6:] = R
+            R = links.R[i].transpose(2, 1, 0)
+            p = links.p[i]
+            w_before = links.w[i - 1]
+            step[:, :3, :3] = R
+            step[:, 3:6, 3:6] = R
+            step[:, 6:, 6:] = R
             step[:, :3, 3:6] = -R @ _skew(p)
-            before = own.w[i - 1]
-            step[:, :3, 6:] = -R @ (_skew(cross(before, p)) + _skew(before) @ _skew(p))
-            passed = _skew(z * speed) @ R
-            step[:, (0 if slides else 3) : (3 if slides else 6), 6:] -= (
-                1 + slides
-            ) * passed
+            turned = _skew(cross(w_before, p)) + _skew(w_before) @ _skew(p)
+            step[:, :3, 6:] = -R @ turned
+            # The joint's own rate turns with w: of a slide twice (Coriolis), in f.
+            passed = _skew(z * dq[i]) @ R
+            if slides:
+                step[:, :3, 6:] -= 2 * passed
+            else:
+                step[:, 3:6, 6:] -= passed
             D[:, :, : 3 * i] = step @ D[:, :, : 3 * i]
-        new = np.zeros((3, 3, 3, len(D)))  # of f, dw, w, in q, dq, ddq
+
+        # The slopes of f, dw, w by the joint's own q, dq, ddq.
+        new = np.zeros((3, 3, 3, len(D)))
         if slides:
-            new[0] = cross(dw, z) + cross(w, across), 2 * across, z + 0 * w
+            new[0, 0] = cross(dw, z) + cross(w, across)
+            new[0, 1] = 2 * across
+            new[0, 2] = z
         else:
-            new[0, 0], new[2, 0] = cross(own.a[i], z), across
-            new[1, 0], new[1, 1] = cross(dw, z) + cross(across, z) * speed, across
-            new[1, 2] = new[2, 1] = z
+            new[0, 0] = cross(links.a[i], z)
+            new[1, 0] = cross(dw, z) + cross(across, z) * dq[i]
+            new[1, 1] = across
+            new[1, 2] = z
+            new[2, 0] = across
+            new[2, 1] = z
         D[:, :, 3 * i : 3 * i + 3] = new.transpose(3, 0, 2, 1).reshape(-1, 9, 3)
     return D
 
 
 def _skew(v: Array) -> Array:
-    """Matrices (N, 3, 3) of the cross product with v (3, N)."""
-    none = np.zeros_like(v[0])
-    rows = ((none, -v[2], v[1]), (v[2], none, -v[0]), (-v[1], v[0], none))
+    """Return the matrices (N, 3, 3) of the cross product with v (3, N)."""
+    x, y, z = v
+    zero = np.zeros_like(x)
+    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
     return np.array(rows).transpose(2, 0, 1)

@@ -1,8 +1,19 @@
-"""What one stretch of a log holds: encoder codes, IMUs, and its motion as cubic splines.
+"""What a stretch of a log holds: encoder codes, IMUs, and its motion as cubic splines.
 
 The trajectory of a joint is a cubic spline, its jerk constant between knots. In
 interval k the position, velocity and acceleration depend on the coefficients k to k + 3
 alone, so states (q, dq, ddq) driven by white jerk take one unknown per knot.
+
+Letters of the smoother, in all of its files:
+
+    N, n    samples of the stretch, joints
+    M       intervals between knots, of `every` samples each
+    K       coefficients of each joint, M + 3
+    c       coefficients (K, n) rad
+    L       channels of an IMU: its accelerometers, then its gyro
+    g       constants of an IMU (see `Mounted`)
+    C       cells: intervals in a row that share their Jacobians
+    m       joints that move an IMU, those up to its link
 """
 
 from dataclasses import dataclass, replace
@@ -23,19 +34,45 @@ JERK = SPLINES[3]
 
 
 def spline_weights(u: Array, spacing: float) -> Array:
-    """Weights (len(u), 3, 4) of four coefficients in q, dq, ddq at `u` in [0, 1) of an interval."""
-    weights = [polyval(u, polyder(SPLINES, d)) / 6 / spacing**d for d in range(3)]
-    return np.array(weights).transpose(2, 0, 1)
+    """Return the weights of an interval's four coefficients in its motion.
+
+    Parameters
+    ----------
+    u : Array
+        (S,), places in [0, 1) of the interval.
+    spacing : float
+        Its length [s].
+
+    Returns
+    -------
+    Array
+        (S, 3, 4), in q, dq, ddq.
+    """
+    derivatives = [
+        polyval(u, polyder(SPLINES, order)) / 6 / spacing**order for order in range(3)
+    ]
+    return np.array(derivatives).transpose(2, 0, 1)
 
 
 @dataclass(frozen=True)
 class Jerk:
-    """White jerk of all joints; an arm's inertia passes jolts on, so that jerks come together."""
+    """White jerk of all joints.
 
-    size: Array  # (n,) rad/s^3 between knots
-    correlation: Array  # (n, n)
-    # (M, n) how much larger than usual it is in each interval: friction jolts a joint
-    # that turns back, and an arm that rests has none.
+    An arm's inertia passes jolts on, so that jerks come together.
+
+    Attributes
+    ----------
+    size : Array
+        (n,) rad/s^3, usual jerk between knots.
+    correlation : Array
+        (n, n) between joints.
+    relative : Array
+        (M, n), how much larger than usual it is in each interval: friction jolts a
+        joint that turns back, and an arm that rests has none.
+    """
+
+    size: Array
+    correlation: Array
     relative: Array
 
     @property
@@ -45,26 +82,50 @@ class Jerk:
         return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EncoderView:
-    """What a joint's encoder codes say."""
+    """What a joint's encoder codes say.
+
+    Attributes
+    ----------
+    q : Array
+        (N,) rad.
+    step : float
+        rad, 0 where not quantised.
+    white : float
+        Variance of the noise [rad^2].
+    edge : Array
+        (N,), position of the edge that is crossed before the next sample, else NaN.
+    dwell : Array
+        (N,), samples that the code lasted.
+    known : Mask
+        (N,), whether the sample holds a position.
+    stride : int
+        One of so many places was sampled.
+    """
 
     q: Array
-    step: float  # rad, 0 where not quantised
-    white: float  # rad^2, noise
-    edge: Array  # (N,) position of the edge crossed before the next sample, else NaN
-    dwell: Array  # (N,) samples that the code lasted
-    known: Mask  # (N,) whether it holds a position
-    stride: int = 1  # one of so many places was sampled
+    step: float
+    white: float
+    edge: Array
+    dwell: Array
+    known: Mask
+    stride: int = 1
 
     def refined(self, stride: int) -> "EncoderView":
-        """The same with `stride` places per sample; edges lie between samples."""
+        """Return the view with `stride` places per sample; edges lie between them."""
         edge = np.full(len(self.q) * stride, np.nan)
         edge[(stride - 1) // 2 :: stride] = self.edge
         known = np.zeros(len(edge), dtype=bool)
         known[::stride] = self.known
-        q, dwell = np.repeat(self.q, stride), np.repeat(self.dwell, stride)
-        return replace(self, q=q, edge=edge, dwell=dwell, known=known, stride=stride)
+        return replace(
+            self,
+            q=np.repeat(self.q, stride),
+            edge=edge,
+            dwell=np.repeat(self.dwell, stride),
+            known=known,
+            stride=stride,
+        )
 
     def weights(
         self,
@@ -74,25 +135,45 @@ class EncoderView:
         edge: float = 0.03,
         smallest_variance: float = 1e-16,
     ) -> tuple[Array, Array]:
-        """Weights, 1/rad^2, of samples and of the edges half a sample after them."""
+        """Return the weights of samples and of edges.
+
+        Parameters
+        ----------
+        speed : Array
+            (N,) rad/s of the joint.
+        dt : float
+            Time between places [s].
+        edge : float
+            Error of an edge's place, in counts.
+        smallest_variance : float
+            Of a position that is not quantised [rad^2].
+
+        Returns
+        -------
+        tuple of Array
+            Both (N,) 1/rad^2, the edges half a sample after their samples.
+        """
         # A joint that crosses an edge was there within one sample: its position is
         # known to speed * dt / sqrt 12, which beats step / sqrt 12 below one count per
         # sample. While a code lasts its samples say the same again and again; together
         # they count once.
-        uniform = self.step**2 / 12
+        rounding = self.step**2 / 12
         if not self.step or not np.isfinite(self.edge).any():
-            known = self.known / max(self.white + uniform, smallest_variance)
-            return known / (self.dwell if self.step else 1.0), np.zeros(len(self.q))
+            variance = max(self.white + rounding, smallest_variance)
+            weights = self.known / variance
+            lasting = self.dwell if self.step else 1.0
+            return weights / lasting, np.zeros(len(self.q))
+
         moved = np.abs(speed) * dt * self.stride
-        fast = moved >= self.step
-        crossing = np.isfinite(self.edge) & ~fast
-        edges = crossing / (moved**2 / 12 + (edge * self.step) ** 2 + self.white)
-        samples = 1.0 / (uniform * np.where(fast, 1.0, self.dwell) + self.white)
-        return samples * self.known, edges
+        is_fast = moved >= self.step
+        is_crossing = np.isfinite(self.edge) & ~is_fast
+        edge_variance = moved**2 / 12 + (edge * self.step) ** 2 + self.white
+        sample_variance = rounding * np.where(is_fast, 1.0, self.dwell) + self.white
+        return 1.0 / sample_variance * self.known, is_crossing / edge_variance
 
 
 def bridged(q: Array, known: Mask) -> Array:
-    """Positions (N,) with straight lines where they are not known; zero if none is."""
+    """Return positions (N,) with straight lines where not known; zero if none is."""
     at = np.flatnonzero(known)
     if not len(at):
         return np.zeros(len(q))
@@ -102,78 +183,133 @@ def bridged(q: Array, known: Mask) -> Array:
 def encoder_view(
     q: Array, step: float, valid: Mask | None = None, *, noisy: float = 0.3
 ) -> EncoderView:
-    """Read codes and edges off one joint's positions (N,) [rad], where they are finite."""
+    """Read codes and edges off one joint's positions.
+
+    Parameters
+    ----------
+    q : Array
+        (N,) rad; what is not finite is not known.
+    step : float
+        The encoder's step [rad], 0 where positions are not quantised.
+    valid : Mask, optional
+        (N,), false where a position is not to be believed.
+    noisy : float
+        Share of code changes that are taken back at once, from which on noise hides the
+        edges.
+    """
     known: Mask = np.isfinite(q) if valid is None else np.isfinite(q) & valid
     if not known.all():
         q = bridged(q, known)
-    nowhere, once = np.full(len(q), np.nan), np.ones(len(q))
+    no_edges = np.full(len(q), np.nan)
+    once = np.ones(len(q))
     white = float(white_noise(q[:, None], known)[0]) ** 2
     if step <= 0:
-        return EncoderView(q, 0.0, white, nowhere, once, known)
+        return EncoderView(
+            q=q, step=0.0, white=white, edge=no_edges, dwell=once, known=known
+        )
+
     change = np.diff(np.round(q / step))
-    between = known[1:] & known[:-1]
-    at = np.flatnonzero((change != 0) & between)
-    back = (np.diff(at) <= 3) & (change[at[1:]] * change[at[:-1]] < 0)
-    if len(at) > 20 and float(np.mean(back)) > noisy:
-        return EncoderView(q, step, white, nowhere, once, known)
-    edge = nowhere.copy()
+    both_known = known[1:] & known[:-1]
+    at = np.flatnonzero((change != 0) & both_known)
+    taken_back = (np.diff(at) <= 3) & (change[at[1:]] * change[at[:-1]] < 0)
+    if len(at) > 20 and float(np.mean(taken_back)) > noisy:
+        return EncoderView(
+            q=q, step=step, white=white, edge=no_edges, dwell=once, known=known
+        )
+
+    # Of a change by one count the edge lies between the two codes.
+    edge = no_edges.copy()
     single = at[np.abs(change[at]) == 1]
     edge[single] = 0.5 * (q[single] + q[single + 1])
-    bounds = np.concatenate(
-        ([0], np.flatnonzero((change != 0) | ~between) + 1, [len(q)])
-    )
-    lasting = np.diff(bounds)
-    return EncoderView(
-        q, step, 0.0, edge, np.repeat(lasting, lasting).astype(float), known
-    )
+
+    changes = np.flatnonzero((change != 0) | ~both_known) + 1
+    lasting = np.diff(np.concatenate(([0], changes, [len(q)])))
+    dwell = np.repeat(lasting, lasting).astype(float)
+    return EncoderView(q=q, step=step, white=0.0, edge=edge, dwell=dwell, known=known)
 
 
 CELL_S = 0.016  # within which an arm hardly turns
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Mounted:
-    """An IMU in one stretch: its readings as they came, as the knots gather them, its constants.
+    """An IMU in one stretch: its readings as they came, as the knots gather them.
 
-    The constants are the channels' biases (K), the place on the link (3) m, a small
-    turn (3) rad, the clock's offset (1) s and the channels' axes (3 K).
+    Its g constants are the channels' biases (L), the place on the link (3) m, a small
+    turn (3) rad, the clock's offset (1) s and the channels' axes (3 L).
+
+    Attributes
+    ----------
+    name : str
+    place : Mounting
+    raw, live : Array, Mask
+        (N, L), readings at the samples, and which of them count.
+    noise : Array
+        (L,) of single readings.
+    bias : Array
+        (L,).
+    delay : float
+        A reading stamped t was taken at t - `delay` s on the encoders' clock.
+    away : Array
+        (g,), from where the prior had the constants.
+    precision : Array
+        (g, g) of the prior.
+    y, seen : Array, Mask
+        (M, L), readings averaged over knot intervals, and which of them count.
+    fraction : float
+        Of a sample, by which the gathered readings came later.
+    every : int
+        Samples that were averaged.
+    gyro_delay : float
+        s, by which the gyro is later than the accelerometers.
     """
 
     name: str
     place: Mounting
-    raw: Array  # (N, K) at the samples
-    live: Mask  # (N, K)
-    noise: Array  # (K,) of single readings
-    bias: Array  # (K,)
-    # a reading stamped t was taken at t - `delay` s on the encoders' clock
+    raw: Array
+    live: Mask
+    noise: Array
+    bias: Array
     delay: float
-    away: Array  # (g,) from where the prior had the constants
-    precision: Array  # (g, g) of the prior
-    y: Array  # (M, K) averaged over knot intervals
-    seen: Mask  # (M, K)
-    fraction: float = 0.0  # of a sample, by which the gathered readings came later
+    away: Array
+    precision: Array
+    y: Array
+    seen: Mask
+    fraction: float = 0.0
     every: int = 1
-    gyro_delay: float = 0.0  # s, by which the gyro is later than the accelerometers
+    gyro_delay: float = 0.0
 
     @property
     def joints(self) -> int:
-        """Number of joints that move it."""
+        """Number of joints that move it, m."""
         return self.place.link + 1
 
     @property
     def there(self) -> Mask:
-        """Whether (M,) any channel was seen."""
+        """Intervals (M,) in which any channel was seen."""
         return np.asarray(self.seen.any(axis=1))
 
     @property
     def spread(self) -> Array:
-        """Noise (K,) of the gathered readings."""
+        """Noise (L,) of the gathered readings."""
         return np.asarray(self.noise / np.sqrt(self.every))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Chunk:
-    """What one stretch of a log holds; `every` samples per knot."""
+    """What one stretch of a log holds.
+
+    Attributes
+    ----------
+    robot : Robot
+    views : tuple of EncoderView
+        Of every joint.
+    dt : float
+        Time between samples [s].
+    every : int
+        Samples per knot.
+    imus : tuple of Mounted
+    """
 
     robot: Robot
     views: tuple[EncoderView, ...]
@@ -183,12 +319,12 @@ class Chunk:
 
     @property
     def joints(self) -> int:
-        """Number of joints."""
+        """Number of joints, n."""
         return len(self.views)
 
     @property
     def samples(self) -> int:
-        """Number of samples."""
+        """Number of samples, N."""
         return len(self.views[0].q)
 
     @property
@@ -198,7 +334,7 @@ class Chunk:
 
     @property
     def intervals(self) -> int:
-        """Number of knot intervals that hold them."""
+        """Number of knot intervals that hold the samples, M."""
         return -(-self.samples // self.every)
 
     @property
@@ -212,7 +348,10 @@ class Chunk:
         return spline_weights(np.arange(self.every) / self.every, self.spacing)
 
     def mean_knots(self, fraction: float) -> Array:
-        """Weights (3, 4) of an interval's mean motion, `fraction` of a sample later."""
+        """Return the weights (3, 4) of an interval's mean motion.
+
+        It is averaged over the samples, `fraction` of a sample later.
+        """
         u = (np.arange(self.every) + fraction) / self.every
         return np.asarray(spline_weights(u, self.spacing).mean(axis=0))
 
@@ -227,55 +366,85 @@ class Chunk:
         return np.arange(0, self.intervals, self.cell)
 
     def gathered(self) -> "Chunk":
-        """The same with all readings in the intervals in which they were taken, by their clocks."""
-        imus = []
-        for x in self.imus:
-            shift = int(np.ceil(x.delay / self.dt - 1e-9))
-            at = np.arange(len(x.raw)) * self.stride - shift
-            inside = (at >= 0) & (at < self.samples)
-            shape = self.intervals * self.every, x.raw.shape[1]
-            y, seen = np.zeros(shape), np.zeros(shape, dtype=bool)
-            y[at[inside]], seen[at[inside]] = x.raw[inside], x.live[inside]
-            if self.every > 1:
-                y = y.reshape(-1, self.every, shape[1]).mean(axis=1)
-                seen = np.asarray(seen.reshape(-1, self.every, shape[1]).all(axis=1))
-            fraction = shift - x.delay / self.dt
-            imus.append(replace(x, y=y, seen=seen, fraction=fraction, every=self.every))
-        return replace(self, imus=tuple(imus))
+        """Return the same with all readings in the intervals in which they were taken.
+
+        The clocks of the IMUs say which those are.
+        """
+        imus = tuple(self._gathered(x) for x in self.imus)
+        return replace(self, imus=imus)
+
+    def _gathered(self, x: Mounted) -> Mounted:
+        """Return an IMU with its readings in the intervals in which they were taken."""
+        shift = int(np.ceil(x.delay / self.dt - 1e-9))
+        at = np.arange(len(x.raw)) * self.stride - shift
+        inside = (at >= 0) & (at < self.samples)
+
+        channels = x.raw.shape[1]
+        shape = (self.intervals * self.every, channels)
+        y = np.zeros(shape)
+        seen = np.zeros(shape, dtype=bool)
+        y[at[inside]] = x.raw[inside]
+        seen[at[inside]] = x.live[inside]
+        if self.every > 1:
+            y = y.reshape(-1, self.every, channels).mean(axis=1)
+            seen = np.asarray(seen.reshape(-1, self.every, channels).all(axis=1))
+
+        fraction = shift - x.delay / self.dt
+        return replace(x, y=y, seen=seen, fraction=fraction, every=self.every)
 
 
 def motion_at(chunk: Chunk, c: Array) -> Array:
-    """q, dq, ddq (N, 3, n) at the samples."""
-    x = sampled(c, chunk.knots.reshape(-1, 4)).reshape(chunk.every, 3, -1, chunk.joints)
-    return x.transpose(2, 0, 1, 3).reshape(-1, 3, chunk.joints)[: chunk.samples]
+    """Return q, dq, ddq (N, 3, n) at the samples."""
+    weights = chunk.knots.reshape(-1, 4)
+    x = sampled(c, weights).reshape(chunk.every, 3, -1, chunk.joints)
+    in_order = x.transpose(2, 0, 1, 3).reshape(-1, 3, chunk.joints)
+    return in_order[: chunk.samples]
 
 
 def sampled(c: Array, weights: Array) -> Array:
-    """Values (S, M, n) in every interval by weights (S, 4) of its coefficients."""
+    """Return values (S, M, n) in all intervals by weights (S, 4) of coefficients."""
     return np.tensordot(weights, sliding_window_view(c, 4, axis=0), (1, 2))
 
 
 def mean_motion(
     chunk: Chunk, c: Array, fraction: float = 0.0, at: Index | None = None
 ) -> Array:
-    """q, dq, ddq (3, n, M) averaged over the samples of every interval, or of those `at` alone."""
+    """Return q, dq, ddq averaged over the samples of intervals.
+
+    Parameters
+    ----------
+    chunk : Chunk
+    c : Array
+        (K, n).
+    fraction : float
+        Of a sample, by which the motion is taken later.
+    at : Index, optional
+        Intervals that are asked for; all M by default.
+
+    Returns
+    -------
+    Array
+        (3, n, M).
+    """
     near = sliding_window_view(c, 4, axis=0)
-    motion = np.tensordot(
-        chunk.mean_knots(fraction), near if at is None else near[at], (1, 2)
-    )
+    if at is not None:
+        near = near[at]
+    motion = np.tensordot(chunk.mean_knots(fraction), near, (1, 2))
     return np.ascontiguousarray(motion.transpose(0, 2, 1))
 
 
 def jerk_of(c: Array, spacing: float) -> Array:
-    """Jerk (M, n) rad/s^3 in every interval."""
+    """Return the jerk (M, n) rad/s^3 in every interval."""
     return np.diff(c, 3, axis=0) / spacing**3
 
 
 def resampled(chunk: Chunk, c: Array, other: Chunk) -> Array:
-    """Coefficients of the same cubics on another chunk's knots."""
+    """Return coefficients of the same cubics on another chunk's knots."""
     h = other.spacing
     t = (np.arange(other.intervals + 3) - 1) * h / chunk.spacing
     k = np.clip(t.astype(int), 0, chunk.intervals - 1)
     weights = spline_weights(t - k, chunk.spacing)
-    at = weights[:, 0] - h**2 / 6 * weights[:, 2]
-    return np.asarray(np.einsum("ka,kna->kn", at, sliding_window_view(c, 4, axis=0)[k]))
+    # A coefficient is the position at its knot less h^2 / 6 of the acceleration there.
+    at_knots = weights[:, 0] - h**2 / 6 * weights[:, 2]
+    near = sliding_window_view(c, 4, axis=0)[k]
+    return np.asarray(np.einsum("ka,kna->kn", at_knots, near))

@@ -1,5 +1,9 @@
-"""IMUs for the motion smoother: what calibration knows of them, and their live readings."""
+"""IMUs for the motion smoother: what calibration knows of them, and their readings.
 
+The letters are those of `chunk`.
+"""
+
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,47 +19,67 @@ from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Index, Mask
 
-# Prior standard deviations where no calibration says better, and what changes since it
-# was made.
-BIAS_DRIFT, GYRO_BIAS_DRIFT, DELAY_DRIFT_S = 0.05, 0.005, 0.001
+# Standard deviations of what changes since a calibration was made.
+BIAS_DRIFT = 0.05  # m/s^2
+GYRO_BIAS_DRIFT = 0.005  # rad/s
+DELAY_DRIFT_S = 0.001
 LEAST_NOISE = 1e-3  # m/s^2 or rad/s
 
 
 def mounted_imus(
     recording: Recording, robot: Robot, stage: ImuStage | None
 ) -> list[Mounted]:
-    """IMUs with calibration and readings, as the calibration has them, without their readings."""
-    known = stage.imus if stage else {}
-    both = known.keys() & recording.accelerometers.keys()
-    return [_mounted(x, known[x.name], recording) for x in robot.imus if x.name in both]
+    """Return the IMUs that are calibrated and recorded, without their readings."""
+    calibrations = stage.imus if stage else {}
+    return [
+        _mounted(imu, calibrations[imu.name], recording)
+        for imu in robot.imus
+        if imu.name in calibrations and imu.name in recording.accelerometers
+    ]
 
 
-def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:
-    count, rates = len(imu.axes), 3 if imu.gyro and imu.name in recording.gyros else 0
-    R, lever = np.array(known.rotation), entries(known.lever, 3, 0.0)
-    bias, density, gains = (
-        np.concatenate([entries(own, count, usual), entries(gyros, rates, usual)])
-        for own, gyros, usual in (
-            (known.accelerometer_bias, known.gyro_bias, 0.0),
-            (known.accelerometer_noise, known.gyro_noise, 0.0),
-            (known.accelerometer_scale, known.gyro_scale, 1.0),
-        )
-    )
-    own = known.accelerometer_axes
-    axes = np.array(own) if len(own) == count else imu.axes
+def _mounted(imu: Imu, calibration: ImuCalibration, recording: Recording) -> Mounted:
+    """Return an IMU as its calibration has it."""
+    count = len(imu.axes)
+    rates = 3 if imu.gyro and imu.name in recording.gyros else 0
+
+    def of_channels(
+        accelerometers: Sequence[float | None],
+        gyro: Sequence[float | None],
+        default: float,
+    ) -> Array:
+        """Return entries (L,) of all channels."""
+        of_accelerometers = entries(accelerometers, count, default)
+        return np.concatenate([of_accelerometers, entries(gyro, rates, default)])
+
+    bias = of_channels(calibration.accelerometer_bias, calibration.gyro_bias, 0.0)
+    density = of_channels(calibration.accelerometer_noise, calibration.gyro_noise, 0.0)
+    gains = of_channels(calibration.accelerometer_scale, calibration.gyro_scale, 1.0)
+
+    axes = imu.axes
+    if len(calibration.accelerometer_axes) == count:
+        axes = np.array(calibration.accelerometer_axes)
     if rates:
-        axes = np.vstack([axes, known.gyro_axes or np.eye(3)])
-    prior = _prior(known, count, rates)
+        axes = np.vstack([axes, calibration.gyro_axes or np.eye(3)])
+
+    prior = _prior(calibration, count, rates)
+    has_offset = calibration.time_offset_std_error_s is not None
     nothing = np.zeros((0, count + rates))
     return Mounted(
         name=imu.name,
-        place=Mounting(imu.after_joint, imu.positions, axes * gains[:, None], R, lever),
+        place=Mounting(
+            link=imu.after_joint,
+            positions=imu.positions,
+            axes=axes * gains[:, None],
+            R=np.array(calibration.rotation),
+            lever=entries(calibration.lever, 3, 0.0),
+        ),
         raw=nothing,
         live=nothing > 0,
         noise=np.maximum(density * np.sqrt(recording.rate_hz / 2), LEAST_NOISE),
         bias=bias,
-        delay=known.time_offset_s if known.time_offset_std_error_s is not None else 0.0,
-        gyro_delay=known.gyro_delay_s if rates else 0.0,
+        delay=calibration.time_offset_s if has_offset else 0.0,
+        gyro_delay=calibration.gyro_delay_s if rates else 0.0,
         away=np.zeros(len(prior)),
         precision=np.diag(prior**-2.0),
         y=nothing,
@@ -64,7 +88,7 @@ def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:
 
 
 def _prior(
-    known: ImuCalibration,
+    calibration: ImuCalibration,
     count: int,
     rates: int,
     *,
@@ -77,39 +101,61 @@ def _prior(
     lever_prior: float = 1.0,
     gain_prior: float = 0.01,
 ) -> Array:
-    """Standard deviations (g,) of biases, place, turn, clock offset and axes."""
-    turns = known.std_errors_deg or [known.std_error_deg]
-    bias, gyro_bias, lever, gain, gyro_gain = (
-        np.hypot(entries(values, size, default), drift)
-        for values, size, default, drift in (
-            (known.accelerometer_bias_std_errors, count, bias_prior, BIAS_DRIFT),
-            (known.gyro_bias_std_errors, rates, gyro_bias_prior, GYRO_BIAS_DRIFT),
-            (known.lever_std_errors, 3, lever_prior, lever_drift),
-            (known.accelerometer_scale_std_errors, count, gain_prior, gain_drift),
-            (known.gyro_scale_std_errors, rates, gain_prior, gain_drift),
-        )
+    """Return standard deviations (g,) of an IMU's constants.
+
+    They are those of its calibration, with what drifts since; `..._prior` where no
+    calibration says better. `count` and `rates` are its numbers of accelerometers and
+    of gyro channels.
+    """
+
+    def drifted(
+        std_errors: Sequence[float | None], size: int, default: float, drift: float
+    ) -> Array:
+        return np.hypot(entries(std_errors, size, default), drift)
+
+    bias = drifted(
+        calibration.accelerometer_bias_std_errors, count, bias_prior, BIAS_DRIFT
     )
-    usual = np.degrees(gain_prior)
-    tilts = entries(known.accelerometer_tilt_std_errors_deg, count, usual)
-    tilts = np.append(tilts, entries(known.gyro_tilt_std_errors_deg, rates, usual))
+    gyro_bias = drifted(
+        calibration.gyro_bias_std_errors, rates, gyro_bias_prior, GYRO_BIAS_DRIFT
+    )
+    lever = drifted(calibration.lever_std_errors, 3, lever_prior, lever_drift)
+    gain = drifted(
+        calibration.accelerometer_scale_std_errors, count, gain_prior, gain_drift
+    )
+    gyro_gain = drifted(
+        calibration.gyro_scale_std_errors, rates, gain_prior, gain_drift
+    )
+
+    # An axis errs along itself by its gain, and across by its tilt.
+    usual_tilt = np.degrees(gain_prior)
+    tilts = np.append(
+        entries(calibration.accelerometer_tilt_std_errors_deg, count, usual_tilt),
+        entries(calibration.gyro_tilt_std_errors_deg, rates, usual_tilt),
+    )
     axes = np.maximum(np.concatenate([gain, gyro_gain]), np.radians(tilts))
-    offset = known.time_offset_std_error_s
-    late = delay_s if offset is None else float(np.hypot(offset, DELAY_DRIFT_S))
-    turn = np.full(3, np.radians(np.clip(np.max(turns), *turn_deg)))
+
+    late = delay_s
+    if calibration.time_offset_std_error_s is not None:
+        late = float(np.hypot(calibration.time_offset_std_error_s, DELAY_DRIFT_S))
+    largest_turn = np.max(calibration.std_errors_deg or [calibration.std_error_deg])
+    turn = np.full(3, np.radians(np.clip(largest_turn, *turn_deg)))
     return np.concatenate([bias, gyro_bias, lever, turn, [late], np.repeat(axes, 3)])
 
 
 def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
-    """Give an IMU its readings of one stretch of the log."""
-    parts = [recording.accelerometers[x.name][own]]
+    """Return an IMU with its readings of the samples `own` of a log."""
+    channels = [recording.accelerometers[x.name][own]]
     has_gyro = x.place.channels > len(x.place.positions)
     if has_gyro:
-        parts.append(recording.gyros[x.name][own])
-    raw = np.hstack(parts)
+        channels.append(recording.gyros[x.name][own])
+    raw = np.hstack(channels)
+
     live: Mask = np.isfinite(raw) & recording.valid[own, None]
     raw = np.where(live, raw, 0.0)
     live &= ~_silent(raw, recording.rate_hz)
-    noise = np.maximum(white_noise(raw, np.asarray(live.all(axis=1))), 0.5 * x.noise)
+    white = white_noise(raw, np.asarray(live.all(axis=1)))
+    noise = np.maximum(white, 0.5 * x.noise)
     live &= ~clipped(raw, live, noise)
     if has_gyro and x.gyro_delay:
         _on_accelerometers_clock(raw, live, recording.t[own], x)
@@ -132,19 +178,27 @@ def _on_accelerometers_clock(raw: Array, live: Mask, t: Array, x: Mounted) -> No
 def _silent(
     raw: Array, rate_hz: float, *, stuck_s: float = 0.5, min_alike: int = 25
 ) -> Mask:
-    """Where a sensor repeats its last reading in all channels, or one while the others move."""
+    """Find where (N, L) a sensor repeats its last reading.
+
+    It does so in all channels, for `min_alike` samples, or in one for `stuck_s` while
+    the others change.
+    """
     values = np.ascontiguousarray(raw.T)
-    same = np.zeros(values.shape, dtype=bool)
-    np.equal(values[:, 1:], values[:, :-1], out=same[:, 1:])
-    silent = uniform_filter1d(same.all(axis=0).astype(float), min_alike) > 0.9
+    repeats = np.zeros(values.shape, dtype=bool)
+    np.equal(values[:, 1:], values[:, :-1], out=repeats[:, 1:])
+
+    all_repeat = repeats.all(axis=0).astype(float)
+    silent = uniform_filter1d(all_repeat, min_alike) > 0.9
     # The window's whole width is as silent as its middle.
     silent = uniform_filter1d(silent.astype(float), min_alike + 2) > 0
+
     width = max(min_alike, int(stuck_s * rate_hz))
-    stuck = np.zeros_like(same)
-    often = np.count_nonzero(same, axis=1) / len(raw)
-    for k in np.flatnonzero(often > min(width, len(raw)) / (2 * len(raw))):
-        others = np.delete(same, k, axis=0).mean(axis=0)
-        alone = uniform_filter1d(same[k] & (others < 0.5), width, output=float) > 0.9
+    stuck = np.zeros_like(repeats)
+    share = np.count_nonzero(repeats, axis=1) / len(raw)
+    for k in np.flatnonzero(share > min(width, len(raw)) / (2 * len(raw))):
+        others = np.delete(repeats, k, axis=0).mean(axis=0)
+        repeats_alone = repeats[k] & (others < 0.5)
+        alone = uniform_filter1d(repeats_alone, width, output=float) > 0.9
         stuck[k] = uniform_filter1d(alone.astype(float), width) > 0
     return np.asarray((stuck | silent).T)
 
@@ -157,54 +211,94 @@ def clipped(
     clipped_noise: float = 20.0,
     min_clipped: int = 3,
 ) -> Mask:
-    """Where a channel stays at its own limit for several samples, with those beside them."""
-    found = np.zeros_like(live)
+    """Find where channels stay at their own limits, with the samples beside.
+
+    Parameters
+    ----------
+    raw, live : Array, Mask
+        Readings (N, L), and which of them count.
+    noise : Array
+        (L,) of single readings.
+    clipped_noise : float
+        Times the noise that a limit is away from the middle at least.
+    min_clipped : int
+        Samples in a row.
+
+    Returns
+    -------
+    Mask
+        (N, L).
+    """
+    at_limits = np.zeros_like(live)
     for k in np.flatnonzero(live.any(axis=0)):
         channel = np.ascontiguousarray(raw[:, k])
         values = channel[live[:, k]]
         middle = float(np.median(values))
         for limit in (values.min(), values.max()):
-            at = channel == limit
-            if abs(limit - middle) < clipped_noise * noise[k] or at.sum() < min_clipped:
+            at_limit = channel == limit
+            is_near = abs(limit - middle) < clipped_noise * noise[k]
+            if is_near or at_limit.sum() < min_clipped:
                 continue
-            run = (
-                np.convolve(at.astype(float), np.ones(min_clipped), "same")
-                > min_clipped - 0.5
-            )
-            found[:, k] |= np.convolve(run, np.ones(min_clipped + 2), "same") > 0.5
-    return found
+            in_row = np.convolve(at_limit.astype(float), np.ones(min_clipped), "same")
+            is_run = in_row > min_clipped - 0.5
+            around = np.convolve(is_run, np.ones(min_clipped + 2), "same")
+            at_limits[:, k] |= around > 0.5
+    return at_limits
 
 
 def moved(x: Mounted, change: Array) -> Mounted:
-    """Renew an IMU's constants by `change` (g,)."""
-    place, channels = x.place, x.place.channels
-    bias, lever, turn, late, axes = np.split(change, channels + np.array([0, 3, 6, 7]))
-    turned, axes = Rotation.from_rotvec(turn), place.axes + axes.reshape(-1, 3)
+    """Return an IMU whose constants have changed by `change` (g,)."""
+    channels = x.place.channels
+    parts = np.split(change, channels + np.array([0, 3, 6, 7]))
+    bias, lever, turn, delay, axes = parts
+    rotation = Rotation.from_rotvec(turn)
     place = replace(
-        place, lever=place.lever + lever, R=place.R @ turned.as_matrix(), axes=axes
+        x.place,
+        lever=x.place.lever + lever,
+        R=x.place.R @ rotation.as_matrix(),
+        axes=x.place.axes + axes.reshape(-1, 3),
     )
-    away, turns = x.away + change, slice(channels + 3, channels + 6)
-    away[turns] = (Rotation.from_rotvec(x.away[turns]) * turned).as_rotvec()
+
+    # Turns do not add up: they follow one another.
+    away = x.away + change
+    turns = slice(channels + 3, channels + 6)
+    away[turns] = (Rotation.from_rotvec(x.away[turns]) * rotation).as_rotvec()
     return replace(
-        x, place=place, bias=x.bias + bias, delay=x.delay + float(late[0]), away=away
+        x,
+        place=place,
+        bias=x.bias + bias,
+        delay=x.delay + float(delay[0]),
+        away=away,
     )
 
 
 def handed_on(
     x: Mounted, taken: Index, covariance: Array, *, forget: float = 1.5
 ) -> Mounted:
-    """What the next stretch is to assume; `covariance` (m, m) is of the constants `taken` (m,)."""
-    own: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
-    own[taken], own[:, taken] = 0.0, 0.0
-    own[np.ix_(taken, taken)] = covariance
+    """Return an IMU as the next stretch is to assume it.
+
+    Parameters
+    ----------
+    x : Mounted
+    taken : Index
+        Numbers of the constants that were estimated.
+    covariance : Array
+        Of these constants.
+    forget : float
+        Factor on all variances.
+    """
+    variances: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
+    variances[taken] = 0.0
+    variances[:, taken] = 0.0
+    variances[np.ix_(taken, taken)] = covariance
+
     channels = x.place.channels
-    rates = channels - len(x.place.positions)
-    drift = np.zeros(len(own))
-    drift[:channels] = np.repeat(
-        [BIAS_DRIFT, GYRO_BIAS_DRIFT], [channels - rates, rates]
-    )
+    n_accelerometers = len(x.place.positions)
+    drift = np.zeros(len(variances))
+    drift[:n_accelerometers] = BIAS_DRIFT
+    drift[n_accelerometers:channels] = GYRO_BIAS_DRIFT
     drift[channels + 6] = 0.1 * DELAY_DRIFT_S
-    precision = np.linalg.inv(forget * own + np.diag(0.1 * drift**2))
-    return replace(
-        x, away=np.zeros(len(x.away)), precision=0.5 * (precision + precision.T)
-    )
+
+    precision = np.linalg.inv(forget * variances + np.diag(0.1 * drift**2))
+    symmetric = 0.5 * (precision + precision.T)
+    return replace(x, away=np.zeros(len(x.away)), precision=symmetric)

@@ -1,4 +1,4 @@
-"""What encoders and IMUs say of each other: errors that no noise model of either knows.
+"""What encoders and IMUs say of each other: errors that no noise model knows.
 
 An encoder sees the drive's side of a joint, an IMU the link's. Each is left out in turn
 and predicted by the other; what noise does not explain is an error of one of them, and
@@ -15,9 +15,12 @@ clock of an IMU that is off differs by ddq and its first derivative instead, and
 that fall between two samples by nothing that the motion predicts. So `d` is predicted
 block by block from the others, with and without snap: joints bend where snap predicts
 blocks that it has not seen.
+
+The letters are those of `chunk`.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
@@ -52,21 +55,30 @@ class Compliance:
         ----------
         ddq : Array
             Accelerations (N, n) rad/s^2 that went through `lowpass` once.
+        lowpass : Lowpass
         usable : Mask
             Samples (N,) that count.
         """
-        snap = differentiate(ddq, lowpass.rate_hz)[1]
+        _, snap = differentiate(ddq, lowpass.rate_hz)
         bent = (snap @ self.per_snap.T)[usable]
         return np.asarray(np.mean(bent**2, axis=0))
+
+
+class _Readings(NamedTuple):
+    """Readings (N, L) of an IMU at the encoders' samples, and which of them count."""
+
+    values: Array
+    live: Mask
 
 
 def beyond_motion(
     robot: Robot, t: Array, motion: tuple[Array, Array, Array], imus: list[Mounted]
 ) -> Array:
-    """Return the accelerations that IMUs show beyond a motion, by least squares per sample.
+    """Return the accelerations that IMUs show beyond a motion, by least squares.
 
     Parameters
     ----------
+    robot : Robot
     t : Array
         Times (N,) s of the samples.
     motion : tuple of Array
@@ -79,50 +91,62 @@ def beyond_motion(
     Array
         (N, n) rad/s^2; zero for joints beyond all IMUs.
     """
-    samples, joints = motion[0].shape
-    found = np.zeros((samples, joints))
+    n_samples, n_joints = motion[0].shape
     readings = [_on_encoders_clock(x, t) for x in imus]
-    means = [np.zeros(x.place.channels) for x in imus]
+    pieces = [
+        slice(start, min(start + PIECE, n_samples))
+        for start in range(0, n_samples, PIECE)
+    ]
 
     # A bias that has changed since the calibration is no acceleration: means are taken
     # off first.
-    for removing_means in (True, False):
-        for start in range(0, samples, PIECE):
-            own = slice(start, min(start + PIECE, samples))
-            states = np.stack([values[own].T for values in motion])
-            normal = np.zeros((own.stop - start, joints, joints))
-            right = np.zeros((own.stop - start, joints))
-            for x, (values, live), mean in zip(imus, readings, means, strict=True):
-                state = link_state(robot, x.place.link, states)
-                off = values[own] - (state @ x.place.matrix.T + x.bias)
-                seen = live[own].astype(float)
-                if removing_means:
-                    mean += np.sum(off * seen, axis=0) / np.maximum(live.sum(axis=0), 1)
-                    continue
-                slopes = link_slopes(robot, x.place.link, states)
-                by_ddq = x.place.by_motion(state, slopes)[:, :, 2]
-                weighted = by_ddq * (seen / x.noise**2)[:, :, None]
-                head = slice(x.joints)
-                normal[:, head, head] += weighted.transpose(0, 2, 1) @ by_ddq
-                right[:, head] += np.einsum("nki,nk->ni", weighted, off - mean)
-            if not removing_means:
-                found[own] = _solved(normal, right)
-    return found
+    means = [np.zeros(x.place.channels) for x in imus]
+    for piece in pieces:
+        states = np.stack([values[piece].T for values in motion])
+        for x, of_imu, mean in zip(imus, readings, means, strict=True):
+            state = link_state(robot, x.place.link, states)
+            residual = _residual(x, state, of_imu.values[piece])
+            counts = of_imu.live[piece].astype(float)
+            n_live = np.maximum(of_imu.live.sum(axis=0), 1)
+            mean += np.sum(residual * counts, axis=0) / n_live
+
+    beyond = np.zeros((n_samples, n_joints))
+    for piece in pieces:
+        states = np.stack([values[piece].T for values in motion])
+        length = piece.stop - piece.start
+        normal = np.zeros((length, n_joints, n_joints))
+        right = np.zeros((length, n_joints))
+        for x, of_imu, mean in zip(imus, readings, means, strict=True):
+            state = link_state(robot, x.place.link, states)
+            residual = _residual(x, state, of_imu.values[piece])
+            counts = of_imu.live[piece].astype(float)
+            slopes = link_slopes(robot, x.place.link, states)
+            by_ddq = x.place.by_motion(state, slopes)[:, :, 2]
+            weighted = by_ddq * (counts / x.noise**2)[:, :, None]
+            head = slice(x.joints)
+            normal[:, head, head] += weighted.transpose(0, 2, 1) @ by_ddq
+            right[:, head] += np.einsum("nki,nk->ni", weighted, residual - mean)
+        beyond[piece] = _solved(normal, right)
+    return beyond
 
 
-def _on_encoders_clock(x: Mounted, t: Array) -> tuple[Array, Mask]:
-    """Readings (N, K) as they were at the encoders' samples, and which count."""
+def _residual(x: Mounted, state: Array, values: Array) -> Array:
+    """Return readings (N, L) less what the motion of the link makes of them."""
+    return np.asarray(values - (state @ x.place.matrix.T + x.bias))
+
+
+def _on_encoders_clock(x: Mounted, t: Array) -> _Readings:
+    """Return an IMU's readings as they were at the encoders' samples (N,) s."""
     if not x.delay:
-        return x.raw, x.live
-    values = [np.interp(t + x.delay, t, column) for column in x.raw.T]
-    live = [
-        np.interp(t + x.delay, t, column.astype(float)) > 0.999 for column in x.live.T
-    ]
-    return np.column_stack(values), np.column_stack(live)
+        return _Readings(x.raw, x.live)
+    later = t + x.delay
+    values = [np.interp(later, t, channel) for channel in x.raw.T]
+    live = [np.interp(later, t, counts.astype(float)) > 0.999 for counts in x.live.T]
+    return _Readings(np.column_stack(values), np.column_stack(live))
 
 
 def _solved(normal: Array, right: Array, *, hold: float = 1e-3) -> Array:
-    """Solve for accelerations (N, n); `hold` (rad/s^2)^-2 keeps what no IMU sees at zero."""
+    """Solve for accelerations (N, n); `hold` (rad/s^2)^-2 keeps unseen ones at 0."""
     joints = np.arange(normal.shape[1])
     held = normal.copy()
     held[:, joints, joints] += hold
@@ -150,6 +174,8 @@ def compliance_of(
     false_alarms : float
         Share of stiff joints that are taken to bend: the level of a t test of the mean
         gain.
+    fewest_blocks : int
+        With fewer no link is taken to bend.
     """
     per_snap = np.zeros((apart.shape[1],) * 2)
     used = np.flatnonzero(encoder.usable)
@@ -158,74 +184,79 @@ def compliance_of(
     if count < fewest_blocks or not len(moving):
         return Compliance(per_snap)
 
-    jerk, snap = (
-        values[used] for values in differentiate(ddq[:, moving], encoder.rate_hz)
-    )
-    of_imus = np.hstack([ddq[used][:, moving], jerk])
-    columns = np.hstack([of_imus, snap])
+    # What an IMU's gain, mounting or clock would leave, and the snap behind it.
+    jerk, snap = differentiate(ddq[:, moving], encoder.rate_hz)
+    of_imus = np.hstack([ddq[used][:, moving], jerk[used]])
+    columns = np.hstack([of_imus, snap[used]])
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    scaled = columns / size
+    n_rigid = of_imus.shape[1]
+
     blocks = np.array_split(np.arange(len(used)), count)
     for j in moving:
         values = apart[used, j]
-        weights = _weights_beside_jolts(columns / size, values)
-        bent = _left_by_others(columns / size, values, weights, blocks)
-        rigid = _left_by_others(
-            (columns / size)[:, : of_imus.shape[1]], values, weights, blocks
-        )
-        gain = rigid - bent
-        t_value = gain.mean() / max(gain.std(ddof=1) / np.sqrt(count), 1e-300)
-        if t_value > stdtrit(count - 1, 1.0 - false_alarms):
-            found = _weighted(columns / size, values, weights) / size
-            per_snap[j, moving] = found[of_imus.shape[1] :]
+        weights = _weights_beside_jolts(scaled, values)
+        if_bent = _left_by_others(scaled, values, weights, blocks)
+        if_rigid = _left_by_others(scaled[:, :n_rigid], values, weights, blocks)
+        gain = if_rigid - if_bent
+        std_error = max(gain.std(ddof=1) / np.sqrt(count), 1e-300)
+        if gain.mean() / std_error > stdtrit(count - 1, 1.0 - false_alarms):
+            coefficients = _weighted(scaled, values, weights) / size
+            per_snap[j, moving] = coefficients[n_rigid:]
     return Compliance(per_snap)
 
 
 def _weighted(columns: Array, values: Array, weights: Array) -> Array:
-    """Weighted least squares (p,)."""
+    """Solve a weighted least squares (p,)."""
     root = np.sqrt(weights)
-    return np.asarray(
-        np.linalg.lstsq(columns * root[:, None], values * root, rcond=1e-10)[0]
-    )
+    weighted = columns * root[:, None]
+    solution = np.linalg.lstsq(weighted, values * root, rcond=1e-10)[0]
+    return np.asarray(solution)
 
 
 def _weights_beside_jolts(columns: Array, values: Array, *, rounds: int = 5) -> Array:
-    """Weights (N,) of a Cauchy distribution: jolts between two samples last a few samples."""
+    """Return weights (N,) of a Cauchy distribution: jolts last a few samples."""
     weights = np.ones(len(values))
     for _ in range(rounds):
-        off = values - columns @ _weighted(columns, values, weights)
-        spread = max(float(gaussian_spread(off)), 1e-300)
-        weights = 1.0 / (1.0 + (off / spread) ** 2)
+        residual = values - columns @ _weighted(columns, values, weights)
+        spread = max(float(gaussian_spread(residual)), 1e-300)
+        weights = 1.0 / (1.0 + (residual / spread) ** 2)
     return weights
 
 
 def _left_by_others(
     columns: Array, values: Array, weights: Array, blocks: list[Index]
 ) -> Array:
-    """Weighted mean square (B,) that each block leaves when all others predict it."""
-    own = [
-        (columns[b].T * weights[b]) @ np.column_stack([columns, values])[b]
-        for b in blocks
-    ]
-    total = np.sum(own, axis=0)
-    left = []
-    for block, matrix in zip(blocks, own, strict=True):
-        others = total - matrix
-        found = np.linalg.lstsq(others[:, :-1], others[:, -1], rcond=1e-10)[0]
-        off = values[block] - columns[block] @ found
-        left.append(float(np.sum(weights[block] * off**2) / np.sum(weights[block])))
-    return np.array(left)
+    """Return what each block leaves when all others predict it.
+
+    It is a weighted mean square (B,).
+    """
+    # Normal equations add up over blocks: those of the others are the total less one.
+    extended = np.column_stack([columns, values])
+    of_blocks = [(columns[b].T * weights[b]) @ extended[b] for b in blocks]
+    total = np.sum(of_blocks, axis=0)
+
+    squares = []
+    for block, of_block in zip(blocks, of_blocks, strict=True):
+        of_others = total - of_block
+        solution = np.linalg.lstsq(of_others[:, :-1], of_others[:, -1], rcond=1e-10)[0]
+        residual = values[block] - columns[block] @ solution
+        weight = weights[block]
+        squares.append(float(np.sum(weight * residual**2) / np.sum(weight)))
+    return np.array(squares)
 
 
 def beyond_noise(
     apart: Array, encoder: Motion, *, max_noise_ratio: float = 1.5
 ) -> Array:
-    """Return the power (n,) by which a motion contradicts the encoders beyond their noise.
+    """Return the power (n,) by which a motion contradicts the encoders beyond noise.
 
     Parameters
     ----------
     apart : Array
         That motion's acceleration minus the encoders', (N, n) rad/s^2, both below the
         encoders' cut-off. A better motion differs from them by their noise and less.
+    encoder : Motion
     max_noise_ratio : float
         Share of the encoders' noise power that may be missed: quantisation is not
         white.

@@ -49,9 +49,9 @@ def motion() -> Motion:
 
 def rigid_stage(rotor: Array, coupling: str = "diagonal") -> RigidStage:
     values = np.concatenate([ARM.phi.ravel(), rotor])
-    known = dict(zip(standard_names(6), values.tolist(), strict=True))
+    representative = dict(zip(standard_names(6), values.tolist(), strict=True))
     size = {"parameters": [], "condition": 1.0, "rank": 36}
-    return RigidStage(**size, representative=known, rotor_coupling=coupling)
+    return RigidStage(**size, representative=representative, rotor_coupling=coupling)
 
 
 def stages(robot: Robot, coupling: str = "diagonal") -> Stages:
@@ -71,24 +71,20 @@ def test_the_rigid_torque_is_the_plants(
     state = (motion.q[::40], motion.dq[::40], motion.ddq[::40])
     expected = [rigid.inverse(*s) for s in zip(*state, strict=True)]
     np.testing.assert_allclose(model.rigid(*state), expected, atol=1e-9)
-    whole = motion.filtered(model.rigid(motion.q, motion.dq, motion.ddq))
-    whole += motion.filtered(sampled_friction(model.surfaces, motion), times=2)
-    np.testing.assert_allclose(model.predict(motion), whole, atol=1e-8)
+    total = motion.filtered(model.rigid(motion.q, motion.dq, motion.ddq))
+    total += motion.filtered(sampled_friction(model.surfaces, motion), times=2)
+    np.testing.assert_allclose(model.predict(motion), total, atol=1e-8)
 
 
 def test_the_rigid_torque_is_the_regressor_times_the_parameters(
     robot: Robot, motion: Motion
 ) -> None:
     """H pi of Eq. 4."""
-    basis, phi = (
-        base_parameters(robot, rotor=range(6)),
-        np.r_[ARM.phi.ravel(), ARM.rotor_inertia],
-    )
+    basis = base_parameters(robot, rotor=range(6))
+    phi = np.r_[ARM.phi.ravel(), ARM.rotor_inertia]
     state = motion.q, motion.dq, motion.ddq
-    H, model = (
-        base_regressor(robot, basis, *state),
-        TorqueModel.from_stages(stages(robot), robot),
-    )
+    H = base_regressor(robot, basis, *state)
+    model = TorqueModel.from_stages(stages(robot), robot)
     np.testing.assert_allclose(
         model.rigid(*state), H @ (basis.expression @ phi), atol=1e-8
     )
@@ -96,7 +92,8 @@ def test_the_rigid_torque_is_the_regressor_times_the_parameters(
 
 def test_parts_are_models_too(robot: Robot, motion: Motion) -> None:
     alone = TorqueModel.from_stages(Stages(gravity=rigid_stage(np.zeros(6))), robot)
-    q, still = motion.q[:10], np.zeros((10, 6))
+    q = motion.q[:10]
+    still = np.zeros((10, 6))
     expected = [Rigid(ARM).gravity_torque(at) for at in q]
     np.testing.assert_allclose(alone.rigid(q, still, still), expected, atol=1e-9)
     friction = stages(robot).friction
@@ -117,14 +114,18 @@ def test_at_rest_the_model_allows_what_friction_can_hold(
         s.at_rest(motion.q[:, j]) for j, s in enumerate(model.surfaces) if s is not None
     ]
     low, high = (np.stack(side, axis=1) for side in zip(*bands, strict=True))
-    own = model.predict(motion)
+    predicted = model.predict(motion)
     at_rest = model.predict_set(motion, held)
-    np.testing.assert_array_equal(at_rest.value, own)
-    np.testing.assert_allclose(at_rest.low, np.minimum(rigid + low, own), atol=1e-9)
-    np.testing.assert_allclose(at_rest.high, np.maximum(rigid + high, own), atol=1e-9)
+    np.testing.assert_array_equal(at_rest.value, predicted)
+    np.testing.assert_allclose(
+        at_rest.low, np.minimum(rigid + low, predicted), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        at_rest.high, np.maximum(rigid + high, predicted), atol=1e-9
+    )
     moving = model.predict_set(motion, ~held)
-    for found in (moving.value, moving.low, moving.high):
-        np.testing.assert_array_equal(found, own)
+    for values in (moving.value, moving.low, moving.high):
+        np.testing.assert_array_equal(values, predicted)
     blind = model.predict_set(replace(motion, tau=None), held)
     np.testing.assert_array_equal(blind.low, at_rest.low)
 
@@ -148,9 +149,11 @@ FULL_HZ = 1000.0
 def reversing() -> Motion:
     """Two joints that reverse again and again, at any time between two samples."""
     t = np.arange(30_000)[:, None] / FULL_HZ
-    w, phase = np.array([2.9, 4.1]), np.array([0.3, 1.1])
+    w = np.array([2.9, 4.1])
+    phase = np.array([0.3, 1.1])
     slow = 1 + 0.2 * np.sin(0.37 * t)
-    q, dq = slow * np.sin(w * t + phase), slow * w * np.cos(w * t + phase)
+    q = slow * np.sin(w * t + phase)
+    dq = slow * w * np.cos(w * t + phase)
     return made_motion(q, dq, -(w**2) * q, Lowpass(5.0, FULL_HZ))
 
 
@@ -174,11 +177,16 @@ def test_friction_of_thinned_motion_is_the_full_one_after_the_low_pass() -> None
 
 def test_beside_gaps_friction_is_that_of_the_samples() -> None:
     thinned = decimated(reversing())
-    valid, broken = thinned.valid.copy(), thinned.q.copy()
-    valid[700:720], broken[700:720] = False, 1e6
+    valid = thinned.valid.copy()
+    broken = thinned.q.copy()
+    valid[700:720] = False
+    broken[700:720] = 1e6
     gap = replace(thinned, valid=valid, q=broken)
-    whole, found = (sampled_friction([SURFACE, SURFACE], m) for m in (thinned, gap))
-    away, near = np.r_[0:690, 730 : len(valid)], np.r_[693:700, 720:727]
-    np.testing.assert_allclose(found[away], whole[away], rtol=1e-14)
+    without_gap, beside_gap = (
+        sampled_friction([SURFACE, SURFACE], m) for m in (thinned, gap)
+    )
+    away = np.r_[0:690, 730 : len(valid)]
+    near = np.r_[693:700, 720:727]
+    np.testing.assert_allclose(beside_gap[away], without_gap[away], rtol=1e-14)
     plain = friction_torque([SURFACE, SURFACE], thinned.q, thinned.dq)
-    np.testing.assert_array_equal(found[near], plain[near])
+    np.testing.assert_array_equal(beside_gap[near], plain[near])

@@ -1,4 +1,4 @@
-"""From a recording to joint motion, whole and by blocks: filtered alike, gaps kept out."""
+"""From a recording to joint motion, whole and by blocks: gaps are kept out."""
 
 from collections.abc import Iterator
 
@@ -25,7 +25,8 @@ RATE = 500.0
 
 def curves(samples: int = 6000) -> tuple[Array, Array, Array]:
     t = np.arange(samples) / RATE
-    w, phase = np.array([2.0, 3.1]), np.array([0.3, 1.0])
+    w = np.array([2.0, 3.1])
+    phase = np.array([0.3, 1.0])
     angle = t[:, None] * w + phase
     return np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)
 
@@ -44,11 +45,11 @@ def motion_of(
 def test_velocity_and_acceleration_are_the_true_ones() -> None:
     q, dq, ddq = curves()
     motion = motion_of(quantise(q, 2 * np.pi / 2**14))
-    own = motion.usable
-    assert own.sum() > 0.8 * len(q)
-    assert np.sqrt(np.mean((motion.dq - dq)[own] ** 2)) < 0.005
+    usable = motion.usable
+    assert usable.sum() > 0.8 * len(q)
+    assert np.sqrt(np.mean((motion.dq - dq)[usable] ** 2)) < 0.005
     allowed = 2 * motion.cutoff.acceleration_noise + 0.01 * np.abs(ddq).max(axis=0)
-    assert (np.sqrt(np.mean((motion.ddq - ddq)[own] ** 2, axis=0)) < allowed).all()
+    assert (np.sqrt(np.mean((motion.ddq - ddq)[usable] ** 2, axis=0)) < allowed).all()
 
 
 @pytest.mark.parametrize("hz", [2.0, 8.0, 30.0])
@@ -87,31 +88,33 @@ def test_a_sample_next_to_a_dropped_gap_is_invalid() -> None:
     assert short.valid[[299, 300, 301]].tolist() == [True, False, True]
 
 
-SAMPLES, STEP = 9_137, 1e-4
+SAMPLES = 9_137
+STEP = 1e-4
 
 
 @pytest.fixture(scope="module")
 def log() -> Recording:
     """Two joints that move, one that stands still for a while, two gaps."""
     t = np.arange(SAMPLES) / RATE
-    q = np.stack(
-        [np.sin(1.3 * t), 0.4 * np.cos(4.0 * t), 0.2 * np.sin(t) * (t > 8)], axis=1
-    )
+    late_mover = np.where(t > 8, 0.2 * np.sin(t), 0.0)
+    q = np.stack([np.sin(1.3 * t), 0.4 * np.cos(4.0 * t), late_mover], axis=1)
     q = STEP * np.round(q / STEP)
     tau = 3.0 * q + np.random.default_rng(8).normal(size=q.shape)
-    made = made_recording(q, tau, rate_hz=RATE)
-    made.valid[2_000:2_300] = made.valid[7_777:7_779] = False
-    return made
+    recording = made_recording(q, tau, rate_hz=RATE)
+    recording.valid[2_000:2_300] = recording.valid[7_777:7_779] = False
+    return recording
 
 
 def in_parts(recording: Recording, sizes: list[int]) -> Iterator[Block]:
-    start, turn = 0, 0
+    start = 0
+    turn = 0
     while start < len(recording.t):
         part = slice(start, start + sizes[turn % len(sizes)])
         yield Block(
             start, recording.q[part], recording.tau[part], recording.valid[part]
         )
-        start, turn = part.stop, turn + 1
+        start = part.stop
+        turn = turn + 1
 
 
 @pytest.mark.parametrize("least", [700, 4_096, 100_000])
@@ -124,32 +127,33 @@ def test_motion_by_blocks_is_the_whole_motion(
     plan = make_plan(RATE, expected.cutoff, step, samples_per_cutoff=10)
     parts = list(motion_blocks(in_parts(log, [500, 77, 1_333]), plan))
     assert len(parts) > 1 or least > SAMPLES
-    found = joined(parts)
-    assert found.rate_hz == expected.rate_hz
-    np.testing.assert_allclose(found.t, expected.t, rtol=1e-14)
+    by_blocks = joined(parts)
+    assert by_blocks.rate_hz == expected.rate_hz
+    np.testing.assert_allclose(by_blocks.t, expected.t, rtol=1e-14)
     for name, order in {"q": 0, "dq": 1, "ddq": 2, "tau": 0}.items():
         # A derivative multiplies the rounding of the position by the rate.
         scale = np.abs(log.tau if name == "tau" else log.q).max() * RATE**order
-        off = getattr(found, name) - getattr(expected, name)
+        off = getattr(by_blocks, name) - getattr(expected, name)
         assert np.abs(off).max() < 1e-12 * scale, name
     for name in ("moving", "usable", "valid"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+        np.testing.assert_array_equal(getattr(by_blocks, name), getattr(expected, name))
 
 
 @pytest.mark.parametrize("resolution", [0.0, STEP])
 def test_a_survey_in_parts_is_that_of_the_whole_log(
     log: Recording, resolution: float
 ) -> None:
-    known = np.full(3, resolution)
+    resolutions = np.full(3, resolution)
     survey = Survey(3, RATE, SAMPLES)
     for block in in_parts(log, [911]):
         survey.push(block.q)
-    step = noise_step(log.q, known)
-    np.testing.assert_allclose(survey.noise_step(known), step, rtol=1e-12)
+    step = noise_step(log.q, resolutions)
+    np.testing.assert_allclose(survey.noise_step(resolutions), step, rtol=1e-12)
     moving = np.any(moving_mask(log.q, RATE, step), axis=0)
     np.testing.assert_array_equal(survey.moving(step), moving)
-    expected, found = Survey.of(log.q, RATE).cutoff(known), survey.cutoff(known)
+    expected = Survey.of(log.q, RATE).cutoff(resolutions)
+    in_blocks = survey.cutoff(resolutions)
     for name in ("hz", "encoder_step", "noise_density"):
         np.testing.assert_allclose(
-            getattr(found, name), getattr(expected, name), rtol=1e-9
+            getattr(in_blocks, name), getattr(expected, name), rtol=1e-9
         )

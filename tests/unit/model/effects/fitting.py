@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -18,12 +19,13 @@ from tests.unit.model.effects.scenes import motion_of, scene_of, wander
 # t (N,), q (N, n), dq (N, n) -> torque (N, n)
 Law = Callable[[Array, Array, Array], Array]
 
-FINE_HZ, STEP = 2400.0, 10
+FINE_HZ = 2400.0
+STEP = 10
 SHARPENED = 4  # times at most that settings are moved
 
 
 def direction(dq: Array) -> Array:
-    """Direction of the true motion; how wide its change is, the base model knows."""
+    """Return the direction of the true motion, as wide as the base model has it."""
     return np.asarray(np.tanh(dq / SIGN_WIDTH))
 
 
@@ -73,13 +75,14 @@ def moved_by(scene: Scene, truth: TorqueModel) -> Scene:
 
 
 def left_over(scene: Scene) -> Array:
+    """Return what the model leaves of the measured torque, (N, n) N m."""
     return scene.motion.tau - scene.modelled_filtered
 
 
 def rms_left(scenes: Sequence[Scene], joints: slice | int = slice(None)) -> float:
-    """RMS N m of what scenes' models leave at usable samples."""
-    left = [left_over(scene)[scene.motion.usable][:, joints] for scene in scenes]
-    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+    """Return the RMS N m of what scenes' models leave at usable samples."""
+    residuals = [left_over(scene)[scene.motion.usable][:, joints] for scene in scenes]
+    return float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
 
 
 def fitted(
@@ -89,32 +92,43 @@ def fitted(
     settings: Settings,
     free: Sequence[str] = (),
 ) -> tuple[Array, float]:
-    """Coefficients (k,) by least squares, and the RMS of what is left on the touched
-    joints.
+    """Fit an effect by least squares, on the joints that it touches.
 
     Beside the effect the direction, velocity or offset of each joint are `free`.
+    Returns the effect's coefficients (k,), and the RMS of what is left.
     """
-    X, y = [], []
+    X = []
+    y = []
     for scene in scenes:
-        rows, residual = scene.motion.usable, left_over(scene)
+        motion = scene.motion
+        usable = motion.usable
+        residual = left_over(scene)
         for j, column in effect.columns(scene, joint, settings).items():
-            terms = {"direction": scene.sign[:, j], "velocity": scene.motion.dq[:, j]}
-            terms["offset"] = np.ones(scene.samples)
-            base = [scene.motion.filtered(terms[name][:, None], 2) for name in free]
-            X.append(
-                np.hstack([scene.motion.filtered(column, effect.passes), *base])[rows]
-            )
-            y.append(residual[rows, j])
-    A, b = np.concatenate(X), np.concatenate(y)
+            terms = {
+                "direction": scene.sign[:, j],
+                "velocity": motion.dq[:, j],
+                "offset": np.ones(scene.samples),
+            }
+            base = [motion.filtered(terms[name][:, None], 2) for name in free]
+            columns = [motion.filtered(column, effect.passes), *base]
+            X.append(np.hstack(columns)[usable])
+            y.append(residual[usable, j])
+
+    A = np.concatenate(X)
+    b = np.concatenate(y)
     c = np.linalg.lstsq(A, b, rcond=None)[0]
-    return c[: column.shape[1]], float(np.sqrt(np.mean((b - A @ c) ** 2)))
+    rms = float(np.sqrt(np.mean((b - A @ c) ** 2)))
+    count = len(effect.coefficients(settings))
+    return c[:count], rms
 
 
 def fit(
     effect: Effect, scenes: Sequence[Scene], joint: int, *, offset: bool = True
 ) -> tuple[Settings, Array]:
-    """Search the grid, then between its points; direction, velocity and offset are
-    free.
+    """Search the grid, then between its points.
+
+    Direction, velocity and, if asked for, offset of the joint are free. Returns the
+    best settings and their coefficients.
     """
     free = ("direction", "velocity", "offset")[: 2 + offset]
     silence = [np.zeros_like(scene.motion.q) for scene in scenes]
@@ -126,47 +140,60 @@ def fit(
     between = effect.between(best)
 
     def moved(x: Array) -> Settings:
+        """Return the best settings moved by x - 1, or by ratio if searched so."""
         settings = dict(best)
-        for one, shift in zip(between, x - 1.0, strict=True):
-            value = (
-                best[one.name] * np.exp(shift)
-                if one.logarithmic
-                else best[one.name] + shift
-            )
-            settings[one.name] = float(np.clip(value, one.low, one.high))
+        for setting, shift in zip(between, x - 1.0, strict=True):
+            value = best[setting.name] + shift
+            if setting.logarithmic:
+                value = best[setting.name] * np.exp(shift)
+            settings[setting.name] = float(np.clip(value, setting.low, setting.high))
         return settings
 
     if between:
-        start, within = np.ones(len(between)), {"xatol": 1e-3, "fatol": 1e-6}
         search = minimize(
-            lambda x: left(moved(x)), start, method="Nelder-Mead", options=within
+            lambda x: left(moved(x)),
+            np.ones(len(between)),
+            method="Nelder-Mead",
+            options={"xatol": 1e-3, "fatol": 1e-6},
         )
         best = dict(moved(search.x))
     return best, fitted(effect, scenes, joint, best, free)[0]
 
 
-def best_fitted(
-    effect: Effect, scenes: list[Scene], joint: int | None
-) -> tuple[Mapping[str, float], Array, float]:
-    """Return the best plausible settings, their coefficients, and the RMS of the rest.
+class BestFit(NamedTuple):
+    """Settings, their coefficients, and the RMS of what they leave."""
+
+    settings: Mapping[str, float]
+    c: Array
+    rms: float
+
+
+def best_fitted(effect: Effect, scenes: list[Scene], joint: int | None) -> BestFit:
+    """Return the best plausible fit.
 
     Settings are the grid's, and then those to which the effect sharpens them: the first
     time in any case where the grid's columns are of first order, then while that leaves
     less.
     """
-    grid = effect.grid(scenes, joint, [left_over(scene) for scene in scenes])
-    tried = [(*fitted(effect, scenes, joint, settings), settings) for settings in grid]
-    sound = [one for one in tried if effect.plausible(scenes, joint, one[2], one[0])]
-    c, rms, settings = min(sound, key=lambda one: one[1])
+
+    def fit_of(settings: Mapping[str, float]) -> BestFit:
+        c, rms = fitted(effect, scenes, joint, settings)
+        return BestFit(settings, c, rms)
+
+    residuals = [left_over(scene) for scene in scenes]
+    fits = [fit_of(settings) for settings in effect.grid(scenes, joint, residuals)]
+    plausible = [
+        fit for fit in fits if effect.plausible(scenes, joint, fit.settings, fit.c)
+    ]
+    best = min(plausible, key=lambda fit: fit.rms)
     for number in range(SHARPENED):
-        nearer = effect.sharpened(settings, c)
+        nearer = effect.sharpened(best.settings, best.c)
         if nearer is None:
             break
-        again, left = fitted(effect, scenes, joint, nearer)
-        stands = number == 0 and effect.first_order
-        if not effect.plausible(scenes, joint, nearer, again) or not (
-            stands or left < rms
-        ):
+        sharpened = fit_of(nearer)
+        counts_anyway = number == 0 and effect.first_order
+        is_better = counts_anyway or sharpened.rms < best.rms
+        if not (is_better and effect.plausible(scenes, joint, nearer, sharpened.c)):
             break
-        c, rms, settings = again, left, nearer
-    return settings, c, rms
+        best = sharpened
+    return best

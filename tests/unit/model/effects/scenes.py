@@ -110,7 +110,8 @@ def scenes_of_logs() -> list[Scene]:
     """Return three logs on a shared clock, 300 s from start to start, that warm up."""
     scenes = []
     for number in range(3):
-        q, start = wander(20.0, seed=number), 300.0 * number
+        q = wander(20.0, seed=number)
+        start = 300.0 * number
         warm = 40.0 - 15.0 * np.exp(-(start + np.arange(len(q)) / RATE_HZ) / 400.0)
         heat = np.stack([warm, 0.5 * warm + 12.0], axis=1)
         scenes.append(

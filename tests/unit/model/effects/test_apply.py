@@ -53,7 +53,11 @@ def fitted(
     name: str, joint: int | None, c: list[float], **settings: float
 ) -> FittedEffect:
     return FittedEffect(
-        CATALOGUE[name], joint, settings, np.array(c), 1e-4 * np.eye(len(c))
+        effect=CATALOGUE[name],
+        joint=joint,
+        settings=settings,
+        coefficients=np.array(c),
+        covariance=1e-4 * np.eye(len(c)),
     )
 
 
@@ -83,27 +87,35 @@ def test_a_file_restores_the_torque_exactly(name: str, logs: list[Scene]) -> Non
     ]
     count = len(effect.coefficients(grid[-1]))
     c = 0.01 * np.random.default_rng(3).normal(size=count)
-    given = FittedEffect(effect, joint, grid[-1], c, 1e-6 * np.eye(count), SESSION)
-    (restored,) = fitted_effects(through_a_file(as_stage(given, ROBOT)), ROBOT)
-    assert restored.session == given.session
-    np.testing.assert_array_equal(restored.covariance, given.covariance)
-    again, before = (effect_torque(logs[1], [one]) for one in (restored, given))
-    np.testing.assert_array_equal(again, before)
+    written = FittedEffect(
+        effect=effect,
+        joint=joint,
+        settings=grid[-1],
+        coefficients=c,
+        covariance=1e-6 * np.eye(count),
+        session=SESSION,
+    )
+    (restored,) = fitted_effects(through_a_file(as_stage(written, ROBOT)), ROBOT)
+    assert restored.session == written.session
+    np.testing.assert_array_equal(restored.covariance, written.covariance)
+    np.testing.assert_array_equal(
+        effect_torque(logs[1], [restored]), effect_torque(logs[1], [written])
+    )
 
 
 def test_coefficients_that_came_later_are_zero_in_earlier_files(
     logs: list[Scene],
 ) -> None:
     """A cubic spring had no square."""
-    now = fitted("spring", 0, [3.0, -0.5, 0.8, 0.0], cubic=1.0)
-    earlier = as_stage(now, ROBOT)
+    with_square = fitted("spring", 0, [3.0, -0.5, 0.8, 0.0], cubic=1.0)
+    earlier = as_stage(with_square, ROBOT)
     earlier.coefficients = earlier.coefficients[:3]
     earlier.covariance = [row[:3] for row in earlier.covariance[:3]]
     (restored,) = fitted_effects(through_a_file(earlier), ROBOT)
     assert restored.covariance.shape == (4, 4)
     assert not restored.covariance[3].any()
     np.testing.assert_array_equal(
-        effect_torque(logs[1], [restored]), effect_torque(logs[1], [now])
+        effect_torque(logs[1], [restored]), effect_torque(logs[1], [with_square])
     )
 
 
@@ -201,7 +213,8 @@ def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
     not.
     """
     scene = logs[0]
-    log, slowest = recording_of(scene.motion.q, None), np.full(2, 0.02)
+    log = recording_of(scene.motion.q, None)
+    slowest = np.full(2, 0.02)
     added = added_torque(
         scene, log, [stribeck(), fitted("torque_bias", 1, [3.0])], slowest
     )
@@ -215,7 +228,8 @@ def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
 def test_a_recording_is_freed_of_its_effects() -> None:
     """A hump of friction and an offset on one joint, a wrong gain on the other."""
     scene = scene_of(wander(20.0, seed=4, rests=()))
-    q, dq = scene.motion.q, scene.motion.dq
+    q = scene.motion.q
+    dq = scene.motion.dq
     clean = scene.model.friction(q, dq)
     hump = np.exp(-((dq[:, 0] / 0.1) ** 2)) * np.tanh(dq[:, 0] / 0.01)
     dirty = clean + np.column_stack([hump + 0.3, 0.05 * clean[:, 1]])
@@ -224,6 +238,7 @@ def test_a_recording_is_freed_of_its_effects() -> None:
         fitted("torque_bias", 0, [0.3]),
         fitted("torque_constant", 1, [0.05]),
     ]
+
     joints = {
         name: friction_joint(
             surface.positive,
@@ -234,14 +249,15 @@ def test_a_recording_is_freed_of_its_effects() -> None:
         for name, surface in zip(ROBOT.joint_names, scene.model.surfaces, strict=True)
     }
     stages = Stages(friction=FrictionStage(joints=joints))
-    given, motion = recording_of(q, dirty), MotionOptions(cutoff_hz=CUTOFF_HZ)
-    freed = without_effects(given, ROBOT, stages, effects, motion=motion)
+    recording = recording_of(q, dirty)
+    motion = MotionOptions(cutoff_hz=CUTOFF_HZ)
+    freed = without_effects(recording, ROBOT, stages, effects, motion=motion)
+
     usable = scene.motion.usable
     np.testing.assert_allclose(freed.tau[usable, 1], clean[usable, 1], atol=1e-9)
-    left = freed.tau[usable, 0] - clean[usable, 0]
-    assert np.sqrt(np.mean(left**2)) < 0.05 * np.sqrt(
-        np.mean((hump[usable] + 0.3) ** 2)
-    )
+    rms_left = np.sqrt(np.mean((freed.tau[usable, 0] - clean[usable, 0]) ** 2))
+    rms_before = np.sqrt(np.mean((hump[usable] + 0.3) ** 2))
+    assert rms_left < 0.05 * rms_before
     assert freed.q is q
 
 
@@ -251,11 +267,11 @@ def test_an_encoder_error_is_taken_off_the_angle() -> None:
     turns = GEAR[0] * q[:, 0]
     error = 1e-3 * np.sin(turns) - 2e-3 * np.cos(turns)
     item = fitted("encoder_eccentricity", 0, [1e-3, -2e-3], order=1.0)
-    given = recording_of(q, np.zeros_like(q))
-    freed = without_effects(given, ROBOT, Stages(), [item], motion=MotionOptions())
+    recording = recording_of(q, np.zeros_like(q))
+    freed = without_effects(recording, ROBOT, Stages(), [item], motion=MotionOptions())
     np.testing.assert_allclose(freed.q[:, 0], q[:, 0] - error, atol=1e-12)
     np.testing.assert_array_equal(freed.q[:, 1], q[:, 1])
-    assert freed.tau is given.tau
+    assert freed.tau is recording.tau
 
 
 KNOTS = (-1.0, -0.3, 0.1, 0.4, 1.2)
@@ -264,24 +280,31 @@ KNOTS = (-1.0, -0.3, 0.1, 0.4, 1.2)
 def a_term() -> SmoothTerm:
     axes = (Axis("position", 1, KNOTS), Axis("velocity", 0, (-2.0, 0.0, 1.0)))
     c = np.random.default_rng(3).normal(size=axes[0].size * axes[1].size)
-    return SmoothTerm(1, ("position", "other_joint:joint_1"), axes, "direction", c)
+    return SmoothTerm(
+        joint=1,
+        quantities=("position", "other_joint:joint_1"),
+        axes=axes,
+        factor="direction",
+        coefficients=c,
+    )
 
 
 def test_a_term_survives_the_file_and_counts_when_asked() -> None:
-    scene, term = scene_of(wander(4.0, rests=())), a_term()
+    scene = scene_of(wander(4.0, rests=()))
+    term = a_term()
     entry = term.to_stage(ROBOT)
     assert {p.unit for p in entry.parameters} == {"N m"}
     stages = through_a_file(as_stage(stribeck(), ROBOT), entry)
     assert len(fitted_effects(stages, ROBOT)) == 1
     back = fitted_effects(stages, ROBOT, unexplained=True)[1]
-    parts = ("joint", "quantities", "axes", "factor")
-    assert [getattr(back, name) for name in parts] == [
-        getattr(term, name) for name in parts
-    ]
+    for name in ("joint", "quantities", "axes", "factor"):
+        assert getattr(back, name) == getattr(term, name)
     np.testing.assert_array_equal(
         effect_torque(scene, [back])[:, 1], term.torques(scene)[1]
     )
-    without, with_it = (effect_notes(stages, unexplained=x) for x in (False, True))
+
+    without = effect_notes(stages)
+    with_it = effect_notes(stages, unexplained=True)
     assert without[0] == "effects in the prediction: stribeck (joint_1)"
     assert "--with-unexplained" in without[1]
     assert with_it == [

@@ -29,7 +29,9 @@ from tests.unit.model.effects.fitting import (
 )
 from tests.unit.model.effects.scenes import scene_of, wander
 
-MASS, AT = 2.5, np.array([0.05, -0.1, 0.15])  # kg, m
+# kg, m
+MASS = 2.5
+AT = np.array([0.05, -0.1, 0.15])
 
 
 def point_mass() -> Array:
@@ -60,18 +62,18 @@ def test_the_lean_comes_back() -> None:
     axes = np.array(tilt_axes(scene.robot.gravity))
     lean = np.array([0.03, -0.02])
     turned = Rotation.from_rotvec(lean @ axes).apply(scene.robot.gravity)
-    seen = moved_by(
+    leaning = moved_by(
         scene, replace(scene.model, robot=replace(scene.robot, gravity=turned))
     )
     settings = {"upright": 0.0}
-    c, rms = fitted(BaseTilt(), [seen], None, settings)
+    c, rms = fitted(BaseTilt(), [leaning], None, settings)
     assert c == pytest.approx(lean, rel=0.05)
-    assert rms < 0.05 * rms_left([seen])
+    assert rms < 0.05 * rms_left([leaning])
     for _ in range(3):
         settings = BaseTilt().sharpened(settings, c)
-        c, rms = fitted(BaseTilt(), [seen], None, settings)
+        c, rms = fitted(BaseTilt(), [leaning], None, settings)
     assert c == pytest.approx(lean, rel=1e-4)
-    assert rms < 1e-5 * rms_left([seen])
+    assert rms < 1e-5 * rms_left([leaning])
 
 
 def upright_robot() -> Robot:
@@ -87,14 +89,15 @@ def test_the_first_links_moment_shows_once_its_axis_leans() -> None:
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 2))
     robot = upright_robot()
     assert first_joint_upright(robot)
-    still, phi = np.zeros_like(q), np.zeros((2, 10))
+    still = np.zeros_like(q)
+    phi = np.zeros((2, 10))
     phi[0, 1:4] = [0.7, -0.4, 0.2]
     lean = 0.02 * tilt_axes(robot.gravity)[0]
     across = np.cross(lean, robot.gravity)
     torque = inverse_dynamics(robot.chain, across, phi, q, still, still)
     X = first_link_moments(robot, across, q)
-    c, left = np.linalg.lstsq(X, torque[:, 0], rcond=None)[:2]
-    assert left.sum() < 1e-20
+    c, squares = np.linalg.lstsq(X, torque[:, 0], rcond=None)[:2]
+    assert squares.sum() < 1e-20
     assert np.linalg.norm(c) > 0
     upright = inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still)
     np.testing.assert_allclose(upright, 0.0, atol=1e-12)
@@ -108,11 +111,14 @@ def test_moments_without_a_tilt_are_none() -> None:
         assert BaseTilt().plausible([scene], None, {"upright": 1.0}, c) == believed
 
 
-K, REST, CUBIC = 12.0, 0.3, 4.0  # N m/rad, rad, N m/rad^3
+# N m/rad, rad, N m/rad^3
+K = 12.0
+REST = 0.3
+CUBIC = 4.0
 
 
 def of_energy(energy: Callable[[Array], Array]) -> Law:
-    """Torque of the first joint as the slope of an energy of its angle, by differences."""
+    """Return the first joint's torque: the slope of an energy of its angle."""
     return lambda t, q, dq: (
         (energy(q + 1e-4) - energy(q - 1e-4)) / 2e-4 * np.array([1.0, 0.0])
     )
@@ -143,7 +149,7 @@ def test_a_stiffening_cable_needs_the_cube() -> None:
 
 
 def test_a_spring_between_two_points_pulls_otherwise_on_either_side() -> None:
-    """A coil spring from a point 0.3 m off the axis to one 0.25 m off it on the link."""
+    """A coil spring from a point 0.3 m off the axis to one 0.25 m off, on the link."""
 
     def energy(q: Array) -> Array:
         length = np.sqrt(0.3**2 + 0.25**2 - 2 * 0.3 * 0.25 * np.cos(q + 0.5))

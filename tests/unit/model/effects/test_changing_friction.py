@@ -1,4 +1,4 @@
-"""Friction that changes: with the temperature of a simulated heat balance, and by wear."""
+"""Friction that changes: with the temperature of a heat balance, and by wear."""
 
 from dataclasses import replace
 
@@ -13,21 +13,30 @@ from tests.plants.robots.two_joint import torque_model
 from tests.unit.model.effects.fitting import direction, fit, fitted, trial
 from tests.unit.model.effects.scenes import scene_of, wander
 
-AMBIENT, CAPACITY, LOSS, POWER = 22.0, 600.0, 2.0, 40.0  # degC, J/K, W/K, W
+# degC, J/K, W/K, W
+AMBIENT = 22.0
+CAPACITY = 600.0
+LOSS = 2.0
+POWER = 40.0
 TIME_CONSTANT = CAPACITY / LOSS
-COULOMB_SLOPE, VISCOUS_SLOPE = 0.02, -0.05  # N m/K, N m s/(rad K)
-APART, LOGS, SECONDS = 200.0, 6, 12.0
+# N m/K, N m s/(rad K)
+COULOMB_SLOPE = 0.02
+VISCOUS_SLOPE = -0.05
+APART = 200.0
+LOGS = 6
+SECONDS = 12.0
 
 
 def temperature(t: Array) -> Array:
-    """Temperature [degC] of a gear that starts at the ambient's, by its heat balance."""
+    """Return the temperature [degC] of a gear that starts cold, by its heat balance."""
     return AMBIENT + POWER / LOSS * (1.0 - np.exp(-t / TIME_CONSTANT))
 
 
 def law(t: Array, q: Array, dq: Array) -> Array:
     """Friction of both joints at the temperature of the moment."""
     warmer = (temperature(t) - AMBIENT)[:, None]
-    coulomb, viscous = 2.0 + COULOMB_SLOPE * warmer, 1.5 + VISCOUS_SLOPE * warmer
+    coulomb = 2.0 + COULOMB_SLOPE * warmer
+    viscous = 1.5 + VISCOUS_SLOPE * warmer
     return coulomb * direction(dq) + viscous * dq
 
 
@@ -61,12 +70,12 @@ def test_a_change_is_counted_from_the_temperature_of_the_file(
     surfaces = tuple(
         replace(surface, temperature=12.0) for surface in scene.model.surfaces
     )
-    known = replace(warm, model=replace(scene.model, surfaces=surfaces))
+    identified = replace(warm, model=replace(scene.model, surfaces=surfaces))
     effect = ThermalFriction()
     assert {point["logged"] for point in effect.grid([warm], 0, [])} <= {0.0}
-    (point,) = effect.grid([known], 0, [])
+    (point,) = effect.grid([identified], 0, [])
     assert point["reference_temperature"] == 12.0
-    columns = effect.columns(known, 0, point)[0]
+    columns = effect.columns(identified, 0, point)[0]
     np.testing.assert_allclose(columns[:, 1], 40.0 * scene.motion.dq[:, 0])
     assert effect.searched(point) == 0
     assert effect.searched({**point, "logged": 0.0}) == 1
@@ -87,8 +96,9 @@ def times(scenes: list[Scene]) -> list[float]:
 
 
 def test_a_warm_up_longer_than_the_log_is_not_tried() -> None:
-    """Out of a log of 6 s none of 11 s, nor any other: it has to go by several times."""
-    effect, short = ThermalFriction(), [scene_of(wander(6.0))]
+    """A log of 6 s tells no time constant: several of them must go by."""
+    effect = ThermalFriction()
+    short = [scene_of(wander(6.0))]
     assert times(short) == []
     settings = {"warm_up_time": 11.0, "logged": 0.0, "reference_temperature": 0.0}
     assert not effect.plausible(short, 0, settings, np.ones(2))
@@ -108,19 +118,21 @@ def test_logs_on_one_clock_cover_a_warm_up_together(trials: list[Scene]) -> None
 
 
 def test_a_logged_temperature_needs_no_time(trials: list[Scene]) -> None:
-    effect, warm = ThermalFriction(), logged(trials[-1])
+    effect = ThermalFriction()
+    warm = logged(trials[-1])
     surfaces = tuple(
         replace(surface, temperature=12.0) for surface in warm.model.surfaces
     )
-    known = replace(warm, model=replace(warm.model, surfaces=surfaces))
-    (point,) = effect.grid([known], 0, [])
+    identified = replace(warm, model=replace(warm.model, surfaces=surfaces))
+    (point,) = effect.grid([identified], 0, [])
     assert point["logged"] == 1.0
-    assert effect.plausible([known], 0, {**point, "warm_up_time": 1e4}, np.ones(2))
+    assert effect.plausible([identified], 0, {**point, "warm_up_time": 1e4}, np.ones(2))
 
 
 def test_damaged_temperature_is_not_used(trials: list[Scene]) -> None:
     """Not numbers, or not degrees Celsius."""
-    effect, hot = ThermalFriction(), {"warm_up_time": 100.0, "logged": 1.0}
+    effect = ThermalFriction()
+    hot = {"warm_up_time": 100.0, "logged": 1.0}
     for bad in (np.nan, np.inf, 4000.0):
         scenes = [logged(each) for each in trials]
         scenes[0].temperature[7, 0] = bad
@@ -132,13 +144,13 @@ def test_damaged_temperature_is_not_used(trials: list[Scene]) -> None:
 def test_what_no_channel_tells_cannot_be_ruled_out() -> None:
     """Where file and logs know the temperature, and it is the same, it can."""
     short = scene_of(wander(10.0))
-    known = replace(short, temperature=np.full((short.samples, 2), AMBIENT))
+    logged_alone = replace(short, temperature=np.full((short.samples, 2), AMBIENT))
     surfaces = [
         replace(surface, temperature=AMBIENT) for surface in short.model.surfaces
     ]
-    same = replace(known, model=replace(known.model, surfaces=surfaces))
+    same = replace(logged_alone, model=replace(logged_alone.model, surfaces=surfaces))
     possible = [
-        ThermalFriction().possible([scene], 0) for scene in (short, known, same)
+        ThermalFriction().possible([scene], 0) for scene in (short, logged_alone, same)
     ]
     assert possible == [True, True, False]
 
@@ -152,7 +164,8 @@ def worn(t: Array, q: Array, dq: Array) -> Array:
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_the_change_comes_back(joint: int) -> None:
-    effect, scenes = FrictionChange(), [trial(worn, noise=0.2)]
+    effect = FrictionChange()
+    scenes = [trial(worn, noise=0.2)]
     c, _ = fitted(effect, scenes, joint, {})
     assert effect.change
     assert c == pytest.approx(WORN, rel=0.1)
@@ -161,9 +174,9 @@ def test_the_change_comes_back(joint: int) -> None:
 
 def test_friction_that_nobody_knew_has_not_changed() -> None:
     scene = scene_of(wander(10.0))
-    known = torque_model(scene.robot)
+    model = torque_model(scene.robot)
     half = scene_of(
-        wander(10.0), model=replace(known, surfaces=[known.surfaces[0], None])
+        wander(10.0), model=replace(model, surfaces=[model.surfaces[0], None])
     )
     assert FrictionChange().available([scene, half], 0)
     assert not FrictionChange().available([scene, half], 1)

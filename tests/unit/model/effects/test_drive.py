@@ -28,7 +28,8 @@ NOISE = 0.3  # N m per sample; the torque's RMS is 49 and 28 N m
 
 def scenes(distortion: Distortion, logs: int = 2) -> list[Scene]:
     """Logs, 100 s from start to start, whose torque went through a distortion."""
-    model, seen = torque_model(two_joint_robot()), []
+    model = torque_model(two_joint_robot())
+    of_logs = []
     for log in range(logs):
         q = wander(22.0, seed=log, rate_hz=FINE_HZ, rests=())
         dq, ddq = differentiate(q, FINE_HZ)
@@ -37,15 +38,15 @@ def scenes(distortion: Distortion, logs: int = 2) -> list[Scene]:
         true = (model.rigid(q, dq, ddq) + model.friction(q, dq))[inside]
         t = 100.0 * log + np.arange(len(true)) / FINE_HZ
         # Read as a drive reads: the mean over a sample, centred on it.
-        read = uniform_filter1d(distortion(t, true), FINE + 1, axis=0, mode="nearest")[
-            ::FINE
-        ]
-        logged = read + NOISE * np.random.default_rng(100 + log).normal(size=read.shape)
-        scene = scene_of(
-            q[inside][::FINE], log=log, start=100.0 * log, shared_clock=True
-        )
-        seen.append(replace(scene, motion=motion_of(q[inside][::FINE], tau=logged)))
-    return seen
+        means = uniform_filter1d(distortion(t, true), FINE + 1, axis=0, mode="nearest")
+        read = means[::FINE]
+        hiss = np.random.default_rng(100 + log).normal(size=read.shape)
+        logged = read + NOISE * hiss
+
+        positions = q[inside][::FINE]
+        scene = scene_of(positions, log=log, start=100.0 * log, shared_clock=True)
+        of_logs.append(replace(scene, motion=motion_of(positions, tau=logged)))
+    return of_logs
 
 
 def honest(t: Array, tau: Array) -> Array:
@@ -58,7 +59,7 @@ def late(samples: int) -> Distortion:
 
 
 def lagging(constant: float) -> Distortion:
-    """Return the command whose lagged version is the torque, by the inverse recursion."""
+    """Return the command whose lagged version is the torque: the inverse recursion."""
     past = np.exp(-1.0 / (FINE_HZ * constant))
     return lambda t, tau: np.vstack(
         [tau[:1], (tau[1:] - past * tau[:-1]) / (1.0 - past)]
@@ -69,11 +70,13 @@ def saturating(b: float) -> Distortion:
     """Bisect m (1 - b m^2) = tau on its rising branch."""
 
     def read(t: Array, tau: Array) -> Array:
-        low, high = np.zeros_like(tau), np.full_like(tau, 1.0 / np.sqrt(3.0 * b))
+        low = np.zeros_like(tau)
+        high = np.full_like(tau, 1.0 / np.sqrt(3.0 * b))
         for _ in range(60):
             middle = 0.5 * (low + high)
             less = middle * (1.0 - b * middle**2) < np.abs(tau)
-            low, high = np.where(less, middle, low), np.where(less, high, middle)
+            low = np.where(less, middle, low)
+            high = np.where(less, high, middle)
         return np.sign(tau) * low
 
     return read
@@ -110,19 +113,19 @@ def test_the_size_comes_back_down_to_the_floor(
     c: float,
     off: float,
 ) -> None:
-    _, found, left = best_fitted(CATALOGUE[name], scenes(distortion), joint)
-    assert found[0] == pytest.approx(c, abs=off)
+    _, coefficients, rms = best_fitted(CATALOGUE[name], scenes(distortion), joint)
+    assert coefficients[0] == pytest.approx(c, abs=off)
     alone = np.sqrt(np.mean(floor**2)) if joint is None else floor[joint]
-    assert left < 1.05 * alone * (1.08 if name == "torque_constant" else 1.0)
+    assert rms < 1.05 * alone * (1.08 if name == "torque_constant" else 1.0)
 
 
 def test_lag_and_delay_part_in_the_second_order() -> None:
     lagged = scenes(lagging(0.02))
-    left = [
+    rms = [
         best_fitted(CATALOGUE[name], lagged, 0)[2]
         for name in ("actuator_lag", "time_skew")
     ]
-    assert left[1] > 1.5 * left[0]
+    assert rms[1] > 1.5 * rms[0]
 
 
 @pytest.mark.parametrize("share", [0.05, 0.12])
@@ -131,10 +134,10 @@ def test_saturation_comes_back(floor: Array, share: float) -> None:
     peak = max(np.max(np.abs(s.modelled[s.motion.usable, 0])) for s in scenes(honest))
     b = share / peak**2
     bent = scenes(saturating(b))
-    settings, c, left = best_fitted(effect, bent, 0)
+    settings, c, rms = best_fitted(effect, bent, 0)
     assert c[0] == pytest.approx(b, rel=0.1)
     assert effect.plausible(bent, 0, settings, c)
-    assert left < 1.5 * floor[0]
+    assert rms < 1.5 * floor[0]
     exact, least = fitted(effect, bent, 0, {"around": b})
     assert exact[0] == pytest.approx(b, rel=0.01)
     assert least < 1.05 * floor[0]

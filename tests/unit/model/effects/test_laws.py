@@ -20,19 +20,25 @@ from seqid_cli.model.effects.presliding_hysteresis import PreslidingHysteresis
 from seqid_cli.model.effects.quadratic_drag import QuadraticDrag
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.stribeck import Stribeck
-from seqid_cli.model.torque import TorqueModel
 from seqid_cli.robot.base_parameters import STANDARD
 from tests import Array
 from tests.plants.robots.two_joint import GEAR, ROTOR, torque_model, two_joint_robot
 from tests.unit.model.effects.fitting import FINE_HZ, Law, direction, fit, trials
 from tests.unit.model.effects.scenes import scene_of, wander
 
-HEIGHT, SPEED = 2.0, 0.12  # N m, rad/s
+# N m, rad/s
+HEIGHT = 2.0
+SPEED = 0.12
 DRAG = 0.25  # N m s^2/rad^2
-FORTH, BACK = (3.0, 1.1), (2.2, 0.8)  # Coulomb N m, viscous N m s/rad
+# Coulomb N m, viscous N m s/rad
+FORTH = (3.0, 1.1)
+BACK = (2.2, 0.8)
 SHARE = 0.08
-DRIVING, BACKDRIVING = 0.82, 0.91
-TORQUE, DISTANCE = 5.0, 0.01  # N m, rad
+DRIVING = 0.82
+BACKDRIVING = 0.91
+# N m, rad
+TORQUE = 5.0
+DISTANCE = 0.01
 SOFT = {"trial_stiffness": 900.0, "encoder_side": 0.0, "damping_ratio": 0.15}
 
 
@@ -64,7 +70,8 @@ def dragged(t: Array, q: Array, dq: Array) -> Array:
 
 def one_sided(t: Array, q: Array, dq: Array) -> Array:
     """One law forth, another back, nothing at rest."""
-    dry, wet = np.where(dq > 0, FORTH[0], BACK[0]), np.where(dq > 0, FORTH[1], BACK[1])
+    dry = np.where(dq > 0, FORTH[0], BACK[0])
+    wet = np.where(dq > 0, FORTH[1], BACK[1])
     return dry * direction(dq) + wet * dq
 
 
@@ -83,7 +90,7 @@ def loaded(t: Array, q: Array, dq: Array) -> Array:
 
 
 def lossy(t: Array, q: Array, dq: Array) -> Array:
-    """Motor torque beyond the link's: the motor gives more, or the link drives it less."""
+    """Return motor torque beyond the link's: a motor gives more, or is driven less."""
     load = link_torque(q, dq)
     motor = np.where(load * dq > 0, load / DRIVING, load * BACKDRIVING)
     return motor - load + 2.0 * direction(dq) + 0.3 * dq
@@ -93,7 +100,8 @@ def dahl(q: Array, distance: float, substeps: int = 20) -> Array:
     """Integrate z' = v - |v| z / z_max by the midpoint rule, the speed constant in each
     sample.
     """
-    z, out = 0.0, np.zeros(len(q))
+    z = 0.0
+    out = np.zeros(len(q))
     for k, way in enumerate(np.diff(q) / substeps):
         for _ in range(substeps):
             half = z + 0.5 * (way - abs(way) * z / distance)
@@ -129,12 +137,12 @@ def test_the_law_comes_back(
     case: tuple[Effect, int, Law, int, float, float, float, Any],
 ) -> None:
     effect, joint, law, logs, noise, c, rel, settings = case
-    found, coefficients = fit(effect, trials(law, logs, noise=noise), joint)
+    fitted_settings, coefficients = fit(effect, trials(law, logs, noise=noise), joint)
     assert coefficients[0] == pytest.approx(c, rel=rel)
     if settings is not None:
-        known = 0.03 if effect.name == "presliding_hysteresis" else 0.1
-        assert list(found.values()) == pytest.approx(settings, rel=known)
-        assert effect.name != "stribeck" or found["exponent"] == settings[1]
+        tolerance = 0.03 if effect.name == "presliding_hysteresis" else 0.1
+        assert list(fitted_settings.values()) == pytest.approx(settings, rel=tolerance)
+        assert effect.name != "stribeck" or fitted_settings["exponent"] == settings[1]
 
 
 @pytest.mark.parametrize("offset", [False, True])
@@ -149,7 +157,8 @@ def test_half_differences_come_back(offset: bool) -> None:
 
 
 def test_drag_is_not_called_nonlinear_viscous() -> None:
-    effect, logs = NonlinearViscous(), trials(powered(0.3, 2.0))
+    effect = NonlinearViscous()
+    logs = trials(powered(0.3, 2.0))
     settings, c = fit(effect, logs, joint=0)
     assert settings["exponent"] == pytest.approx(2.0, abs=0.1)
     assert not effect.plausible(logs, 0, settings, c)
@@ -186,7 +195,8 @@ def test_what_motion_or_shape_contradicts_is_not_believed(
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_efficiencies_come_back(joint: int) -> None:
-    effect, logs = GearEfficiency(), trials(lossy, noise=0.2)
+    effect = GearEfficiency()
+    logs = trials(lossy, noise=0.2)
     _, c = fit(effect, logs, joint)
     values = {
         v.name: v for v in effect.values(logs[0].robot, joint, {}, c, 1e-6 * np.eye(2))
@@ -203,8 +213,9 @@ def test_efficiencies_come_back(joint: int) -> None:
 
 def test_without_a_rigid_body_there_is_no_load() -> None:
     robot = two_joint_robot()
-    unknown = TorqueModel(robot, torque_model(robot).surfaces, None, None, "diagonal")
-    effect, q = LoadDependentFriction(), wander(10.0)
+    unknown = replace(torque_model(robot), phi=None, rotor=None, coupling="diagonal")
+    effect = LoadDependentFriction()
+    q = wander(10.0)
     assert effect.available([scene_of(q)], 0)
     assert not effect.available([scene_of(q), scene_of(q, model=unknown)], 0)
 
@@ -213,19 +224,18 @@ def test_a_rotor_that_nobody_knows_does_not_load_the_gear() -> None:
     """The first joint's rotor stands in its link's inertia; what is lost tells them
     apart.
     """
-    robot, reflected = two_joint_robot(), GEAR[0] ** 2 * ROTOR[0]
+    robot = two_joint_robot()
+    reflected = GEAR[0] ** 2 * ROTOR[0]
     first = replace(robot.joints[0], rotor_inertia=None)
-    robot, model = (
-        replace(robot, joints=(first, *robot.joints[1:])),
-        torque_model(robot),
-    )
+    model = torque_model(robot)
+    robot = replace(robot, joints=(first, *robot.joints[1:]))
     lumped = model.phi.copy()
     lumped[0, STANDARD.index("Izz")] += reflected
     model = replace(
         model, robot=robot, phi=lumped, rotor=np.array([0.0, model.rotor[1]])
     )
     logs = trials(loaded, noise=0.2, top_hz=1.5)
-    logs = [replace(one, robot=robot, model=model) for one in logs]
+    logs = [replace(scene, robot=robot, model=model) for scene in logs]
     settings, c = fit(LoadDependentFriction(), logs, 0)
     assert c[0] == pytest.approx(SHARE, rel=0.05)
     assert settings[REFLECTED] == pytest.approx(reflected, rel=0.15)

@@ -43,7 +43,8 @@ def effect_of(own_effect: OwnEffect) -> Effect:
 
 
 def test_columns_are_what_the_formula_says(place: Scene) -> None:
-    q, dq = place.motion.q, place.motion.dq
+    q = place.motion.q
+    dq = place.motion.dq
     text = (
         "c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2 + 3*c2*min(q, 0.1) + c3*sign(dq_1)"
     )
@@ -60,12 +61,12 @@ def test_columns_are_what_the_formula_says(place: Scene) -> None:
     "name", ["q", "dq", "ddq", "theta", "load", "friction", "tau", "t"]
 )
 def test_every_symbol_is_a_quantity_of_its_joint(place: Scene, name: str) -> None:
-    own, second = (
+    unnumbered, numbered = (
         effect_of(asked(f"c*{text}")).columns(place, 1, {})[1]
         for text in (name, f"{name}_2")
     )
-    assert np.ptp(own) > 0.0
-    assert np.array_equal(own, second)
+    assert np.ptp(unnumbered) > 0.0
+    assert np.array_equal(unnumbered, numbered)
 
 
 def test_what_is_no_number_is_said_and_not_fitted(place: Scene) -> None:
@@ -77,7 +78,13 @@ def test_what_is_no_number_is_said_and_not_fitted(place: Scene) -> None:
 def test_it_is_written_and_restored_and_sent_to_other_processes(place: Scene) -> None:
     robot = replace(two_joint_robot(), effects=(asked("c*sin(p*dq_1)", p=(0.5, 4.0)),))
     effect = pickle.loads(pickle.dumps(catalogue_of(robot)["drag"]))
-    fitted = FittedEffect(effect, 1, {"p": 2.0}, np.array([0.3]), np.eye(1))
+    fitted = FittedEffect(
+        effect=effect,
+        joint=1,
+        settings={"p": 2.0},
+        coefficients=np.array([0.3]),
+        covariance=np.eye(1),
+    )
     stages = Stages(effects=[as_stage(fitted, robot)])
     (back,) = fitted_effects(stages, robot)
     assert back.torques(place)[1] == pytest.approx(
@@ -137,7 +144,7 @@ def test_it_asks_for_the_temperature_that_it_names(place: Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "known"),
+    ("text", "steady"),
     [
         ("c*dq**2*sign(dq)", True),
         ("c*abs(load)*sign(dq)", True),
@@ -146,5 +153,5 @@ def test_it_asks_for_the_temperature_that_it_names(place: Scene) -> None:
         ("c*temperature*sign(dq)", False),
     ],
 )
-def test_friction_trials_had_what_steady_motion_tells(text: str, known: bool) -> None:
-    assert effect_of(asked(text)).steady == known
+def test_friction_trials_had_what_steady_motion_tells(text: str, steady: bool) -> None:
+    assert effect_of(asked(text)).steady == steady

@@ -59,8 +59,8 @@ Grids = Mapping[int | None, list[Settings]]
 @pytest.fixture(scope="module")
 def grids(effect: Effect, logs: list[Scene]) -> Grids:
     """The grid of each joint, which the tests of an effect share."""
-    every = [None] if effect.arm else [0, 1, None] if effect.shared else [0, 1]
-    available = [joint for joint in every if effect.available(logs, joint)]
+    joints = [None] if effect.arm else [0, 1, None] if effect.shared else [0, 1]
+    available = [joint for joint in joints if effect.available(logs, joint)]
     return {joint: settings_of(effect, logs, joint) for joint in available}
 
 
@@ -84,7 +84,7 @@ def assert_sound(
 
 
 def test_names_are_known() -> None:
-    """What other people's scripts read."""
+    """Scripts of other people read these names."""
     assert all(name == effect.name for name, effect in CATALOGUE.items())
     assert set(CATALOGUE) == CONTRACT | ADDED
 
@@ -94,11 +94,11 @@ def test_parameters_have_names_units_and_bounds(effect: Effect, grids: Grids) ->
     for _, settings in points(grids):
         coefficients = effect.coefficients(settings)
         assert coefficients
-        every = [*effect.settings, *coefficients]
-        assert all(UNIT.match(one.unit) and one.low < one.high for one in every)
-        assert all(one.low <= 0.0 <= one.high for one in coefficients)
-        assert all(one.low > 0.0 for one in effect.settings if one.logarithmic)
-        names = [one.name for one in every]
+        specs = [*effect.settings, *coefficients]
+        assert all(UNIT.match(spec.unit) and spec.low < spec.high for spec in specs)
+        assert all(spec.low <= 0.0 <= spec.high for spec in coefficients)
+        assert all(spec.low > 0.0 for spec in effect.settings if spec.logarithmic)
+        names = [spec.name for spec in specs]
         assert len(set(names)) == len(names)
         assert all(re.fullmatch(r"[a-z][a-zA-Z0-9_]*", name) for name in names)
 
@@ -106,14 +106,15 @@ def test_parameters_have_names_units_and_bounds(effect: Effect, grids: Grids) ->
 def test_the_grid_names_all_settings_within_bounds(
     effect: Effect, grids: Grids
 ) -> None:
-    asked = {one.name for one in effect.settings if one.asked}
-    known = {one.name: one for one in effect.settings}
+    required = {setting.name for setting in effect.settings if setting.asked}
+    by_name = {setting.name: setting for setting in effect.settings}
     for grid in grids.values():
         assert len({tuple(sorted(point.items())) for point in grid}) == len(grid) <= 200
         for point in grid:
-            assert asked <= set(point) <= set(known)
+            assert required <= set(point) <= set(by_name)
             assert all(
-                known[name].low <= x <= known[name].high for name, x in point.items()
+                by_name[name].low <= x <= by_name[name].high
+                for name, x in point.items()
             )
 
 
@@ -152,7 +153,8 @@ def test_sharpened_settings_keep_the_rules(
 
 def cut(scene: Scene, first: int) -> Scene:
     """Leave off the first samples; the clock runs on."""
-    motion, begun = scene.motion, float(scene.motion.t[first])
+    motion = scene.motion
+    begun = float(scene.motion.t[first])
     series = ("q", "dq", "ddq", "tau", "moving", "usable", "valid")
     late = {name: getattr(motion, name)[first:] for name in series}
     motion = replace(motion, **late, t=motion.t[first:] - begun)
@@ -162,15 +164,17 @@ def cut(scene: Scene, first: int) -> Scene:
 
 def test_the_past_is_forgotten(effect: Effect, logs: list[Scene], grids: Grids) -> None:
     """A log that begins later gives the same columns, once any state has settled."""
-    scene, first, settle = logs[0], round(8 * RATE_HZ), round(6 * RATE_HZ)
+    scene = logs[0]
+    first = round(8 * RATE_HZ)
+    settle = round(6 * RATE_HZ)
     late = cut(scene, first)
     for joint, settings in points(grids):
-        whole = effect.columns(scene, joint, settings)
-        part = effect.columns(late, joint, settings)
-        for j, values in whole.items():
+        of_all = effect.columns(scene, joint, settings)
+        of_late = effect.columns(late, joint, settings)
+        for j, values in of_all.items():
             wanted = values[first + settle :]
             scale = np.max(np.abs(wanted), initial=1e-12)
-            np.testing.assert_allclose(part[j][settle:], wanted, atol=1e-3 * scale)
+            np.testing.assert_allclose(of_late[j][settle:], wanted, atol=1e-3 * scale)
 
 
 def test_values_are_finite_and_in_the_joints_units(
@@ -180,14 +184,17 @@ def test_values_are_finite_and_in_the_joints_units(
     slide = two_joint_robot(prismatic=True)
     for joint, settings in points(grids):
         count = len(effect.coefficients(settings))
-        c, covariance = np.linspace(0.1, 0.2, count), 1e-4 * np.eye(count)
+        c = np.linspace(0.1, 0.2, count)
+        covariance = 1e-4 * np.eye(count)
         for robot in (logs[0].robot, slide):
             values = effect.values(robot, joint, settings, c, covariance)
             assert values
-            assert np.isfinite([(one.value, one.std_error) for one in values]).all()
-            assert all(one.std_error >= 0.0 for one in values)
+            assert np.isfinite(
+                [(value.value, value.std_error) for value in values]
+            ).all()
+            assert all(value.std_error >= 0.0 for value in values)
             force = robot is slide and joint == 1
-            assert not force or all("N m" not in one.unit for one in values)
+            assert not force or all("N m" not in value.unit for value in values)
 
 
 def test_plausibility_is_decided(

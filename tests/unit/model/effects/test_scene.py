@@ -7,7 +7,8 @@ import pytest
 
 from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, scene_of
 
-SPEED, HUNTS_HZ = 0.3, 3.0 * CUTOFF_HZ
+SPEED = 0.3
+HUNTS_HZ = 3.0 * CUTOFF_HZ
 
 
 @pytest.mark.parametrize(
@@ -23,9 +24,10 @@ def test_a_joint_that_stops_above_the_cut_off(swing: float, stops: bool) -> None
         (t > 4.0) & (t < 6.0), swing * SPEED * np.sin(rate * t) / rate, 0.0
     )
     q = np.column_stack([SPEED * t + hunts, np.sin(t)])
-    seen = replace(scene_of(q), encoder=q)
-    inside, before = (t > 4.5) & (t < 5.5), (t > 2.0) & (t < 3.5)
-    assert np.min(seen.motion.dq[inside, 0]) > 0.1 * SPEED
-    assert np.all(seen.stops[inside, 0] == stops)
-    assert not np.any(seen.stops[before, 0])
-    assert np.all(seen.slides[inside | before, 0])
+    hunting = replace(scene_of(q), encoder=q)
+    inside = (t > 4.5) & (t < 5.5)
+    earlier = (t > 2.0) & (t < 3.5)
+    assert np.min(hunting.motion.dq[inside, 0]) > 0.1 * SPEED
+    assert np.all(hunting.stops[inside, 0] == stops)
+    assert not np.any(hunting.stops[earlier, 0])
+    assert np.all(hunting.slides[inside | earlier, 0])

@@ -41,10 +41,8 @@ def test_the_stiffness_comes_back(
     """Also with the resonance inside the band; the robot file tells where the encoder
     sits.
     """
-    effect, logs = (
-        JointElasticity(),
-        [run(Gear(STIFFNESS, 2.0), seed=seed) for seed in range(2)],
-    )
+    effect = JointElasticity()
+    logs = [run(Gear(STIFFNESS, 2.0), seed=seed) for seed in range(2)]
     scenes = [scene(log, cutoff_hz=cutoff_hz, side=side) for log in logs]
     settings, c, rms = best_fitted(effect, scenes, 0)
     value = effect.values(scenes[0].robot, 0, settings, c, np.array([[1e-14]]))[0]
@@ -83,17 +81,20 @@ def test_values_are_stated_where_a_rotor_is_known_apart_from_its_link(
     """The first joint turns both alike in every motion; of the second it depends on the
     arm.
     """
-    effect, known, c = CATALOGUE[name], two_joint_robot(), np.array([1e-3])
-    (value,) = effect.reported(known, 0, settings, c, np.eye(1))
+    effect = CATALOGUE[name]
+    with_rotors = two_joint_robot()
+    c = np.array([1e-3])
+    (value,) = effect.reported(with_rotors, 0, settings, c, np.eye(1))
     assert value.value > 0.0
-    assert not effect.lacking(known, 0)
-    robot = replace(
-        known, joints=tuple(replace(x, rotor_inertia=None) for x in known.joints)
+    assert not effect.lacking(with_rotors, 0)
+    without_rotors = replace(
+        with_rotors,
+        joints=tuple(replace(x, rotor_inertia=None) for x in with_rotors.joints),
     )
-    assert effect.reported(robot, 0, settings, c, np.eye(1)) == []
-    for part in ("rotor_inertia", robot.joint_names[0]):
-        assert part in effect.lacking(robot, 0)
-    assert effect.reported(robot, 1, settings, c, np.eye(1))
+    assert effect.reported(without_rotors, 0, settings, c, np.eye(1)) == []
+    for part in ("rotor_inertia", without_rotors.joint_names[0]):
+        assert part in effect.lacking(without_rotors, 0)
+    assert effect.reported(without_rotors, 1, settings, c, np.eye(1))
 
 
 ERROR = 3e-5  # kg m^2, of a rotor
@@ -101,9 +102,11 @@ ERROR = 3e-5  # kg m^2, of a rotor
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_the_missing_inertia_comes_back(joint: int) -> None:
-    seen = scene_of(wander(10.0))
-    heavier = replace(seen.model, rotor=np.array(ROTOR) + ERROR * np.eye(2)[joint])
-    c, rms = fitted(RotorInertia(), [moved_by(seen, heavier)], joint, {"coupling": 0.0})
+    plain = scene_of(wander(10.0))
+    heavier = replace(plain.model, rotor=np.array(ROTOR) + ERROR * np.eye(2)[joint])
+    c, rms = fitted(
+        RotorInertia(), [moved_by(plain, heavier)], joint, {"coupling": 0.0}
+    )
     assert c[0] == pytest.approx(ERROR, rel=1e-6)
     assert rms < 1e-9
 
@@ -115,7 +118,8 @@ def test_the_spin_of_a_carried_rotor_comes_back() -> None:
     c, rms = fitted(RotorInertia(), [moved_by(plain, turning)], 1, {"coupling": 1.0})
     assert c[0] == pytest.approx(ROTOR[1], rel=1e-6)
     assert rms < 1e-9
-    motion, chain = plain.motion, plain.robot.chain
+    motion = plain.motion
+    chain = plain.robot.chain
     along = (chain.rotation[1] @ chain.axis[1])[2]  # link 1 turns about the base's z
     moment = np.gradient(GEAR[1] * motion.dq[:, 1] * along, 1.0 / motion.rate_hz)
     column = RotorInertia().columns(plain, 1, {"coupling": 1.0})[0][:, 0]
@@ -124,7 +128,9 @@ def test_the_spin_of_a_carried_rotor_comes_back() -> None:
     )
 
 
-SIN, COS = 1.2e-4, -0.9e-4  # rad at the joint: 6 and 4.5 mrad at the motor
+# rad at the joint: 6 and 4.5 mrad at the motor
+SIN = 1.2e-4
+COS = -0.9e-4
 
 
 def misread(order: float, seed: int) -> Scene:
@@ -157,7 +163,10 @@ def test_error_and_order_of_an_encoder_come_back(order: float) -> None:
     assert values[0].std_error == pytest.approx(1e-6)
 
 
-COULOMB, VISCOUS, INERTIA = 2.1, 0.6, 0.05  # of a motor that turns with two joints
+# of a motor that turns with two joints
+COULOMB = 2.1
+VISCOUS = 0.6
+INERTIA = 0.05
 
 
 def friction_and_inertia(rate: Array) -> Array:
@@ -195,17 +204,19 @@ def test_friction_and_inertia_of_the_motor_come_back(ratio: float) -> None:
 
 def test_both_neighbours_are_tried() -> None:
     """Ratios between a slide and a turn are in units of their top speeds."""
-    seen, effect = scene_of(wander(20.0, seed=4, rests=())), TransmissionCoupling()
-    grids = [(j, s) for j in (0, 1) for s in effect.grid([seen], j, [])]
+    turning = scene_of(wander(20.0, seed=4, rests=()))
+    effect = TransmissionCoupling()
+    grids = [(j, s) for j in (0, 1) for s in effect.grid([turning], j, [])]
     offered = [(j, s["neighbour"]) for j, s in grids if s["ratio"] == 1.0]
     assert offered == [(0, 1.0), (1, -1.0)]
     q = wander(20.0, seed=4, rests=()) * np.array([1.0, 0.05])
     screw = scene_of(q, robot=two_joint_robot(prismatic=True))
     top = np.max(np.abs(screw.motion.dq), axis=0)
-    one, other = ([s["ratio"] for s in effect.grid([screw], j, [])] for j in (1, 0))
-    assert max(one) == pytest.approx(top[1] / top[0])
-    assert max(one) < 0.2
-    assert 1 / max(one) in [pytest.approx(ratio) for ratio in other]
+    of_slide = [settings["ratio"] for settings in effect.grid([screw], 1, [])]
+    of_turn = [settings["ratio"] for settings in effect.grid([screw], 0, [])]
+    assert max(of_slide) == pytest.approx(top[1] / top[0])
+    assert max(of_slide) < 0.2
+    assert 1 / max(of_slide) in [pytest.approx(ratio) for ratio in of_turn]
 
 
 def test_nobody_can_say_what_a_drive_that_sticks_has() -> None:

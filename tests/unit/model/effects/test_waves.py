@@ -17,13 +17,14 @@ from tests import Array
 from tests.plants.robots.two_joint import GEAR, two_joint_robot
 from tests.unit.model.effects.scenes import RATE_HZ, scene_of, wander
 
-SIN, COS = 0.6, 0.8
+SIN = 0.6
+COS = 0.8
 
 
 def rippling(
     order: float, law: int, *, seed: int, gear: float = GEAR[1], lag: float = 0.0
 ) -> tuple[Scene, Array]:
-    """Return a scene and its unfiltered residual: ripple, noise and a bump of position."""
+    """Return a scene and its unfiltered residual: ripple, noise, a bump of position."""
     robot = two_joint_robot()
     joints = (
         robot.joints[0],
@@ -32,13 +33,20 @@ def rippling(
     scene = scene_of(
         wander(30.0, seed=seed, amplitude=1.5), robot=replace(robot, joints=joints)
     )
-    q, v, rng = scene.motion.q[:, 1], scene.motion.dq[:, 1], np.random.default_rng(seed)
-    size = (1.0, 0.05 * scene.modelled[:, 1], np.sign(v), 0.05 * scene.load[:, 1])[law]
-    p = order * gear * (q - lag * v)
-    residual = rng.normal(size=scene.motion.q.shape)
-    residual[:, 1] += size * (SIN * np.sin(p) + COS * np.cos(p)) + 0.5 * np.exp(
-        -((q - 0.4) ** 2)
+    q = scene.motion.q[:, 1]
+    v = scene.motion.dq[:, 1]
+    rng = np.random.default_rng(seed)
+    multipliers = (
+        1.0,
+        0.05 * scene.modelled[:, 1],
+        np.sign(v),
+        0.05 * scene.load[:, 1],
     )
+    p = order * gear * (q - lag * v)
+    ripple = multipliers[law] * (SIN * np.sin(p) + COS * np.cos(p))
+    bump = 0.5 * np.exp(-((q - 0.4) ** 2))
+    residual = rng.normal(size=scene.motion.q.shape)
+    residual[:, 1] += ripple + bump
     residual[~scene.motion.usable] = 0.0
     return scene, residual
 
@@ -46,10 +54,12 @@ def rippling(
 def best_of(
     scenes: Sequence[Scene], residual: Sequence[Array]
 ) -> tuple[Settings, Array]:
-    """The point of the ripple's grid that leaves least of the second joint's, and its
-    sizes.
+    """Return the point of the ripple's grid that leaves least, and its coefficients.
+
+    It is of the second joint.
     """
-    y, tried = np.concatenate([r[:, 1] for r in residual]), []
+    y = np.concatenate([r[:, 1] for r in residual])
+    tried = []
     for settings in TorqueRipple().grid(scenes, 1, residual):
         X = np.concatenate(
             [TorqueRipple().columns(scene, 1, settings)[1] for scene in scenes]
@@ -74,9 +84,7 @@ def test_order_law_and_size_come_back(order: float, gear: float, law: int) -> No
     assert best["law"] == law
     assert best["order"] == pytest.approx(order, abs=0.0 if gear != 1.0 else 0.02)
     scale, unit = (0.05, "1") if LAWS[law] in ("torque", "load") else (1.0, "N m")
-    size, phase = TorqueRipple().values(scenes[0].robot, 1, best, c, 1e-6 * np.eye(2))[
-        :2
-    ]
+    size, phase = TorqueRipple().values(scenes[0].robot, 1, best, c, 1e-6 * np.eye(2))
     assert (size.value, size.unit) == (pytest.approx(scale, rel=0.1), unit)
     assert phase.value == pytest.approx(np.arctan2(COS, SIN), abs=0.15)
 
@@ -103,7 +111,8 @@ def test_usual_orders_are_tried_where_logs_are_too_fast_for_their_spectrum() -> 
 
 
 EFFECT = CATALOGUE["periodic_disturbance"]
-AMPLITUDE, NOISE = 0.3, 0.3
+AMPLITUDE = 0.3
+NOISE = 0.3
 
 
 def logs(*, shared: bool = True) -> list[Scene]:
@@ -128,7 +137,7 @@ def line(scene: Scene, frequency: float, phase: float = 0.7) -> Array:
 def solved(
     scenes: Sequence[Scene], residual: Sequence[Array]
 ) -> tuple[Settings, Array, Array]:
-    """The one line that is found, its columns' coefficients, and what they leave."""
+    """Return the only line of the grid, its coefficients, and what they leave."""
     (settings,) = EFFECT.grid(scenes, 0, residual)
     X = np.concatenate([EFFECT.columns(s, 0, settings)[0] for s in scenes])
     y = np.concatenate([r[:, 0] for r in residual])
@@ -159,12 +168,12 @@ def test_a_line_comes_back(frequency: float) -> None:
 
 def test_logs_without_a_common_clock_have_their_own_phases() -> None:
     scenes = logs(shared=False)
-    settings, c, left = solved(
+    settings, c, residual = solved(
         scenes, [line(s, 50.0, phase=1.3 * s.log) for s in scenes]
     )
     assert settings["clocks"] == 4.0
     assert settings["frequency"] == pytest.approx(50.0, abs=0.005)
-    assert np.std(left) < 1.02 * NOISE
+    assert np.std(residual) < 1.02 * NOISE
     values = EFFECT.values(scenes[0].robot, 0, settings, c, 1e-4 * np.eye(8))
     assert [v.name for v in values] == ["amplitude", "frequency"]
     assert values[0].value == pytest.approx(AMPLITUDE, rel=0.05)
@@ -180,17 +189,17 @@ def test_a_line_counts_where_the_joint_slides() -> None:
     resting = scene_of(wander(20.0, seed=7, rests=((2.0, 18.5),)), log=1)
     scenes = [moving, resting]
     residual = [np.where(scene.slides, line(scene, 5.3), 0.0) for scene in scenes]
-    found = [settings["frequency"] for settings in EFFECT.grid(scenes, 0, residual)]
-    assert found[0] == pytest.approx(5.3, abs=0.02)
+    frequencies = [
+        settings["frequency"] for settings in EFFECT.grid(scenes, 0, residual)
+    ]
+    assert frequencies[0] == pytest.approx(5.3, abs=0.02)
     assert np.mean(resting.slides[:, 0]) < 0.25 * np.mean(moving.slides[:, 0])
 
 
 def test_nothing_in_noise_nor_on_the_other_joint() -> None:
     scenes = logs()
-    assert (
-        list(EFFECT.grid(scenes, 0, [noise_like(s, 50 + s.log, NOISE) for s in scenes]))
-        == []
-    )
+    noise = [noise_like(s, 50 + s.log, NOISE) for s in scenes]
+    assert list(EFFECT.grid(scenes, 0, noise)) == []
     assert list(EFFECT.grid(scenes, 1, [line(s, 50.0) for s in scenes])) == []
 
 

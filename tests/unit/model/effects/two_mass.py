@@ -19,10 +19,14 @@ from tests.plants.robots.small import robot_from_chain
 from tests.plants.robots.two_joint import SIGN_WIDTH, friction_surface
 from tests.unit.model.effects.scenes import motion_of
 
-MOTOR, LINK = 0.4, 0.8  # kg m^2 at the joint
+# kg m^2 at the joint
+MOTOR = 0.4
+LINK = 0.8
 WEIGHT = 8.0  # N m, of the level link
-COULOMB, VISCOUS = 3.0, 1.0
-STEP_S, LOG_HZ = 2e-5, 1000.0
+COULOMB = 3.0
+VISCOUS = 1.0
+STEP_S = 2e-5
+LOG_HZ = 1000.0
 
 
 @dataclass(frozen=True)
@@ -34,12 +38,18 @@ class Gear:
     gap: float = 0.0
 
     def torque(self, lead: float, rate: float) -> float:
-        """Torque on the link, N m; flanks push and do not pull, where there is play."""
+        """Return the torque on the link, N m.
+
+        Where there is play, flanks push and do not pull.
+        """
         if self.gap == 0.0:
             return self.stiffness * lead + self.damping * rate
-        side, depth = math.copysign(1.0, lead), abs(lead) - 0.5 * self.gap
+        side = math.copysign(1.0, lead)
+        depth = abs(lead) - 0.5 * self.gap
+        if depth <= 0.0:
+            return 0.0
         flank = self.stiffness * depth + side * self.damping * rate
-        return side * max(0.0, flank) if depth > 0.0 else 0.0
+        return side * max(0.0, flank)
 
 
 class Log(NamedTuple):
@@ -53,25 +63,36 @@ class Log(NamedTuple):
 @cache
 def run(gear: Gear, *, seed: int = 0, seconds: float = 8.0) -> Log:
     """Follow a sum of sines; logged in the middle of each control period."""
-    every, rows = round(1 / (LOG_HZ * STEP_S)), []
+    period = round(1 / (LOG_HZ * STEP_S))
     plan = _plan(seed, round(seconds / STEP_S))
     angle, speed, _ = next(plan)
-    link, link_speed, command = angle, speed, 0.0
-    motor, motor_speed = angle + WEIGHT * math.sin(angle) / gear.stiffness, speed
+    link = angle
+    link_speed = speed
+    motor = angle + WEIGHT * math.sin(angle) / gear.stiffness
+    motor_speed = speed
+    command = 0.0
+
+    rows = []
     for k, (wanted, rate, acceleration) in enumerate(plan):
-        if k % every == 0:
-            rub = COULOMB * math.tanh(rate / SIGN_WIDTH) + VISCOUS * rate
-            known = (MOTOR + LINK) * acceleration + WEIGHT * math.sin(wanted) + rub
-            command = 3000 * (wanted - motor) + 70 * (rate - motor_speed) + known
-        if k % every == every // 2:
+        # The controller knows the arm, but not the gear.
+        if k % period == 0:
+            friction = COULOMB * math.tanh(rate / SIGN_WIDTH) + VISCOUS * rate
+            inertial = (MOTOR + LINK) * acceleration
+            modelled = inertial + WEIGHT * math.sin(wanted) + friction
+            feedback = 3000 * (wanted - motor) + 70 * (rate - motor_speed)
+            command = feedback + modelled
+        if k % period == period // 2:
             rows.append((motor, link, command))
+
         passed = gear.torque(motor - link, motor_speed - link_speed)
-        rub = COULOMB * math.tanh(motor_speed / SIGN_WIDTH) + VISCOUS * motor_speed
-        motor_speed += STEP_S * (command - passed - rub) / MOTOR
+        friction = COULOMB * math.tanh(motor_speed / SIGN_WIDTH)
+        friction += VISCOUS * motor_speed
+        motor_speed += STEP_S * (command - passed - friction) / MOTOR
         link_speed += STEP_S * (passed - WEIGHT * math.sin(link)) / LINK
         motor += STEP_S * motor_speed
         link += STEP_S * link_speed
-    return Log(*np.array(rows).T)
+    logged = np.array(rows)
+    return Log(motor=logged[:, 0], link=logged[:, 1], torque=logged[:, 2])
 
 
 def _plan(seed: int, steps: int) -> Iterator[tuple[float, float, float]]:
@@ -93,8 +114,9 @@ def scene(
     side: Literal["motor", "link"] = "motor",
     noise: float = 0.03,
 ) -> Scene:
-    """Return what the log's reader sees, knowing all but the gear: encoder counts of
-    1e-5 rad.
+    """Return the log as the model of an arm without the gear sees it.
+
+    Encoder counts are of 1e-5 rad.
     """
     angle = log.motor if side == "motor" else log.link
     counts = np.round(angle / 1e-5)[:, None] * 1e-5
@@ -105,6 +127,7 @@ def scene(
     settled = motion.usable.copy()
     settled[:500] = False
     motion = decimated(replace(motion, usable=settled), 24)
+
     chain = chain_from_dh([(0.0, 0.0, 0.0, 0.0)])
     robot = robot_from_chain(chain, gravity=np.array([0.0, -9.81, 0.0]))
     joint = replace(
@@ -112,9 +135,16 @@ def scene(
     )
     robot = replace(robot, joints=(joint,))
     phi = np.zeros((1, 10))
-    phi[0, 2], phi[0, 9] = -WEIGHT / 9.81, LINK
+    phi[0, 2] = -WEIGHT / 9.81
+    phi[0, 9] = LINK
     surface = friction_surface(COULOMB, VISCOUS, top=20.0)
-    model = TorqueModel(robot, [surface], phi, np.array([MOTOR]), "diagonal")
+    model = TorqueModel(
+        robot=robot,
+        surfaces=[surface],
+        phi=phi,
+        rotor=np.array([MOTOR]),
+        coupling="diagonal",
+    )
     return Scene(
         robot=robot, motion=motion, model=model, sign_width=np.array([SIGN_WIDTH])
     )

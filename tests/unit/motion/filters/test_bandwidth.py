@@ -16,8 +16,8 @@ RATE = 500.0
 
 
 def chosen(q: Array, rate_hz: float, resolution: Array | None = None) -> Cutoff:
-    known = np.zeros(q.shape[1]) if resolution is None else resolution
-    return Survey.of(q, rate_hz).cutoff(known)
+    steps = np.zeros(q.shape[1]) if resolution is None else resolution
+    return Survey.of(q, rate_hz).cutoff(steps)
 
 
 def motion(
@@ -41,7 +41,8 @@ def test_the_coarser_the_encoder_the_lower_the_cutoff() -> None:
 @pytest.mark.parametrize("counts", [600, 4096])
 def test_the_acceleration_noise_is_what_quantisation_makes(counts: int) -> None:
     step = 2 * np.pi / counts
-    errors, claimed = [], []
+    errors = []
+    claimed = []
     for seed in range(6):
         q = motion(np.random.default_rng(seed))
         rounded = quantise(q, step)
@@ -53,9 +54,9 @@ def test_the_acceleration_noise_is_what_quantisation_makes(counts: int) -> None:
     # The formula has a brick wall where the filter rolls off: their noises differ by
     # sqrt 0.8.
     roll_off = np.sqrt(5 / 8 * 1.4346 * 0.8889)
-    seen = np.sqrt(np.mean(np.square(errors)))
+    measured = np.sqrt(np.mean(np.square(errors)))
     assert roll_off * np.sqrt(np.mean(np.square(claimed))) == pytest.approx(
-        seen, rel=0.15
+        measured, rel=0.15
     )
 
 
@@ -69,7 +70,7 @@ def test_white_noise_without_steps_is_measured() -> None:
 
 
 def test_the_motion_passes_below_the_cutoff() -> None:
-    """What the filter takes off the true acceleration is below a percent of its power."""
+    """The filter takes less than a percent of the true acceleration's power."""
     q = motion(np.random.default_rng(4))
     full = differentiate(q, RATE)[1][500:-500]
     for counts in (600, 2**17):
@@ -87,9 +88,9 @@ def test_joints_that_rest_do_not_vote() -> None:
 
 def test_a_robot_file_overrules_the_step_seen() -> None:
     q = motion(np.random.default_rng(7))
-    told = chosen(q, RATE, resolution=np.array([0.01, 0.0]))
-    assert told.encoder_step[0] == 0.01
-    assert told.hz < chosen(q, RATE).hz
+    cutoff = chosen(q, RATE, resolution=np.array([0.01, 0.0]))
+    assert cutoff.encoder_step[0] == 0.01
+    assert cutoff.hz < chosen(q, RATE).hz
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
@@ -119,7 +120,7 @@ def test_noise_shares_are_those_of_the_worst_joint() -> None:
     assert score is not None
     assert score.shares is not None
     worst = score.shares.of_acceleration()
-    own = score.shares.acceleration_noise / score.shares.acceleration
-    np.testing.assert_allclose(worst, own[1], rtol=0.2)
+    by_joint = score.shares.acceleration_noise / score.shares.acceleration
+    np.testing.assert_allclose(worst, by_joint[1], rtol=0.2)
     assert worst[2] == pytest.approx(32.0 * worst[1], rel=0.1)
     assert (score.shares.of_jerk() > worst).all()

@@ -28,7 +28,9 @@ def moved(imu: Imu, seed: int, samples: int = 50) -> tuple[Array, Array, Array]:
     and dw.
     """
     f, w, dw = np.random.default_rng(seed).standard_normal((3, samples, 3))
-    f, w, dw = 10 * f, 4 * w, 30 * dw
+    f = 10 * f
+    w = 4 * w
+    dw = 30 * dw
     array = AccelerometerArray("a", 0, imu.positions, imu.axes, np.eye(3), np.zeros(3))
     turn = np.broadcast_to(np.eye(3), (samples, 3, 3))
     return array.ideal(LinkMotion(turn, w, dw, f)), w, dw
@@ -69,14 +71,15 @@ def test_a_layout_claims_what_no_null_direction_touches(count: int | str) -> Non
     else:
         positions = 0.05 * rng.integers(-1, 2, (count, 3)).astype(float)
         few = imu_of(positions, np.eye(3)[rng.integers(0, 3, count)])
-    A, seen = array_matrix(few), layout(few)
+    A = array_matrix(few)
+    judged = layout(few)
     _, s, Vt = np.linalg.svd(A)
     hidden = np.abs(Vt[np.sum(s > 1e-9 * s[0]) :]).max(axis=0, initial=0.0) > 1e-9
-    assert seen.acceleration == (not hidden[3:6].any())
-    assert seen.products == (not hidden[6:].any())
+    assert judged.acceleration == (not hidden[3:6].any())
+    assert judged.products == (not hidden[6:].any())
     values, w, _ = moved(few, 6)
     read = read_angular(few, values, None, OPEN, np.ones(len(w), bool))
-    assert seen.products or not read.products.any()
+    assert judged.products or not read.products.any()
 
 
 def test_a_gyro_is_differentiated() -> None:
@@ -85,7 +88,8 @@ def test_a_gyro_is_differentiated() -> None:
     dw = np.column_stack([3 * np.cos(3 * t), -np.sin(2 * t), np.full_like(t, 0.2)])
     f = np.tile([0.1, 0.2, 9.8], (len(t), 1))
     imu = imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)
-    lowpass, valid = Lowpass(20.0, 500.0), np.ones(len(t), dtype=bool)
+    lowpass = Lowpass(20.0, 500.0)
+    valid = np.ones(len(t), dtype=bool)
     got = read_angular(imu, f, w, lowpass, valid)
     inner = slice(2 * lowpass.settling, -2 * lowpass.settling)
     np.testing.assert_allclose(got.dw[inner], dw[inner], atol=1e-3)
@@ -95,14 +99,15 @@ def test_a_gyro_is_differentiated() -> None:
 def test_a_layout_is_described_in_words(imu: Imu) -> None:
     assert layout_statements(imu) == []
     positions, axes = tetrahedral_array(0.05)
-    point, few = imu_of(0.0 * positions, axes), imu_of(positions[:9], axes[:9])
+    point = imu_of(0.0 * positions, axes)
+    few = imu_of(positions[:9], axes[:9])
     flat = imu_of(positions * [1.0, 1.0, 0.0], axes)
-    for given, said in (
+    for poor, reason in (
         (point, "one point"),
         (few, "fewer than the 12"),
         (flat, "plane"),
     ):
-        assert any(said in text for text in layout_statements(given))
+        assert any(reason in text for text in layout_statements(poor))
     assert "the angular acceleration cannot be told from the rest" in layout_statements(
         point
     )

@@ -26,10 +26,12 @@ def scene() -> Case:
     """The planar rig with its coarse encoders, three seconds at 250 Hz; perfect
     calibrations.
     """
-    plant, rng = two_joint(), np.random.default_rng
+    plant = two_joint()
+    rng = np.random.default_rng
     trial = inertia_trials(plant, [np.array([0.0, 0.5])], rng(0), seconds=3.0)[0]
     log = simulate(plant, trial.reference, 0, every=4)
-    robot, recording = robot_of("two_joint", plant), recording_of(plant, "log", log)
+    robot = robot_of("two_joint", plant)
+    recording = recording_of(plant, "log", log)
     return Case(
         plant, robot, recording, stage_of(plant, rng(0), 0.0), log.truth.ddq, log
     )
@@ -54,12 +56,18 @@ def test_imus_alone_say_their_error(scene: Case) -> None:
     """Noise, and what calibrations usually leave; biases of a radian per second squared
     do not.
     """
-    found, before = by_imus(scene), encoder(scene)
-    assert (found.source, found.imus, found.warnings) == ("imu", ("imu_a", "imu_b"), ())
-    off, told = error(scene, found), found.acceleration_error
-    assert (off < 0.4 * error(scene, before)).all()
-    assert ((off < told) & (told < 4 * off)).all()
-    np.testing.assert_array_equal(found.encoder_error, before.acceleration_error)
+    motion = by_imus(scene)
+    by_encoders = encoder(scene)
+    assert (motion.source, motion.imus, motion.warnings) == (
+        "imu",
+        ("imu_a", "imu_b"),
+        (),
+    )
+    off = error(scene, motion)
+    stated = motion.acceleration_error
+    assert (off < 0.4 * error(scene, by_encoders)).all()
+    assert ((off < stated) & (stated < 4 * off)).all()
+    np.testing.assert_array_equal(motion.encoder_error, by_encoders.acceleration_error)
 
 
 @pytest.mark.parametrize("hz", [8.0, 20.0])
@@ -67,18 +75,20 @@ def test_velocities_are_the_imus_and_as_well_known_as_said(
     scene: Case, hz: float
 ) -> None:
     """Eq. 31 of joint 1, Eq. 41 of joint 2; positions stay the encoders'."""
-    before = estimate_motion(scene.recording, scene.robot, MotionOptions(hz))
-    found = best_motion(scene.recording, scene.robot, scene.stage, before, source="imu")
-    true, _ = differentiate(before.lowpass(scene.log.truth.q), before.rate_hz)
+    by_encoders = estimate_motion(scene.recording, scene.robot, MotionOptions(hz))
+    improved = best_motion(
+        scene.recording, scene.robot, scene.stage, by_encoders, source="imu"
+    )
+    true, _ = differentiate(by_encoders.lowpass(scene.log.truth.q), by_encoders.rate_hz)
 
     def velocity_error(motion: Motion) -> Array:
         return np.asarray(
             np.sqrt(np.mean((motion.dq - true)[motion.usable] ** 2, axis=0))
         )
 
-    np.testing.assert_array_equal(found.q, before.q)
-    assert (velocity_error(found) < 0.95 * velocity_error(before)).all()
-    assert (velocity_error(found) < 1.5 * found.velocity_error).all()
+    np.testing.assert_array_equal(improved.q, by_encoders.q)
+    assert (velocity_error(improved) < 0.95 * velocity_error(by_encoders)).all()
+    assert (velocity_error(improved) < 1.5 * improved.velocity_error).all()
 
 
 def test_a_gyro_gives_velocities_and_an_array_that_sees_no_products_none(
@@ -87,10 +97,12 @@ def test_a_gyro_gives_velocities_and_an_array_that_sees_no_products_none(
     """A gyro's noise of 0.005 rad/s against encoders of 600 counts; Eq. 31 without its
     sign.
     """
-    rng, before = np.random.default_rng(4), encoder(scene)
-    true, _ = differentiate(before.lowpass(scene.log.truth.q), before.rate_hz)
+    rng = np.random.default_rng(4)
+    by_encoders = encoder(scene)
+    true, _ = differentiate(by_encoders.lowpass(scene.log.truth.q), by_encoders.rate_hz)
     robot = scene.robot
-    gyros, imus = {}, []
+    gyros = {}
+    imus = []
     for imu in scene.plant.imus:
         motion = link_motion(scene.plant.arm, imu.after, *scene.log.truth[:3])
         rates = motion.omega @ imu.rotation
@@ -98,36 +110,43 @@ def test_a_gyro_gives_velocities_and_an_array_that_sees_no_products_none(
     for imu in robot.imus:
         imus.append(replace(imu, positions=np.zeros_like(imu.positions)))
     recording = replace(scene.recording, gyros=gyros)
-    given = replace(scene, recording=recording, robot=replace(robot, imus=tuple(imus)))
-    found = by_imus(given)
-    off = np.sqrt(np.mean((found.dq - true)[found.usable] ** 2, axis=0))
-    alone = np.sqrt(np.mean((before.dq - true)[before.usable] ** 2, axis=0))
+    with_gyros = replace(
+        scene, recording=recording, robot=replace(robot, imus=tuple(imus))
+    )
+    improved = by_imus(with_gyros)
+    off = np.sqrt(np.mean((improved.dq - true)[improved.usable] ** 2, axis=0))
+    alone = np.sqrt(np.mean((by_encoders.dq - true)[by_encoders.usable] ** 2, axis=0))
     assert (off < 0.6 * alone).all()
-    assert (off < 1.5 * found.velocity_error).all()
-    blind = _link_reading(imus[0], scene.stage.imus["imu_a"], scene.recording, before)
+    assert (off < 1.5 * improved.velocity_error).all()
+    blind = _link_reading(
+        imus[0], scene.stage.imus["imu_a"], scene.recording, by_encoders
+    )
     assert blind.turning is None
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.0])
 def test_flipped_or_dead_imus_alone_are_named(scene: Case, factor: float) -> None:
     bad = {k: factor * v for k, v in scene.recording.accelerometers.items()}
-    given = replace(scene, recording=replace(scene.recording, accelerometers=bad))
+    damaged = replace(scene, recording=replace(scene.recording, accelerometers=bad))
     with pytest.raises(
         InputError, match=r"imu_a is left out.*imu_b is left out"
     ) as caught:
-        by_imus(given)
+        by_imus(damaged)
     assert "--motion encoder" in caught.value.hint
     assert caught.value.where == "log"
 
 
 def test_what_calibration_found_is_taken_off(scene: Case) -> None:
-    """Biases, gains and a clock 20 ms late; the last alone would make an IMU useless."""
-    rng, late = np.random.default_rng(3), round(0.02 * scene.recording.rate_hz)
-    readings, found = {}, {}
+    """Biases, gains and a clock 20 ms late; the clock alone would ruin an IMU."""
+    rng = np.random.default_rng(3)
+    late = round(0.02 * scene.recording.rate_hz)
+    readings = {}
+    calibrations = {}
     for name, values in scene.recording.accelerometers.items():
-        bias, gain = rng.normal(0, 0.3, 12), rng.normal(1, 0.02, 12)
+        bias = rng.normal(0, 0.3, 12)
+        gain = rng.normal(1, 0.02, 12)
         readings[name] = np.roll(values, late, axis=0) * gain + bias
-        found[name] = msgspec.structs.replace(
+        calibrations[name] = msgspec.structs.replace(
             scene.stage.imus[name],
             time_offset_s=0.02,
             accelerometer_bias=bias.tolist(),
@@ -135,6 +154,8 @@ def test_what_calibration_found_is_taken_off(scene: Case) -> None:
         )
     recording = replace(scene.recording, accelerometers=readings)
     plain = by_imus(scene)
-    mended = by_imus(replace(scene, recording=recording, stage=ImuStage(imus=found)))
+    mended = by_imus(
+        replace(scene, recording=recording, stage=ImuStage(imus=calibrations))
+    )
     np.testing.assert_allclose(error(scene, mended), error(scene, plain), rtol=0.02)
     assert mended.imus == plain.imus

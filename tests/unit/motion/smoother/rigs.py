@@ -70,15 +70,16 @@ def coverage(rig: Rig, got: Smoothed | None = None) -> Array:
 
 
 def differentiated(c: Case) -> Array:
-    """Errors (n,) of encoders' acceleration, by the best cut-off, which only the truth
-    tells.
+    """Return errors (n,) of the encoders' acceleration.
+
+    They are by the best cut-off, which only the truth tells.
     """
     rate = c.recording.rate_hz
-    found = [
+    derivatives = [
         differentiate(Lowpass(float(hz), rate)(c.recording.q), rate)
         for hz in ENCODER_HZ
     ]
-    return np.asarray(np.min([rms(ddq - c.truth) for _, ddq in found], axis=0))
+    return np.asarray(np.min([rms(ddq - c.truth) for _, ddq in derivatives], axis=0))
 
 
 def from_imus(c: Case) -> Array:
@@ -95,8 +96,9 @@ def from_imus(c: Case) -> Array:
 
 
 def bound(c: Case, rig: Rig) -> Array:
-    """Cramer-Rao bound (n,) for a white jerk, of who knows its size, all sensors and
-    the motion.
+    """Return the Cramer-Rao bound (n,) of the acceleration for a white jerk.
+
+    It is for an estimator that knows the jerk's size, all sensors and the motion.
     """
     views = map(encoder_view, c.recording.q.T, c.plant.encoder_step.tolist())
     imus = []
@@ -110,16 +112,27 @@ def bound(c: Case, rig: Rig) -> Array:
         place = replace(x.place, R=array.rotation, lever=array.lever)
         taken = read(x, c.recording, slice(None))
         imus.append(replace(taken, place=place, noise=noise, delay=rig.fault.delay_s))
-    dt, truth = 1.0 / c.recording.rate_hz, c.log.truth
-    chunk = Chunk(c.robot, tuple(views), dt, 1, tuple(imus)).gathered()
-    found = np.diff(truth.ddq, axis=0) / dt
-    second = found.T @ found / len(found)
+    dt = 1.0 / c.recording.rate_hz
+    truth = c.log.truth
+
+    chunk = Chunk(
+        robot=c.robot, views=tuple(views), dt=dt, every=1, imus=tuple(imus)
+    ).gathered()
+
+    true_jerk = np.diff(truth.ddq, axis=0) / dt
+    second = true_jerk.T @ true_jerk / len(true_jerk)
     size = np.sqrt(np.diag(second))
-    jerk = Jerk(size, second / np.outer(size, size), np.ones_like(truth.q))
+    jerk = Jerk(
+        size=size,
+        correlation=second / np.outer(size, size),
+        relative=np.ones_like(truth.q),
+    )
+
+    # Coefficients of the true motion: the position less h^2 / 6 of the acceleration.
     q = truth.q - dt**2 * truth.ddq / 6
     coefficients = np.vstack([q[:1], q, q[-1:], q[-1:]])
     solution = renewed(
         chunk, coefficients, jerk, linearised(chunk, coefficients), "place"
     )
-    found = probed_variance(solution, solution)[1]
-    return np.asarray(np.sqrt(np.mean(found[:, :, 2], axis=0)))
+    _, variance_of_motion = probed_variance(solution, solution)
+    return np.asarray(np.sqrt(np.mean(variance_of_motion[:, :, 2], axis=0)))

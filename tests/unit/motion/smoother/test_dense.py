@@ -44,7 +44,8 @@ TOLERANCE = 1e-6  # of the stated error
 
 
 def true_motion(t: Array) -> Array:
-    w, a = np.array([3.1, 4.3]), np.array([0.9, 0.7])
+    w = np.array([3.1, 4.3])
+    a = np.array([0.9, 0.7])
     angle = np.outer(t, w) + np.array([0.3, -1.1])
     return np.stack(
         [a * np.sin(angle), a * w * np.cos(angle), -a * w**2 * np.sin(angle)]
@@ -72,10 +73,18 @@ def scene(step: float) -> Chunk:
     plant = replace(plant, arm=replace(plant.arm, gravity=GRAVITY))
     robot = robot_of("two", plant)
     t = DT * np.arange(SAMPLES)
-    accelerometers, calibrations = {}, {}
+
+    accelerometers = {}
+    calibrations = {}
     for imu in plant.imus:
-        own = Mounting(imu.after, imu.positions, imu.axes, imu.rotation, imu.lever)
-        clean = readings(robot, own, true_motion(t - LATE[imu.name]))
+        place = Mounting(
+            link=imu.after,
+            positions=imu.positions,
+            axes=imu.axes,
+            R=imu.rotation,
+            lever=imu.lever,
+        )
+        clean = readings(robot, place, true_motion(t - LATE[imu.name]))
         bias = 0.1 * rng.standard_normal(12)
         accelerometers[imu.name] = (
             clean + bias + NOISE * rng.standard_normal(clean.shape)
@@ -90,14 +99,16 @@ def scene(step: float) -> Chunk:
             lever_std_errors=[0.003] * 3,
             noise_density=0.05,
         )
-    q = true_motion(t)[0] + (0.0 if step else 1e-4) * rng.standard_normal((SAMPLES, 2))
+
+    noise = 0.0 if step else 1e-4
+    q = true_motion(t)[0] + noise * rng.standard_normal((SAMPLES, 2))
     recording = made_recording(
         quantise(q, step), rate_hz=1.0 / DT, accelerometers=accelerometers
     )
-    known = mounted_imus(recording, robot, ImuStage(imus=calibrations))
-    imus = tuple(read(x, recording, slice(None)) for x in known)
+    mounted = mounted_imus(recording, robot, ImuStage(imus=calibrations))
+    imus = tuple(read(x, recording, slice(None)) for x in mounted)
     views = tuple(encoder_view(recording.q[:, j], step) for j in range(2))
-    return Chunk(robot, views, DT, 1, imus)
+    return Chunk(robot=robot, views=views, dt=DT, every=1, imus=imus)
 
 
 def smoothed(step: float) -> Solution:
@@ -108,7 +119,8 @@ def smoothed(step: float) -> Solution:
     for _ in range(40):
         solution = renewed(chunk, c, JERK, linearised(chunk, c), "place")
         change = float(np.abs(solution.c - c).max())
-        chunk, c = solution.chunk.gathered(), solution.c
+        chunk = solution.chunk.gathered()
+        c = solution.c
         if change < 1e-13:
             break
     assert change < 1e-13
@@ -121,8 +133,10 @@ class Dense:
     constants.
     """
 
-    def __init__(self, found: Solution, step: float) -> None:
-        self.found, self.chunk, self.step = found, found.chunk, step
+    def __init__(self, solution: Solution, step: float) -> None:
+        self.found = solution
+        self.chunk = solution.chunk
+        self.step = step
         self.knots = DT * (np.arange(SAMPLES + 7) - 3)
         self.t = DT * np.arange(SAMPLES)
 
@@ -134,8 +148,8 @@ class Dense:
         head, *constants = np.split(unknown, [-38, -19])
         c = head.reshape(-1, 2)
         parts = [*self.jerks(c), *self.encoders(c)]
-        for x, own in zip(self.chunk.imus, constants, strict=True):
-            parts += self.imu(x, c, own)
+        for x, constants_of_imu in zip(self.chunk.imus, constants, strict=True):
+            parts += self.imu(x, c, constants_of_imu)
         return np.concatenate([np.ravel(p) for p in parts])
 
     def jerks(self, c: Array) -> list[Array]:
@@ -149,37 +163,43 @@ class Dense:
         """Codes: known to a count's width, once while they last; edges: to where they
         lie.
         """
-        at_samples, at_edges = (
-            self.splines(c, self.t),
-            self.splines(c, self.t + 0.5 * DT),
-        )
+        at_samples = self.splines(c, self.t)
+        at_edges = self.splines(c, self.t + 0.5 * DT)
         speed = np.abs(self.splines(self.found.c, self.t)[1]) * DT
-        step, parts = self.step, []
+        step = self.step
+        parts = []
         for j, view in enumerate(self.chunk.views):
             if step == 0.0:
                 parts.append((at_samples[0, :, j] - view.q) / np.sqrt(view.white))
                 continue
-            code, fast = np.round(view.q / step), speed[:, j] >= step
+
+            # A code is known to a count's width, once while it lasts.
+            code = np.round(view.q / step)
+            fast = speed[:, j] >= step
             first = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1, [SAMPLES]])
             lasts = np.repeat(np.diff(first), np.diff(first))
             variance = step**2 / 12 * np.where(fast, 1, lasts)
             parts.append((at_samples[0, :, j] - view.q) / np.sqrt(variance))
+
+            # An edge is known to where it lies, and to the way within a sample.
             edge = np.append(np.abs(np.diff(code)) == 1, False) & ~fast
             place = 0.5 * (view.q + np.append(view.q[1:], 0.0))
             error = np.sqrt(speed[:, j] ** 2 / 12 + (EDGE_SHARE * step) ** 2)
             parts.append(((at_edges[0, :, j] - place) / error)[edge])
         return parts
 
-    def imu(self, x: Mounted, c: Array, own: Array) -> list[Array]:
+    def imu(self, x: Mounted, c: Array, constants_of_imu: Array) -> list[Array]:
         """Readings at their own times, and the prior of the constants."""
-        bias, lever, turn, late = np.split(own, [12, 15, 18])
+        bias, lever, turn, late = np.split(constants_of_imu, [12, 15, 18])
         taken = self.t - x.delay
         used = (taken >= 0) & (taken < SAMPLES * DT)
         motion = self.splines(c, taken[used] - late[0])
         place = replace(x.place, lever=x.place.lever + lever)
-        told = readings(self.chunk.robot, place, motion, turn) + x.bias + bias
-        prior = np.sqrt(np.diag(x.precision)[: len(own)]) * (own + x.away[: len(own)])
-        return [(x.raw[used] - told) / x.noise, prior]
+        expected = readings(self.chunk.robot, place, motion, turn) + x.bias + bias
+        prior = np.sqrt(np.diag(x.precision)[: len(constants_of_imu)]) * (
+            constants_of_imu + x.away[: len(constants_of_imu)]
+        )
+        return [(x.raw[used] - expected) / x.noise, prior]
 
 
 def jacobian(dense: Dense, x: Array) -> Array:
@@ -192,12 +212,10 @@ def jacobian(dense: Dense, x: Array) -> Array:
 @pytest.mark.parametrize("step", [0.0, 2 * np.pi / 1000], ids=["fine", "coarse"])
 def test_solution_and_stated_errors_are_those_of_the_dense_one(step: float) -> None:
     """One step of Gauss-Newton on the dense problem changes nothing."""
-    found = smoothed(step)
-    count = found.c.size
-    dense, unknown = (
-        Dense(found, step),
-        np.concatenate([found.c.ravel(), np.zeros(2 * 19)]),
-    )
+    solution = smoothed(step)
+    count = solution.c.size
+    dense = Dense(solution, step)
+    unknown = np.concatenate([solution.c.ravel(), np.zeros(2 * 19)])
     J = jacobian(dense, unknown)
     scale = np.linalg.norm(J, axis=0)
     Q, R = np.linalg.qr(J / scale)
@@ -205,7 +223,7 @@ def test_solution_and_stated_errors_are_those_of_the_dense_one(step: float) -> N
     covariance = half @ half.T
     error = np.sqrt(np.diag(covariance))
     assert (np.abs(half @ Q.T @ dense(unknown)) / error).max() < TOLERANCE
-    stated = (found.inverse(np.eye(count)), np.linalg.inv(found.schur))
+    stated = (solution.inverse(np.eye(count)), np.linalg.inv(solution.schur))
     for mine, part in zip(stated, (slice(count), slice(count, None)), strict=True):
         off = np.abs(mine - covariance[part, part]) / np.outer(error[part], error[part])
         assert off.max() < TOLERANCE
@@ -214,7 +232,7 @@ def test_solution_and_stated_errors_are_those_of_the_dense_one(step: float) -> N
 def test_nothing_to_solve_for_is_kept_from_lapack(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Where constants move the motion in no direction, `dtbtrs` would corrupt memory."""
+    """If constants move the motion in no direction, `dtbtrs` would corrupt memory."""
     monkeypatch.setattr("seqid_cli.motion.smoother.solve.dtbtrs", None)
     for transposed in (False, True):
         assert halved(

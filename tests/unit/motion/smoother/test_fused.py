@@ -28,9 +28,9 @@ pytestmark = pytest.mark.slow
 @cache
 def scene(name: str) -> Case:
     """A rig of the smoother's own tests, with torque that is its acceleration."""
-    made = simulated(name)
+    of_rig = simulated(name)
     return replace(
-        made, recording=replace(made.recording, tau=made.log.truth.ddq.copy())
+        of_rig, recording=replace(of_rig.recording, tau=of_rig.log.truth.ddq.copy())
     )
 
 
@@ -51,10 +51,11 @@ def error(s: Case, motion: Motion) -> Array:
 
 @pytest.mark.parametrize("name", ["one", "one_400", "two"])
 def test_more_band_and_far_less_error_than_encoders_and_as_said(name: str) -> None:
-    s, motion = scene(name), fused(name)
-    before = encoder(s)
-    assert motion.cutoff.hz > 1.1 * before.cutoff.hz
-    assert (error(s, motion) < 0.15 * error(s, before)).all()
+    s = scene(name)
+    motion = fused(name)
+    by_encoders = encoder(s)
+    assert motion.cutoff.hz > 1.1 * by_encoders.cutoff.hz
+    assert (error(s, motion) < 0.15 * error(s, by_encoders)).all()
     assert (motion.acceleration_error < 0.15 * motion.encoder_error).all()
     for hz in (5.0, 10.0, 40.0):
         below = fused(name, hz)
@@ -66,7 +67,8 @@ def test_more_band_and_far_less_error_than_encoders_and_as_said(name: str) -> No
 def test_an_inertia_is_not_shrunk_by_the_smoothers_error(name: str) -> None:
     motion = fused(name, 40.0)
     assert motion.lowpass.cutoff_hz == motion.cutoff.hz == 40.0
-    x, y = motion.filtered(motion.ddq)[motion.usable], motion.tau[motion.usable]
+    x = motion.filtered(motion.ddq)[motion.usable]
+    y = motion.tau[motion.usable]
     slope = np.sum(x * y, axis=0) / np.sum(x * x, axis=0)
     np.testing.assert_allclose(slope, 1.0, atol=5e-4)
 
@@ -76,8 +78,10 @@ def changed(s: Case, **given: object) -> Case:
 
 
 def without(s: Case, *names: str) -> Case:
-    kept = {k: v for k, v in s.recording.accelerometers.items() if k not in names}
-    return changed(s, accelerometers=kept)
+    others_readings = {
+        k: v for k, v in s.recording.accelerometers.items() if k not in names
+    }
+    return changed(s, accelerometers=others_readings)
 
 
 def best(s: Case, source: str) -> Motion:
@@ -144,11 +148,12 @@ def test_a_motion_is_smoothed_once_whatever_the_torque(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Other torque changes nothing; other positions, readings or calibrations do."""
-    s, counted = scene("one"), []
+    s = scene("one")
+    counted = []
 
-    def smooth(*given: Any) -> Smoothed:
-        counted.append(given)
-        return smoothed_motion(*given)
+    def smooth(*arguments: Any) -> Smoothed:
+        counted.append(arguments)
+        return smoothed_motion(*arguments)
 
     monkeypatch.setattr(fused_module, "smoothed_motion", smooth)
     noisy = s.recording.q.copy()
@@ -159,8 +164,9 @@ def test_a_motion_is_smoothed_once_whatever_the_torque(
         k: msgspec.structs.replace(c, std_error_deg=0.2)
         for k, c in s.stage.imus.items()
     }
-    plain, again = best(first, "fused"), best(changed(first, tau=0 * noisy), "fused")
-    np.testing.assert_array_equal(again.ddq, plain.ddq)
+    plain = best(first, "fused")
+    repeated = best(changed(first, tau=0 * noisy), "fused")
+    np.testing.assert_array_equal(repeated.ddq, plain.ddq)
     assert len(counted) == 1
     best(changed(first, accelerometers=readings), "fused")
     best(replace(first, stage=ImuStage(imus=turned)), "fused")
@@ -182,9 +188,13 @@ def test_noise_of_locked_joints_is_no_motion() -> None:
 def test_joints_beyond_all_imus_keep_their_encoders() -> None:
     s = scene("two")
     got = best(without(s, "imu_b"), "fused")
-    before = encoder(s, got.cutoff.hz)
+    by_encoders = encoder(s, got.cutoff.hz)
     assert got.imus == ("imu_a",)
-    for own, alone in ((got.q, before.q), (got.dq, before.dq), (got.ddq, before.ddq)):
-        np.testing.assert_allclose(own[:, 1], alone[:, 1], atol=1e-9)
-    assert got.error[1] == pytest.approx(before.acceleration_error[1])
-    assert got.error[0] < 0.2 * before.acceleration_error[0]
+    for fused_values, encoder_values in (
+        (got.q, by_encoders.q),
+        (got.dq, by_encoders.dq),
+        (got.ddq, by_encoders.ddq),
+    ):
+        np.testing.assert_allclose(fused_values[:, 1], encoder_values[:, 1], atol=1e-9)
+    assert got.error[1] == pytest.approx(by_encoders.acceleration_error[1])
+    assert got.error[0] < 0.2 * by_encoders.acceleration_error[0]

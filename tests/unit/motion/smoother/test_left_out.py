@@ -32,7 +32,8 @@ def turning(
 ) -> Motion:
     """Motion of joints in a few sines, by encoders that are nearly perfect."""
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
-    hz, phase = rng.uniform(0.3, 2.5, (5, joints)), rng.uniform(-3.0, 3.0, (5, joints))
+    hz = rng.uniform(0.3, 2.5, (5, joints))
+    phase = rng.uniform(-3.0, 3.0, (5, joints))
     q = 0.3 * np.sum(np.sin(2 * np.pi * hz * t[:, None, None] + phase), axis=1)
     log = made_recording(q, None, rate_hz=RATE_HZ, path="sines", t=t)
     return estimate_motion(log, robot_of("two", two_joint()), MotionOptions(15.0))
@@ -58,10 +59,10 @@ def test_a_bending_joint_is_found_beside_jolts_and_a_wrong_gain() -> None:
     apart = (
         snap @ bends.T + 0.01 * motion.ddq + 0.001 * jerk + jolted(rng, motion, 20.0)
     )
-    found = compliance_of(apart, motion.ddq, motion)
-    np.testing.assert_allclose(found.per_snap, bends, atol=5e-6)
+    compliance = compliance_of(apart, motion.ddq, motion)
+    np.testing.assert_allclose(compliance.per_snap, bends, atol=5e-6)
     power = np.mean((snap @ bends.T)[motion.usable] ** 2, axis=0)
-    got = found.power(motion.ddq, motion.lowpass, motion.usable)
+    got = compliance.power(motion.ddq, motion.lowpass, motion.usable)
     np.testing.assert_allclose(got, power, rtol=0.2)
 
 
@@ -90,23 +91,25 @@ def test_noise_of_encoders_is_no_contradiction_and_more_is() -> None:
 
 
 def scene(counts: int | None, bend: float) -> Case:
-    """The planar rig at 250 Hz, its IMUs calibrated by its own logs; joint 2 may bend."""
-    plant, rng = two_joint(), np.random.default_rng(5)
+    """The planar rig at 250 Hz, its IMUs calibrated by its logs; joint 2 may bend."""
+    plant = two_joint()
+    rng = np.random.default_rng(5)
     if counts is not None:
         plant = replace(plant, encoder_step=np.full(2, 2 * np.pi / counts))
     real = elastic(plant, 1, bend) if bend else plant
     robot = robot_of("two", plant)
     postures = [np.array([0.0, angle]) for angle in ANGLES]
+
     swings = [
         recording_of(plant, trial.name, simulate(real, trial.reference, k, every=EVERY))
         for k, trial in enumerate(imu_trials(plant, postures, turns=1))
     ]
     stage = calibrate_imus(swings, robot, options=MotionOptions())
+
     trial = inertia_trials(plant, postures[:1], rng, seconds=8.0)[0]
     log = simulate(real, trial.reference, 100, every=EVERY)
-    return Case(
-        plant, robot, recording_of(plant, "log", log), stage, log.truth.ddq, log
-    )
+    recording = recording_of(plant, "log", log)
+    return Case(plant, robot, recording, stage, log.truth.ddq, log)
 
 
 def error(motion: Motion, s: Case) -> Array:
@@ -136,7 +139,8 @@ FOLDED = pytest.mark.xfail(
 def test_beside_coarse_encoders_fused_motion_is_three_times_better(hz: float) -> None:
     """The paper's rig: 600 counts per turn, 250 rows per second, jolts between them."""
     s = scene(None, 0.0)
-    fused, encoder = best(s, "auto", hz), best(s, "encoder", hz)
+    fused = best(s, "auto", hz)
+    encoder = best(s, "encoder", hz)
     assert fused.source == "fused"
     assert (3.0 * error(fused, s) < error(encoder, s)).all()
     assert (fused.fused_error < fused.encoder_error).all()
@@ -148,7 +152,8 @@ def test_beside_coarse_encoders_fused_motion_is_three_times_better(hz: float) ->
 @FOLDED
 def test_beside_fine_encoders_jolts_between_samples_do_no_harm() -> None:
     s = scene(FINE, 0.0)
-    fused, encoder = best(s, "fused"), best(s, "encoder")
+    fused = best(s, "fused")
+    encoder = best(s, "encoder")
     assert (error(fused, s) < 1.1 * error(encoder, s)).all()
     assert (error(fused, s) < 1.5 * fused.acceleration_error).all()
     assert not fused.disagreement.any()

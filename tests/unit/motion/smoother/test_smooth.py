@@ -44,21 +44,23 @@ def test_both_sources_together_come_near_the_bound_with_the_error_stated(
     """The bound takes jerks for equally large all the time: the smoother may come below
     it.
     """
-    rig, s = RIGS[name], rigs.scene(name)
+    rig = RIGS[name]
+    s = rigs.scene(name)
     share = {"six": 0.75, "two": 0.06}.get(name, 0.05)
     assert (error(rig) < share * rigs.differentiated(s)).all()
     assert (error(rig) < 0.75 * rigs.from_imus(s)).all()
     assert (error(rig) < 1.3 * rigs.bound(s, rig)).all()
-    got, truth = smoothed(rig), s.log.truth
+    got = smoothed(rig)
+    truth = s.log.truth
     off = np.stack([got.q - truth.q, got.dq - truth.dq, got.ddq - truth.ddq], axis=2)
     ratio = rms(off / np.sqrt(variance(got)))
     assert 0.5 < ratio.min() < ratio.max() < 1.8
     assert tuple(got.mounted) == tuple(imu.name for imu in s.plant.imus)
     # turns about z do not show how far along z it is
-    known = slice(0, 3 if name == "six" else 2)
+    determined = slice(0, 3 if name == "six" else 2)
     for imu in s.plant.imus:
         lever = got.mounted[imu.name].place.lever
-        np.testing.assert_allclose(lever[known], imu.lever[known], atol=2e-3)
+        np.testing.assert_allclose(lever[determined], imu.lever[determined], atol=2e-3)
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -93,8 +95,8 @@ def test_an_imu_lost_midway_costs_only_what_it_saw(joints: int) -> None:
     rig = Rig(joints, COARSE if joints < 6 else 0, fault=Fault(lost=True))
     truth = recorded(rig).truth
     off = (smoothed(rig).ddq - truth)[200 : len(truth) // 2 - 100]
-    before = np.sqrt(np.mean(off**2, axis=0))
-    assert (before < (0.1 if joints < 6 else 0.75) * alone(rig)).all()
+    error_before = np.sqrt(np.mean(off**2, axis=0))
+    assert (error_before < (0.1 if joints < 6 else 0.75) * alone(rig)).all()
     assert (error(rig) < 1.1 * alone(rig)).all()
     assert (coverage(rig) < 1.6).all()
 
@@ -104,27 +106,30 @@ def test_an_imu_lost_midway_costs_only_what_it_saw(joints: int) -> None:
 def test_a_late_clock_is_found(joints: int, late: float) -> None:
     right = Rig(joints, COARSE)
     off = replace(right, fault=Fault(delay_s=late))
-    for name, found in smoothed(off).mounted.items():
-        assert abs(found.delay - late) < 1e-4, name
+    for name, mounted in smoothed(off).mounted.items():
+        assert abs(mounted.delay - late) < 1e-4, name
     # Between samples, where accelerations jump, readings tell less.
     assert (error(off) < 2.0 * error(right)).all()
     assert (error(off) < 0.1 * alone(right)).all()
 
 
 def test_a_calibration_of_the_channels_is_used() -> None:
-    """With everything known, a second of data is enough; unknown gains of 10 % are not."""
+    """A second of data is enough with everything known; unknown gains need more."""
     rig = Rig(1, COARSE)
     c = recorded(rig)
-    gains, bias = 1.0 + 0.1 * np.linspace(-1, 1, 12), 0.5 * np.linspace(1, -1, 12)
+    gains = 1.0 + 0.1 * np.linspace(-1, 1, 12)
+    bias = 0.5 * np.linspace(1, -1, 12)
     values = c.recording.accelerometers["imu_a"] * gains + bias
-    array, own = c.plant.imus[0], c.stage.imus["imu_a"]
+    array = c.plant.imus[0]
+    calibration = c.stage.imus["imu_a"]
+
     errors = {
         "scale_std_errors": 1e-3,
         "bias_std_errors": 0.02,
         "tilt_std_errors_deg": 0.05,
     }
-    known = msgspec.structs.replace(
-        own,
+    calibrated = msgspec.structs.replace(
+        calibration,
         lever=list(array.lever),
         lever_std_errors=[1e-3] * 3,
         accelerometer_scale=list(gains),
@@ -133,34 +138,45 @@ def test_a_calibration_of_the_channels_is_used() -> None:
         noise_density=None,
         **{f"accelerometer_{name}": [size] * 12 for name, size in errors.items()},
     )
+
     recording = replace(c.recording, accelerometers={"imu_a": values})
-    got = smoothed_motion(recording, c.robot, ImuStage(imus={"imu_a": known}))
+    got = smoothed_motion(recording, c.robot, ImuStage(imus={"imu_a": calibrated}))
     assert error(rig, got)[0] < 1.1 * error(rig)[0]
     np.testing.assert_allclose(got.mounted["imu_a"].place.lever, array.lever, atol=2e-3)
 
 
 def test_damaged_readings_and_positions_cost_little() -> None:
+    # An accelerometer at its limit.
     clipped = replace(TWO, fault=Fault(limit=20.0))
-    assert (
-        np.mean(np.abs(recorded(clipped).recording.accelerometers["imu_b"]) >= 20.0)
-        > 1e-3
-    )
+    readings = recorded(clipped).recording.accelerometers["imu_b"]
+    assert np.mean(np.abs(readings) >= 20.0) > 1e-3
     assert (error(clipped) < 1.5 * error(TWO)).all()
-    log, truth = recorded(TWO).recording, recorded(TWO).log.truth
+    log = recorded(TWO).recording
+    truth = recorded(TWO).log.truth
+
+    # A channel that sticks.
     values = log.accelerometers["imu_b"].copy()
     values[1500:, 4] = values[1500, 4]
     got = again(TWO, accelerometers=log.accelerometers | {"imu_b": values})
     assert tuple(got.mounted) == ("imu_a", "imu_b")
     assert (error(TWO, got) < 1.3 * error(TWO)).all()
+
+    # Positions that are no numbers.
     q = log.q.copy()
-    q[1000:1200, 1], q[50, 0], q[-5:] = np.nan, np.inf, np.nan
+    q[1000:1200, 1] = np.nan
+    q[50, 0] = np.inf
+    q[-5:] = np.nan
     got = again(TWO, q=q)
     assert np.isfinite(got.ddq).all()
     assert (error(TWO, got) < 1.2 * error(TWO)).all()
     assert np.abs(got.q - truth.q)[rigs.SETTLED].max() < 0.01
+
+    # Positions that are wrong and said to be.
     s = recorded(RIGS["one"])
-    valid, q = s.recording.valid.copy(), s.recording.q.copy()
-    valid[1000:1100], q[1000:1100] = False, 7.0
+    valid = s.recording.valid.copy()
+    q = s.recording.q.copy()
+    valid[1000:1100] = False
+    q[1000:1100] = 7.0
     got = again(RIGS["one"], valid=valid, q=q)
     off = (got.ddq - s.truth)[:, 0]
     for part in (slice(200, 950), slice(1150, -200)):
@@ -201,10 +217,14 @@ def test_a_healthy_imu_is_kept_however_fine_the_encoders(rig: Rig) -> None:
 
 
 def test_chunks_join_without_a_seam() -> None:
-    s, whole = rigs.scene("one"), smoothed(RIGS["one"])
+    s = rigs.scene("one")
+    in_one_chunk = smoothed(RIGS["one"])
     got = smoothed_motion(s.recording, s.robot, s.stage, chunk_s=1.2)
-    assert rms((got.ddq - whole.ddq) / np.sqrt(variance(whole)[:, :, 2]))[0] < 0.5
-    assert np.abs(np.diff(got.q - whole.q, axis=0)).max() < 1e-4
+    assert (
+        rms((got.ddq - in_one_chunk.ddq) / np.sqrt(variance(in_one_chunk)[:, :, 2]))[0]
+        < 0.5
+    )
+    assert np.abs(np.diff(got.q - in_one_chunk.q, axis=0)).max() < 1e-4
     assert error(RIGS["one"], got)[0] < 1.1 * error(RIGS["one"])[0]
 
 

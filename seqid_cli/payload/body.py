@@ -42,7 +42,8 @@ def carried(
     Returns
     -------
     values : (13,) array
-        Mass [kg], centre of mass (3) [m], and inertia about it (9) [kg m^2], row by row.
+        Mass [kg], centre of mass (3) [m], and inertia about it (9) [kg m^2], row by
+        row.
     std_errors : (13,) array
         Standard errors of these.
     distance : float

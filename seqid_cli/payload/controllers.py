@@ -1,10 +1,10 @@
 """A payload in the words of robot controllers.
 
 - Universal Robots: `set_target_payload(m, cog, inertia)` of URScript, inertia about the
-  centre of mass as [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]; `set_payload(m, cog)` before software
-  5.10.
-- Franka Robotics: `Robot::setLoad(load_mass, F_x_Cload, load_inertia)` of libfranka, the
-  inertia column by column.
+  centre of mass as [Ixx, Iyy, Izz, Ixy, Ixz, Iyz]; `set_payload(m, cog)` before
+  software 5.10.
+- Franka Robotics: `Robot::setLoad(load_mass, F_x_Cload, load_inertia)` of libfranka,
+  the inertia column by column.
 - ROS 2: `geometry_msgs/msg/Inertia`.
 """
 
@@ -26,8 +26,8 @@ def settings_of(
     center : (3,) sequence
         Centre of mass in the frame of the flange [m].
     inertia : (3, 3) nested list
-        Inertia about the centre of mass, in the axes of that frame [kg m^2]; empty where
-        it is not determined.
+        Inertia about the centre of mass, in the axes of that frame [kg m^2]; empty
+        where it is not determined.
 
     Returns
     -------
@@ -36,7 +36,8 @@ def settings_of(
     """
     m = _number(mass)
     x, y, z = map(_number, center)
-    I = [[_number(value) for value in row] for row in inertia or [[0.0] * 3] * 3]
+    rows = inertia or [[0.0] * 3] * 3
+    I = [list(map(_number, row)) for row in rows]
 
     script = f"set_payload({m}, [{x}, {y}, {z}])"
     if inertia:

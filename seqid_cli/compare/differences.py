@@ -235,7 +235,7 @@ def _rigid(
 
 
 def _torque_constants_held(stage: schema.RigidStage) -> list[schema.Parameter]:
-    """Return parameters without the errors of torque constants, common to both files."""
+    """Return parameters without the errors of torque constants, which are common."""
     if not stage.torque_constant_moves or not stage.covariance:
         return stage.parameters
     variances = np.diag(np.array(stage.covariance))

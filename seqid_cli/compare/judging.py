@@ -64,7 +64,10 @@ def judged(
 
 
 def missing(stage: str, name: str, joint: str = "", *, in_first: bool) -> Difference:
-    """Return the difference that one file alone has a number: the first or the second."""
+    """Return the difference that one file alone has a number, the first or the second.
+
+    A difference without numbers counts as a change.
+    """
     remark = "only in the first" if in_first else "only in the second"
     return Difference(stage=stage, name=name, joint=joint, remark=remark)
 

@@ -64,7 +64,7 @@ def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[in
     step = width * sample_s
     q_mean = _window_means(q, width)
     tau_mean = _window_means(tau, width)
-    all_valid = _window_means(valid * 1.0, width) == 1.0
+    all_valid = _window_means(valid.astype(np.float64), width) == 1.0
     if len(q_mean) < 2 * fewest:
         return []
     v = np.gradient(q_mean, step, axis=0)

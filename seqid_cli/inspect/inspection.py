@@ -170,7 +170,17 @@ class _Reader:
     def inspect(
         self, robot: Robot, findings: Sequence[InspectionFinding], *, modelled: bool
     ) -> Inspected:
-        """Inspect the log by a robot; `modelled`: whether its geometry is known."""
+        """Inspect the log by a robot.
+
+        Parameters
+        ----------
+        robot : Robot
+            The arm, or one that is guessed from the log.
+        findings : sequence of InspectionFinding
+            Findings from before the log is read.
+        modelled : bool
+            Whether the robot's geometry is known.
+        """
         gathered = Gathered(robot, modelled)
         first_stamp_ns = None
         for recording, raw in read_parts(

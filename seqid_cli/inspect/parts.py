@@ -220,6 +220,7 @@ def _joint(data: LogData, j: int) -> InspectedJoint:
     effort = _finite(efforts, j)
     temperature = _finite(data.joints.channels.get("temperature"), j)
     moves = data.moves(j)
+
     return InspectedJoint(
         name=data.robot.joint_names[j],
         moves=moves,

@@ -210,7 +210,19 @@ def match_names(
 ) -> dict[str, str]:
     """Pair names of a log with those of a URDF, one to one.
 
-    Equal names come first, then the nearest of at least a likeness of `near`.
+    Equal names come first, then the nearest.
+
+    Parameters
+    ----------
+    log, urdf : sequence of str
+        Names of joints in both.
+    near : float
+        Likeness, 0 to 1, that two names have at least.
+
+    Returns
+    -------
+    dict of str to str
+        Names of the URDF by those of the log.
     """
     pairs = {name: name for name in log if name in urdf}
     log_names = [name for name in log if name not in pairs]
@@ -261,7 +273,12 @@ def _matched(
     log_name_of = {
         joint: name for name, joint in match_names(log, urdf.movable).items()
     }
-    chain = best_chain(urdf, lambda joint: 1000.0 * (joint.name in log_name_of) + 1.0)
+
+    # The chain with most of the log's joints; of these the longest.
+    def worth(joint: UrdfJoint) -> float:
+        return 1001.0 if joint.name in log_name_of else 1.0
+
+    chain = best_chain(urdf, worth)
     pairs = [
         (log_name_of[joint.name], joint) for joint in chain if joint.name in log_name_of
     ]

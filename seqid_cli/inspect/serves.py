@@ -44,8 +44,14 @@ def moving_together(
 ) -> list[str]:
     """Return the joints that move with others for a fair share of the moving time.
 
-    `counts` (n + 1,) are samples at which each joint moves with others, and at which
-    any joint moves.
+    Parameters
+    ----------
+    robot : Robot
+        The arm, of n joints.
+    counts : (n + 1,) array
+        Samples at which each joint moves with others, and at which any joint moves.
+    min_share : float
+        Share of the moving time.
     """
     n_moving = max(counts[-1], 1.0)
     return [

@@ -64,6 +64,7 @@ def payload_file(
         *_joint_verdicts(body, joints, settings.fit),
     ]
     covariance = fit.covariance[np.ix_(fit.determined, fit.determined)]
+
     return PayloadFile(
         **head(PAYLOAD_SCHEMA, log_set.created(inputs.documents)),
         robot=robot_id(inputs.robot),

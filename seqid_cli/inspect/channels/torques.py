@@ -198,6 +198,7 @@ def sensor_findings(
         ("load", None if effort is None else effort[1]),
         ("link_position", channels["position"]),
     ]
+    # Friction hides the load in a motor's torque, but a wrong sign shows through it.
     for channel, motor_side in pairs:
         link_side = channels.get(channel)
         if link_side is None or motor_side is None:
@@ -232,6 +233,7 @@ def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
         values = column[np.isfinite(column)]
         if not len(values):
             continue
+
         median = np.median(values)
         low = values.min()
         high = values.max()

@@ -67,10 +67,22 @@ def held(
     min_regular: float = 0.95,
     min_changes: int = 20,
 ) -> int:
-    """Return in groups of how many samples a channel (M,) repeats its values.
+    """Return in groups of how many samples a channel repeats its values.
 
-    It is 1 where the channel does not. Of the distances between changes `min_equal`
-    must be the size of a group, `min_regular` a multiple of it.
+    Parameters
+    ----------
+    values : (M,) array
+        Values, all finite.
+    min_equal, min_regular : float
+        Shares of the distances between changes that are the size of a group, and a
+        multiple of it.
+    min_changes : int
+        Changes below which nothing is said.
+
+    Returns
+    -------
+    int
+        Samples of a group; 1 where the channel does not repeat its values.
     """
     changes = np.flatnonzero(np.diff(values) != 0)
     if len(changes) < min_changes:
@@ -110,10 +122,18 @@ def lattice(values: Array) -> float:
 def missing(
     values: Array, joint: str, channel: str, *, max_missing: float = 0.01
 ) -> Iterator[InspectionFinding]:
-    """Find values of a channel (M,) that are missing at uneven distances.
+    """Find values that are missing at uneven distances.
 
-    Values of a slower channel are missing evenly: that is no fault. `joint` and
-    `channel` name the place; a share of `max_missing` may be missing.
+    Values of a slower channel are missing evenly: that is no fault.
+
+    Parameters
+    ----------
+    values : (M,) array
+        Values, NaN where one is missing.
+    joint, channel : str
+        Names of the joint or IMU, and of the channel.
+    max_missing : float
+        Share of the values that may be missing.
     """
     present = np.flatnonzero(np.isfinite(values))
     if len(present) < 2:

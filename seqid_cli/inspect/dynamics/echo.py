@@ -115,8 +115,16 @@ def driven(
     The others are held, and other joints shake them. In closed loop with a constant
     reference such a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq,
     whatever its friction (Forssell and Ljung, Closed-loop identification revisited,
-    Automatica 35(7), 1999). A joint is held below a share `held` of the farthest one's
-    travel between the `middle` quantiles.
+    Automatica 35(7), 1999).
+
+    Parameters
+    ----------
+    q : (N, n) array
+        Positions [rad; m].
+    held : float
+        Share of the farthest joint's travel, below which a joint is held.
+    middle : (float, float)
+        Quantiles between which a joint travels.
     """
     low, high = np.nanquantile(q, middle, axis=0)
     return np.asarray(high - low >= held * np.max(high - low))

@@ -94,6 +94,8 @@ def _channels(
         if len(stamps) > 1:
             interval_s = float(np.median(np.diff(stamps))) * 1e-9
         least = max(stuck_samples, int(stuck_s / max(interval_s, 1e-9)))
+
+        # Of a channel only the first fault is named: missing values look stuck, say.
         for quantity, values in stream.channels.items():
             columns = [column[np.isfinite(column)] for column in values.T]
             others_change = any(

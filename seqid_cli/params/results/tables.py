@@ -132,8 +132,15 @@ def of_joints(
 ) -> Values:
     """Return rows that begin with a joint's name under heads.
 
-    `{unit}` in `titles` is the unit of the joint's torque; the other arguments are
-    those of `heads`. Where some joints slide and others do not, a column has the unit.
+    Parameters
+    ----------
+    titles, kinds : str
+        Those of `heads`, "{unit}" for the unit of a joint's torque. Where some joints
+        slide and others do not, a column of its own has the unit.
+    rows : iterable of sequence
+        Values, the joint's name first.
+    robot : RobotId
+        The robot that they are of.
     """
     return _joint_table(heads(titles, kinds, unit=_TORQUE), rows, robot)
 
@@ -182,6 +189,7 @@ def prediction_errors(
             verdict_text(file.verdicts, name) if error.samples else "not judged",
         )
         rows.append(row)
+
     columns = [
         Head("joint", "text"),
         Head("RMSE", "number", _TORQUE),
@@ -219,6 +227,7 @@ def loop_errors(loop: ClosedLoop, robot: RobotId) -> Values:
             None if after is None else after.rmse_outside,
         )
         rows.append(row)
+
     columns = [
         Head("joint", "text"),
         Head("before", "number", _TORQUE),
@@ -251,6 +260,7 @@ def rounds(loop: ClosedLoop) -> Values:
             _outcome(item, outcome),
         )
         rows.append(row)
+
     columns = [
         Head("effect", "effect"),
         Head("joint", "text"),
@@ -310,6 +320,7 @@ def joint_residuals(joints: Mapping[str, ResidualEntry], robot: RobotId) -> Valu
             "yes" if residual.white else "no",
         )
         rows.append(row)
+
     columns = [
         Head("joint", "text"),
         Head("RMSE", "number", _TORQUE),
@@ -335,6 +346,7 @@ def changed_values(changed: Sequence[ChangedValues], robot: RobotId) -> Values:
             causes_in_words(item),
         )
         rows.append(row)
+
     columns = [
         Head("values do not hold at", "text"),
         Head("RMSE", "number", _TORQUE),
@@ -437,6 +449,7 @@ def changes(entries: Sequence[ChangeEntry]) -> Values:
             entry.sigmas,
         )
         rows.append(row)
+
     columns = [
         Head("robot", "text"),
         Head("joint", "text"),

@@ -1,4 +1,7 @@
-"""Findings of known codes, and the verdict on a log; docs/inspect.md explains them."""
+"""Findings of known codes, and the verdict on a log.
+
+docs/reference/inspect.md says what they mean.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 

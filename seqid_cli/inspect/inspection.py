@@ -245,7 +245,7 @@ def _inspect_guessed(
     except TorqueLackingError as lacking:
         if guessed.patterns:  # of columns by the joints' order
             raise
-        # Joints without torque among others with one: a gripper, or a tool changer.
+        # Some joints have a torque and others none, such as a gripper.
         driven = tuple(name for name in guessed.joints if name not in lacking.joints)
         text = (
             "neither torque nor current is logged, but of other joints; it is left out"

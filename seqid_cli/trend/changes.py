@@ -153,7 +153,7 @@ def _least_sizes(
 def _limit(
     series: Sequence[SeriesEntry], n_differences: Sequence[int], alpha: float
 ) -> float:
-    """Return the |z| that hypotheses on healthy robots exceed with probability alpha."""
+    """Return the |z| that a healthy robot exceeds with the probability `alpha`."""
     # Of each quantity: a step between any two dates, and a line.
     n_hypotheses = sum(len(quantity.values) for quantity in series)
     tail = alpha / (2 * max(n_hypotheses, 1))

@@ -157,7 +157,7 @@ def _of_joint(robot: Robot, j: int) -> Iterator[Cause]:
     if robot.joints[j].prismatic:
         return
 
-    # Zeros are off by an angle that somebody has mounted or typed.
+    # A joint that is mounted or declared another way is off by quarters of a turn.
     turns = (("a quarter", 0.5), ("minus a quarter", -0.5), ("half a", 1.0))
     for words, half_turns in turns:
         yield Cause(

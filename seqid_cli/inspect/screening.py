@@ -113,8 +113,8 @@ def screened_long(
     """
     # The samples as they were logged say which channels there are.
     without_imus = replace(robot, imus=())
-    reader = READERS[log.format](log.file, without_imus, log.time_source)
-    first_block = next(iter(reader))
+    read = READERS[log.format]
+    first_block = next(iter(read(log.file, without_imus, log.time_source)))
 
     breaks = _BreakSearch(log, robot, pieces=pieces, piece_s=piece_s)
     margin = max(16, int(overlap_s * log.rate_hz))

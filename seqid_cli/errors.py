@@ -1,4 +1,4 @@
-"""Every error that a user can meet, each with its exit code and remedy.
+"""Errors that a user can meet, each with its exit code and remedy.
 
 Library code raises; only the command layer prints and exits.
 """
@@ -7,7 +7,7 @@ EXIT_INTERRUPTED = 130
 
 
 class SeqidWarning(UserWarning):
-    """Something about the inputs that may be wrong; commands print it."""
+    """A doubt about the inputs; commands print it, and go on."""
 
 
 class SeqidError(Exception):
@@ -21,7 +21,9 @@ class SeqidError(Exception):
 
     def __init__(self, message: str, *, hint: str = "", where: str = "") -> None:
         super().__init__(message)
-        self.message, self.hint, self.where = message, hint, where
+        self.message = message
+        self.hint = hint
+        self.where = where
 
     def __str__(self) -> str:
         return f"{self.where}: {self.message}" if self.where else self.message

@@ -4,10 +4,11 @@ import numpy as np
 
 from seqid_cli.typing import Array, Mask
 
-# standard deviation of Gaussian values per median of their magnitudes
+# Standard deviation of Gaussian values per median of their magnitudes.
 PER_MEDIAN = 1.4826
 DIFFERENCES = 4
-DIFFERENCES_GAIN = 70.0**0.5  # by which fourth differences raise white noise
+# By which fourth differences raise white noise: the sum of squares of 1, 4, 6, 4, 1.
+DIFFERENCES_GAIN = 70.0**0.5
 
 
 def gaussian_spread(values: Array) -> Array:
@@ -15,25 +16,41 @@ def gaussian_spread(values: Array) -> Array:
     return np.asarray(PER_MEDIAN * np.median(np.abs(values), axis=0))
 
 
-def white_noise(values: Array, known: Mask | None = None, *, fewest: int = 9) -> Array:
-    """Return the standard deviation (...) of the white part of signals (N, ...).
+def white_noise(
+    values: Array, valid: Mask | None = None, *, min_samples: int = 9
+) -> Array:
+    """Return the standard deviation of the white part of signals.
 
-    Fourth differences keep the noise and drop the motion; the median drops jolts. Only
-    those within stretches that are `known` (N,) count; zero where there are too few.
+    Fourth differences keep the noise and drop the motion; their median drops jolts.
+
+    Parameters
+    ----------
+    values : (N, ...) array
+        Signals, evenly sampled.
+    valid : (N,) array of bool, optional
+        Samples that count; by default all do.
+    min_samples : int
+        Samples below which there is nothing to estimate from.
+
+    Returns
+    -------
+    (...) array
+        Standard deviations in the unit of `values`; zero where there are too few
+        samples.
     """
-    if len(values) < fewest:
+    if len(values) < min_samples:
         return np.zeros(values.shape[1:])
-    columns = np.abs(np.diff(np.ascontiguousarray(values.T), DIFFERENCES))
-    if known is not None and not known.all():
-        whole = (
-            np.convolve(known, np.ones(DIFFERENCES + 1), "valid") > DIFFERENCES + 0.5
-        )
-        columns = columns[..., whole]
-    if not columns.size:
+    magnitudes = np.abs(np.diff(np.ascontiguousarray(values.T), DIFFERENCES))
+    if valid is not None and not valid.all():
+        # A difference counts where all five samples of it do.
+        n_valid = np.convolve(valid, np.ones(DIFFERENCES + 1), "valid")
+        magnitudes = magnitudes[..., n_valid > DIFFERENCES + 0.5]
+    if not magnitudes.size:
         return np.zeros(values.shape[1:])
-    return np.asarray(PER_MEDIAN / DIFFERENCES_GAIN * np.median(columns, axis=-1))
+    median = np.median(magnitudes, axis=-1)
+    return np.asarray(PER_MEDIAN / DIFFERENCES_GAIN * median)
 
 
 def rough(values: Array) -> Array:
-    """Return fourth differences (N - 4, ...) of signals (N, ...), scaled as the noise is."""
+    """Return fourth differences (N - 4, ...) of signals (N, ...), noise as it is."""
     return np.asarray(np.diff(values, DIFFERENCES, axis=0) / DIFFERENCES_GAIN)

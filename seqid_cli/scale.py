@@ -1,4 +1,4 @@
-"""Who works on many items: processes of this machine, a Dask cluster, or any other executor.
+"""Work on many items by processes of this machine, a Dask cluster, or any executor.
 
 Everything here takes and gives a `concurrent.futures.Executor`. Results come in the
 order of the items, and what goes wrong comes as an exception that names its item.
@@ -28,9 +28,11 @@ R = TypeVar("R")
 
 PATIENCE_S = 10  # until a Dask scheduler must answer
 PRELOAD = ("seqid_cli.inspect.screening", "seqid_cli.identify.rigid.inertia")
+# Pools whose processes are killed where their block raises.
 _ENDED_AT_ONCE: weakref.WeakSet[Executor] = weakref.WeakSet()
 _QUOTA = Path("/sys/fs/cgroup/cpu.max")
-_LOST = ("KilledWorker", "CancelledError", "FutureCancelledError")  # of Dask
+# Errors by which Dask says that a worker was lost.
+_LOST = ("KilledWorker", "CancelledError", "FutureCancelledError")
 
 
 class WorkerError(RuntimeError):
@@ -58,22 +60,36 @@ def ordered(
     *,
     ahead: int = 3,
 ) -> Iterator[Reply[R]]:
-    """Work on items; the replies come in the order of the items.
+    """Work on items, and yield the replies in the order of the items.
 
-    `executor`: who does the work; None does it here, item by item. `function`: to be
-    sent elsewhere it must be a function of a module, or an object of such a class.
-    `items`: `str` of an item names it in messages. Yields: of the next item. An item
-    whose process dies is tried once more in a process of its own, so that the death is
-    blamed on the right one; the others go on.
+    Parameters
+    ----------
+    executor : Executor or None
+        Who does the work; None does it here, item by item.
+    function : callable
+        What is done with an item. To be sent elsewhere it must be a function of a
+        module, or an object of a class of a module.
+    items : iterable
+        `str` of an item names it in messages.
+    ahead : int
+        Items per worker that are handed out before their replies are asked for.
+
+    Yields
+    ------
+    Reply
+        Of the next item. An item whose process dies is tried once more in a process of
+        its own, so that the death is blamed on the right one; the others go on.
     """
     if executor is None:
         yield from (answer(function, item) for item in items)
         return
     pending: deque[tuple[T, Future[Reply[R]] | None]] = deque()
-    rest = iter(items)
+    remaining = iter(items)
     try:
         while True:
-            for item in islice(rest, max(0, ahead * _workers(executor) - len(pending))):
+            # Hand out no more than is soon worked on: items and replies take memory.
+            free_places = max(0, ahead * _workers(executor) - len(pending))
+            for item in islice(remaining, free_places):
                 future = None
                 with contextlib.suppress(BrokenExecutor):
                     future = executor.submit(_alone, function, item)
@@ -84,9 +100,10 @@ def ordered(
             yield _reply(function, item, future)
     finally:
         # A pool that is about to be ended must not find futures that were cancelled.
-        for _, future in pending if executor not in _ENDED_AT_ONCE else ():
-            if future is not None:
-                future.cancel()
+        if executor not in _ENDED_AT_ONCE:
+            for _, future in pending:
+                if future is not None:
+                    future.cancel()
 
 
 def answer(function: Callable[[T], R], item: T) -> Reply[R]:
@@ -98,36 +115,46 @@ def answer(function: Callable[[T], R], item: T) -> Reply[R]:
     except MemoryError:
         return Reply(error=_out_of_memory("does not fit into memory", item))
     except Exception as error:
-        found = WorkerError(f"{item}: {type(error).__name__}: {error}")
-        found.add_note("".join(traceback.format_exception(error)))
-        return Reply(error=found)
+        worker_error = WorkerError(f"{item}: {type(error).__name__}: {error}")
+        worker_error.add_note("".join(traceback.format_exception(error)))
+        return Reply(error=worker_error)
 
 
 @contextlib.contextmanager
 def processes(jobs: int | None = None) -> Iterator[Executor]:
-    """Processes of this machine, for as long as the block lasts; an exception ends them at once.
+    """Start processes of this machine, for as long as the block lasts.
 
-    They are forked from a server that has imported what they need, so that the import
-    is paid once (where the system has no such server, they are started from scratch). A
-    script that uses them guards its main part with `if __name__ == "__main__":`.
+    An exception in the block ends them at once. They are forked from a server that has
+    imported what they need, so that the import is paid once (where the system has no
+    such server, they are started from scratch). A script that uses them guards its main
+    part with `if __name__ == "__main__":`.
 
-    `jobs`: how many; all cores by default.
+    Parameters
+    ----------
+    jobs : int, optional
+        Number of processes; all cores by default.
     """
     from concurrent.futures import ProcessPoolExecutor
 
-    before = set(multiprocessing.active_children())
-    forked = "forkserver" in multiprocessing.get_all_start_methods()
-    context: Any = multiprocessing.get_context("forkserver" if forked else "spawn")
-    if forked:
+    earlier_children = set(multiprocessing.active_children())
+    has_server = "forkserver" in multiprocessing.get_all_start_methods()
+    method = "forkserver" if has_server else "spawn"
+    context: Any = multiprocessing.get_context(method)
+    if has_server:
         context.set_forkserver_preload(list(PRELOAD))
-    # Whoever asked for the processes deals with interrupts, and ends them.
-    deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    executor = ProcessPoolExecutor(jobs or cores(), context, *deaf)
+    # A worker ignores interrupts: whoever asked for the processes deals with them, and
+    # ends the workers.
+    executor = ProcessPoolExecutor(
+        jobs or cores(),
+        context,
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )
     _ENDED_AT_ONCE.add(executor)
     try:
         yield executor
     except BaseException:
-        for child in set(multiprocessing.active_children()) - before:
+        for child in set(multiprocessing.active_children()) - earlier_children:
             child.kill()
             child.join()
         raise
@@ -139,11 +166,19 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
 def dask_cluster(
     scheduler: str | None = None, jobs: int | None = None
 ) -> Iterator[Executor]:
-    """Connect to a Dask scheduler, or start a cluster of this machine for as long as it is needed.
+    """Connect to a Dask cluster for as long as the block lasts.
 
-    `jobs`: workers of a cluster that is started, else as many as cores. Raises
-    UsageError: no scheduler answers at the address `scheduler`, or Dask is not
-    installed.
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a scheduler; without it a cluster of this machine is started.
+    jobs : int, optional
+        Workers of a cluster that is started; as many as cores by default.
+
+    Raises
+    ------
+    UsageError
+        No scheduler answers at the address, or Dask is not installed.
     """
     if not all(map(importlib.util.find_spec, ("dask", "distributed"))):
         hint = "Install it: python -m pip install 'seqid[dask]'"
@@ -153,9 +188,13 @@ def dask_cluster(
     with contextlib.ExitStack() as stack:
         address: Any = scheduler
         if scheduler is None:
-            quiet = {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.ERROR}
-            own = LocalCluster(n_workers=jobs or cores(), threads_per_worker=1, **quiet)
-            address = stack.enter_context(own)
+            cluster = LocalCluster(
+                n_workers=jobs or cores(),
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.ERROR,
+            )
+            address = stack.enter_context(cluster)
         try:
             client = stack.enter_context(
                 Client(address, timeout=PATIENCE_S, set_as_default=False)
@@ -170,9 +209,13 @@ def dask_cluster(
 
 
 def cores() -> int:
-    """Cores that this process may use: those it is bound to, within the container's quota."""
-    bound = getattr(os, "sched_getaffinity", None)
-    count = len(bound(0)) if bound is not None else os.cpu_count() or 1
+    """Return the number of cores that this process may use.
+
+    These are the cores that it is bound to, within the container's quota.
+    """
+    # Not every system binds processes to cores.
+    affinity = getattr(os, "sched_getaffinity", None)
+    count = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
     with contextlib.suppress(OSError, ValueError):
         quota, period = _QUOTA.read_text().split()
         count = min(count, max(1, int(quota) // int(period)))
@@ -188,7 +231,7 @@ def _alone(function: Callable[[T], R], item: T) -> Reply[R]:
 
 
 def _workers(executor: Executor) -> int:
-    """How many items an executor works on at once, as far as it tells."""
+    """Return how many items an executor works on at once, as far as it tells."""
     client = getattr(executor, "_client", None)  # of Dask
     if client is not None:
         return max(1, int(sum(client.nthreads().values())))
@@ -198,7 +241,7 @@ def _workers(executor: Executor) -> int:
 def _reply(
     function: Callable[[T], R], item: T, future: Future[Reply[R]] | None
 ) -> Reply[R]:
-    """The reply of an item; the loss of its worker counts as its failure."""
+    """Return the reply of an item; the loss of its worker counts as its failure."""
     try:
         if future is not None:
             return future.result()
@@ -214,7 +257,8 @@ def _reply(
             " machine."
         )
         return Reply(error=UsageError(message, hint=hint))
-    with processes(1) as executor:  # one died of it or of another: once more, by itself
+    # A process died of this item or of another one: once more, by itself.
+    with processes(1) as executor:
         try:
             return executor.submit(_alone, function, item).result()
         except BrokenExecutor:
@@ -223,5 +267,6 @@ def _reply(
 
 
 def _out_of_memory(message: str, item: object) -> InputError:
+    """Return the error of an item that took too much memory."""
     hint = "Use fewer processes (--jobs), a machine with more memory, or split the log."
     return InputError(message, hint=hint, where=str(item))

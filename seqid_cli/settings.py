@@ -1,4 +1,6 @@
-"""Settings: numbers that a user or a calibration may turn, each with unit, bounds and reason.
+"""Settings: numbers that a user or a calibration may turn.
+
+Each has a unit, bounds and a reason.
 
 A command has one frozen `Settings` class. Its fields are groups, and the fields of a
 group are the numbers: `judging.max_gravity_factor` is the field `max_gravity_factor` of
@@ -31,8 +33,8 @@ def setting(default: float, *, unit: str, reason: str, low: float, high: float) 
     low, high : float
         The least and the largest number that makes sense.
     """
-    about = {"unit": unit, "reason": reason, "low": low, "high": high}
-    return field(default=default, metadata=about)
+    metadata = {"unit": unit, "reason": reason, "low": low, "high": high}
+    return field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,31 +48,34 @@ class Group:
     """
 
     def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            whole = isinstance(each.default, int)
-            if not _is_number(value, whole=whole):
-                kind = "whole number" if whole else "number"
+        for item in fields(self):
+            value = getattr(self, item.name)
+            is_integer = isinstance(item.default, int)
+            if not _is_number(value, integer=is_integer):
+                kind = "whole number" if is_integer else "number"
                 raise UsageError(
-                    f"{each.name} is no {kind}: {value!r}", hint=_asked(each)
+                    f"{item.name} is no {kind}: {value!r}", hint=_bounds(item)
                 )
-            if not each.metadata["low"] <= value <= each.metadata["high"]:
+            if not item.metadata["low"] <= value <= item.metadata["high"]:
                 raise UsageError(
-                    f"{each.name} is out of bounds: {value:g}", hint=_asked(each)
+                    f"{item.name} is out of bounds: {value:g}", hint=_bounds(item)
                 )
 
 
-def _is_number(value: object, *, whole: bool) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
+def _is_number(value: object, *, integer: bool) -> bool:
+    """Return whether a value is a finite number, or a whole one."""
+    if isinstance(value, bool):  # which Python counts among the integers
+        return False
+    if not isinstance(value, int if integer else int | float):
         return False
     return math.isfinite(value)
 
 
-def _asked(each: Any) -> str:
+def _bounds(item: Any) -> str:
     """Return what a setting may be, in words."""
-    about = each.metadata
-    bounds = f"from {about['low']:g} to {about['high']:g}"
-    return f"It may be {bounds} ({about['unit']}); the default is {each.default:g}."
+    metadata = item.metadata
+    bounds = f"from {metadata['low']:g} to {metadata['high']:g}"
+    return f"It may be {bounds} ({metadata['unit']}); the default is {item.default:g}."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +85,7 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One setting as it is shown: its whole name, its value, and what is known of it."""
+    """One setting as it is shown, with its full name "group.field"."""
 
     name: str
     value: float
@@ -92,52 +97,58 @@ class Entry:
 
     @property
     def changed(self) -> bool:
-        """Whether it is not what it is by default."""
+        """Whether the value differs from the default."""
         return self.value != self.default
 
 
 def entries(settings: Settings) -> Iterator[Entry]:
     """Yield all settings of a command, group by group."""
-    for of_group in fields(settings):
-        group = getattr(settings, of_group.name)
-        for each in fields(group):
-            about = each.metadata
+    for group_field in fields(settings):
+        group = getattr(settings, group_field.name)
+        for item in fields(group):
             yield Entry(
-                name=f"{of_group.name}.{each.name}",
-                value=getattr(group, each.name),
-                default=each.default,  # type: ignore[arg-type]
-                unit=about["unit"],
-                low=about["low"],
-                high=about["high"],
-                reason=about["reason"],
+                name=f"{group_field.name}.{item.name}",
+                value=getattr(group, item.name),
+                default=item.default,  # type: ignore[arg-type]
+                unit=item.metadata["unit"],
+                low=item.metadata["low"],
+                high=item.metadata["high"],
+                reason=item.metadata["reason"],
             )
 
 
-def overridden(settings: S, given: Sequence[str]) -> S:
+def overridden(settings: S, assignments: Sequence[str]) -> S:
     """Return settings with numbers as they are typed, "judging.max_gravity_factor=3".
+
+    Parameters
+    ----------
+    settings : Settings
+        Settings of one command.
+    assignments : sequence of str
+        Name and value of each number that is another one; the last one counts.
 
     Raises
     ------
     UsageError
-        There is no such setting (near names are told), or its value is no number or out
-        of bounds.
+        There is no such setting (near names are named), or its value is no number or
+        out of bounds.
     """
-    for text in given:
+    for text in assignments:
         name, equals, value = text.partition("=")
         group_name, _, field_name = name.strip().partition(".")
         if not equals:
             hint = "Give a name and a number: --set judging.max_gravity_factor=3."
             raise UsageError(f"--set {text}: there is no value", hint=hint)
 
-        known = {entry.name: entry for entry in entries(settings)}
-        entry = known.get(name.strip())
+        by_name = {entry.name: entry for entry in entries(settings)}
+        entry = by_name.get(name.strip())
         if entry is None:
             message = f"--set {text}: there is no setting {name.strip()!r}"
-            raise UsageError(message, hint=_near(name.strip(), list(known)))
+            raise UsageError(message, hint=_near_names(name.strip(), list(by_name)))
 
         group = getattr(settings, group_name)
         try:
-            number = _number(value.strip(), whole=isinstance(entry.default, int))
+            number = _parsed(value.strip(), integer=isinstance(entry.default, int))
             changed = replace(group, **{field_name: number})
         except UsageError as error:
             message = f"--set {text}: {group_name}.{error.message}"
@@ -146,22 +157,24 @@ def overridden(settings: S, given: Sequence[str]) -> S:
     return settings
 
 
-def _number(text: str, *, whole: bool) -> Any:
+def _parsed(text: str, *, integer: bool) -> Any:
     """Return a text as a number; as it is where it is none, which its group refuses."""
     try:
-        return int(text) if whole else float(text)
+        return int(text) if integer else float(text)
     except ValueError:
         return text
 
 
-def _near(name: str, known: Sequence[str]) -> str:
-    """Return the names that may be meant, by the whole of them or by their last part."""
-    last = {one.partition(".")[2]: one for one in known}
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-    short = difflib.get_close_matches(
-        name.rpartition(".")[2], list(last), n=3, cutoff=0.6
+def _near_names(name: str, names: Sequence[str]) -> str:
+    """Return a hint with the names that may be meant."""
+    # Whoever leaves the group out, or takes another one, still means the same field.
+    by_field = {full_name.partition(".")[2]: full_name for full_name in names}
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    close_fields = difflib.get_close_matches(
+        name.rpartition(".")[2], list(by_field), n=3, cutoff=0.6
     )
-    names = list(dict.fromkeys([*close, *(last[one] for one in short)]))
-    if names:
-        return f"Did you mean {' or '.join(names)}? All of them: --show-settings."
+    close += [by_field[field_name] for field_name in close_fields]
+    if close:
+        meant = " or ".join(dict.fromkeys(close))
+        return f"Did you mean {meant}? All of them: --show-settings."
     return "--show-settings lists all of them."

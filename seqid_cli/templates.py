@@ -14,10 +14,20 @@ def filled(
     filters: Mapping[str, Any],
     markup: bool = False,
 ) -> str:
-    """Fill in the template `name` of a package's folder `templates`.
+    """Return the text of a template with its names filled in.
 
-    A name that is missing in `content` is an error. `filters` write values; what is
-    filled in is escaped where it is HTML (`markup`).
+    Parameters
+    ----------
+    package : str
+        Package that has the folder `templates`.
+    name : str
+        File name of the template.
+    content : mapping of str to object
+        Values by the names in the template; a name that is missing is an error.
+    filters : mapping of str to callable
+        Functions that write values.
+    markup : bool
+        Whether the text is HTML, in which values are escaped.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader(package, "templates"),

@@ -1,4 +1,4 @@
-"""Some rows at a time: wide tables of all samples would take much memory."""
+"""Slices of long tables: wide tables of all samples at once would take much memory."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""Names for arrays, the same in all modules; shapes and units stand in the docstrings."""
+"""Types of arrays, the same in all modules; docstrings give shapes and units."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Units of joints' quantities: of revolute joints, or of prismatic ones."""
+"""Units of the quantities of joints, which turn or slide."""
 
 import re
 
@@ -7,9 +7,16 @@ _ANGLE = re.compile(r"\brad\b")
 
 
 def unit_of(unit: str, prismatic: bool) -> str:
-    """Return the unit of a parameter of a joint, "N s/m" for "N m s/rad" where it is `prismatic`.
+    """Return the unit of a quantity of a joint: "N s/m" for "N m s/rad" if it slides.
 
-    `unit` is as for a revolute joint: "N m" for torque and "rad" for the joint's
-    position; an angle that is not the joint's own (a phase, a tilt) must not be given.
+    Parameters
+    ----------
+    unit : str
+        Unit for a revolute joint, with "N m" for torque and "rad" for position. An
+        angle that is not the joint's own (a phase, a tilt) must not be given.
+    prismatic : bool
+        Whether the joint slides.
     """
-    return _ANGLE.sub("m", _TORQUE.sub("N", unit)) if prismatic else unit
+    if not prismatic:
+        return unit
+    return _ANGLE.sub("m", _TORQUE.sub("N", unit))

@@ -30,8 +30,15 @@ def compare(
     ComparisonFile
         `changed` counts the numbers that moved by more than both (without limits: 4
         standard errors and 0.01 of the size).
+
+    Raises
+    ------
+    SeqidError
+        Where the command would exit with 2.
     """
-    a, b = read_any([Path(first), Path(second)])
+    first_source, second_source = read_any([Path(first), Path(second)])
+
+    # Imported here because it imports numpy: a file that cannot be read is told first.
     from seqid_cli.compare.differences import compared, rule_of
 
-    return compared(a, b, rule_of(sigma, rtol))
+    return compared(first_source, second_source, rule_of(sigma, rtol))

@@ -1,10 +1,10 @@
-"""The checks of one log, in their order: those of `seqid inspect` and of every stage that reads it.
+"""Checks of one log in their order, for `seqid inspect` and for stages that read it.
 
 Channels are compared with each other without samples that are known to be damaged.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from msgspec import structs
@@ -24,32 +24,77 @@ from seqid_cli.params.results.inspection import InspectionFinding
 
 Codes = frozenset[str]
 
-
-def _codes(text: str) -> Codes:
-    return frozenset(text.split())
-
-
-# Findings whose samples are taken out, and those that spoil what is computed from the
-# motion of a joint, or of all joints.
-TAKEN_OUT = _codes("position_spikes position_frozen")
-SPOIL = _codes(
-    "position_in_degrees position_in_mm position_motor_side position_jump"
-    " position_stuck joints_swapped sign_mismatch torque_zero torque_constant_value"
-    " torque_stuck torque_echo axis_flipped position_zero current_in_ma values_absurd"
+# Findings whose samples are taken out.
+TAKEN_OUT: Codes = frozenset({"position_spikes", "position_frozen"})
+# Findings that spoil what is computed from the motion or torque of their joint.
+SPOIL: Codes = frozenset(
+    {
+        "position_in_degrees",
+        "position_in_mm",
+        "position_motor_side",
+        "position_jump",
+        "position_stuck",
+        "joints_swapped",
+        "sign_mismatch",
+        "torque_zero",
+        "torque_constant_value",
+        "torque_stuck",
+        "torque_echo",
+        "axis_flipped",
+        "position_zero",
+        "current_in_ma",
+        "values_absurd",
+    }
 )
-SPOIL_ALL = _codes("time_unit clock_set_back stamps_far_off drive_data_missing")
-# What is left out of a joint where one of the first codes explains it.
-_EXPLAINED: tuple[tuple[Codes, Codes], ...] = (
-    (
-        _codes("position_in_degrees position_in_mm position_motor_side joints_swapped"),
-        _codes("position_limits speed_limit velocity_inconsistent encoder_resolution"),
+# Findings that spoil it for all joints.
+SPOIL_ALL: Codes = frozenset(
+    {"time_unit", "clock_set_back", "stamps_far_off", "drive_data_missing"}
+)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Findings that are left out at a joint where one of the causes explains them."""
+
+    causes: Codes
+    explained: Codes
+
+
+_EXPLANATIONS = (
+    Explanation(
+        causes=frozenset(
+            {
+                "position_in_degrees",
+                "position_in_mm",
+                "position_motor_side",
+                "joints_swapped",
+            }
+        ),
+        explained=frozenset(
+            {
+                "position_limits",
+                "speed_limit",
+                "velocity_inconsistent",
+                "encoder_resolution",
+            }
+        ),
     ),
-    (_codes("torque_zero torque_constant_value"), _codes("torque_echo")),
-    (_codes("torque_echo"), _codes("torque_saturated torque_quantised torque_stuck")),
-    (_codes("gyro_in_degrees"), _codes("gyro_bias")),
+    Explanation(
+        causes=frozenset({"torque_zero", "torque_constant_value"}),
+        explained=frozenset({"torque_echo"}),
+    ),
+    Explanation(
+        causes=frozenset({"torque_echo"}),
+        explained=frozenset({"torque_saturated", "torque_quantised", "torque_stuck"}),
+    ),
+    Explanation(
+        causes=frozenset({"gyro_in_degrees"}), explained=frozenset({"gyro_bias"})
+    ),
 )
-# What a clock that scatters makes of sound values.
-_UNEVEN = _codes("velocity_inconsistent speed_limit position_jump values_missing")
+# Findings that a clock which scatters makes of sound values.
+_UNEVEN: Codes = frozenset(
+    {"velocity_inconsistent", "speed_limit", "position_jump", "values_missing"}
+)
 
 
 def check(
@@ -57,56 +102,77 @@ def check(
 ) -> tuple[LogData, list[InspectionFinding], list[LinkFit]]:
     """Check a log: a check is left out where an earlier finding spoils it.
 
-    `quality`: whether it is also judged how well channels are measured (steps, held
-    values, temperature): warnings at most. Returns: the log without damaged samples;
-    findings, each code once per joint and channel; how IMUs follow their links.
+    Parameters
+    ----------
+    data : LogData
+        A log, or a part of one.
+    imus : bool
+        Whether IMUs are checked.
+    quality : bool
+        Whether it is also judged how well channels are measured (steps, held values,
+        temperature): warnings at most.
+
+    Returns
+    -------
+    sound : LogData
+        The log without damaged samples.
+    findings : list of InspectionFinding
+        Each code once per joint and channel.
+    link_fits : list of LinkFit
+        How IMUs follow their links.
     """
     breaks = positions.breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)
-    following = follow(sound) if imus else []
-    own = [*clock.clock_findings(data), *clock.hole_findings(data)]
+    link_fits = follow(sound) if imus else []
+
+    # Each channel by itself.
+    findings = [*clock.clock_findings(data), *clock.hole_findings(data)]
     if data.recording.partial:
-        own.append(found("salvaged", data.recording.partial))
+        findings.append(found("salvaged", data.recording.partial))
     of_torques = [*torques.torque_findings(data), *torques.echo_findings(data)]
-    own += of_torques
+    findings += of_torques
     if quality:
-        own += torques.torque_quality(
-            data, {f.joint for f in of_torques if f.code in SPOIL}
-        )
-        own += [*torques.temperature_findings(data), *torques.sensor_findings(data)]
-    if imus and not _all_spoilt(own):
-        own += imu_findings(data)
-    if not _all_spoilt(own):
-        own += _of_positions(data, breaks, quality=quality)
-    own = _unexplained(own)
-    if not _all_spoilt(own):
-        own += _of_dynamics(sound, own, following)
-    return sound, [first for first, *_ in grouped(_unexplained(own))], following
+        spoilt_joints = {f.joint for f in of_torques if f.code in SPOIL}
+        findings += torques.torque_quality(data, spoilt_joints)
+        findings += torques.temperature_findings(data)
+        findings += torques.sensor_findings(data)
+    if imus and not _all_spoilt(findings):
+        findings += imu_findings(data)
+    if not _all_spoilt(findings):
+        findings += _of_positions(data, breaks, quality=quality)
+
+    # Channels against each other.
+    findings = _unexplained(findings)
+    if not _all_spoilt(findings):
+        findings += _of_dynamics(sound, findings, link_fits)
+    groups = grouped(_unexplained(findings))
+    return sound, [group[0] for group in groups], link_fits
 
 
 def without(data: LogData, breaks: Sequence[Break]) -> LogData:
-    """Take the samples of a log out that are known to be wrong, and lay it on its base anew.
+    """Take damaged samples out of a log, and lay it on its time base anew.
 
     Short holes are bridged by a curve, longer ones are not valid, like any missing
     values.
     """
-    if not any(len(each.rows) for each in breaks):
+    if not any(len(damage.rows) for damage in breaks):
         return data
     position = data.joints.channels["position"].copy()
-    for each in breaks:
-        position[each.rows, each.joint] = np.nan
-    joints = replace(
-        data.joints, channels={**data.joints.channels, "position": position}
-    )
-    raw = replace(data.raw, joints=joints)
+    for damage in breaks:
+        position[damage.rows, damage.joint] = np.nan
+    channels = {**data.joints.channels, "position": position}
+    raw = replace(data.raw, joints=replace(data.joints, channels=channels))
+
     log = data.recording
-    again, _ = assemble(log.path, log.format, log.sha256, raw, data.robot)
-    gaps = tuple(sorted({*log.health.gaps, *again.health.gaps}))
-    health = replace(log.health, gaps=gaps, resampled=again.health.resampled)
-    return replace(data, raw=raw, recording=replace(again, health=health))
+    recording, _ = assemble(log.path, log.format, log.sha256, raw, data.robot)
+    # The clock has not changed: what it says of the log stays, but for more gaps.
+    gaps = tuple(sorted({*log.health.gaps, *recording.health.gaps}))
+    health = replace(log.health, gaps=gaps, resampled=recording.health.resampled)
+    return replace(data, raw=raw, recording=replace(recording, health=health))
 
 
 def _all_spoilt(findings: Sequence[InspectionFinding]) -> bool:
+    """Return whether nothing can be computed from the motion of any joint."""
     return any(finding.code in SPOIL_ALL for finding in findings)
 
 
@@ -116,70 +182,84 @@ def _of_positions(
     """Check positions and velocities."""
     of_positions = [*positions.position_findings(data, breaks)]
     spoilt = {f.joint for f in of_positions if f.code in SPOIL | TAKEN_OUT}
-    own = [*velocity_findings(data, spoilt)]
-    if not _all_spoilt(own):
-        own += [*of_positions, *positions.fast_in_degrees(data)]
+    findings = [*velocity_findings(data, spoilt)]
+    if not _all_spoilt(findings):
+        findings += of_positions
+        findings += positions.fast_in_degrees(data)
     if quality:
-        own += positions.position_quality(data, {f.joint for f in of_positions})
-    # slopes over such times mean nothing
-    uneven = data.recording.health.jitter > JITTER_LIMIT
-    return [f for f in own if not (uneven and f.code in _UNEVEN)]
+        findings += positions.position_quality(data, {f.joint for f in of_positions})
+    if data.recording.health.jitter > JITTER_LIMIT:
+        # Slopes over times that scatter mean nothing.
+        findings = [f for f in findings if f.code not in _UNEVEN]
+    return findings
 
 
 def _of_dynamics(
-    data: LogData, own: list[InspectionFinding], following: Sequence[LinkFit]
-) -> Iterator[InspectionFinding]:
-    """Compare torque, motion and IMUs with each other; `own` are the findings so far."""
-    # accelerations mean nothing with jitter
-    spoilt = {f.code for f in own} & {*SPOIL, "jitter"}
+    data: LogData, findings: list[InspectionFinding], link_fits: Sequence[LinkFit]
+) -> list[InspectionFinding]:
+    """Compare torque, motion and IMUs with each other; `findings` are those so far."""
+    # Accelerations mean nothing where times scatter.
+    spoilt = {f.code for f in findings} & {*SPOIL, "jitter"}
     sample = None if spoilt else sample_of(data)
-    against: list[InspectionFinding] = []
+    of_torque: list[InspectionFinding] = []
     if sample is not None:
-        against = geometry_findings(data, sample, [*friction_findings(data, sample)])
-    yield from (_with_imus(finding, data, following) for finding in against)
-    if any(finding.code == "gravity_direction" for finding in against):
-        return  # IMUs are compared with it
-    spoil = SPOIL | {"position_limits"}  # a zero that is off turns the link
-    joints = {
-        name
-        for f in (*own, *against)
-        if f.code in spoil
-        for name in f.joint.split(", ")
-    }
-    if not joints & set(data.robot.joint_names):
-        broken = {
-            f.joint for f in own if f.severity == "error" or f.code == "imu_saturated"
-        }
-        yield from motion_findings(
-            data, [f for f in following if f.imu.name not in broken]
-        )
+        of_friction = [*friction_findings(data, sample)]
+        of_torque = geometry_findings(data, sample, of_friction)
+    of_dynamics = [_with_blame(finding, data, link_fits) for finding in of_torque]
+    if any(finding.code == "gravity_direction" for finding in of_torque):
+        return of_dynamics  # IMUs are compared with it
 
-
-def _with_imus(
-    finding: InspectionFinding, data: LogData, following: Sequence[LinkFit]
-) -> InspectionFinding:
-    """Add to a sign that is wrong whether the IMUs blame the position."""
-    names = data.robot.joint_names
-    wrong = finding.code == "sign_mismatch"
-    moved = [
-        f
-        for f in following
-        if wrong and f.imu.after_joint >= names.index(finding.joint)
-    ]
-    if not moved:
-        return finding
-    blamed = "position" if any(f.left > FOLLOWS for f in moved) else "torque"
-    return structs.replace(
-        finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s"
+    # A zero that is off, which may be why limits are exceeded, turns the link.
+    spoilt_joints = _joints_of(
+        [f for f in (*findings, *of_torque) if f.code in SPOIL | {"position_limits"}]
     )
+    if not spoilt_joints & set(data.robot.joint_names):
+        broken_imus = {
+            f.joint
+            for f in findings
+            if f.severity == "error" or f.code == "imu_saturated"
+        }
+        sound_fits = [fit for fit in link_fits if fit.imu.name not in broken_imus]
+        of_dynamics += motion_findings(data, sound_fits)
+    return of_dynamics
+
+
+def _joints_of(findings: Sequence[InspectionFinding]) -> set[str]:
+    """Return the names of joints and IMUs that findings are about."""
+    return {name for finding in findings for name in finding.joint.split(", ")}
+
+
+def _with_blame(
+    finding: InspectionFinding, data: LogData, link_fits: Sequence[LinkFit]
+) -> InspectionFinding:
+    """Add to a sign that is wrong whether the IMUs blame the position or the torque."""
+    if finding.code != "sign_mismatch":
+        return finding
+    joint = data.robot.joint_names.index(finding.joint)
+    moved_fits = [fit for fit in link_fits if fit.imu.after_joint >= joint]
+    if not moved_fits:
+        return finding
+    # IMUs know nothing of the torque: where they follow their links, the position is
+    # right.
+    one_strays = any(fit.left > FOLLOWS for fit in moved_fits)
+    blamed = "position" if one_strays else "torque"
+    message = f"{finding.message}; by the IMUs it is the {blamed}'s"
+    return structs.replace(finding, message=message)
 
 
 def _unexplained(findings: list[InspectionFinding]) -> list[InspectionFinding]:
     """Leave out what another finding of the same joint already explains."""
-    there = {(name, f.code) for f in findings for name in f.joint.split(", ")}
+    places = {
+        (name, finding.code)
+        for finding in findings
+        for name in finding.joint.split(", ")
+    }
 
-    def explained(finding: InspectionFinding) -> bool:
-        causes = [codes for codes, own in _EXPLAINED if finding.code in own]
-        return any((finding.joint, code) in there for codes in causes for code in codes)
+    def is_explained(finding: InspectionFinding) -> bool:
+        return any(
+            finding.code in explanation.explained
+            and any((finding.joint, cause) in places for cause in explanation.causes)
+            for explanation in _EXPLANATIONS
+        )
 
-    return [finding for finding in findings if not explained(finding)]
+    return [finding for finding in findings if not is_explained(finding)]

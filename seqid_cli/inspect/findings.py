@@ -152,33 +152,50 @@ USABLE_AT_MOST = frozenset({"zero_or_mass"})
 def found(
     code: str, message: str, joint: str = "", channel: str = ""
 ) -> InspectionFinding:
-    """Make a finding of a known code, with the severity and remedy that belong to it."""
-    severity, remedies = ("error", ERRORS) if code in ERRORS else ("warning", WARNINGS)
-    place = {"log": "", "joint": joint, "channel": channel}
+    """Make a finding of a known code, with the severity and remedy that belong to it.
+
+    Parameters
+    ----------
+    code : str
+        A key of `ERRORS` or `WARNINGS`.
+    message : str
+        What is wrong, with the value and the limit.
+    joint : str
+        Joint or IMU that it is about, or two joints "a, b"; empty for the whole log.
+    channel : str
+        Channel that it is about; empty for all.
+    """
+    severity = "error" if code in ERRORS else "warning"
+    remedies = ERRORS if code in ERRORS else WARNINGS
     return InspectionFinding(
-        code=code, severity=severity, message=message, remedy=remedies[code], **place
+        code=code,
+        severity=severity,
+        log="",
+        joint=joint,
+        channel=channel,
+        message=message,
+        remedy=remedies[code],
     )
 
 
 def located(
     findings: Iterable[InspectionFinding], log: object
 ) -> tuple[InspectionFinding, ...]:
-    """Findings with the log that they are about."""
+    """Return findings with the log that they are about."""
     return tuple(replace(finding, log=str(log)) for finding in findings)
 
 
 def grouped(findings: Iterable[InspectionFinding]) -> list[list[InspectionFinding]]:
-    """Findings of one code, joint and channel together, in the order of the first of each."""
+    """Group findings by code, joint and channel, in the order of the first of each."""
     groups: dict[tuple[str, str, str], list[InspectionFinding]] = {}
     for finding in findings:
-        groups.setdefault((finding.code, finding.joint, finding.channel), []).append(
-            finding
-        )
+        place = (finding.code, finding.joint, finding.channel)
+        groups.setdefault(place, []).append(finding)
     return list(groups.values())
 
 
 def verdict_of(findings: Sequence[InspectionFinding]) -> InspectionVerdict:
-    """Judge by the worst finding."""
+    """Return the verdict on a log: that of its worst finding."""
     if any(finding.code == "unreadable" for finding in findings):
         return "unreadable"
     if any(finding.severity == "error" for finding in findings):

@@ -1,8 +1,8 @@
-"""Inspection as a function: logs in, the document out."""
+"""The function `inspect`: logs in, the document out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,26 +51,52 @@ def inspect(
     -------
     InspectionFile
         A log that cannot be read is in it with the finding `unreadable`.
+
+    Raises
+    ------
+    SeqidError
+        Where the command would exit with 2.
     """
-    found, target = expanded(listed(logs)), optional(output)
-    files = [log for log in found if isinstance(log, Path)]
-    if len(files) < len(found):
-        raise UsageError(
-            "a recording has been read already", hint="Give its path or its table."
-        )
-    if target is not None:
-        check_output(target, [*files, *([Path(robot)] if is_place(robot) else [])])  # type: ignore[arg-type]
+    files = _files(logs)
+    output_path = optional(output)
+    robot_path = Path(robot) if is_place(robot) else None  # type: ignore[arg-type]
+    if output_path is not None:
+        sources = files if robot_path is None else [*files, robot_path]
+        check_output(output_path, sources)
     if plan is not None and robot is None:
         raise UsageError("--plan needs the robot file", hint="Give it with -r.")
-    arm = load_robot(Path(robot)) if is_place(robot) else robot  # type: ignore[arg-type]
+    arm = robot if robot_path is None else load_robot(robot_path)
+
+    # Imported here because it imports numpy: a mistake in the arguments is told first.
     from seqid_cli.inspect.inspection import inspect_logs
 
-    report = inspect_logs(files, arm, time_source=time_source, on_progress=on_progress)  # type: ignore[arg-type]
+    report = inspect_logs(
+        files,
+        arm,  # type: ignore[arg-type]
+        time_source=time_source,
+        on_progress=on_progress,
+    )
     if plan is not None:
         from seqid_cli.inspect.planned import recorded_parts
 
-        parts = recorded_parts(Path(plan), arm, files, time_source)  # type: ignore[arg-type]
+        parts = recorded_parts(
+            Path(plan),
+            arm,  # type: ignore[arg-type]
+            files,
+            time_source,
+        )
         report = structs.replace(report, planned=parts)
-    if target is not None:
-        write_json_atomic(target, report, inputs=files)
+    if output_path is not None:
+        write_json_atomic(output_path, report, inputs=files)
     return report
+
+
+def _files(logs: Logs) -> Sequence[Path]:
+    """Return the files of logs; raise UsageError for a recording, which has none."""
+    places = expanded(listed(logs))
+    files = [log for log in places if isinstance(log, Path)]
+    if len(files) < len(places):
+        raise UsageError(
+            "a recording has been read already", hint="Give its path or its table."
+        )
+    return files

@@ -1,8 +1,8 @@
-"""Inspection of logs, one after the other, and of the set: logs in, the document out."""
+"""Inspection of logs, each by itself and the set of them: logs in, the document out."""
 
 import difflib
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from msgspec import structs
@@ -12,9 +12,10 @@ from seqid_cli.inspect.findings import found, located, verdict_of
 from seqid_cli.inspect.guess import Guess, guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.parts import Gathered, Inspected, serve_together
+from seqid_cli.inspect.parts import Gathered, Inspected
 from seqid_cli.inspect.progress import Progress
-from seqid_cli.logs.contents import survey
+from seqid_cli.inspect.serves import serve_together
+from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.left_out import in_logged_posture, standing_joints
 from seqid_cli.logs.pieces import read_parts
 from seqid_cli.logs.raw import TimeSource
@@ -25,11 +26,13 @@ from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.table import missing_columns
 from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import head
-from seqid_cli.params.results import inspection as schema
-from seqid_cli.params.results.inspection import InspectedLog, InspectionFinding
+from seqid_cli.params.results.inspection import (
+    INSPECTION_SCHEMA,
+    InspectedLog,
+    InspectionFile,
+    InspectionFinding,
+)
 from seqid_cli.robot.types import Robot
-
-Read = Callable[[Robot, Sequence[InspectionFinding]], Inspected]
 
 
 def inspect_logs(
@@ -38,30 +41,47 @@ def inspect_logs(
     *,
     time_source: TimeSource = "header",
     on_progress: Callable[[Progress], None] | None = None,
-) -> schema.InspectionFile:
-    """Inspect logs; findings are of robot file and set of logs, then of each log; see `inspect`."""
+) -> InspectionFile:
+    """Inspect logs, and what they make together.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Logs of any format that can be read.
+    robot : Robot, optional
+        The arm; joints are guessed without it.
+    time_source : {"header", "log"}
+        Which stamps of an MCAP log count.
+    on_progress : callable, optional
+        Given a `Progress` before each log.
+
+    Returns
+    -------
+    InspectionFile
+        Findings are those of the robot file and of the set, then of each log.
+    """
     logs: list[InspectedLog] = []
     times_s: list[float] = []
-    own: list[InspectionFinding] = []
+    findings_of_logs: list[InspectionFinding] = []
     for done, path in enumerate(paths):
         if on_progress is not None:
             on_progress(Progress("reading", done, len(paths), str(path)))
         with local_copy(path) as file:
-            one = inspect_log(file, robot, time_source=time_source)
-        logs.append(structs.replace(one.log, path=str(path)))
-        own += located(one.findings, path)
-        time = time_of_log(path, one.stamps_s)
-        times_s += [] if time is None else [time]
-    logs = logs if robot is None else serve_together(logs)
+            inspected = inspect_log(file, robot, time_source=time_source)
+        # A log on object storage is named by its address, not by the copy.
+        logs.append(structs.replace(inspected.log, path=str(path)))
+        findings_of_logs += located(inspected.findings, path)
+        time = time_of_log(path, inspected.stamps_s)
+        if time is not None:
+            times_s.append(time)
+    if robot is not None:
+        logs = serve_together(logs)
+
     findings = [*layout_findings(robot)] if robot is not None else []
-    first: dict[str, str] = {}
-    for log in logs:
-        if log.sha256 and first.setdefault(log.sha256, log.path) != log.path:
-            text = f"has the same content as {first[log.sha256]}"
-            findings += located([found("duplicate_log", text)], log.path)
-    findings += own
-    return schema.InspectionFile(
-        **head(schema.INSPECTION_SCHEMA, created_from((), times_s)),
+    findings += _duplicates(logs)
+    findings += findings_of_logs
+    return InspectionFile(
+        **head(INSPECTION_SCHEMA, created_from((), times_s)),
         robot=robot.name if robot else "",
         verdict=verdict_of(findings),
         logs=logs,
@@ -70,122 +90,198 @@ def inspect_logs(
     )
 
 
+def _duplicates(logs: Sequence[InspectedLog]) -> list[InspectionFinding]:
+    """Return a finding for each log with the same content as an earlier one."""
+    findings: list[InspectionFinding] = []
+    first_path: dict[str, str] = {}
+    for log in logs:
+        if not log.sha256:
+            continue
+        path = first_path.setdefault(log.sha256, log.path)
+        if path != log.path:
+            text = f"has the same content as {path}"
+            findings += located([found("duplicate_log", text)], log.path)
+    return findings
+
+
 def inspect_log(
     path: Path, robot: Robot | None = None, *, time_source: TimeSource = "header"
 ) -> Inspected:
-    """Inspect one log; see `inspect`."""
+    """Inspect one log.
+
+    Parameters
+    ----------
+    path : Path
+        A log of any format that can be read.
+    robot : Robot, optional
+        The arm; joints are guessed without it, and where the log does not have them.
+    time_source : {"header", "log"}
+        Which stamps of an MCAP log count.
+
+    Returns
+    -------
+    Inspected
+        A log that cannot be read has the finding `unreadable`.
+    """
     try:
         surveyed = survey(path)
     except InputError as error:
         return _unreadable(path, error)
 
-    def read(arm: Robot, before: Sequence[InspectionFinding]) -> Inspected:
-        given = robot is not None and arm.source == robot.source
-        gathered, begun = Gathered(arm, given), None
-        for parts in read_parts(
-            path, arm, time_source=time_source, failed=gathered.failed
-        ):
-            data = LogData(*parts, arm, given, begun)
-            begun = int(data.joints.stamp_ns[0]) if begun is None else begun
-            gathered.push(data)
-            del parts, data  # they are large, and the next ones come
-        return gathered.log(path, surveyed.format, before)
-
+    reader = _Reader(path=path, form=surveyed.format, time_source=time_source)
     names = list(surveyed.channels)
-    inspected, problem = None, None
     missing: dict[str, str] = {}
+    problem: InputError | None = None
+    inspected: Inspected | None = None
     if robot is not None:
         missing, findings = _missing_imus(robot, names)
         try:
             posture, left_out = _of_joints_left_out(path, robot)
-            findings += left_out
-            inspected = read(posture, findings)
+            inspected = reader.inspect(posture, [*findings, *left_out], modelled=True)
         except InputError as error:
             problem = error
+
+    # The log says more of itself than that it does not fit the robot file: without one,
+    # or where it does not fit, joints are guessed.
     if inspected is None:
         guessed = guess(surveyed)
         findings = []
         if robot is not None and problem is not None:
-            missing, findings = _lacking(
-                "joint", robot.joint_names, guessed.joints, 0.5
-            )
-            findings = findings or [found("channel_missing", problem.message)]
-            findings = [
-                structs.replace(f, remedy=problem.hint or f.remedy) for f in findings
-            ]
+            missing, findings = _why_it_does_not_fit(robot, guessed, problem)
         try:
-            inspected = _guessed(path, names, guessed, findings, read)
+            inspected = _inspect_guessed(reader, surveyed, guessed, findings)
         except InputError as error:
-            kept = [f for f in findings if f.joint]
-            inspected = _unreadable(path, problem or error, surveyed.format, kept)
-    return inspected._replace(
-        log=structs.replace(inspected.log, channels=names, missing=missing)
-    )
+            of_joints = [finding for finding in findings if finding.joint]
+            inspected = _unreadable(
+                path, problem or error, surveyed.format, findings=of_joints
+            )
+    log = structs.replace(inspected.log, channels=names, missing=missing)
+    return inspected._replace(log=log)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Reader:
+    """One log that is read part by part, as often as robots are tried on it."""
+
+    path: Path
+    form: str
+    time_source: TimeSource
+
+    def inspect(
+        self, robot: Robot, findings: Sequence[InspectionFinding], *, modelled: bool
+    ) -> Inspected:
+        """Inspect the log by a robot.
+
+        Parameters
+        ----------
+        robot : Robot
+            The arm, or one that is guessed from the log.
+        findings : sequence of InspectionFinding
+            Findings from before the log is read.
+        modelled : bool
+            Whether the robot's geometry is known.
+        """
+        gathered = Gathered(robot, modelled)
+        first_stamp_ns = None
+        for recording, raw in read_parts(
+            self.path, robot, time_source=self.time_source, failed=gathered.failed
+        ):
+            data = LogData(
+                recording=recording,
+                raw=raw,
+                robot=robot,
+                modelled=modelled,
+                first_stamp_ns=first_stamp_ns,
+            )
+            if first_stamp_ns is None:
+                first_stamp_ns = int(data.joints.stamp_ns[0])
+            gathered.push(data)
+            del recording, raw, data  # they are large, and the next ones come
+        return gathered.log(self.path, self.form, findings)
 
 
 def _of_joints_left_out(
     path: Path, robot: Robot
 ) -> tuple[Robot, list[InspectionFinding]]:
-    """Take joints that the robot file leaves out where they stand in a log, and say so."""
-    standing = standing_joints(path, robot)
-    said = [
+    """Return the robot with joints that its file leaves out as they stand in a log."""
+    left_out = standing_joints(path, robot)
+    findings = [
         found(
-            "joint_left_out" if one.moves else "joint_stands",
-            one.message,
-            one.joint.name,
+            "joint_left_out" if standing.moves else "joint_stands",
+            standing.message,
+            standing.joint.name,
         )
-        for one in standing
-        if one.message
+        for standing in left_out
+        if standing.message
     ]
-    return in_logged_posture(robot, [one for one in standing if not one.moves]), said
+    locked = [standing for standing in left_out if not standing.moves]
+    return in_logged_posture(robot, locked), findings
 
 
-def _guessed(
-    path: Path,
-    names: list[str],
+def _why_it_does_not_fit(
+    robot: Robot, guessed: Guess, problem: InputError
+) -> tuple[dict[str, str], list[InspectionFinding]]:
+    """Return joints that a log lacks, with the nearest names, and the findings."""
+    missing, findings = _lacking("joint", robot.joint_names, guessed.joints, 0.5)
+    if not findings:
+        findings = [found("channel_missing", problem.message)]
+    if problem.hint:
+        findings = [structs.replace(f, remedy=problem.hint) for f in findings]
+    return missing, findings
+
+
+def _inspect_guessed(
+    reader: _Reader,
+    surveyed: Survey,
     guessed: Guess,
     findings: list[InspectionFinding],
-    read: Read,
 ) -> Inspected:
     """Inspect a log without a robot file, or one that it does not fit."""
     if not guessed.joints:
-        if nameless(names):
-            raise missing_columns(str(path), [], names)
-        told = ", ".join(names[:12]) or "nothing"
-        hint = (
-            "Write the robot file by hand, its [channels] naming the column of each"
-            " joint in "
-        )
-        hint += (
-            'chain order (position = ["...", "..."], current = [...]), and give it'
-            " with -r."
-        )
-        raise InputError(
-            f"no joint positions were found by the names in it: {told}", hint=hint
-        )
+        raise _no_joints(reader.path, list(surveyed.channels))
     try:
-        return read(stand_in(guessed, source=path), findings)
+        robot = stand_in(guessed, source=reader.path)
+        return reader.inspect(robot, findings, modelled=False)
     except TorqueLackingError as lacking:
         if guessed.patterns:  # of columns by the joints' order
             raise
+        # Some joints have a torque and others none, such as a gripper.
         driven = tuple(name for name in guessed.joints if name not in lacking.joints)
         text = (
             "neither torque nor current is logged, but of other joints; it is left out"
         )
-        findings += [found("torque_missing", text, name) for name in lacking.joints]
-        return read(stand_in(replace(guessed, joints=driven), source=path), findings)
+        for name in lacking.joints:
+            findings.append(found("torque_missing", text, name))
+        robot = stand_in(replace(guessed, joints=driven), source=reader.path)
+        return reader.inspect(robot, findings, modelled=False)
+
+
+def _no_joints(path: Path, names: Sequence[str]) -> InputError:
+    """Return the error of a log whose names show no joint."""
+    if nameless(names):
+        return missing_columns(str(path), [], names)
+    listed = ", ".join(names[:12]) or "nothing"
+    hint = (
+        "Write the robot file by hand, its [channels] naming the column of each joint"
+        ' in chain order (position = ["...", "..."], current = [...]), and give it'
+        " with -r."
+    )
+    return InputError(
+        f"no joint positions were found by the names in it: {listed}", hint=hint
+    )
 
 
 def _unreadable(
     path: Path,
     error: InputError,
     form: str = "",
-    known: Sequence[InspectionFinding] = (),
+    findings: Sequence[InspectionFinding] = (),
 ) -> Inspected:
+    """Return a log that cannot be read, with the reason."""
     finding = found("unreadable", error.message)
     finding = structs.replace(finding, remedy=error.hint or finding.remedy)
     log = InspectedLog(path=str(path), sha256="", format=form, verdict="unreadable")
-    return Inspected(log, located((*known, finding), path))
+    return Inspected(log, located((*findings, finding), path))
 
 
 def _advice(
@@ -193,54 +289,67 @@ def _advice(
     findings: Sequence[InspectionFinding],
     robot: Robot | None,
 ) -> list[str]:
-    """Return the next step: the first error's remedy, else the first stage that the logs serve."""
-    if first := next(
-        (finding for finding in findings if finding.severity == "error"), None
-    ):
-        place = f"{first.joint}: " if first.joint else ""
-        return [f"first [{first.code}] {place}{first.remedy}"]
+    """Return the next step: an error's remedy, else the first stage that logs serve."""
+    errors = [finding for finding in findings if finding.severity == "error"]
+    if errors:
+        worst = errors[0]
+        place = f"{worst.joint}: " if worst.joint else ""
+        return [f"first [{worst.code}] {place}{worst.remedy}"]
     if robot is None:
         return [
             "seqid init LOG --urdf FILE -o robot.toml, then inspect again with -r"
             " robot.toml"
         ]
-    there = {stage for log in logs for stage in log.serves}
-    stage = "friction" if "friction" in there else "simultaneous"
-    return [f"seqid {stage} LOG... -r {robot.source} -o {stage}.json"] if there else []
+    served = {stage for log in logs for stage in log.serves}
+    if not served:
+        return []
+    stage = "friction" if "friction" in served else "simultaneous"
+    return [f"seqid {stage} LOG... -r {robot.source} -o {stage}.json"]
 
 
 def _missing_imus(
     robot: Robot, channels: Sequence[str]
 ) -> tuple[dict[str, str], list[InspectionFinding]]:
-    """Find IMUs that a log lacks; it need not have them, but a very near name is a finding."""
-    parted = [name for name in channels if "." in name or "/" in name]
-    ends = (name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in parted)
-    there, imus = (
-        [*dict.fromkeys(end[0] for end in ends)],
-        [imu.name for imu in robot.imus],
-    )
-    missing, findings = _lacking("IMU", imus, there, 0.8, robot.joint_names)
+    """Find IMUs that a log lacks, which are no finding unless there is a near name."""
+    # Columns are "imu.ax", topics "/imu/data": the name stands before the last mark.
+    names = []
+    for channel in channels:
+        if "/" in channel:
+            names.append(channel.strip("/").rsplit("/", 1)[0])
+        elif "." in channel:
+            names.append(channel.rsplit(".", 1)[0])
+    names = list(dict.fromkeys(names))
+    imus = [imu.name for imu in robot.imus]
+    missing, findings = _lacking("IMU", imus, names, 0.8, robot.joint_names)
     return missing, [finding for finding in findings if finding.channel]
 
 
 def _lacking(
     kind: str,
+    expected: Sequence[str],
     names: Sequence[str],
-    there: Sequence[str],
     cutoff: float,
-    known: Sequence[str] = (),
+    joint_names: Sequence[str] = (),
 ) -> tuple[dict[str, str], list[InspectionFinding]]:
-    """Find names that are not there, and the unknown one nearest to each in any case."""
-    lower = {other.lower(): other for other in there if other not in {*names, *known}}
-    missing, findings = {}, []
-    for name in names:
-        if name not in there:
-            close = difflib.get_close_matches(
-                name.lower(), list(lower), n=1, cutoff=cutoff
-            )
-            near = missing[name] = lower[close[0]] if close else ""
-            text = f"the log has no {kind} {name!r}" + (
-                f"; nearest: {near!r}" if near else ""
-            )
-            findings.append(found("channel_missing", text, name, near))
+    """Find expected names that a log lacks, and for each the nearest other name in it.
+
+    `cutoff` is the least likeness of a near name, whatever its case. `joint_names` are
+    of joints, and no candidates.
+    """
+    taken = {*expected, *joint_names}
+    candidates = {name.lower(): name for name in names if name not in taken}
+    missing: dict[str, str] = {}
+    findings = []
+    for name in expected:
+        if name in names:
+            continue
+        close = difflib.get_close_matches(
+            name.lower(), list(candidates), n=1, cutoff=cutoff
+        )
+        nearest = candidates[close[0]] if close else ""
+        missing[name] = nearest
+        text = f"the log has no {kind} {name!r}"
+        if nearest:
+            text += f"; nearest: {nearest!r}"
+        findings.append(found("channel_missing", text, name, nearest))
     return missing, findings

@@ -15,26 +15,29 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LogData:
-    """A log as `assemble` gives it: its joint samples are in the order of time."""
+    """A log, or a part of one, as `assemble` gives it; joint samples are in time order.
+
+    There are M joint samples as they were logged, and N on the recording's time base.
+    """
 
     recording: Recording
     raw: RawLog
     robot: Robot
-    # False: a robot guessed from the log; nothing follows from its geometry
+    # False for a robot that is guessed from the log: nothing follows from its geometry.
     modelled: bool = True
-    # the log's first stamp, from which times are told; None: own
-    begun_ns: int | None = None
+    # First stamp of the log, from which times count; None: that of these samples.
+    first_stamp_ns: int | None = None
 
     @property
     def joints(self) -> Stream:
-        """The joint samples."""
+        """The joint samples as they were logged."""
         return self.raw.joints
 
     @cached_property
     def step(self) -> Array:
-        """Change of each joint's position (n,) rad that counts as more than encoder noise."""
+        """Changes of joint positions (n,) rad that count as more than encoder noise."""
         return noise_step(self.recording.q, encoder_resolution(self.robot))
 
     @cached_property
@@ -44,47 +47,53 @@ class LogData:
 
     @cached_property
     def motion(self) -> Motion | None:
-        """Filtered motion and torque; None where no stretch is long enough to filter."""
+        """Filtered motion and torque; None where no stretch is long enough for it."""
         return _motion(self.recording, self.robot)
 
     @property
     def t(self) -> Array:
-        """Seconds of the joint samples since the log's first, (M,)."""
+        """Times of the joint samples (M,), s since the log's first."""
         stamps = self.joints.stamp_ns
-        begun = stamps[0] if self.begun_ns is None else self.begun_ns
-        return np.asarray((stamps - begun).astype(np.float64) * 1e-9)
+        first = stamps[0] if self.first_stamp_ns is None else self.first_stamp_ns
+        return np.asarray((stamps - first).astype(np.float64) * 1e-9)
 
     def effort(self) -> tuple[str, Array] | None:
-        """Return which of torque and current was logged, and its values (M, n); None if neither."""
-        for quantity in (
-            ("current", "torque") if self.raw.prefer_current else ("torque", "current")
-        ):
+        """Return "torque" or "current", whichever was logged, and its values (M, n).
+
+        None where neither was. Of both, the one that the log's reader prefers counts.
+        """
+        quantities = ("torque", "current")
+        if self.raw.prefer_current:
+            quantities = ("current", "torque")
+        for quantity in quantities:
             values = self.joints.channels.get(quantity)
             if values is not None and np.isfinite(values).any():
                 return quantity, values
         return None
 
     def moves(self, joint: int) -> bool:
-        """Whether a joint moves at all."""
+        """Return whether a joint moves at all."""
         return bool(self.moving[:, joint].any())
 
     def moving_samples(self, joint: int) -> Mask:
-        """Where a joint moves, on the joint samples (M,)."""
+        """Return where a joint moves, on the joint samples (M,)."""
         base = self.recording
-        seconds = (self.joints.stamp_ns * 1e-9 - base.start) * base.rate_hz
-        rows = np.clip(np.rint(seconds), 0, len(base.t) - 1).astype(np.intp)
-        return np.asarray(self.moving[rows, joint])
+        position = (self.joints.stamp_ns * 1e-9 - base.start) * base.rate_hz
+        nearest = np.clip(np.rint(position), 0, len(base.t) - 1).astype(np.intp)
+        return np.asarray(self.moving[nearest, joint])
 
 
 def _motion(
     recording: Recording, robot: Robot, *, min_hz: float = 3.0, min_share: float = 0.1
 ) -> Motion | None:
-    """Filter a log; a cut-off fit for accelerations alone may be too low for torques."""
-    lowest = min(min_hz, min_share * recording.rate_hz)
+    """Filter a log; None where nothing of it is long enough."""
     try:
         motion = estimate_motion(recording, robot, MotionOptions())
-        if motion.lowpass.active and motion.cutoff.hz < lowest:
-            motion = estimate_motion(recording, robot, MotionOptions(cutoff_hz=lowest))
+        # A cut-off that suits accelerations alone may be too low for torques.
+        lowest_hz = min(min_hz, min_share * recording.rate_hz)
+        if motion.lowpass.active and motion.cutoff.hz < lowest_hz:
+            options = MotionOptions(cutoff_hz=lowest_hz)
+            motion = estimate_motion(recording, robot, options)
     except SeqidError:
         return None
     return motion

@@ -1,4 +1,4 @@
-"""Which moves of a plan have been recorded: each is looked for in every log by its positions.
+"""Moves of a plan that have been recorded: their positions are looked for in all logs.
 
 For a move of positions p_j, sampled as the log's are, the mean square distance to the
 log's q_j at an offset k is a sum of three correlations with the mask m of valid
@@ -7,9 +7,12 @@ samples,
     D_j(k) = [sum m q_j^2 - 2 sum m q_j p_j + sum m p_j^2] / sum m,
 
 so that offsets that reach over the log's ends or over gaps count by what is there.
+Distances of joint j are in a unit u_j, by which a joint that travels far and one that
+travels little count alike.
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +36,24 @@ ORDER = ("missing", "spoiled", "recorded")
 def recorded_parts(
     plan: Path, robot: Robot, logs: Sequence[Path], time_source: TimeSource = "header"
 ) -> list[PlannedPart]:
-    """Say of each move of a plan whether it is recorded, missing or spoiled."""
+    """Return for each move of a plan whether it is recorded, missing or spoiled.
+
+    Parameters
+    ----------
+    plan : Path
+        A plan file.
+    robot : Robot
+        The arm that it is of.
+    logs : sequence of Path
+        Logs in which the moves are looked for.
+    time_source : {"header", "log"}
+        Which stamps of an MCAP log count.
+
+    Raises
+    ------
+    ConfigError
+        The file is no plan, or one for other joints.
+    """
     (source,) = read_any([plan])
     file = source.content
     if not isinstance(file, PlanFile):
@@ -49,86 +69,138 @@ def recorded_parts(
     return compared(file, robot.joint_names, screened)
 
 
+@dataclass(frozen=True)
+class _Positions:
+    """Positions of a log at `RATE_HZ`: q (N, n) rad, zero where they are not valid."""
+
+    q: Array
+    valid: Array  # (N,) 1.0 or 0.0
+
+
 def compared(
     plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]
 ) -> list[PlannedPart]:
-    """Compare the moves of a plan with logs; the best log of each counts."""
+    """Compare the moves of a plan with logs.
+
+    Parameters
+    ----------
+    plan : PlanFile
+        The plan.
+    names : sequence of str
+        The robot's joints in their order.
+    logs : iterable of Screened
+        Logs with their findings.
+
+    Returns
+    -------
+    list of PlannedPart
+        One per move, of the log that shows most of it.
+    """
     best = [
         PlannedPart(move=move.name, stage=move.stage, status="missing")
         for move in plan.moves
     ]
     for log in logs:
-        t = log.recording.t
-        nearest = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / RATE_HZ)).clip(
-            0, len(t) - 1
-        )
-        valid = log.recording.valid[nearest].astype(float)
-        q = np.where(valid[:, None] > 0, log.recording.q[nearest], 0.0)
+        positions = _positions(log)
         errors = [f.message for f in log.findings if f.severity == "error"]
         for k, move in enumerate(plan.moves):
-            for scale in dict.fromkeys((1.0, plan.speed_scale)):
-                part = _found(plan, move, names, q, valid, scale)
+            for speed_scale in dict.fromkeys((1.0, plan.speed_scale)):
+                part = _look_for(plan, move, names, positions, speed_scale)
                 part.log = str(log.recording.path)
                 if part.status == "recorded" and errors:
-                    part.status, part.reason = "spoiled", errors[0]
-                best[k] = max(
-                    best[k], part, key=lambda x: (ORDER.index(x.status), x.share)
-                )
+                    part.status = "spoiled"
+                    part.reason = errors[0]
+                best[k] = max(best[k], part, key=_rank)
     return best
 
 
-def _found(
+def _rank(part: PlannedPart) -> tuple[int, float]:
+    """Return what makes a part the better of two: its status, then its share."""
+    return ORDER.index(part.status), part.share
+
+
+def _positions(log: Screened) -> _Positions:
+    """Return a log's positions at `RATE_HZ`, by the sample after each time."""
+    t = log.recording.t
+    times = np.arange(t[0], t[-1], 1.0 / RATE_HZ)
+    rows = np.searchsorted(t, times).clip(0, len(t) - 1)
+    valid = log.recording.valid[rows].astype(float)
+    q = np.where(valid[:, None] > 0, log.recording.q[rows], 0.0)
+    return _Positions(q=q, valid=valid)
+
+
+def _look_for(
     plan: PlanFile,
     move: PlannedMove,
     names: Sequence[str],
-    q: Array,
-    valid: Array,
-    scale: float,
+    log: _Positions,
+    speed_scale: float,
     *,
     least_share: float = 0.3,
     whole: float = 0.97,
     follows: float = 0.05,
     resembles: float = 0.25,
 ) -> PlannedPart:
-    """Look for one move in one log; distances count in shares of each joint's motion."""
+    """Look for one move in one log, by distances in shares of each joint's motion."""
     missing = PlannedPart(move=move.name, stage=move.stage, status="missing")
-    p = sampled(move, names, RATE_HZ / scale)[1]
-    if len(q) < least_share * len(p):
+    p = sampled(move, names, RATE_HZ / speed_scale)[1]
+    if len(log.q) < least_share * len(p):
         return missing
+
+    # A joint that stays must stay as well: a tenth of its range is its unit.
     ranges = np.array([np.ptp(plan.limits[name].position) for name in names])
     unit = np.maximum(np.ptp(p, axis=0), 0.1 * ranges)
     unit = np.where(unit > 0.0, unit, 1.0)
-    there = correlate(valid, np.ones(len(p)), method="fft")
-    squares = np.sum(((q / unit) ** 2) * valid[:, None], axis=1)
-    distance = correlate(squares, np.ones(len(p)), method="fft")
-    distance += correlate(valid, np.sum((p / unit) ** 2, axis=1), method="fft")
-    for j in range(len(names)):
-        distance -= 2.0 * correlate(
-            valid * q[:, j] / unit[j], p[:, j] / unit[j], method="fft"
-        )
-    open_ = there >= least_share * len(p)
-    if not open_.any():
+    distance = _mean_distance(log, p, unit, least_share)
+    if distance is None:
         return missing
-    mean = np.where(open_, distance / np.maximum(there, 1.0), np.inf)
-    # the sample of the log at which the move begins
-    k = int(np.argmin(mean)) - len(p) + 1
-    own, log = (
-        slice(max(0, -k), min(len(p), len(q) - k)),
-        slice(max(0, k), min(len(q), k + len(p))),
-    )
-    seen = valid[log] > 0
-    off = np.sqrt(np.mean((q[log][seen] - p[own][seen]) ** 2, axis=0))
-    share, worst = float(seen.sum() / len(p)), int(np.argmax(off / unit))
-    if off[worst] > resembles * unit[worst]:
+
+    # The sample of the log at which the move begins, and what of both overlaps.
+    start = int(np.argmin(distance)) - len(p) + 1
+    of_move = slice(max(0, -start), min(len(p), len(log.q) - start))
+    of_log = slice(max(0, start), min(len(log.q), start + len(p)))
+    valid = log.valid[of_log] > 0
+    error = log.q[of_log][valid] - p[of_move][valid]
+    rms_error = np.sqrt(np.mean(error**2, axis=0))
+    share = float(valid.sum() / len(p))
+    worst = int(np.argmax(rms_error / unit))
+    if rms_error[worst] > resembles * unit[worst]:
         return missing
+
     reason = ""
-    if off[worst] > follows * unit[worst]:
-        reason = f"joint {names[worst]} is {off[worst]:.3g} rad (RMS) off"
-    elif scale < 1.0:
-        reason = f"at {scale:.2g} of the planned speed"
+    if rms_error[worst] > follows * unit[worst]:
+        reason = f"joint {names[worst]} is {rms_error[worst]:.3g} rad (RMS) off"
+    elif speed_scale < 1.0:
+        reason = f"at {speed_scale:.2g} of the planned speed"
     elif share < whole:
         reason = f"only {percent(share, 0)} of it is in the log"
-    status, start = "spoiled" if reason else "recorded", k / RATE_HZ
     return structs.replace(
-        missing, status=status, reason=reason, start=start, share=share
+        missing,
+        status="spoiled" if reason else "recorded",
+        reason=reason,
+        start=start / RATE_HZ,
+        share=share,
     )
+
+
+def _mean_distance(
+    log: _Positions, p: Array, unit: Array, least_share: float
+) -> Array | None:
+    """Return D summed over joints at all offsets (N + P - 1,); None where none counts.
+
+    Offsets at which less than `least_share` of the move (P, n) is in the log are
+    infinitely far.
+    """
+    ones = np.ones(len(p))
+    n_valid = correlate(log.valid, ones, method="fft")
+    squares = np.sum(((log.q / unit) ** 2) * log.valid[:, None], axis=1)
+    distance = correlate(squares, ones, method="fft")
+    distance += correlate(log.valid, np.sum((p / unit) ** 2, axis=1), method="fft")
+    for j in range(len(unit)):
+        distance -= 2.0 * correlate(
+            log.valid * log.q[:, j] / unit[j], p[:, j] / unit[j], method="fft"
+        )
+    counts = n_valid >= least_share * len(p)
+    if not counts.any():
+        return None
+    return np.where(counts, distance / np.maximum(n_valid, 1.0), np.inf)

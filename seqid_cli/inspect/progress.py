@@ -1,4 +1,4 @@
-"""What a function says of each log while it works."""
+"""What a function reports of each log while it works."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,9 +7,13 @@ from typing import Literal
 from seqid_cli.params.results.inspection import InspectionFinding
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LogNote:
-    """A log that was read: its size, first and last stamp [s], warnings and findings."""
+    """A log that was read: its size, warnings and findings.
+
+    `partial` says why it could be read in part only; empty where it was read whole.
+    `mended` says what was put right. `stamps_s` are the first and the last stamp [s].
+    """
 
     path: Path
     sha256: str
@@ -24,12 +28,17 @@ class LogNote:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a function, reported before a log is read and after it was worked on."""
+    """Progress of a function, reported before a log is read and after it was worked on.
+
+    `done` logs of `total` are worked on. `log` is the one that comes next, is done or
+    has failed. `note` says of "done" what was read, `error` of "failed" why the log is
+    left out, `text` of "note" and "detail" what the function is doing.
+    """
 
     state: Literal["reading", "done", "failed", "note", "detail"]
-    done: int = 0  # of `total` logs
+    done: int = 0
     total: int = 0
-    log: str = ""  # that comes next, is done or has failed
-    note: LogNote | None = None  # what was read, of "done"
-    error: Exception | None = None  # why it is left out, of "failed"
-    text: str = ""  # of "note" and "detail": what the function is about
+    log: str = ""
+    note: LogNote | None = None
+    error: Exception | None = None
+    text: str = ""

@@ -15,6 +15,7 @@ from seqid_cli.errors import InputError, SeqidError, UsageError
 from seqid_cli.inspect.dynamics.equations import GRAVITY
 from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspection import inspect_log, inspect_logs
+from seqid_cli.inspect.parts import Inspected
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.tables.naming_schemes import column_name, find_scheme, time_names
 from seqid_cli.params.results.inspection import InspectedJoint
@@ -23,6 +24,7 @@ from seqid_cli.robot.template import JointTemplate, RobotTemplate
 from seqid_cli.robot.toml_schema import Columns
 from seqid_cli.robot.urdf import UrdfJoint, UrdfText, best_chain
 
+# Words that names of joints have around what tells them apart.
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
 Pairs = list[tuple[str, UrdfJoint]]  # joints by their names in the log
 
@@ -42,48 +44,64 @@ def propose(
     name: str,
     drives: Mapping[str, Sequence[float]] = {},
 ) -> Proposal:
-    """Propose a robot file from logs of one robot, of which the first says what channels there are.
+    """Propose a robot file from logs of one robot.
 
-    `urdf`: without it the geometry is left to be filled in. `urdf_path`: how the file
-    is to name it. `drives`: `torque_constant` and `gear_ratio`, one for all joints or
-    one for each; any other number raises UsageError. Raises InputError: a log cannot be
-    read, or shows no joint.
+    Parameters
+    ----------
+    paths : sequence of Path
+        Logs; the first one says what channels there are.
+    urdf : UrdfText, optional
+        The geometry; without it that is left to be filled in.
+    urdf_path : str, optional
+        How the file is to name the URDF.
+    name : str
+        Name of the robot.
+    drives : mapping of str to sequence of float
+        `torque_constant` and `gear_ratio`, one for all joints or one for each.
+
+    Raises
+    ------
+    InputError
+        A log cannot be read, or shows no joint.
+    UsageError
+        `drives` have another number of values.
     """
     surveyed = survey(paths[0])
     guessed = guess(surveyed)
     reports = [inspect_log(path) for path in paths]
     for report in reports:
         if report.log.verdict == "unreadable":
-            first = report.findings[0]
-            raise InputError(first.message, hint=first.remedy, where=report.log.path)
-    seen: dict[str, InspectedJoint] = {}  # a joint moves if it moves in any log
-    for joint in (joint for report in reports for joint in report.log.joints):
-        if joint.name not in seen or (joint.moves and not seen[joint.name].moves):
-            seen[joint.name] = joint
-    undriven = [name for name in guessed.joints if name not in seen]
-    guessed = replace(guessed, joints=tuple(n for n in guessed.joints if n in seen))
+            problem = report.findings[0]
+            raise InputError(
+                problem.message, hint=problem.remedy, where=report.log.path
+            )
+
+    # The inspection leaves out joints without torque where other joints have one.
+    inspected = _inspected_joints(reports)
+    undriven = [joint for joint in guessed.joints if joint not in inspected]
+    driven = tuple(joint for joint in guessed.joints if joint in inspected)
+    guessed = replace(guessed, joints=driven)
     pairs, chain = _matched(guessed.joints, urdf)
-    known: list[tuple[str, UrdfJoint | None]] = [*pairs] or [
-        (n, None) for n in guessed.joints
-    ]
-    codes = {finding.code for report in reports for finding in report.findings}
-    units = (
-        {"unit": "deg"}
-        if guessed.unit == "deg" or "position_in_degrees" in codes
-        else {}
-    )
-    units |= {"length_unit": "mm"} if guessed.length_unit == "mm" else {}
+    log_joints: list[tuple[str, UrdfJoint | None]] = [*pairs]
+    if not pairs:
+        log_joints = [(joint, None) for joint in guessed.joints]
+
+    units = _units(guessed, reports)
     joints = _driven(
-        [_joint(own, seen[log], guessed, units) for log, own in known], drives
+        [
+            _joint(urdf_joint, inspected[log_name], guessed, units)
+            for log_name, urdf_joint in log_joints
+        ],
+        drives,
     )
-    effort = next((joint.effort for joint in seen.values() if joint.effort), "")
-    log_names, names = [log for log, _ in known], [joint.name for joint in joints]
+    log_names = [log_name for log_name, _ in log_joints]
+    names = [joint.name for joint in joints]
     channels, todo = _channels(surveyed, guessed, log_names, names)
     template = RobotTemplate(
         name=name,
         joints=joints,
         urdf=urdf_path if pairs else None,
-        effort="effort" if effort and not surveyed.columns else effort,
+        effort=_effort(surveyed, inspected),
         imus=guessed.imus,
         channels={**channels, **units},
         left_out=tuple(joint.name for joint in chain if joint.name not in names),
@@ -92,7 +110,40 @@ def propose(
         todo.append(
             f"the log has neither torque nor current of {', '.join(undriven)}: left out"
         )
-    return Proposal(template, (*todo, *_todo(template, guessed, pairs, urdf)))
+    todo += _todo(template, guessed, pairs, urdf)
+    return Proposal(template, tuple(todo))
+
+
+def _inspected_joints(reports: Sequence[Inspected]) -> dict[str, InspectedJoint]:
+    """Return the joints of all logs by name; a joint moves if it moves in any log."""
+    joints: dict[str, InspectedJoint] = {}
+    for report in reports:
+        for joint in report.log.joints:
+            if joint.name not in joints or (
+                joint.moves and not joints[joint.name].moves
+            ):
+                joints[joint.name] = joint
+    return joints
+
+
+def _units(guessed: Guess, reports: Sequence[Inspected]) -> dict[str, str]:
+    """Return the units of `[channels]` that positions seem to have."""
+    codes = {finding.code for report in reports for finding in report.findings}
+    units = {}
+    if guessed.unit == "deg" or "position_in_degrees" in codes:
+        units["unit"] = "deg"
+    if guessed.length_unit == "mm":
+        units["length_unit"] = "mm"
+    return units
+
+
+def _effort(surveyed: Survey, inspected: Mapping[str, InspectedJoint]) -> str:
+    """Return what the log has of torque: "torque", "current", "effort", or nothing."""
+    efforts = [joint.effort for joint in inspected.values() if joint.effort]
+    if not efforts:
+        return ""
+    # The effort of a message may be either.
+    return efforts[0] if surveyed.columns else "effort"
 
 
 def _driven(
@@ -110,156 +161,238 @@ def _driven(
             raise UsageError(
                 message, hint=f"Give one for all joints, or one for each: {names}."
             )
-        every = values if len(values) == count else [*values] * count
-        pairs = zip(joints, every, strict=True)
-        joints = [replace(joint, **{key: value}) for joint, value in pairs]  # type: ignore[arg-type]
+        by_joint = values if len(values) == count else [*values] * count
+        joints = [
+            replace(joint, **{key: value})  # type: ignore[arg-type]
+            for joint, value in zip(joints, by_joint, strict=True)
+        ]
     return tuple(joints)
 
 
 def with_gravity(
     content: str, path: Path, logs: Sequence[Path], *, most: int = 8, apart: float = 0.1
 ) -> str:
-    """Return a robot file's text with gravity as its first logs tell it, or as it was.
+    """Return a robot file's text with gravity as its first logs show it, or as it was.
 
-    `apart`: share of gravity by which the logs may differ; their median is written.
+    Parameters
+    ----------
+    content : str
+        Text of the robot file.
+    path : Path
+        The robot file itself.
+    logs : sequence of Path
+        Logs of the robot.
+    most : int
+        Logs that are looked at.
+    apart : float
+        Share of gravity by which they may differ; their median is written.
     """
     try:
         report = inspect_logs(logs[:most], load_robot(path))
     except SeqidError:
         return content
-    told = [said[1] for f in report.findings if (said := GRAVITY.match(f.message))]
-    each = np.array([json.loads(text) for text in told])
-    if not told or np.ptp(each, axis=0).max() > apart * np.linalg.norm(each[0]):
+    matches = [GRAVITY.match(finding.message) for finding in report.findings]
+    gravities = np.array([json.loads(match[1]) for match in matches if match])
+    if not len(gravities):
         return content
-    middle = [float(f"{x:.3g}") + 0.0 for x in np.median(each, axis=0)]
-    line = f"gravity = {middle}  # m/s^2 in the base frame, as the logs tell"
+    strength = np.linalg.norm(gravities[0])
+    if np.ptp(gravities, axis=0).max() > apart * strength:
+        return content
+
+    # Adding zero turns -0.0 into 0.0.
+    median = [float(f"{x:.3g}") + 0.0 for x in np.median(gravities, axis=0)]
+    line = f"gravity = {median}  # m/s^2 in the base frame, as the logs tell"
     return re.sub(r"(?m)^gravity = .*$", line, content)
 
 
 def match_names(
     log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6
 ) -> dict[str, str]:
-    """Pair names of a log with those of a URDF, one to one: equal ones first, then the nearest."""
+    """Pair names of a log with those of a URDF, one to one.
+
+    Equal names come first, then the nearest.
+
+    Parameters
+    ----------
+    log, urdf : sequence of str
+        Names of joints in both.
+    near : float
+        Likeness, 0 to 1, that two names have at least.
+
+    Returns
+    -------
+    dict of str to str
+        Names of the URDF by those of the log.
+    """
     pairs = {name: name for name in log if name in urdf}
-    left = [name for name in log if name not in pairs]
-    free = [name for name in urdf if name not in pairs.values()]
+    log_names = [name for name in log if name not in pairs]
+    urdf_names = [name for name in urdf if name not in pairs.values()]
+
+    # The likest first; of pairs that are alike the first in the log, then in the URDF.
     scored = sorted(
-        (-_likeness(a, b), log.index(a), urdf.index(b)) for a in left for b in free
+        (-_likeness(log_name, urdf_name), log.index(log_name), urdf.index(urdf_name))
+        for log_name in log_names
+        for urdf_name in urdf_names
     )
-    for score, i, j in scored:
-        if -score >= near and log[i] not in pairs and urdf[j] not in pairs.values():
+    for negative_likeness, i, j in scored:
+        is_free = log[i] not in pairs and urdf[j] not in pairs.values()
+        if -negative_likeness >= near and is_free:
             pairs[log[i]] = urdf[j]
     return pairs
 
 
 def _likeness(a: str, b: str) -> float:
-    """Compare names but for case, separators, fillers (`elbow_joint`); numbers must be the same."""
-    numbers = [re.findall(r"[0-9]+", text) for text in (a, b)]
-    if numbers[0] and numbers[1] and numbers[0] != numbers[1]:
+    """Return how alike two names are, 0 to 1, but for case, separators and fillers.
+
+    Their numbers must be the same.
+    """
+    numbers_of_a = re.findall(r"[0-9]+", a)
+    numbers_of_b = re.findall(r"[0-9]+", b)
+    if numbers_of_a and numbers_of_b and numbers_of_a != numbers_of_b:
         return 0.0
-    plain = [
-        _FILLERS.sub("", re.sub(r"[^a-z0-9]", "", text.lower())) for text in (a, b)
-    ]
-    if plain[0] == plain[1]:
+    plain_a = _plain(a)
+    plain_b = _plain(b)
+    if plain_a == plain_b:
         return 1.0
-    return (
-        difflib.SequenceMatcher(a=plain[0], b=plain[1]).ratio() if all(plain) else 0.0
-    )
+    if not (plain_a and plain_b):
+        return 0.0
+    return difflib.SequenceMatcher(a=plain_a, b=plain_b).ratio()
+
+
+def _plain(name: str) -> str:
+    """Return a name without case, separators and fillers: "elbow" for "Elbow_Joint"."""
+    return _FILLERS.sub("", re.sub(r"[^a-z0-9]", "", name.lower()))
 
 
 def _matched(
     log: Sequence[str], urdf: UrdfText | None
 ) -> tuple[Pairs, tuple[UrdfJoint, ...]]:
-    """Pair the log's joints with those of the URDF's chain that fits best, in chain order."""
+    """Pair the log's joints with those of the URDF's chain that fits best."""
     if urdf is None:
         return [], ()
-    back = {joint: name for name, joint in match_names(log, urdf.movable).items()}
-    chain = best_chain(urdf, lambda joint: 1000.0 * (joint.name in back) + 1.0)
-    found = [(back[joint.name], joint) for joint in chain if joint.name in back]
-    if len(found) == len(log):
-        return found, chain
+    log_name_of = {
+        joint: name for name, joint in match_names(log, urdf.movable).items()
+    }
+
+    # The chain with most of the log's joints; of these the longest.
+    def worth(joint: UrdfJoint) -> float:
+        return 1001.0 if joint.name in log_name_of else 1.0
+
+    chain = best_chain(urdf, worth)
+    pairs = [
+        (log_name_of[joint.name], joint) for joint in chain if joint.name in log_name_of
+    ]
+    if len(pairs) == len(log):
+        return pairs, chain
+
+    # Names such as "motor_3" say a place in the chain, from 0 or from 1.
     chain = best_chain(urdf)
-    matched = [re.fullmatch(r"[A-Za-z_]*([0-9]+)", name) for name in log]
-    places = [int(match[1]) for match in matched if match]
+    matches = [re.fullmatch(r"[A-Za-z_]*([0-9]+)", name) for name in log]
+    places = [int(match[1]) for match in matches if match]
     first = 0 if 0 in places else 1
     if len(places) == len(log) and max(places) - first < len(chain):
-        return [
-            (name, chain[k - first]) for name, k in zip(log, places, strict=True)
-        ], chain
-    return found, chain
+        pairs = [
+            (name, chain[place - first])
+            for name, place in zip(log, places, strict=True)
+        ]
+    return pairs, chain
 
 
 def _joint(
     joint: UrdfJoint | None,
-    seen: InspectedJoint,
+    inspected: InspectedJoint,
     guessed: Guess,
     units: Mapping[str, str],
 ) -> JointTemplate:
-    """Describe a joint; the inspection took its positions for angles in the guessed unit."""
-    step = seen.encoder_step
+    """Describe a joint of the robot file."""
+    step = inspected.encoder_step
     if step is not None:
-        angle = math.radians(1.0) if "unit" in units else 1.0
-        length = 1e-3 if "length_unit" in units else 1.0
-        step *= length if joint is not None and joint.kind == "prismatic" else angle
-        step = math.degrees(step) if guessed.unit == "deg" else step
+        # The inspection took all positions for angles in the guessed unit, those of
+        # joints that slide as well; the robot file has rad, or m.
+        if joint is not None and joint.kind == "prismatic":
+            step *= 1e-3 if "length_unit" in units else 1.0
+        else:
+            step *= math.radians(1.0) if "unit" in units else 1.0
+        if guessed.unit == "deg":
+            step = math.degrees(step)
     if joint is None:
-        return JointTemplate(seen.name, encoder_step=step, moves=seen.moves)
-    limits = (
-        (joint.lower, joint.upper) if None not in (joint.lower, joint.upper) else None
+        return JointTemplate(inspected.name, encoder_step=step, moves=inspected.moves)
+
+    limits = None
+    if joint.lower is not None and joint.upper is not None:
+        limits = (joint.lower, joint.upper)
+    remark = "" if joint.name == inspected.name else f"{inspected.name} in the log"
+    return JointTemplate(
+        name=joint.name,
+        limits=limits,
+        velocity=joint.velocity,
+        encoder_step=step,
+        moves=inspected.moves,
+        remark=remark,
     )
-    remark = "" if joint.name == seen.name else f"{seen.name} in the log"
-    return JointTemplate(joint.name, limits, joint.velocity, step, seen.moves, remark)  # type: ignore[arg-type]
 
 
 def _channels(
     surveyed: Survey, guessed: Guess, log: Sequence[str], joints: Sequence[str]
 ) -> tuple[dict[str, Columns], list[str]]:
-    """Return `[channels]` by which a robot file's joints are those of a log, and what they lack."""
+    """Return `[channels]` by which joints are those of a log, and what they lack.
+
+    `log` are the names of the joints in the log, `joints` those in the robot file.
+    """
     if not surveyed.columns:
-        renamed = ", ".join(
-            f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b
-        )
-        text = (
+        # Messages name their joints; nothing maps these.
+        renamed = [f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b]
+        if not renamed:
+            return {}, []
+        todo = (
             "the log's joints have other names: rename them in a copy of the URDF"
-            f" ({renamed})"
+            f" ({', '.join(renamed)})"
         )
-        return {}, [text] if renamed else []
-    names = surveyed.columns
-    times = time_names(names)
+        return {}, [todo]
+
+    columns = surveyed.columns
     channels: dict[str, Columns] = {}
+    times = time_names(columns)
     if "t" not in times and len(times) != 1:
         channels["time"] = next(iter(times), "TODO")
+
     patterns = dict(guessed.patterns)
-    for quantity in () if patterns else WORDS:
-        there = all(f"{name}.{quantity}" in names for name in guessed.joints)
-        patterns |= (
-            {quantity: f"{{name}}.{quantity}"}
-            if quantity == "position" or there
-            else {}
-        )
-    match = find_scheme(joints, names)
-    told = {*match.columns} if match is not None else set()  # by the names themselves
-    told |= {"current", "torque"} if "effort" in told else set()
-    mapped = {
-        k: _mapped(pattern, log, joints)
-        for k, pattern in patterns.items()
-        if k not in told
-    }
-    return {**channels, **mapped}, []
+    if not patterns:
+        for quantity in WORDS:
+            in_all = all(f"{name}.{quantity}" in columns for name in guessed.joints)
+            if quantity == "position" or in_all:
+                patterns[quantity] = f"{{name}}.{quantity}"
+
+    # What a naming scheme finds by the robot file's names need not be written.
+    scheme = find_scheme(joints, columns)
+    by_scheme = {*scheme.columns} if scheme is not None else set()
+    if "effort" in by_scheme:
+        by_scheme |= {"current", "torque"}
+    for quantity, pattern in patterns.items():
+        if quantity not in by_scheme:
+            channels[quantity] = _mapped(pattern, log, joints)
+    return channels, []
 
 
 def _mapped(pattern: Columns, log: Sequence[str], joints: Sequence[str]) -> Columns:
-    """Write the log's names by those of the URDF, by the joints' numbers, or column by column."""
+    """Write the log's names by those of the URDF, by numbers, or column by column."""
     if not isinstance(pattern, str) or "{name}" not in pattern:
         return pattern
-    pairs = list(zip(log, joints, strict=True))
-    parts = [a.partition(b) for a, b in pairs if b in a]
-    forms = [f"{before}{{name}}{after}" for before, _, after in parts]
+
+    # The URDF's name may be a part of the log's, or its place in the chain may.
+    forms = []
+    for log_name, joint in zip(log, joints, strict=True):
+        if joint in log_name:
+            prefix, _, suffix = log_name.partition(joint)
+            forms.append(f"{prefix}{{name}}{suffix}")
     for match in re.finditer("[0-9]+", log[0]):
-        before, after = log[0][: match.start()], log[0][match.end() :]
-        forms += [f"{before}{key}{after}" for key in ("{index}", "{index0}")]
+        prefix = log[0][: match.start()]
+        suffix = log[0][match.end() :]
+        forms += [f"{prefix}{key}{suffix}" for key in ("{index}", "{index0}")]
+
     for form in forms:
-        if all(column_name(form, b, k) == a for k, (a, b) in enumerate(pairs)):
+        names = [column_name(form, joint, k) for k, joint in enumerate(joints)]
+        if names == list(log):
             return pattern.replace("{name}", form)
     return tuple(pattern.replace("{name}", name) for name in log)
 
@@ -272,28 +405,33 @@ def _todo(
         yield 'check unit = "deg" under [channels]: the angles look like degrees'
     if "length_unit" in template.channels:
         yield 'check length_unit = "mm" under [channels]: positions are called so'
-    there = {log for log, _ in pairs}
-    missing = ", ".join(
-        name for name in dict.fromkeys(guessed.joints) if name not in there
+
+    paired = {log_name for log_name, _ in pairs}
+    unpaired = ", ".join(
+        name for name in dict.fromkeys(guessed.joints) if name not in paired
     )
     if urdf is None:
         yield "the geometry: name a URDF, or complete dh of every joint"
     elif not pairs:
         movable = ", ".join(urdf.movable) or "no movable joint"
         yield (
-            f"no joint of the log ({missing}) is in the URDF ({movable}): give the"
+            f"no joint of the log ({unpaired}) is in the URDF ({movable}): give the"
             " geometry"
         )
-    elif missing:
-        yield f"joints of the log that the URDF's chain lacks: {missing}"
+    elif unpaired:
+        yield f"joints of the log that the URDF's chain lacks: {unpaired}"
     if pairs and template.left_out:
         names = ", ".join(template.left_out)
         yield f"the log lacks joints of the URDF, taken as locked at zero: {names}"
-    known = all(joint.torque_constant and joint.gear_ratio for joint in template.joints)
-    if template.effort == "current" and not known:
+
+    has_drive_data = all(
+        joint.torque_constant and joint.gear_ratio for joint in template.joints
+    )
+    if template.effort == "current" and not has_drive_data:
         yield "torque_constant and gear_ratio of every joint"
     if template.effort == "effort":
         yield 'whether effort is torque in N m or current in A (effort = "current")'
     if template.channels.get("time") == "TODO":
         yield "the time column"
-    yield from (f"where IMU {imu.name} rides, and its layout" for imu in template.imus)
+    for imu in template.imus:
+        yield f"where IMU {imu.name} rides, and its layout"

@@ -1,11 +1,11 @@
-"""The checks of `seqid inspect` on a log that a stage reads, without its damaged samples.
+"""Checks of a log that a stage reads, which then goes on without damaged samples.
 
 A log that is passed over is looked through for damaged positions block by block; torque
 and motion are compared with each other in some pieces of it, so that memory does not
 grow with the log.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from seqid_cli.logs.tables.parquet import BLOCK_ROWS
 from seqid_cli.motion.blocks import SurveyedLog, joined, overlapping
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Index
 
 Findings = tuple[InspectionFinding, ...]
 
@@ -37,20 +38,48 @@ class Screened(NamedTuple):
 
 
 def sound(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
-    """Return a log, or a piece of one, as `read_both` gives it, without its damaged samples."""
-    data = LogData(recording, raw, robot)
-    return without(
-        data, breaks_of(robot, data.t, data.joints.channels["position"])
-    ).recording
+    """Return a log, or a piece of one, without its damaged samples.
+
+    Parameters
+    ----------
+    recording : Recording
+        The log on one time base.
+    raw : RawLog
+        The same as it was logged; `read_both` gives both.
+    robot : Robot
+        The arm.
+    """
+    data = LogData(recording=recording, raw=raw, robot=robot)
+    breaks = breaks_of(robot, data.t, data.joints.channels["position"])
+    return without(data, breaks).recording
 
 
 def read_screened(
     path: Path, robot: Robot, *, time_source: TimeSource = "header", imus: bool = True
 ) -> Screened:
-    """Read and check a log as a whole, its IMUs if they are used; see `read_recording`."""
-    data = LogData(*read_both(path, robot, time_source=time_source), robot)
-    sound, findings, _ = check(data, imus=imus, quality=False)
-    return Screened(sound.recording, located(findings, data.recording.path))
+    """Read and check a log as a whole.
+
+    Parameters
+    ----------
+    path : Path
+        A log of any format that can be read.
+    robot : Robot
+        The arm.
+    time_source : {"header", "log"}
+        Which stamps of an MCAP log count.
+    imus : bool
+        Whether its IMUs are used, and hence checked.
+
+    Returns
+    -------
+    Screened
+        The log without damaged samples, and the findings. Errors are those of
+        `read_recording`.
+    """
+    recording, raw = read_both(path, robot, time_source=time_source)
+    data = LogData(recording=recording, raw=raw, robot=robot)
+    checked, findings, _ = check(data, imus=imus, quality=False)
+    return Screened(checked.recording, located(findings, data.recording.path))
 
 
 def screened_long(
@@ -61,59 +90,114 @@ def screened_long(
     piece_s: float = 20,
     overlap_s: float = 1.0,
 ) -> tuple[SurveyedLog, Findings]:
-    """Check a log that is passed over; see `read_screened`.
+    """Check a log that is passed over.
 
-    Torque and motion are compared in `pieces` of `piece_s`; breaks are looked for with
-    `overlap_s` on either side of a block as well [s].
+    Parameters
+    ----------
+    log : SurveyedLog
+        A log that is too long to be held.
+    robot : Robot
+        The arm.
+    pieces, piece_s : int, float
+        Pieces in which torque and motion are compared, spread over the log, and their
+        length [s].
+    overlap_s : float
+        Time on either side of a block [s] in which breaks are looked for as well.
+
+    Returns
+    -------
+    log : SurveyedLog
+        The log with bridges over damaged samples.
+    findings : tuple of InspectionFinding
+        Each code once per joint and channel.
     """
-    first = next(
-        iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source))
-    )
-    size = min(log.samples, max(64, int(piece_s * log.rate_hz)))
-    starts = np.linspace(0, log.samples - size, pieces)
-    kept: dict[int, list[Block]] = {int(start): [] for start in starts}
-    findings: list[InspectionFinding] = []
-    bridges: list[Bridge] = []
+    # The samples as they were logged say which channels there are.
+    without_imus = replace(robot, imus=())
+    read = READERS[log.format]
+    first_block = next(iter(read(log.file, without_imus, log.time_source)))
+
+    breaks = _BreakSearch(log, robot, pieces=pieces, piece_s=piece_s)
     margin = max(16, int(overlap_s * log.rate_hz))
     for window, low, high in overlapping(log.blocks(), BLOCK_ROWS, margin):
-        t = np.asarray(
-            (window.start + np.arange(window.samples)) * log.step_s, dtype=np.float64
-        )
-        for each in breaks_of(robot, t, window.q):
-            findings.append(each.finding)
-            bridges += _bridged(each, window, log.rate_hz)
-        for start, parts in kept.items():
-            at = start - window.start
-            if max(at, low) < min(at + size, high):
-                parts.append(
-                    deepcopy(window.part(slice(max(at, low), min(at + size, high))))
-                )
-    sound, warnings = replace(log, bridges=tuple(bridges)), log.warnings
-    for piece in map(joined, kept.values()):
-        for bridge in bridges:
+        breaks.look_through(window, low, high)
+
+    findings = breaks.findings
+    warnings = log.warnings
+    for blocks in breaks.pieces.values():
+        piece = joined(blocks)
+        for bridge in breaks.bridges:
             bridge.laid(piece)
-        data = LogData(*_held(piece, log, first, warnings), robot)
+        recording, raw = _as_recording(piece, log, first_block, warnings)
+        data = LogData(recording=recording, raw=raw, robot=robot)
         findings += check(data, imus=False, quality=False)[1]
-        warnings = ()  # they are the log's, and said once
-    return sound, located([first for first, *_ in grouped(findings)], log.path)
+        warnings = ()  # they are the log's, and reported once
+    first_of_each = [group[0] for group in grouped(findings)]
+    bridged = replace(log, bridges=tuple(breaks.bridges))
+    return bridged, located(first_of_each, log.path)
 
 
-def _bridged(damage: Break, window: Block, rate_hz: float) -> Iterator[Bridge]:
-    """Bridge damaged samples of a window, runs of them together."""
-    most = max(GAP_INTERVALS, GAP_LEAST_S * rate_hz)
-    q, rows = window.q[:, damage.joint], damage.rows
-    for run in (
-        np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else ()
-    ):
-        start, stop = int(run[0]), int(run[-1]) + 1
+class _BreakSearch:
+    """A search for damaged positions in a long log, which keeps pieces of it.
+
+    `pieces` holds the blocks of each piece by its first sample.
+    """
+
+    def __init__(
+        self, log: SurveyedLog, robot: Robot, *, pieces: int, piece_s: float
+    ) -> None:
+        self.log = log
+        self.robot = robot
+        self.findings: list[InspectionFinding] = []
+        self.bridges: list[Bridge] = []
+        self.piece_rows = min(log.samples, max(64, int(piece_s * log.rate_hz)))
+        starts = np.linspace(0, log.samples - self.piece_rows, pieces)
+        self.pieces: dict[int, list[Block]] = {int(start): [] for start in starts}
+
+    def look_through(self, window: Block, low: int, high: int) -> None:
+        """Look for breaks in a window; keep rows [low, high) of it that are wanted."""
+        rows = window.start + np.arange(window.samples)
+        t = np.asarray(rows * self.log.step_s, dtype=np.float64)
+        for damage in breaks_of(self.robot, t, window.q):
+            self.findings.append(damage.finding)
+            self.bridges += _bridges(damage, window, self.log.rate_hz)
+
+        for start, blocks in self.pieces.items():
+            first = max(start - window.start, low)
+            last = min(start - window.start + self.piece_rows, high)
+            if first < last:
+                # The window is overwritten by the next one.
+                blocks.append(deepcopy(window.part(slice(first, last))))
+
+
+def _bridges(damage: Break, window: Block, rate_hz: float) -> Iterator[Bridge]:
+    """Yield a bridge over each run of damaged samples of a window."""
+    # A longer hole is a gap: a straight line over it is no measurement.
+    most_samples = max(GAP_INTERVALS, GAP_LEAST_S * rate_hz)
+    q = window.q[:, damage.joint]
+    for run in _consecutive(damage.rows):
+        start = int(run[0])
+        stop = int(run[-1]) + 1
         after = float(q[min(stop, len(q) - 1)])
         before = float(q[start - 1]) if start else after
-        ends = window.start + start, window.start + stop
-        yield Bridge(damage.joint, *ends, before, after, stop - start < most)
+        yield Bridge(
+            joint=damage.joint,
+            start=window.start + start,
+            stop=window.start + stop,
+            before=before,
+            after=after,
+            valid=stop - start < most_samples,
+        )
 
 
-def _held(
-    piece: Block, log: SurveyedLog, first: RawLog, warnings: tuple[str, ...]
+def _consecutive(rows: Index) -> Iterable[Index]:
+    """Split row numbers into runs without a hole."""
+    if not len(rows):
+        return ()
+    return np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+
+
+def _as_recording(
+    piece: Block, log: SurveyedLog, first_block: RawLog, warnings: tuple[str, ...]
 ) -> tuple[Recording, RawLog]:
     """Make a recording of a piece, and the raw log of it."""
     rows = piece.start + np.arange(len(piece.q))
@@ -130,11 +214,14 @@ def _held(
         start=float(stamps[0]) * 1e-9,
         partial=log.partial,
     )
-    logged = first.joints.channels
-    factor = [joint.torque_per_ampere or np.nan for joint in log.robot.joints]
-    currents = "current" in logged and (first.prefer_current or "torque" not in logged)
-    effort = (
-        {"current": piece.tau / np.array(factor)} if currents else {"torque": piece.tau}
-    )
+
+    # Messages of the checks speak of the quantity that was logged.
+    logged = first_block.joints.channels
+    effort = {"torque": piece.tau}
+    if "current" in logged and (first_block.prefer_current or "torque" not in logged):
+        torque_per_ampere = np.array(
+            [joint.torque_per_ampere or np.nan for joint in log.robot.joints]
+        )
+        effort = {"current": piece.tau / torque_per_ampere}
     joints = Stream("joints", stamps, {"position": piece.q, **effort})
-    return recording, RawLog(joints, prefer_current=first.prefer_current)
+    return recording, RawLog(joints, prefer_current=first_block.prefer_current)

@@ -1,4 +1,4 @@
-"""How far predicted torques were off on left-out logs, as the parameter file holds it."""
+"""Errors of predicted torques on left-out logs, as the parameter file holds them."""
 
 from seqid_cli.params.base import Struct
 

@@ -1,4 +1,4 @@
-"""The base of all documents: strict structures, and how a notebook shows them.
+"""Base of all documents: strict structures, and how a notebook shows them.
 
 Whatever a document holds is laid out by its own shape: structures that lie in a list or
 by name in a dictionary as the rows of one table, other values by their names. Long
@@ -11,7 +11,9 @@ from typing import Any
 
 import msgspec
 
-_MOST_ROWS, _MOST_VALUES = 60, 6
+_MOST_ROWS = 60
+_MOST_VALUES = 6  # in one cell
+# What a reader of a notebook does not look for.
 _LEFT_OUT = frozenset(
     {"schema", "created", "tool", "inputs", "covariance", "representative"}
 )
@@ -42,67 +44,98 @@ class Document(Struct):
 
 
 def _fields(struct: msgspec.Struct) -> dict[str, object]:
+    """Return the fields of a structure that are shown."""
     return {
-        x: getattr(struct, x) for x in struct.__struct_fields__ if x not in _LEFT_OUT
+        name: getattr(struct, name)
+        for name in struct.__struct_fields__
+        if name not in _LEFT_OUT
     }
 
 
 def _tables(value: Any) -> str:
-    """A structure: short values in one table, then a part for each longer one; or many as rows."""
+    """Lay out a value as tables.
+
+    A structure has its short values in one table, then a part for each longer one; many
+    values are the rows of a table.
+    """
     if isinstance(value, list) and not isinstance(value[0], msgspec.Struct):
         return f"{len(value)} rows"
     if not isinstance(value, msgspec.Struct):
         return _records(value)
-    values = _fields(value)
-    rows = [(name, text) for name, own in values.items() if (text := _short(own))]
-    parts = [_table((), rows)] if rows else []
-    for name, own in values.items():
-        if own and not _short(own) and (inner := _tables(own)):
-            parts.append(
-                f"<details open><summary>{escape(name)}</summary>{inner}</details>"
-            )
+
+    short_rows = []
+    parts = []
+    for name, item in _fields(value).items():
+        text = _short(item)
+        if text:
+            short_rows.append((name, text))
+        elif item:
+            inner = _tables(item)
+            if inner:
+                summary = f"<summary>{escape(name)}</summary>"
+                parts.append(f"<details open>{summary}{inner}</details>")
+    if short_rows:
+        parts.insert(0, _table((), short_rows))
     return "".join(parts)
 
 
 def _short(value: object) -> str:
-    """A value in one cell; empty where there is nothing, or too much for a cell."""
+    """Write a value into one cell; empty for nothing, and for too much for a cell."""
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, str | int):
         return escape(str(value))
-    if isinstance(value, Sequence) and all(
-        isinstance(x, str | float | int) for x in value
-    ):
-        if len(value) > _MOST_VALUES and not isinstance(value[0], str):
-            return f"{len(value)} values"
-        return "<br>".join(map(_short, value))
-    return ""
+    if not isinstance(value, Sequence):
+        return ""
+    if not all(isinstance(item, str | float | int) for item in value):
+        return ""
+    if len(value) > _MOST_VALUES and not isinstance(value[0], str):
+        return f"{len(value)} values"
+    return "<br>".join(map(_short, value))
 
 
 def _records(value: Any) -> str:
-    """Structures or values of one kind as rows, behind their names where they have any."""
-    names = list(map(str, value)) if isinstance(value, Mapping) else []
-    records = list(value.values()) if isinstance(value, Mapping) else list(value)
-    shown = records[:_MOST_ROWS]
+    """Lay out structures or values of one kind as rows, behind their names if any."""
+    has_names = isinstance(value, Mapping)
+    records = list(value.values()) if has_names else list(value)
+    shown_records = records[:_MOST_ROWS]
+
     columns: list[str] = []
-    cells = [[_short(record)] for record in shown]
-    if shown and isinstance(shown[0], msgspec.Struct):
-        texts = [
-            {x: _short(own) for x, own in _fields(record).items()} for record in shown
-        ]
-        columns = [x for x in texts[0] if any(text[x] for text in texts)]
-        cells = [[text[x] for x in columns] for text in texts]
-    if names:
+    cells = [[_short(record)] for record in shown_records]
+    if shown_records and isinstance(shown_records[0], msgspec.Struct):
+        columns, cells = _cells_of_structs(shown_records)
+    if has_names:
         columns = ["", *columns] if columns else columns
-        cells = [[escape(name), *row] for name, row in zip(names, cells, strict=False)]
-    rest = len(records) - len(shown)
-    return _table(columns, cells) + (f"<p>and {rest} more</p>" if rest else "")
+        names = [escape(str(name)) for name in value]
+        cells = [[name, *row] for name, row in zip(names, cells, strict=False)]
+
+    n_hidden = len(records) - len(shown_records)
+    ending = f"<p>and {n_hidden} more</p>" if n_hidden else ""
+    return _table(columns, cells) + ending
+
+
+def _cells_of_structs(
+    records: Sequence[msgspec.Struct],
+) -> tuple[list[str], list[list[str]]]:
+    """Return columns and rows of structures, without columns that are all empty."""
+    texts = []
+    for record in records:
+        fields = _fields(record)
+        texts.append({name: _short(item) for name, item in fields.items()})
+    columns = []
+    for name in texts[0]:
+        if any(text[name] for text in texts):
+            columns.append(name)
+    rows = [list(map(text.__getitem__, columns)) for text in texts]
+    return columns, rows
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Write a table; its cells are marked up already."""
     head = "".join(f"<th>{escape(name)}</th>" for name in columns)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{x}</td>" for x in row) + "</tr>" for row in rows
-    )
     top = f"<thead><tr>{head}</tr></thead>" if head else ""
+    body = ""
+    for row in rows:
+        cells = "".join(f"<td>{cell}</td>" for cell in row)
+        body += f"<tr>{cells}</tr>"
     return f"<table>{top}<tbody>{body}</tbody></table>"

@@ -1,4 +1,4 @@
-"""Checks of documents beyond their types: shapes, ranges, names that refer to each other."""
+"""Checks of documents beyond their types: shapes, ranges, and names of joints."""
 
 from collections.abc import Callable, Iterator, Mapping
 from operator import mul
@@ -11,58 +11,64 @@ from seqid_cli.params import schema
 from seqid_cli.params.bands_schema import JointBand
 from seqid_cli.params.evidence_schema import EvidenceEntry
 
-SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
+SMALLEST = 1e-12  # of divisors: by smaller numbers results overflow
 _Problem = tuple[str, str]  # key, fault
-# Fields that name joints, themselves or by their keys; a verdict may be about an IMU.
-_OF_JOINTS = {
-    "joint",
-    "joints",
-    "of",
-    "before",
-    "after",
-    "torque_constant_moves",
-    "noise_floor",
-}
-_OF_JOINTS |= {"noise_floor_interval", "gain_interval"}
-# or empty
-_INTERVALS = ("interval", "training_interval", "gain_interval", "noise_floor_interval")
+# Fields that name joints, themselves or by their keys.
+_OF_JOINTS = frozenset(
+    {
+        "joint",
+        "joints",
+        "of",
+        "before",
+        "after",
+        "torque_constant_moves",
+        "noise_floor",
+        "noise_floor_interval",
+        "gain_interval",
+    }
+)
+# Fields of two numbers, the smaller one first.
+_RANGES = frozenset({"position_range", "speed_range"})
+# The same, or empty.
+_INTERVALS = frozenset(
+    {"interval", "training_interval", "gain_interval", "noise_floor_interval"}
+)
 
 
 def check_consistency(document: schema.OfRobot, where: str) -> None:
-    """Raise ConfigError where two parts of a document about a robot contradict each other."""
-    for key, what in _problems(document):
+    """Raise ConfigError where two parts of a document contradict each other.
+
+    `where` is its path, for the message.
+    """
+    for key, fault in _problems(document):
         hint = "The file was edited or damaged: run the command again that wrote it."
-        raise ConfigError(f"{key}: {what}", where=where, hint=hint)
+        raise ConfigError(f"{key}: {fault}", where=where, hint=hint)
 
 
 def _problems(document: schema.OfRobot) -> Iterator[_Problem]:
+    """Yield all faults of a document."""
     joints = document.robot.joints
-    if isinstance(document, schema.ParameterFile) and not 0 < len(joints) == len(
-        set(joints)
-    ):
-        yield "$.robot.joints", "must name each joint of the robot once"
+    if isinstance(document, schema.ParameterFile):
+        is_unique = len(joints) == len(set(joints))
+        if not joints or not is_unique:
+            yield "$.robot.joints", "must name each joint of the robot once"
     for key, struct in _structs("$", document):
         for name in struct.__struct_fields__:
             value = getattr(struct, name)
+            # A verdict may be about an IMU.
             if name in _OF_JOINTS and not isinstance(struct, schema.Verdict):
-                for joint in value if isinstance(value, Mapping | list) else [value]:
-                    if isinstance(joint, str) and joint and joint not in joints:
-                        what = (
-                            f"joint {joint!r} is none of the robot's:"
-                            f" {', '.join(joints)}"
-                        )
-                        yield f"{key}.{name}", what
+                yield from _names(f"{key}.{name}", value, joints)
             entries = value if isinstance(value, Mapping) else {"": value}
-            for own, entry in entries.items():
-                yield from _numbers(
-                    f"{key}.{name}.{own}".removesuffix("."), name, entry
-                )
+            for entry_name, entry in entries.items():
+                entry_key = f"{key}.{name}.{entry_name}".removesuffix(".")
+                yield from _numbers(entry_key, name, entry)
         check = _CHECKS.get(type(struct))
-        yield from check(key, struct) if check else ()
+        if check is not None:
+            yield from check(key, struct)
 
 
 def _structs(key: str, value: object) -> Iterator[tuple[str, msgspec.Struct]]:
-    """All structures of a document, each with its key's full path."""
+    """Yield all structures of a document, each with its key's full path."""
     if isinstance(value, msgspec.Struct):
         yield key, value
         for name in value.__struct_fields__:
@@ -75,33 +81,45 @@ def _structs(key: str, value: object) -> Iterator[tuple[str, msgspec.Struct]]:
             yield from _structs(f"{key}[{index}]", item)
 
 
+def _names(key: str, value: Any, joints: list[str]) -> Iterator[_Problem]:
+    """Yield names that are none of the robot's joints; "" is of the whole arm."""
+    names = value if isinstance(value, Mapping | list) else [value]
+    for name in names:
+        if isinstance(name, str) and name and name not in joints:
+            listed = ", ".join(joints)
+            yield key, f"joint {name!r} is none of the robot's: {listed}"
+
+
 def _numbers(key: str, name: str, value: Any) -> Iterator[_Problem]:
-    pair = name in ("position_range", "speed_range") or (name in _INTERVALS and value)
-    if pair and not (len(value) == 2 and value[0] <= value[1]):
+    """Yield faults of numbers that the field's name says enough of."""
+    is_range = name in _RANGES or (name in _INTERVALS and value)
+    if is_range and not (len(value) == 2 and value[0] <= value[1]):
         yield key, "must be two numbers, the smaller one first"
     if name in ("std_error", "rmse") and isinstance(value, float) and value < 0.0:
         yield key, f"must not be negative, is {value}"
 
 
 def _friction(key: str, joint: schema.FrictionJoint) -> Iterator[_Problem]:
-    bases = {
+    rows_of_basis = {
         "chebyshev": joint.position_order + 1,
         "fourier": 2 * joint.position_order + 1,
     }
-    if joint.position_basis not in bases:
-        yield (
-            f"{key}.position_basis",
-            f"is {joint.position_basis!r}, none of {', '.join(bases)}",
-        )
+    if joint.position_basis not in rows_of_basis:
+        listed = ", ".join(rows_of_basis)
+        fault = f"is {joint.position_basis!r}, none of {listed}"
+        yield f"{key}.position_basis", fault
         return
-    rows, columns = bases[joint.position_basis], joint.velocity_order + 1
+    rows = rows_of_basis[joint.position_basis]
+    columns = joint.velocity_order + 1
     for name, surface in (("positive", joint.positive), ("negative", joint.negative)):
         if not _has_shape(surface, rows, columns):
             yield f"{key}.{name}", f"must have {rows} rows of {columns} coefficients"
+
     if not joint.sign_width >= SMALLEST:
         yield f"{key}.sign_width", f"must be positive, is {joint.sign_width}"
     if 0.0 < abs(joint.speed_range[0]) < SMALLEST:
         yield f"{key}.speed_range", f"begins at {joint.speed_range[0]} rad/s"
+    # Of one surface for both directions, or of two.
     yield from _square(key, joint.covariance, rows * columns, 2 * rows * columns)
     if not 0.0 <= joint.torque_constant_error < 1.0:
         yield f"{key}.torque_constant_error", "must be at least 0 and below 1"
@@ -123,10 +141,8 @@ def _rigid(key: str, stage: schema.RigidStage) -> Iterator[_Problem]:
 def _band(key: str, band: JointBand) -> Iterator[_Problem]:
     order = [(cell.fast, cell.loaded) for cell in band.cells]
     if order != [(False, False), (False, True), (True, False), (True, True)]:
-        yield (
-            f"{key}.cells",
-            "must be slow and light, slow and loaded, fast and light, both",
-        )
+        fault = "must be slow and light, slow and loaded, fast and light, both"
+        yield f"{key}.cells", fault
     if any(cell.factor <= 0.0 for cell in band.cells):
         yield f"{key}.cells", "must have positive factors"
     if band.left_std < 0.0:
@@ -139,11 +155,14 @@ def _imu(key: str, imu: schema.ImuCalibration) -> Iterator[_Problem]:
         return
     for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
         product = sum(map(mul, imu.rotation[i], imu.rotation[j]))
-        if abs(product - (i == j)) > 1e-6:
-            yield (
-                f"{key}.rotation",
-                f"is no rotation: rows {i + 1} and {j + 1} give {product:.6g}",
-            )
+        expected = 1.0 if i == j else 0.0
+        if abs(product - expected) > 1e-6:
+            fault = f"is no rotation: rows {i + 1} and {j + 1} give {product:.6g}"
+            yield f"{key}.rotation", fault
+
+
+def _effect(key: str, effect: schema.EffectOfJoint) -> Iterator[_Problem]:
+    yield from _square(key, effect.covariance, len(effect.coefficients))
 
 
 def _session(key: str, session: schema.EffectSession) -> Iterator[_Problem]:
@@ -160,38 +179,33 @@ def _closed_loop(key: str, loop: schema.ClosedLoop) -> Iterator[_Problem]:
         "refused": loop.refused,
     }
     for name, tried in lists.items():
-        for index, each in enumerate(tried):
-            if each.accepted != (name != "refused"):
-                yield (
-                    f"{key}.{name}[{index}].accepted",
-                    f"contradicts its place in {name}",
-                )
-            if name == "unconfirmed" and each.confirmed:
-                yield (
-                    f"{key}.{name}[{index}].confirmed",
-                    f"contradicts its place in {name}",
-                )
+        fault = f"contradicts its place in {name}"
+        for index, item in enumerate(tried):
+            if item.accepted != (name != "refused"):
+                yield f"{key}.{name}[{index}].accepted", fault
+            if name == "unconfirmed" and item.confirmed:
+                yield f"{key}.{name}[{index}].confirmed", fault
 
 
-def _evidence(key: str, shown: EvidenceEntry) -> Iterator[_Problem]:
+def _evidence(key: str, evidence: EvidenceEntry) -> Iterator[_Problem]:
     lengths = {
-        len(shown.x),
-        len(shown.count),
-        len(shown.before),
-        len(shown.before_spread),
+        len(evidence.x),
+        len(evidence.count),
+        len(evidence.before),
+        len(evidence.before_spread),
     }
-    if shown.after or shown.after_spread:
-        lengths |= {len(shown.after), len(shown.after_spread)}
+    # Of a push nothing can be taken off.
+    if evidence.after or evidence.after_spread:
+        lengths |= {len(evidence.after), len(evidence.after_spread)}
     if len(lengths) > 1:
         yield key, "x, count, before and after must be of one length"
 
 
 def _square(key: str, covariance: schema.Matrix, *sizes: int) -> Iterator[_Problem]:
+    """Yield that a covariance which is there has none of the sizes."""
     if covariance and not any(_has_shape(covariance, size, size) for size in sizes):
-        yield (
-            f"{key}.covariance",
-            f"must be square with {' or '.join(map(str, sizes))} rows",
-        )
+        listed = " or ".join(map(str, sizes))
+        yield f"{key}.covariance", f"must be square with {listed} rows"
 
 
 def _has_shape(matrix: schema.Matrix, rows: int, columns: int) -> bool:
@@ -203,9 +217,7 @@ _CHECKS: Mapping[type, Callable[[str, Any], Iterator[_Problem]]] = {
     schema.RigidStage: _rigid,
     JointBand: _band,
     schema.ImuCalibration: _imu,
-    schema.EffectOfJoint: lambda key, own: _square(
-        key, own.covariance, len(own.coefficients)
-    ),
+    schema.EffectOfJoint: _effect,
     schema.EffectSession: _session,
     schema.ClosedLoop: _closed_loop,
     EvidenceEntry: _evidence,

@@ -1,4 +1,4 @@
-"""When a result was made, so that the same inputs give the same bytes.
+"""Dates of results, by which the same inputs give the same bytes.
 
 A result carries no time of the clock on the wall: it would differ from run to run.
 `created` is SOURCE_DATE_EPOCH where that is set
@@ -21,9 +21,8 @@ VARIABLE = "SOURCE_DATE_EPOCH"
 # log's begin: a controller would have to run for 30 years to be taken for a calendar.
 EARLIEST_DATE_S = 946_684_800.0
 LATEST_DATE_S = 4_102_444_800.0
-_LAST_SECOND = (
-    253_402_300_799  # of the year 9999, the last that an ISO 8601 date can name
-)
+# Of the year 9999, the last that an ISO 8601 date can name.
+_LAST_SECOND = 253_402_300_799
 
 
 def now() -> str:
@@ -37,19 +36,19 @@ def in_words(seconds: float) -> str:
 
 
 def is_date(seconds: float) -> bool:
-    """Whether a stamp [s] is a date, and not counted from a start-up."""
+    """Return whether a stamp [s] is a date, and not counted from a start-up."""
     return EARLIEST_DATE_S <= seconds < LATEST_DATE_S
 
 
 def recorded_between(first_s: float, last_s: float) -> list[str | float]:
     """Return first and last stamp [s] of a log: as dates in UTC, else as they are."""
-    ends = (first_s, last_s)
-    if all(map(is_date, ends)):
-        return [_with_fraction(stamp) for stamp in ends]
-    return [round(float(stamp), 9) for stamp in ends]
+    if is_date(first_s) and is_date(last_s):
+        return [_with_fraction(first_s), _with_fraction(last_s)]
+    return [round(float(first_s), 9), round(float(last_s), 9)]
 
 
 def _with_fraction(seconds: float) -> str:
+    """Return a Unix time [s] as a date in UTC, to the microsecond."""
     date = datetime.fromtimestamp(seconds, UTC)
     return date.isoformat(timespec="microseconds").replace("+00:00", "Z")
 
@@ -68,11 +67,13 @@ def date_of(document: Written) -> float | None:
         when = datetime.fromisoformat(document.created)
     except ValueError:
         return None
-    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+    if when.tzinfo is None:
+        when = when.replace(tzinfo=UTC)
+    return when.timestamp()
 
 
 def source_date_epoch() -> int | None:
-    """Return the date that the environment wants of all results [s, Unix]; None: it wants none.
+    """Return the date that the environment wants of all results [s, Unix], if any.
 
     Raises
     ------
@@ -123,5 +124,7 @@ def created_from(
     dates = [date for date in map(date_of, documents) if date is not None]
     dates += log_times_s
     if not dates and otherwise is not None:
-        dates += [date for date in [modified_s(otherwise)] if date is not None]
+        modified = modified_s(otherwise)
+        if modified is not None:
+            dates.append(modified)
     return in_words(max(dates)) if dates else now()

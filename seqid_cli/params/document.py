@@ -21,8 +21,8 @@ COMMAND_OF = {  # each stage, in their order
     "inertia": "inertia",
     "effects": "refine",
 }
-# What was identified with the help of each stage, and is stale once that stage is done
-# again.
+# Stages that were identified with the help of each stage, and are stale once that stage
+# is done again.
 _DEPENDENTS: Mapping[str, tuple[str, ...]] = {
     "friction": ("gravity", "inertia", "effects"),
     "gravity": ("inertia", "effects"),
@@ -32,7 +32,7 @@ _DEPENDENTS: Mapping[str, tuple[str, ...]] = {
 
 
 class Head(TypedDict):
-    """What every document begins with."""
+    """The fields that every document begins with."""
 
     schema: str
     created: str
@@ -40,7 +40,7 @@ class Head(TypedDict):
 
 
 def head(name: str, created: str) -> Head:
-    """Return the head of a document of this schema and date, written by this program."""
+    """Return the head of a document that this program writes; `name` is its schema."""
     return {
         "schema": name,
         "created": created,
@@ -50,26 +50,27 @@ def head(name: str, created: str) -> Head:
 
 def robot_id(robot: "Robot") -> RobotId:
     """Return the identity of a robot in the form of documents."""
-    names, slides = (
-        list(robot.joint_names),
-        [j.name for j in robot.joints if j.prismatic],
+    return RobotId(
+        name=robot.name,
+        joints=list(robot.joint_names),
+        sha256=robot.sha256,
+        prismatic=[joint.name for joint in robot.joints if joint.prismatic],
     )
-    return RobotId(name=robot.name, joints=names, sha256=robot.sha256, prismatic=slides)
 
 
 def used_settings(settings: Settings) -> schema.UsedSettings:
     """Return settings in the form of documents."""
-    shown = list(entries(settings))
+    all_entries = list(entries(settings))
     return schema.UsedSettings(
-        changed={entry.name: entry.value for entry in shown if entry.changed},
-        values={entry.name: entry.value for entry in shown},
+        changed={entry.name: entry.value for entry in all_entries if entry.changed},
+        values={entry.name: entry.value for entry in all_entries},
     )
 
 
 def present(stages: Stages) -> dict[str, object]:
     """Return the stages that are there, by name, in their order."""
-    found = {name: getattr(stages, name) for name in COMMAND_OF}
-    return {name: stage for name, stage in found.items() if stage is not None}
+    by_name = {name: getattr(stages, name) for name in COMMAND_OF}
+    return {name: stage for name, stage in by_name.items() if stage is not None}
 
 
 def worst_level(verdicts: Iterable[schema.Verdict]) -> schema.Level | None:
@@ -79,23 +80,23 @@ def worst_level(verdicts: Iterable[schema.Verdict]) -> schema.Level | None:
 
 
 def poor_because(verdicts: Iterable[schema.Verdict], joint: str) -> str:
-    """Return why a joint (a whole stage where it is empty) is not good; nothing where it is."""
+    """Return why a joint is not good, or a whole stage (""); empty where it is."""
     return "; ".join(v.reason for v in verdicts if v.joint == joint and not v.good)
 
 
 def stale_stages(
     previous: ParameterFile | None, names: Sequence[str]
 ) -> tuple[str, ...]:
-    """Return the earlier results that are void when the stages `names` are identified again."""
+    """Return the earlier stages that are void once the stages `names` are redone."""
     if previous is None:
         return ()
-    there = present(previous.stages)
-    lost = {
-        late for name in names if name in there for late in _DEPENDENTS.get(name, ())
-    }
-    return tuple(
-        name for name in COMMAND_OF if name in lost & there.keys() - set(names)
-    )
+    earlier = present(previous.stages)
+    dependents: set[str] = set()
+    for name in names:
+        if name in earlier:
+            dependents.update(_DEPENDENTS.get(name, ()))
+    stale = dependents & earlier.keys() - set(names)
+    return tuple(name for name in COMMAND_OF if name in stale)
 
 
 def with_stage(
@@ -107,22 +108,37 @@ def with_stage(
     created: str | None = None,
     **stages: object,
 ) -> ParameterFile:
-    """Return a new document: `previous` and the given stages, by their names in `Stages`.
+    """Return a new document: an earlier one with more stages.
 
     Earlier stages and their inputs stay; a stage that is given again replaces the old
     one, and what had been identified from the old one (`stale_stages`) is dropped.
-    `improved` are earlier stages with what the new logs show of them: nothing is
-    dropped for these. `created` is the date of the newest input (`dates.created_from`);
-    the present where it is left out.
+
+    Parameters
+    ----------
+    previous : ParameterFile, optional
+        The earlier document.
+    robot : RobotId
+        The robot that both are about.
+    inputs : sequence of InputLog
+        Logs that the stages were identified from.
+    improved : mapping of str to stage, optional
+        Earlier stages with what the new logs show of them: nothing is dropped for
+        these.
+    created : str, optional
+        Date of the newest input (`dates.created_from`); by default the present.
+    **stages
+        New stages, by their names in `Stages`.
     """
-    gone = {*stages, *stale_stages(previous, tuple(stages))}
-    old = present(previous.stages) if previous else {}
-    kept = {name: stage for name, stage in old.items() if name not in gone}
-    earlier = (
-        [log for log in previous.inputs if log.stage not in gone] if previous else []
-    )
-    content = {**kept, **(improved or {}), **stages}
-    return _file(robot, [*earlier, *inputs], content, created=created)
+    dropped = {*stages, *stale_stages(previous, tuple(stages))}
+    earlier_stages: dict[str, object] = {}
+    earlier_inputs: list[InputLog] = []
+    if previous is not None:
+        for name, stage in present(previous.stages).items():
+            if name not in dropped:
+                earlier_stages[name] = stage
+        earlier_inputs = [log for log in previous.inputs if log.stage not in dropped]
+    content = {**earlier_stages, **(improved or {}), **stages}
+    return _file(robot, [*earlier_inputs, *inputs], content, created=created)
 
 
 def refined(
@@ -134,11 +150,23 @@ def refined(
     *,
     created: str | None = None,
 ) -> ParameterFile:
-    """Return a new document: `previous` after refinement.
+    """Return a new document: an earlier one after refinement.
 
-    `stages` replace those of `previous`. All its inputs stay, because what was
-    identified from them went into the refined stages; `inputs` are the logs that
-    refinement read in addition. `created` is as of `with_stage`.
+    Parameters
+    ----------
+    previous : ParameterFile
+        The earlier document. All its inputs stay, because what was identified from them
+        went into the refined stages.
+    robot : RobotId
+        The robot that both are about.
+    inputs : sequence of InputLog
+        Logs that refinement read in addition.
+    stages : Stages
+        Stages that replace the earlier ones.
+    loop : ClosedLoop
+        What refinement did.
+    created : str, optional
+        As of `with_stage`.
     """
     # Effects are there even where nothing was added.
     content = {"effects": [], **present(previous.stages), **present(stages)}
@@ -153,12 +181,12 @@ def _file(
     *,
     created: str | None = None,
 ) -> ParameterFile:
+    """Return a document in which each input stands once."""
+    unique_inputs = {(log.stage, log.sha256, log.path): log for log in inputs}
     return ParameterFile(
         **head(schema.SCHEMA, created or now()),
         robot=robot,
-        inputs=list(
-            {(log.stage, log.sha256, log.path): log for log in inputs}.values()
-        ),
+        inputs=list(unique_inputs.values()),
         stages=Stages(**stages),  # type: ignore[arg-type]
         closed_loop=loop,
     )
@@ -167,38 +195,57 @@ def _file(
 def check_same_robot(
     first: tuple[str, RobotId], other: tuple[str, RobotId], hint: str
 ) -> None:
-    """Refuse a document about another robot than the first; each is given with its path."""
-    (path, mine), (where, theirs) = first, other
-    if (theirs.name, theirs.joints) != (mine.name, mine.joints):
+    """Raise ConfigError for a document about another robot than the first.
+
+    Parameters
+    ----------
+    first, other : (path, RobotId)
+        Path and robot of the two documents.
+    hint : str
+        What to do about it.
+    """
+    first_path, robot = first
+    other_path, other_robot = other
+    if (other_robot.name, other_robot.joints) != (robot.name, robot.joints):
         message = (
-            f"is about robot {theirs.name!r} ({', '.join(theirs.joints)}), "
-            f"but {path} about {mine.name!r} ({', '.join(mine.joints)})"
+            f"is about robot {other_robot.name!r} ({', '.join(other_robot.joints)}), "
+            f"but {first_path} about {robot.name!r} ({', '.join(robot.joints)})"
         )
-        raise ConfigError(message, where=where, hint=hint)
+        raise ConfigError(message, where=other_path, hint=hint)
 
 
 def join(files: Sequence[tuple[str, ParameterFile]]) -> ParameterFile:
-    """Join parameter files of one robot, given with the names to use in messages.
+    """Join parameter files of one robot.
 
-    Raises ConfigError: there are none, of different robots, or that disagree on a
-    stage.
+    Parameters
+    ----------
+    files : sequence of (str, ParameterFile)
+        Files with the names to use in messages.
+
+    Raises
+    ------
+    ConfigError
+        There are none, or they are of different robots or disagree on a stage.
     """
     if not files:
         raise ConfigError("no parameter file given", hint="Name one with -p.")
-    path, first = files[0]
-    found: dict[str, tuple[object, str]] = {}
-    for name, file in files:
+    first_path, first = files[0]
+    stages: dict[str, object] = {}
+    source_of: dict[str, str] = {}  # the file that each stage is from
+    for path, file in files:
         check_same_robot(
-            (path, first.robot), (name, file.robot), "Join files of one robot only."
+            (first_path, first.robot),
+            (path, file.robot),
+            "Join files of one robot only.",
         )
-        for stage, content in present(file.stages).items():
-            known, source = found.setdefault(stage, (content, name))
-            if known != content:
-                message = f"its {stage} stage differs from that of {source}"
+        for name, stage in present(file.stages).items():
+            source = source_of.setdefault(name, path)
+            if stages.setdefault(name, stage) != stage:
+                message = f"its {name} stage differs from that of {source}"
                 hint = "Give files of one branch, or redo one from the other's result."
-                raise ConfigError(message, where=name, hint=hint)
+                raise ConfigError(message, where=path, hint=hint)
+
     inputs = [log for _, file in files for log in file.inputs]
-    stages = {stage: content for stage, (content, _) in found.items()}
     loop = next((file.closed_loop for _, file in files if file.closed_loop), None)
     created = created_from(file for _, file in files)
     joined = _file(first.robot, inputs, stages, loop, created=created)

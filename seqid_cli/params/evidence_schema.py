@@ -4,15 +4,15 @@ from seqid_cli.params.base import Struct
 
 
 class EvidenceEntry(Struct, kw_only=True):
-    """Residual of `joint`, N m, over the quantity of an effect, before and after it is taken off.
+    """Residual of `joint`, N m, over the quantity of an effect, without and with it.
 
-    Before is what the model leaves without the effect, its base fitted anew, after is
+    `before` is what the model leaves without the effect, its base fitted anew, `after`
     what it leaves with it, both on blocks that were left out of the fit. `quantity` is
     position, velocity, speed, acceleration, load, temperature or time of joint `of`,
     `driving_load` (times direction: above zero where the gear drives), `wave` (place on
     the effect's own wave, in turns) or `torque` (that of the effect itself). Where the
-    effect turns with the direction of motion the torque is told times this (`sided`).
-    Per bin: mean of the quantity, samples, mean residual and its standard deviation;
+    effect turns with the direction of motion, residuals are times it (`sided`). Per
+    bin: mean of the quantity, samples, mean residual and its standard deviation;
     `after` is empty where nothing can be taken off (a push).
     """
 
@@ -43,7 +43,7 @@ class RivalEntry(Struct, kw_only=True):
 
 
 class RefinementRound(Struct, kw_only=True):
-    """An effect that was tried in a round of refinement, at one joint or of the whole arm.
+    """An effect that a round of refinement tried, at a joint or of the whole arm.
 
     The same effect at several joints is one round: `round` is its number, from 1, null
     where it was refused. Gains are shares of the squared error that the effect took

@@ -1,4 +1,4 @@
-"""Replace a file in one step: a reader sees the old content or the new, never a part."""
+"""Files that are replaced in one step: a reader sees the old content or the new."""
 
 import contextlib
 import glob
@@ -12,59 +12,88 @@ from typing import Literal, TypeVar
 from seqid_cli.errors import UsageError
 
 T = TypeVar("T")
-By = Literal["name", "folder"]  # what tells robots apart
-# may be a file, if piped
+By = Literal["name", "folder"]  # that tells robots apart
+# Names of the process's own streams, which may be files, if piped.
 _STREAM = re.compile("-|/dev/std(out|err)|/(dev|proc/self)/fd/[0-9]+")
 
 
 def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
-    """Find out before any work whether `path` can be written.
+    """Find out before any work whether a file can be written.
 
-    Raises UsageError: the folder is missing or takes no file of this name, `path` is a
-    folder, or it is one of `inputs`.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    inputs : iterable of Path
+        Files that are read: none of them is overwritten.
+
+    Raises
+    ------
+    UsageError
+        The folder is missing or takes no file of this name, `path` is a folder, or it
+        is one of `inputs`.
     """
     with writing(path):
-        folder, special = path.parent, _is_special(path)
-        if _STREAM.fullmatch(str(path)):
-            raise UsageError(
-                "an output must be a file", hint="Use --json to print the result."
-            )
-        if not folder.is_dir():
-            hint = f"Make it: mkdir -p {folder}"
-            raise UsageError("its folder does not exist", where=str(path), hint=hint)
-        if path.is_dir():
-            raise UsageError(
-                "is a folder, not a file", where=str(path), hint="Name a file in it."
-            )
-        if special and path != Path(os.devnull):
-            hint = (
-                "A pipe or a device may wait without end: name a file, and copy it"
-                " there "
-            )
-            raise UsageError(
-                "is no regular file", where=str(path), hint=f"{hint}afterwards."
-            )
-        if not os.access(path if special else folder, os.W_OK):
-            message = f"the folder {folder} is not writable"
-            raise UsageError(
-                message, where=str(path), hint="Choose another output with -o."
-            )
+        _check_place(path)
         for source in inputs:
-            both = path.exists() and source.exists()
-            if path.samefile(source) if both else _target(path) == _target(source):
-                hint = "Choose another output, the input is never overwritten."
+            if _is_same_file(path, source):
                 raise UsageError(
-                    "is an input of this command", where=str(path), hint=hint
+                    "is an input of this command",
+                    where=str(path),
+                    hint="Choose another output, the input is never overwritten.",
                 )
-        if not special:
+        # The rights of a folder do not say all: some names, and some file systems, are
+        # refused only when a file is made.
+        if not _is_special(path):
             trial = _temporary(_target(path))
             trial.touch()
             trial.unlink()
 
 
+def _check_place(path: Path) -> None:
+    """Raise UsageError where a path is no place for a file, by what stands there."""
+    folder = path.parent
+    is_special = _is_special(path)
+    if _STREAM.fullmatch(str(path)):
+        raise UsageError(
+            "an output must be a file", hint="Use --json to print the result."
+        )
+    if not folder.is_dir():
+        hint = f"Make it: mkdir -p {folder}"
+        raise UsageError("its folder does not exist", where=str(path), hint=hint)
+    if path.is_dir():
+        raise UsageError(
+            "is a folder, not a file", where=str(path), hint="Name a file in it."
+        )
+    if is_special and path != Path(os.devnull):
+        hint = (
+            "A pipe or a device may wait without end: name a file, and copy it there"
+            " afterwards."
+        )
+        raise UsageError("is no regular file", where=str(path), hint=hint)
+    if not os.access(path if is_special else folder, os.W_OK):
+        message = f"the folder {folder} is not writable"
+        raise UsageError(
+            message, where=str(path), hint="Choose another output with -o."
+        )
+
+
+def _is_same_file(path: Path, source: Path) -> bool:
+    """Return whether two paths name one file, also where it does not exist yet."""
+    if path.exists() and source.exists():
+        return path.samefile(source)
+    return _target(path) == _target(source)
+
+
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn an error of the file system while `path` is written in the block into a UsageError."""
+    """Turn errors of the file system in the block, which writes `path`, into messages.
+
+    Raises
+    ------
+    UsageError
+        The file system refused something.
+    """
     try:
         yield
     except OSError as error:
@@ -76,12 +105,16 @@ def writing(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` that takes its place when the block ends well.
+    """Yield a temporary path that takes the place of `path` when the block ends well.
 
     When the block raises, or the process dies in it, `path` stays as it was. A device
     such as /dev/null is written directly. Only the replacement itself is turned into a
-    message here; the block wraps its own writing in `writing`. Raises UsageError: the
-    file system refused the replacement.
+    message here; the block wraps its own writing in `writing`.
+
+    Raises
+    ------
+    UsageError
+        The file system refused the replacement.
     """
     if _is_special(path):
         yield path
@@ -101,17 +134,19 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def _target(path: Path) -> Path:
+    """Return the file that a path stands for, behind all links."""
     return Path(os.path.realpath(path))  # `Path.resolve` fails at a link to itself
 
 
 def _temporary(target: Path) -> Path:
+    """Return the path of this process's temporary file beside a file."""
     return target.with_name(f".{_short(target.name)}.{os.getpid()}.tmp")
 
 
 def _short(name: str, most: int = 200) -> str:
-    """A name that leaves room for more within the 255 bytes that file systems allow."""
-    raw = os.fsencode(name)
-    return name if len(raw) <= most else f"{zlib.crc32(raw):08x}"
+    """Return a name with room for more within the 255 bytes that file systems allow."""
+    encoded = os.fsencode(name)
+    return name if len(encoded) <= most else f"{zlib.crc32(encoded):08x}"
 
 
 def _without_leftovers(target: Path) -> None:
@@ -124,27 +159,33 @@ def _without_leftovers(target: Path) -> None:
 
 
 def process_runs(process: int) -> bool:
-    """Tell whether there is a process of this number."""
+    """Return whether there is a process of this number."""
     try:
         os.kill(process, 0)
-    # any other one: the process is somebody else's
-    except (OSError, OverflowError) as error:
-        return not isinstance(error, ProcessLookupError)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True  # it is somebody else's
     return True
 
 
 def write_text_atomic(path: Path, text: str, *, inputs: Iterable[Path] = ()) -> None:
-    """Write UTF-8 text to `path` in one step; see `check_output` and `writing` for errors."""
+    """Write UTF-8 text in one step.
+
+    Errors are those of `check_output` and `writing`; none of `inputs` is overwritten.
+    """
     check_output(path, inputs)
     with replacing(path) as temporary, writing(path):
         temporary.write_text(text, encoding="utf-8")
 
 
 def _is_special(path: Path) -> bool:
+    """Return whether a path is a device or a pipe."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def _sync(path: Path) -> None:
+    """Have a file, or a folder's list of files, written to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -153,20 +194,30 @@ def _sync(path: Path) -> None:
 
 
 def by_robot(files: Sequence[tuple[str, str, T]], by: By) -> dict[str, list[T]]:
-    """Sort things by their robots; each is given with its path and the name of the robot in it.
+    """Group things by their robots.
 
-    By `folder` a robot's name is the file's folder, without what is common to all of
-    them.
+    Parameters
+    ----------
+    files : sequence of (path, name, thing)
+        Things with the file that they are from, and the robot's name in it.
+    by : {"name", "folder"}
+        What tells robots apart. By folder a robot's name is the file's folder, without
+        the part that is common to all of them.
     """
-    folders = [Path(path).parent.absolute() for path, _, _ in files]
-    common = Path(os.path.commonpath(folders)) if by == "folder" else Path()
-    found: dict[str, list[T]] = {}
-    for folder, (_, name, item) in zip(folders, files, strict=True):
-        if by == "folder":
-            name = (
-                common.name
-                if {*folders} == {common}
-                else str(folder.relative_to(common))
-            )
-        found.setdefault(name, []).append(item)
-    return found
+    if by == "name":
+        names = [name for _, name, _ in files]
+    else:
+        folders = [Path(path).parent.absolute() for path, _, _ in files]
+        names = _names_of_folders(folders)
+    things: dict[str, list[T]] = {}
+    for name, (_, _, thing) in zip(names, files, strict=True):
+        things.setdefault(name, []).append(thing)
+    return things
+
+
+def _names_of_folders(folders: Sequence[Path]) -> list[str]:
+    """Return the parts of folders by which they differ; the name where they do not."""
+    common = Path(os.path.commonpath(folders))
+    if set(folders) == {common}:
+        return [common.name] * len(folders)
+    return [str(folder.relative_to(common)) for folder in folders]

@@ -1,11 +1,11 @@
-"""Read and write documents. A fault is reported with its place in the file."""
+"""Reading and writing of documents; a fault is reported with its place in the file."""
 
 import hashlib
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar, cast
 
 import msgspec
 
@@ -28,9 +28,9 @@ Result = PredictionFile | DiagnosisFile | PayloadFile | PlanFile
 Document = ParameterFile | Result
 D = TypeVar("D", bound=Document, covariant=True)
 
-PARAMS_VERSION = 1  # of the others there is one version
-# From each older version: the function that turns it into the next. Version 1 is the
-# oldest.
+PARAMS_VERSION = 1  # newest; of the other kinds there is one version
+# Functions that turn a document of an older version into one of the next. Version 1 is
+# the oldest.
 PARAMS_MIGRATIONS: Mapping[int, Callable[[Json], Json]] = {}
 _KINDS: Mapping[str, type[Document | TrendFile]] = {
     "params": ParameterFile,
@@ -65,20 +65,30 @@ class Source(Generic[D]):
 def read_parameters(path: Path) -> ParameterFile:
     """Read one parameter file strictly.
 
-    Raises ConfigError: the file is missing, is no JSON, is another kind of document, is
-    newer than this version knows, or does not follow the schema. The message names the
-    line or the key.
+    Raises
+    ------
+    ConfigError
+        The file is missing, is no JSON, is another kind of document, is newer than this
+        version knows, or does not follow the schema. The message names the line or the
+        key.
     """
-    return cast(ParameterFile, _read(path, ["params"], _PARAMETER_HINT)[1])
+    _, content = _read(path, ["params"], _PARAMETER_HINT)
+    return cast(ParameterFile, content)
 
 
 def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
     """Read parameter files and results about one robot, in the order given.
 
-    Raises ConfigError as `read_parameters` does; the message names the file and the
-    key.
+    Raises
+    ------
+    ConfigError
+        As `read_parameters` does; the message names the file and the key.
     """
-    return [Source(str(path), *_read(path, _OF_ROBOT, _RESULT_HINT)) for path in paths]
+    sources = []
+    for path in paths:
+        sha256, content = _read(path, _OF_ROBOT, _RESULT_HINT)
+        sources.append(Source(path=str(path), sha256=sha256, content=content))
+    return sources
 
 
 def read_trend(path: Path) -> TrendFile | None:
@@ -87,132 +97,184 @@ def read_trend(path: Path) -> TrendFile | None:
     Raises as `read_parameters` does.
     """
     opened = _opened(path, _RESULT_HINT)
-    if not str(opened[1].get("schema")).startswith("seqid/trend@"):
+    if not str(opened.document.get("schema")).startswith("seqid/trend@"):
         return None
-    return cast(TrendFile, _read(path, ["trend"], _RESULT_HINT, opened)[1])
+    _, content = _read(path, ["trend"], _RESULT_HINT, opened)
+    return cast(TrendFile, content)
+
+
+class _Opened(NamedTuple):
+    """A file's bytes, and the JSON object in them."""
+
+    data: bytes
+    document: Json
+
+
+class _Schema(NamedTuple):
+    """The schema of a document, "seqid/params@1", in its parts."""
+
+    name: str
+    kind: str
+    version: int
 
 
 def _read(
     path: Path,
     kinds: Collection[str],
     hint: str,
-    opened: tuple[bytes, Json] | None = None,
+    opened: _Opened | None = None,
 ) -> tuple[str, Any]:
-    """Return SHA-256 and content of a document of these kinds; an old one is brought up to date."""
-    where, (data, document) = str(path), opened or _opened(path, hint)
-    sha256 = hashlib.sha256(data).hexdigest()
-    schema, kind, version = _schema_of(document, kinds, where, hint)
-    newest = PARAMS_VERSION if kind == "params" else 1
-    if version > newest:
+    """Return SHA-256 and content of a document of these kinds, brought up to date."""
+    where = str(path)
+    if opened is None:
+        opened = _opened(path, hint)
+    schema = _schema_of(opened.document, kinds, where, hint)
+    data = _up_to_date(opened, schema, where)
+    try:
+        content = msgspec.json.decode(data, type=_KINDS[schema.kind])
+    except (msgspec.ValidationError, RecursionError) as error:
+        remedy = (
+            f"The file was edited or damaged: run the command that wrote the"
+            f" {schema.kind} again."
+        )
+        raise ConfigError(_fault(error), where=where, hint=remedy) from error
+    if isinstance(content, OfRobot):
+        check_consistency(content, where)
+    return hashlib.sha256(opened.data).hexdigest(), content
+
+
+def _up_to_date(opened: _Opened, schema: _Schema, where: str) -> bytes:
+    """Return the JSON text of a document in the newest version of its schema."""
+    newest = PARAMS_VERSION if schema.kind == "params" else 1
+    if schema.version > newest:
         message = (
-            f"is of the newer version {schema}; this seqid reads up to"
-            f" seqid/{kind}@{newest}"
+            f"is of the newer version {schema.name}; this seqid reads up to"
+            f" seqid/{schema.kind}@{newest}"
         )
         raise ConfigError(
             message, where=where, hint="Upgrade seqid: pip install --upgrade seqid."
         )
+    data = opened.data
+    document = opened.document
     try:
-        for older in range(version, newest):
-            document = PARAMS_MIGRATIONS[older](document)
+        for version in range(schema.version, newest):
+            document = PARAMS_MIGRATIONS[version](document)
             data = msgspec.json.encode(document)
     except (LookupError, TypeError, ValueError, RecursionError) as error:
-        message = f"is of the old version {schema} and cannot be brought up to date"
+        message = (
+            f"is of the old version {schema.name} and cannot be brought up to date"
+        )
         raise ConfigError(
             message, where=where, hint="Identify again from the logs."
         ) from error
-    try:
-        content = msgspec.json.decode(data, type=_KINDS[kind])
-    except (msgspec.ValidationError, RecursionError) as error:
-        match = _PLACE.match(str(error))
-        text = f"{match['key']}: {match['what']}" if match else str(error)
-        message = "is nested too deeply" if isinstance(error, RecursionError) else text
-        remedy = (
-            f"The file was edited or damaged: run the command that wrote the {kind}"
-            " again."
-        )
-        raise ConfigError(message, where=where, hint=remedy) from error
-    if isinstance(content, OfRobot):
-        check_consistency(content, where)
-    return sha256, content
+    return data
+
+
+def _fault(error: Exception) -> str:
+    """Return what a decoder says of a document, its key first."""
+    if isinstance(error, RecursionError):
+        return "is nested too deeply"
+    match = _PLACE.match(str(error))
+    return f"{match['key']}: {match['what']}" if match else str(error)
 
 
 def _schema_of(
     document: Json, kinds: Collection[str], where: str, hint: str
-) -> tuple[str, str, int]:
-    """Return the schema, kind and version of a document; raise unless it is of these kinds."""
+) -> _Schema:
+    """Return the schema of a document, which must be of one of these kinds."""
     schema = document.get("schema")
-    name = _NAME.fullmatch(schema) if isinstance(schema, str) else None
-    if name is None:
-        found = "missing" if schema is None else repr(schema)[:60]
-        raise ConfigError(f"is no result: `schema` is {found}", where=where, hint=hint)
-    if name["kind"] not in kinds:
-        known = ", ".join(f"seqid/{kind}" for kind in kinds)
-        message = (
-            f"is a {name['kind']} file ({name[0]}); what can be read here: {known}"
-        )
-        hint = f"Give the parameters that the {name['kind']} used."
-        raise ConfigError(
-            message, where=where, hint=hint if len(kinds) == 1 else "Leave it out."
-        )
-    return name[0], name["kind"], int(name["version"])
+    match = _NAME.fullmatch(schema) if isinstance(schema, str) else None
+    if match is None:
+        text = "missing" if schema is None else repr(schema)[:60]
+        raise ConfigError(f"is no result: `schema` is {text}", where=where, hint=hint)
+    name = match[0]
+    kind = match["kind"]
+    if kind not in kinds:
+        readable = ", ".join(f"seqid/{kind}" for kind in kinds)
+        message = f"is a {kind} file ({name}); what can be read here: {readable}"
+        hint = "Leave it out."
+        if len(kinds) == 1:
+            hint = f"Give the parameters that the {kind} used."
+        raise ConfigError(message, where=where, hint=hint)
+    return _Schema(name=name, kind=kind, version=int(match["version"]))
 
 
 def check_robot(file: OfRobot, robot: "Robot", *, where: str = "") -> tuple[str, ...]:
-    """Return warnings if the robot file has changed since; raises ConfigError for another robot."""
-    mine, theirs = list(robot.joint_names), file.robot.joints
-    if mine != theirs:
+    """Return warnings where the robot file has changed since a document was made.
+
+    Parameters
+    ----------
+    file : OfRobot
+        The document.
+    robot : Robot
+        The robot by its file of today.
+    where : str
+        Path of the document, for messages.
+
+    Raises
+    ------
+    ConfigError
+        The document is about another robot.
+    """
+    joints = list(robot.joint_names)
+    joints_of_file = file.robot.joints
+    if joints != joints_of_file:
         message = (
-            f"is about robot {file.robot.name!r} with joints {', '.join(theirs)}, "
-            f"but {robot.source} is {robot.name!r} with joints {', '.join(mine)}"
+            f"is about robot {file.robot.name!r} with joints"
+            f" {', '.join(joints_of_file)}, but {robot.source} is {robot.name!r} with"
+            f" joints {', '.join(joints)}"
         )
         raise ConfigError(
             message, where=where, hint="Give the robot file it was made with (-r)."
         )
-    if file.robot.sha256 != robot.sha256:
-        return (
-            (
-                f"{where}: the robot file {robot.source} has changed since this was"
-                " identified"
-            ),
-        )
-    return ()
+    if file.robot.sha256 == robot.sha256:
+        return ()
+    warning = (
+        f"{where}: the robot file {robot.source} has changed since this was identified"
+    )
+    return (warning,)
 
 
 def write_json_atomic(
     path: Path, document: object, *, inputs: Iterable[Path] = ()
 ) -> None:
-    """Write a document as JSON in one step; see `encode` and `check_output` for errors."""
+    """Write a document as JSON in one step.
+
+    Errors are those of `encode` and `check_output`; none of `inputs` is overwritten.
+    """
     write_text_atomic(path, encode(document), inputs=inputs)
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a small file's content."""
+    """Return the SHA-256 of a small file's content."""
     return hashlib.sha256(_bytes(path)).hexdigest()
 
 
 def _bytes(path: Path, hint: str = "Check the path given with -p.") -> bytes:
-    """Read a JSON file whole: a regular one that is not far too large to be one of ours."""
+    """Read a JSON file whole, unless it is far too large for a result."""
     where = str(path)
     try:
         if not path.is_file():
-            what = "is not a file" if path.exists() else "does not exist"
-            raise ConfigError(what, where=where, hint=hint)
-        if (size := path.stat().st_size) > _MAX_BYTES:
+            fault = "is not a file" if path.exists() else "does not exist"
+            raise ConfigError(fault, where=where, hint=hint)
+        size = path.stat().st_size
+        if size > _MAX_BYTES:
             message = f"has {size} bytes, the limit is {_MAX_BYTES}"
             raise ConfigError(message, where=where, hint=hint)
         return path.read_bytes()
     except (OSError, ValueError) as error:
-        message = (
-            f"cannot be read: {error.strerror if isinstance(error, OSError) else error}"
-        )
+        reason = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(
-            message, where=where, hint="Check the path and the rights."
+            f"cannot be read: {reason}",
+            where=where,
+            hint="Check the path and the rights.",
         ) from error
 
 
-def _opened(path: Path, hint: str) -> tuple[bytes, Json]:
+def _opened(path: Path, hint: str) -> _Opened:
     """Read a file as one JSON object; an error of its syntax has line and column."""
-    where, data = str(path), _bytes(path, hint)
+    where = str(path)
+    data = _bytes(path, hint)
     try:
         document = msgspec.json.decode(data, type=dict[str, object])
     except msgspec.ValidationError as error:
@@ -222,7 +284,8 @@ def _opened(path: Path, hint: str) -> tuple[bytes, Json]:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         message = f"is not valid JSON: {_syntax(error, data)}"
         raise ConfigError(message, where=where, hint=hint) from error
-    if huge := _HUGE.search(data):
+    huge = _HUGE.search(data)
+    if huge:
         line = data.count(b"\n", 0, huge.start()) + 1
         message = (
             f"holds the number {huge[0][:20].decode()} at line {line}, beyond 1e30"
@@ -230,11 +293,11 @@ def _opened(path: Path, hint: str) -> tuple[bytes, Json]:
         raise ConfigError(
             message, where=where, hint="Run the command again that wrote it."
         )
-    return data, document
+    return _Opened(data=data, document=document)
 
 
 def _syntax(error: Exception, data: bytes) -> str:
-    """What is wrong with a JSON text, with its line and column where that is known."""
+    """Return what is wrong with a JSON text, with its line and column if known."""
     # Which error the decoder raises for bytes that are no text depends on its version.
     try:
         data.decode("utf-8")
@@ -244,6 +307,8 @@ def _syntax(error: Exception, data: bytes) -> str:
         return "it is nested too deeply"
     text = str(error).removeprefix("JSON is malformed: ")
     match = _BYTE.search(text)
-    before = data[: int(match[1]) if match else len(data)]
-    line, column = before.count(b"\n") + 1, len(before) - before.rfind(b"\n")
+    position = int(match[1]) if match else len(data)
+    read = data[:position]
+    line = read.count(b"\n") + 1
+    column = len(read) - read.rfind(b"\n")
     return f"{_BYTE.sub('', text).strip()} at line {line}, column {column}"

@@ -18,14 +18,14 @@ Matrix = list[list[float]]
 
 
 class Tool(Struct, kw_only=True):
-    """Which program wrote the file."""
+    """The program that wrote a file."""
 
     name: str = "seqid"
     version: str
 
 
 class Written(Document, kw_only=True):
-    """Base of the documents: their schema, when they were written and by what."""
+    """Base of the documents: their schema, their date and the program."""
 
     schema: str
     created: str
@@ -33,7 +33,7 @@ class Written(Document, kw_only=True):
 
 
 class RobotId(Struct, kw_only=True):
-    """Which robot the file is about; `prismatic` names those of its joints that slide."""
+    """The robot that a file is about; `prismatic` names its joints that slide."""
 
     name: str
     joints: list[str]
@@ -41,10 +41,12 @@ class RobotId(Struct, kw_only=True):
     prismatic: list[str] = []
 
     def unit(self, unit: str, *joints: str) -> str:
-        """Return a unit, as for revolute joints, for these; both where they are of either kind."""
-        return " or ".join(
-            dict.fromkeys(unit_of(unit, name in self.prismatic) for name in joints)
-        )
+        """Return a unit for some joints, given as for revolute ones: "N m or N".
+
+        It is both where some of them turn and others slide.
+        """
+        units = [unit_of(unit, name in self.prismatic) for name in joints]
+        return " or ".join(dict.fromkeys(units))
 
 
 class OfRobot(Written, kw_only=True):
@@ -68,7 +70,7 @@ class InputLog(Struct, kw_only=True):
 
 
 class UsedSettings(Struct, kw_only=True):
-    """Settings that a result was made with: all of them, and those that are not the defaults."""
+    """Settings that a result was made with: all, and those that are no defaults."""
 
     changed: dict[str, float]
     values: dict[str, float]
@@ -79,7 +81,9 @@ LEVELS: tuple[Level, ...] = ("good", "usable", "poor")  # the best first
 
 
 class Verdict(Struct, kw_only=True):
-    """Whether a joint's result (or a whole stage's, joint empty) can be trusted, and why not.
+    """A verdict on a joint's result, or on a whole stage's where `joint` is empty.
+
+    `reason` says why it is not good.
 
     `good`: what is left of the torque is noise, and the stated standard errors hold.
     `usable`: the torque is predicted to the share that the reason gives, but more than
@@ -92,7 +96,7 @@ class Verdict(Struct, kw_only=True):
     reason: str = ""
 
     def __post_init__(self) -> None:
-        """Say the same by `level` as by `good`, which earlier files have alone."""
+        """Set `level` by `good`, which earlier files have alone."""
         if self.good:
             self.level = "good"
 
@@ -131,7 +135,7 @@ class SpeedLevel(Struct, kw_only=True):
 
 
 class Nuisance(Struct, kw_only=True):
-    """What a joint's drive adds to its torque whatever the arm.
+    """A term that a joint's drive adds to its torque whatever the arm.
 
     A positive `delay` (s): torque is logged late against the positions. `offset`:
     torque that is always there. `asymmetry`: the share of dry friction that is added
@@ -149,7 +153,7 @@ class Nuisance(Struct, kw_only=True):
 
 
 class GravityOfTrial(Struct, kw_only=True):
-    """Eq. 12-14: p_xi of one locked configuration (kg m), used only to remove gravity."""
+    """p_xi of one locked configuration (kg m, Eq. 12-14), which takes gravity off."""
 
     configuration: list[float]
     p_xi: list[float]
@@ -220,7 +224,7 @@ class FrictionJoint(Struct, kw_only=True):
 
 
 class FrictionStage(Struct, kw_only=True):
-    """Sec. 2.2.1-2.2.2."""
+    """Friction of the joints (Sec. 2.2.1-2.2.2)."""
 
     joints: dict[str, FrictionJoint]
     method: str = "surface"
@@ -231,7 +235,7 @@ class FrictionStage(Struct, kw_only=True):
 
 
 class MotionUse(Struct, kw_only=True):
-    """Where the motion of one log came from: "encoder", "imu" (Eq. 30-42) or "fused".
+    """The source of a log's motion: "encoder", "imu" (Eq. 30-42) or "fused".
 
     Errors are standard deviations of the acceleration, rad/s^2 (m/s^2 where prismatic),
     of the joints that move: of what was used, and of what the encoders alone would have
@@ -308,7 +312,7 @@ class RigidStage(Struct, kw_only=True):
 
 
 class AxisReference(Struct, kw_only=True):
-    """Eq. 29-31: one joint's rotation as the IMU sees it while the joints before it are locked."""
+    """Rotation of a joint as an IMU sees it, joints before it locked (Eq. 29-31)."""
 
     axis: list[float]
     acceleration: float  # rad/s^2 of the joint
@@ -320,7 +324,7 @@ class AxisReference(Struct, kw_only=True):
 
 
 class JointDeflection(Struct, kw_only=True):
-    """By how much a link before an IMU accelerates beyond what its joint's encoder tells."""
+    """Acceleration of a link before an IMU beyond what its joint's encoder shows."""
 
     joint: str
     acceleration: float  # rad/s^2 (m/s^2), RMS below the stage's cut-off
@@ -328,7 +332,9 @@ class JointDeflection(Struct, kw_only=True):
 
 
 class ImuCalibration(Struct, kw_only=True):
-    """Eq. 29-38: `rotation` turns IMU coordinates into those of the link that carries it.
+    """Calibration of an IMU (Eq. 29-38).
+
+    `rotation` turns IMU coordinates into those of the link that carries it.
 
     Accelerometer k at r_k of the robot file, on a link with the specific force f at its
     origin, angular velocity w and acceleration dw, all in the link's frame, reads at
@@ -385,7 +391,7 @@ class ImuCalibration(Struct, kw_only=True):
 
 
 class ImuStage(Struct, kw_only=True):
-    """Sec. 3."""
+    """Calibrations of the IMUs (Sec. 3)."""
 
     imus: dict[str, ImuCalibration]
     cutoff_hz: float | None = None
@@ -395,7 +401,7 @@ class ImuStage(Struct, kw_only=True):
 
 
 class EffectSession(Struct, kw_only=True):
-    """The logs that effects were identified from, for those that depend on time or on the log.
+    """Logs that an effect was identified from which depends on time or on the log.
 
     `logs` are hashes in the order in which the effect counts them. `starts` [s] count
     from `origin`, the earliest start on the logs' own clock; both are missing if they
@@ -444,14 +450,14 @@ class EffectOfPlace(Struct, kw_only=True):
 
 
 class StoppedAt(Struct, kw_only=True):
-    """The limit of rounds that a refinement has reached, and what it had found and not tried."""
+    """The limit of rounds that a refinement has reached, and effects left untried."""
 
     rounds: int
     untried: list[EffectOfPlace]
 
 
 class ClosedLoop(Struct, kw_only=True):
-    """What refinement did, measured on the held-out logs alone.
+    """The rounds of a refinement, measured on the held-out logs alone.
 
     `rounds` are the effects that the model has, in the order in which they were added;
     `unconfirmed` those that were added and taken out again, as the held-out logs do not
@@ -484,12 +490,12 @@ class ClosedLoop(Struct, kw_only=True):
 
     @property
     def doubtful(self) -> list[RefinementRound]:
-        """The effects that the model has, but that the held-out logs do not confirm."""
+        """Effects that the model has and the held-out logs do not confirm."""
         return [item for item in self.rounds if item.confirmed is False]
 
 
 class Stages(Struct, kw_only=True, omit_defaults=True):
-    """What has been identified so far."""
+    """Stages that have been identified so far."""
 
     friction: FrictionStage | None = None
     gravity: RigidStage | None = None

@@ -1,11 +1,11 @@
-"""Identifying a payload as a function: logs with it and a model without it in, the document out."""
+"""The function `payload`: logs and a model without the load in, the document out."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Unpack
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.identify.inputs import Models, imu_stage_for, prepare
+from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.options import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike
 from seqid_cli.params.document import present
@@ -39,13 +39,43 @@ def payload(
     """
     needs = imu_stage_for(options.source)
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
-    if not {"gravity", "inertia"} & present(inputs.stages).keys():
-        where = ", ".join(name for name, _ in inputs.models)
-        hint = "Give the result of seqid inertia, or of seqid gravity for slow moves."
-        raise ConfigError("holds no rigid body", where=where, hint=hint)
+    _check_rigid_body(inputs)
+
+    # Imported here because they import numpy: a mistake in the arguments is told first.
+    from seqid_cli.identify.common_cutoff import inherited
+    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.payload.fit import fit_payload
     from seqid_cli.payload.result import payload_file
 
-    file = payload_file(inputs, options, settings)
+    # The logs are filtered as those of the model were, so that both see the same band.
+    log_set = LogSet.of(inputs)
+    motion_options = inherited(inputs.stages, options.cutoff_hz)
+    fit = fit_payload(
+        log_set,
+        inputs.robot,
+        inputs.stages,
+        options=InertiaOptions(motion=motion_options, source=options.source),
+        friction_change=options.friction_change,
+    )
+
+    file = payload_file(
+        fit,
+        inputs,
+        log_set,
+        good_error=options.good_error,
+        cutoff_origin=motion_options.origin,
+        settings=settings,
+    )
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
     return file
+
+
+def _check_rigid_body(inputs: Inputs) -> None:
+    """Raise ConfigError where the parameter files hold neither gravity nor inertia."""
+    if {"gravity", "inertia"} & present(inputs.stages).keys():
+        return
+    where = ", ".join(name for name, _ in inputs.models)
+    hint = "Give the result of seqid inertia, or of seqid gravity for slow moves."
+    raise ConfigError("holds no rigid body", where=where, hint=hint)

@@ -1,4 +1,4 @@
-"""How a payload is identified."""
+"""Options of `payload`; free of heavy imports."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from seqid_cli.identify.options import LogOptions, Source
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadOptions(LogOptions):
-    """How a payload is identified.
+    """Options of the identification of a payload.
 
     `source` is where joint motion comes from. `friction_change` [1] is the standard
     deviation by which each joint's friction may differ from the model's, as a share of

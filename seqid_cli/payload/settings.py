@@ -1,4 +1,4 @@
-"""The settings of `payload`; free of heavy imports."""
+"""Settings of `payload`; free of heavy imports."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from seqid_cli.settings import Group, Settings, setting
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadFitSettings(Group):
-    """When a payload can be relied on."""
+    """Limits beyond which a payload is not good."""
 
     max_left: float = setting(
         0.3,
@@ -34,6 +34,6 @@ class PayloadFitSettings(Group):
 
 @dataclass(frozen=True, kw_only=True)
 class PayloadSettings(Settings):
-    """The settings of `payload`."""
+    """Settings of `payload`."""
 
     fit: PayloadFitSettings = PayloadFitSettings()

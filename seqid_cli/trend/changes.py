@@ -1,4 +1,4 @@
-"""Whether a quantity changed: steps between two dates, and drifts, against their errors.
+"""Changes of quantities over time: steps between two dates, and drifts.
 
 The values x_t of one quantity, with standard errors s_t at times t, are
 
@@ -14,10 +14,11 @@ they are.
 
 The z-score of d is held against Student's distribution, all steps and lines of all
 quantities counted (Bonferroni). The hypothesis with the largest |z| of a quantity is
-the one that is told.
+the one that is reported.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,13 +29,54 @@ from scipy import stats
 from seqid_cli.params.dates import created_from
 from seqid_cli.params.document import head
 from seqid_cli.params.files import replacing, writing
-from seqid_cli.params.results import trend
 from seqid_cli.params.results.prediction import FileId
+from seqid_cli.params.results.trend import (
+    TREND_SCHEMA,
+    ChangeEntry,
+    QuantityEntry,
+    SeriesEntry,
+    TrendFile,
+)
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.types import Array
 from seqid_cli.robust import gaussian_spread
 from seqid_cli.trend.options import TrendOptions
 from seqid_cli.trend.series import Named, days_of, robots_of, series_of
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Inflation of the standard errors of a stage, and the differences that show it.
+
+    `n_differences` is 0 where there are too few to tell.
+    """
+
+    inflation: float
+    n_differences: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Hypothesis:
+    """A change of a quantity from the date `since` on, as a column c_t (T,)."""
+
+    kind: str
+    since: int
+    column: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class _FittedChange:
+    """A hypothesis with its least squares: the value before it, and the change."""
+
+    hypothesis: _Hypothesis
+    first_value: float
+    change: float
+    std_error: float
+
+    @property
+    def sigmas(self) -> float:
+        """The size of the change in standard errors."""
+        return abs(self.change) / self.std_error if self.std_error > 0.0 else np.inf
 
 
 def trend_file(
@@ -43,64 +85,89 @@ def trend_file(
     options: TrendOptions,
     *,
     least_size: float = 0.001,
-) -> trend.TrendFile:
+) -> TrendFile:
     """Judge the files of all robots together.
 
-    `least_size`: of a quantity, as a share of the robot's largest of the same stage and
-    unit.
+    Parameters
+    ----------
+    models : sequence of (path, ParameterFile)
+        Files of several dates, of one or more robots.
+    ids : list of FileId
+        The same files as documents name them.
+    options : TrendOptions
+        Limits of a change.
+    least_size : float
+        Size that a quantity has at least, as a share of the robot's largest of the same
+        stage and unit.
     """
     robots = robots_of(models, options.by)
-    series = [own for name, files in robots.items() for own in series_of(name, files)]
-    stages = {own.stage: [x for x in series if x.stage == own.stage] for own in series}
-    scatters = {stage: scatter_of(own) for stage, own in stages.items()}
-    limit = _limit(
-        series, [count for _, count in scatters.values() if count], options.alpha
-    )
-    changes, sizes = [], dict[tuple[str, str, str], float]()
-    for own in series:
-        kind, size = (
-            (own.robot, own.stage, own.unit),
-            least_size * float(np.abs(own.values).max()),
-        )
-        sizes[kind] = max(sizes.get(kind, 0.0), size)
-    for own in series:
-        least = sizes[own.robot, own.stage, own.unit]
-        sigmas, change = best_change(own, scatters[own.stage][0], least)
+    series: list[SeriesEntry] = []
+    for name, files in robots.items():
+        series += series_of(name, files)
+
+    # Scatter is of the stage, not of the robot: few robots have enough dates.
+    by_stage: dict[str, list[SeriesEntry]] = {}
+    for quantity in series:
+        by_stage.setdefault(quantity.stage, []).append(quantity)
+    scatters = {stage: scatter_of(group) for stage, group in by_stage.items()}
+    n_differences = [x.n_differences for x in scatters.values() if x.n_differences]
+    limit = _limit(series, n_differences, options.alpha)
+
+    changes = []
+    least_sizes = _least_sizes(series, least_size)
+    for quantity in series:
+        inflation = scatters[quantity.stage].inflation
+        least = least_sizes[quantity.robot, quantity.stage, quantity.unit]
+        sigmas, change = best_change(quantity, inflation, least)
         if sigmas > limit and abs(change.relative or 0.0) > options.rtol:
             changes.append(change)
-    changes += [
-        entry for name, files in robots.items() for entry in _effects(name, files)
-    ]
-    changes.sort(key=lambda entry: -(entry.sigmas or np.inf))
-    return trend.TrendFile(
-        **head(trend.TREND_SCHEMA, created_from(file for _, file in models)),
+    for name, files in robots.items():
+        changes += _effect_changes(name, files)
+    changes.sort(key=lambda change: -(change.sigmas or np.inf))
+
+    return TrendFile(
+        **head(TREND_SCHEMA, created_from(file for _, file in models)),
         files=ids,
         robots=list(robots),
         alarm=bool(changes),
         limit=limit,
-        inflation={stage: inflation for stage, (inflation, _) in scatters.items()},
+        inflation={stage: scatter.inflation for stage, scatter in scatters.items()},
         changes=changes,
         series=series,
         notes=list(_notes(robots)),
     )
 
 
+def _least_sizes(
+    series: Sequence[SeriesEntry], share: float
+) -> dict[tuple[str, str, str], float]:
+    """Return `share` of the largest value by robot, stage and unit."""
+    sizes: dict[tuple[str, str, str], float] = {}
+    for quantity in series:
+        key = (quantity.robot, quantity.stage, quantity.unit)
+        size = share * float(np.abs(quantity.values).max())
+        sizes[key] = max(sizes.get(key, 0.0), size)
+    return sizes
+
+
 def _limit(
-    series: Sequence[trend.SeriesEntry], differences: Sequence[int], alpha: float
+    series: Sequence[SeriesEntry], n_differences: Sequence[int], alpha: float
 ) -> float:
-    """The |z| that any hypothesis on healthy robots exceeds with the probability `alpha`."""
-    # a step between any two dates, and a line
-    hypotheses = sum(len(own.values) for own in series)
-    share = alpha / (2 * max(hypotheses, 1))
-    return float(
-        stats.t.isf(share, min(differences) / 2)
-        if differences
-        else stats.norm.isf(share)
-    )
+    """Return the |z| that a healthy robot exceeds with the probability `alpha`."""
+    # Of each quantity: a step between any two dates, and a line.
+    n_hypotheses = sum(len(quantity.values) for quantity in series)
+    tail = alpha / (2 * max(n_hypotheses, 1))
+    if not n_differences:
+        return float(stats.norm.isf(tail))
+    # The inflation is uncertain itself: a median of n differences has some n / 2
+    # degrees of freedom.
+    return float(stats.t.isf(tail, min(n_differences) / 2))
 
 
 def _notes(robots: Mapping[str, Sequence[ParameterFile]]) -> Iterator[str]:
-    if single := [name for name, files in robots.items() if len(files) < 2]:
+    """Yield what a reader of the changes must know besides."""
+    single = [name for name, files in robots.items() if len(files) < 2]
+    if single:
         yield f"one file each, nothing to compare: {', '.join(single)}"
     for name, files in robots.items():
         if len({file.robot.sha256 for file in files}) > 1:
@@ -110,119 +177,153 @@ def _notes(robots: Mapping[str, Sequence[ParameterFile]]) -> Iterator[str]:
             )
 
 
-def scatter_of(
-    series: Sequence[trend.SeriesEntry], *, enough: int = 30
-) -> tuple[float, int]:
-    """Inflation of the standard errors of one stage, and how many differences say so (0: none)."""
-    known = [
-        (x.values, np.array(x.std_errors)) for x in series if min(x.std_errors) > 0.0
-    ]
-    ratios = [
-        np.diff(values) / np.hypot(errors[1:], errors[:-1]) for values, errors in known
-    ]
-    every = np.concatenate([np.zeros(0), *ratios])
-    if len(every) < enough:
-        return 1.0, 0
-    return max(float(gaussian_spread(every)), 1.0), len(every)
+def scatter_of(series: Sequence[SeriesEntry], *, enough: int = 30) -> Scatter:
+    """Return by how much the quantities of one stage scatter beyond their errors."""
+    ratios = [np.zeros(0)]
+    for quantity in series:
+        std_errors = np.array(quantity.std_errors)
+        if std_errors.min() > 0.0:
+            of_difference = np.hypot(std_errors[1:], std_errors[:-1])
+            ratios.append(np.diff(quantity.values) / of_difference)
+    all_ratios = np.concatenate(ratios)
+    if len(all_ratios) < enough:
+        return Scatter(inflation=1.0, n_differences=0)
+    inflation = max(float(gaussian_spread(all_ratios)), 1.0)
+    return Scatter(inflation=inflation, n_differences=len(all_ratios))
 
 
 def best_change(
-    series: trend.SeriesEntry, inflation: float, least: float
-) -> tuple[float, trend.ChangeEntry]:
-    """The clearest step or drift of a quantity of at least a size, and its standard errors."""
-    count, days = len(series.values), days_of(series.dates)
-    tried = [
-        ("step", k, (np.arange(count) >= k).astype(np.float64)) for k in range(1, count)
+    series: SeriesEntry, inflation: float, least: float
+) -> tuple[float, ChangeEntry]:
+    """Return the clearest step or drift of a quantity.
+
+    Parameters
+    ----------
+    series : SeriesEntry
+        The quantity over T dates.
+    inflation : float
+        Factor of its standard errors.
+    least : float
+        Size that it has at least, in its own unit.
+
+    Returns
+    -------
+    sigmas : float
+        Standard errors of the change, infinite where it has none.
+    change : ChangeEntry
+        The change itself.
+    """
+    fits = [
+        _fitted(series, inflation, hypothesis) for hypothesis in _hypotheses(series)
     ]
-    if count > 2 and days[-1] > 0.0:
-        tried.append(("drift", 0, days / days[-1]))
-    found = []
-    for kind, at, column in tried:
-        before, change, error = _fitted(series, inflation, column)
-        sigmas = abs(change) / error if error > 0.0 else np.inf
-        found.append((sigmas, kind, at, before, change, error))
-    sigmas, kind, at, before, change, error = max(found, key=lambda one: one[0])
-    size = max(abs(before), abs(before + change), least)
-    return sigmas, trend.ChangeEntry(
+    best = max(fits, key=lambda fit: fit.sigmas)
+    last_value = best.first_value + best.change
+    size = max(abs(best.first_value), abs(last_value), least)
+    change = ChangeEntry(
         **_quantity(series),
-        kind=kind,
-        since=series.dates[at],
-        before=before,
-        after=before + change,
-        change=change,
-        std_error=error,
-        sigmas=sigmas if np.isfinite(sigmas) else None,
-        relative=change / size if size > 0.0 else 0.0,
+        kind=best.hypothesis.kind,
+        since=series.dates[best.hypothesis.since],
+        before=best.first_value,
+        after=last_value,
+        change=best.change,
+        std_error=best.std_error,
+        sigmas=best.sigmas if np.isfinite(best.sigmas) else None,
+        relative=best.change / size if size > 0.0 else 0.0,
     )
+    return best.sigmas, change
 
 
-def _quantity(entry: trend.QuantityEntry) -> dict[str, str]:
-    return {
-        name: getattr(entry, name) for name in trend.QuantityEntry.__struct_fields__
-    }
+def _hypotheses(series: SeriesEntry) -> Iterator[_Hypothesis]:
+    """Yield a step at each date but the first, and a drift over all of them."""
+    count = len(series.values)
+    for k in range(1, count):
+        step = (np.arange(count) >= k).astype(np.float64)
+        yield _Hypothesis(kind="step", since=k, column=step)
+    # Of two dates a drift is the step between them.
+    days = days_of(series.dates)
+    if count > 2 and days[-1] > 0.0:
+        yield _Hypothesis(kind="drift", since=0, column=days / days[-1])
+
+
+def _quantity(entry: QuantityEntry) -> dict[str, str]:
+    """Return the fields that name a quantity."""
+    return {name: getattr(entry, name) for name in QuantityEntry.__struct_fields__}
 
 
 def _fitted(
-    series: trend.SeriesEntry,
+    series: SeriesEntry,
     inflation: float,
-    column: Array,
+    hypothesis: _Hypothesis,
     *,
     per_kelvin: float = 0.02,
-) -> tuple[float, float, float]:
-    """Generalised least squares for one hypothesis: before, the change and its error."""
-    values, errors = np.array(series.values), inflation * np.array(series.std_errors)
-    least = 1e-12 * max(float(np.abs(values).max()), 1e-300)
-    root = 1.0 / np.maximum(errors, least)
-    warmth = np.array(series.temperatures or np.zeros(len(column)))
-    A = (
-        np.column_stack([np.ones(len(column)), column, warmth - warmth.mean()])
-        * root[:, None]
-    )
-    size = max(float(np.abs(values).mean()), least)
-    rows = np.vstack([A, [0.0, 0.0, 1.0 / (per_kelvin * size)]])
-    y = np.append(values * root, 0.0)
+) -> _FittedChange:
+    """Fit one hypothesis by generalised least squares, the temperature beside it."""
+    values = np.array(series.values)
+    std_errors = inflation * np.array(series.std_errors)
+    smallest = 1e-12 * max(float(np.abs(values).max()), 1e-300)
+    weights = 1.0 / np.maximum(std_errors, smallest)
+
+    temperatures = np.array(series.temperatures or np.zeros(len(values)))
+    warmth = temperatures - temperatures.mean()
+    columns = np.column_stack([np.ones(len(values)), hypothesis.column, warmth])
+
+    # The last row holds the slope over temperature near zero.
+    size = max(float(np.abs(values).mean()), smallest)
+    prior_row = [0.0, 0.0, 1.0 / (per_kelvin * size)]
+    rows = np.vstack([columns * weights[:, None], prior_row])
+    right_side = np.append(values * weights, 0.0)
     covariance = np.linalg.pinv(rows.T @ rows, hermitian=True, rcond=1e-14)
-    theta = covariance @ (rows.T @ y)
-    return float(theta[0]), float(theta[1]), float(np.sqrt(max(covariance[1, 1], 0.0)))
+    theta = covariance @ (rows.T @ right_side)
+    return _FittedChange(
+        hypothesis=hypothesis,
+        first_value=float(theta[0]),
+        change=float(theta[1]),
+        std_error=float(np.sqrt(max(covariance[1, 1], 0.0))),
+    )
 
 
-def _effects(robot: str, files: Sequence[ParameterFile]) -> Iterator[trend.ChangeEntry]:
-    """Effects that a robot's first file does not hold and the last one does, or the other way."""
+def _effect_changes(
+    robot: str, files: Sequence[ParameterFile]
+) -> Iterator[ChangeEntry]:
+    """Yield effects that appeared or are gone from a robot's first to its last file."""
     refined = [file for file in files if file.stages.effects is not None]
-    held = [
-        {(x.effect, x.joint or "") for x in file.stages.effects or []}
+    if len(refined) < 2:
+        return
+    effects = [
+        {(entry.effect, entry.joint or "") for entry in file.stages.effects or []}
         for file in refined
     ]
-    if len(held) < 2:
-        return
-    for kind, some, others in (
-        ("appeared", held[-1], held[0]),
-        ("gone", held[0], held[-1]),
-    ):
-        for effect, joint in sorted(some - others):
-            now_there = [
-                ((effect, joint) in own) == (kind == "appeared") for own in held
-            ]
-            last = max(k for k, there in enumerate(now_there) if not there)
-            yield trend.ChangeEntry(
-                robot=robot,
-                stage="effects",
-                joint=joint,
-                name=effect,
-                unit="",
-                kind=kind,
-                since=refined[last + 1].created,
-            )
+    for effect in sorted(effects[-1] - effects[0]):
+        last_without = max(k for k, held in enumerate(effects) if effect not in held)
+        yield _effect_change(robot, effect, "appeared", refined[last_without + 1])
+    for effect in sorted(effects[0] - effects[-1]):
+        last_with = max(k for k, held in enumerate(effects) if effect in held)
+        yield _effect_change(robot, effect, "gone", refined[last_with + 1])
 
 
-def write_table(path: Path, found: trend.TrendFile) -> None:
+def _effect_change(
+    robot: str, effect: tuple[str, str], kind: str, first: ParameterFile
+) -> ChangeEntry:
+    """Return that an effect at a joint is in `first` and later, or no more."""
+    name, joint = effect
+    return ChangeEntry(
+        robot=robot,
+        stage="effects",
+        joint=joint,
+        name=name,
+        unit="",
+        kind=kind,
+        since=first.created,
+    )
+
+
+def write_table(path: Path, document: TrendFile) -> None:
     """Write every quantity at every date as one row of a Parquet file."""
-    rows = [
-        {**_quantity(own), "date": date, "value": value, "std_error": error}
-        for own in found.series
-        for date, value, error in zip(
-            own.dates, own.values, own.std_errors, strict=True
-        )
-    ]
+    rows = []
+    for series in document.series:
+        dated = zip(series.dates, series.values, series.std_errors, strict=True)
+        for date, value, std_error in dated:
+            row = {"date": date, "value": value, "std_error": std_error}
+            rows.append({**_quantity(series), **row})
     with replacing(path) as partial, writing(path):
         pq.write_table(pa.Table.from_pylist(rows), partial)

@@ -1,4 +1,4 @@
-"""Trends as a function: parameter files of several dates in, what changed out."""
+"""The function `trend`: parameter files of several dates in, what changed out."""
 
 from __future__ import annotations
 
@@ -30,34 +30,53 @@ def trend(
         Results of the same stages at several dates, of one or more robots; the date is
         the one that the file says it was created at.
     options : TrendOptions
+        Its docstring says what can be set.
     output : path, optional
         Where the document goes.
     table : path, optional
         Where every quantity at every date goes, as Parquet.
+
+    Returns
+    -------
+    TrendFile
+        Every quantity over time, and the changes, the clearest first.
 
     Raises
     ------
     SeqidError
         Where the command would exit with 2.
     """
-    given = listed(parameters)
-    files = [Path(model) for model in given if not isinstance(model, ParameterFile)]
-    target, rows = optional(output), optional(table)
-    for path in (target, rows):
-        if path is not None:
-            check_output(path, files)
-    if target is not None and rows is not None and target.resolve() == rows.resolve():
-        hint = "Give them different names."
-        raise UsageError(
-            "-o and --table name the same file", where=str(target), hint=hint
-        )
-    models = read_models(given)
+    models = listed(parameters)
+    files = [Path(model) for model in models if not isinstance(model, ParameterFile)]
+    output_path = optional(output)
+    table_path = optional(table)
+    _check_outputs(output_path, table_path, files)
+    named_models = read_models(models)
+
+    # Imported here because it imports numpy: a wrong path is told first.
     from seqid_cli.trend.changes import trend_file, write_table
 
-    ids = [model_id(name, file, files) for name, file in models]
-    found = trend_file(models, ids, options)
-    if rows is not None:
-        write_table(rows, found)
-    if target is not None:
-        write_json_atomic(target, found, inputs=files)
-    return found
+    ids = [model_id(name, file, files) for name, file in named_models]
+    document = trend_file(named_models, ids, options)
+    if table_path is not None:
+        write_table(table_path, document)
+    if output_path is not None:
+        write_json_atomic(output_path, document, inputs=files)
+    return document
+
+
+def _check_outputs(
+    output: Path | None, table: Path | None, inputs: Sequence[Path]
+) -> None:
+    """Raise UsageError where a document or a table cannot be written to its path."""
+    for path in (output, table):
+        if path is not None:
+            check_output(path, inputs)
+    if output is None or table is None:
+        return
+    if output.resolve() == table.resolve():
+        raise UsageError(
+            "-o and --table name the same file",
+            where=str(output),
+            hint="Give them different names.",
+        )

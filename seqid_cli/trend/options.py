@@ -1,4 +1,4 @@
-"""What a user may set; kept free of heavy imports for the command line."""
+"""Options of `trend`; free of heavy imports."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from seqid_cli.params.files import By
 
 @dataclass(frozen=True, kw_only=True)
 class TrendOptions:
-    """When a quantity has changed.
+    """Limits from which a quantity has changed.
 
     `alpha` [1] is the probability that any quantity of healthy robots is said to
     change, `rtol` [1] the least change as a share of the quantity's size. `by` says how

@@ -5,6 +5,7 @@ Robots can be compared by parameters, and by friction at speeds that all of them
 
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,122 +18,180 @@ from seqid_cli.robot.types import Array
 from seqid_cli.units import unit_of
 
 Named = tuple[str, ParameterFile]  # with its path
-Quantity = tuple[str, str, str, str]  # stage, joint, name, unit
-# value, standard error, temperature [degC] (NaN: none)
-Found = tuple[float, float, float]
+
+
+class Quantity(NamedTuple):
+    """A number that a robot can be compared by."""
+
+    stage: str
+    joint: str
+    name: str
+    unit: str
+
+
+class Estimate(NamedTuple):
+    """A quantity at one date; its temperature [degC] is NaN where none was logged."""
+
+    value: float
+    std_error: float
+    temperature: float
 
 
 def robots_of(files: Sequence[Named], by: By) -> dict[str, list[ParameterFile]]:
-    """Return the files of each robot in the order of their dates; two of one robot at least."""
+    """Return the files of each robot in the order of their dates.
+
+    Parameters
+    ----------
+    files : sequence of (path, ParameterFile)
+        Files of one or more robots in any order.
+    by : {"name", "folder"}
+        What tells robots apart.
+
+    Raises
+    ------
+    UsageError
+        Files of one robot have different joints, or no robot has two files.
+    ConfigError
+        The date of a file is none.
+    """
     robots = by_robot(
         [(path, file.robot.name, (path, file)) for path, file in files], by
     )
-    for name, own in robots.items():
-        own.sort(key=lambda item: _time(item[1].created, item[0]))
-        (first, other), *more = own
-        for path, file in more:
-            if file.robot.joints != other.robot.joints:
-                message = (
-                    f"has other joints than {first}, but both are of robot {name!r}"
-                )
-                hint = "Tell the robots apart by --by folder, or give files of one arm."
-                raise UsageError(message, where=path, hint=hint)
-    if all(len(own) < 2 for own in robots.values()):
+    for name, dated in robots.items():
+        dated.sort(key=lambda item: _time(item[1].created, item[0]))
+        _check_joints(name, dated)
+    if all(len(dated) < 2 for dated in robots.values()):
         hint = (
             "Give results of several dates; --by folder tells robots of one name apart."
         )
         raise UsageError("no robot has two parameter files", hint=hint)
-    return {name: [file for _, file in own] for name, own in robots.items()}
+    return {name: [file for _, file in dated] for name, dated in robots.items()}
+
+
+def _check_joints(name: str, files: Sequence[Named]) -> None:
+    """Raise UsageError where files of a robot have other joints than the first."""
+    first_path, first = files[0]
+    for path, file in files[1:]:
+        if file.robot.joints != first.robot.joints:
+            message = (
+                f"has other joints than {first_path}, but both are of robot {name!r}"
+            )
+            hint = "Tell the robots apart by --by folder, or give files of one arm."
+            raise UsageError(message, where=path, hint=hint)
 
 
 def days_of(dates: Sequence[str]) -> Array:
     """Return the time (T,) in days since the first date."""
-    times = np.array([_time(date) for date in dates])
-    return np.asarray((times - times[0]) / 86400.0)
+    times_s = np.array([_time(date) for date in dates])
+    return np.asarray((times_s - times_s[0]) / 86400.0)
 
 
 def _time(date: str, path: str = "") -> float:
-    """Return a date as a time [s]; of Greenwich where it names no zone."""
+    """Return a date as a Unix time [s]; in UTC where it names no zone."""
     try:
         when = datetime.fromisoformat(date)
     except ValueError as error:
-        message, hint = (
-            f"$.created: {date!r} is no date",
-            "Write it as 2026-01-31T12:00:00Z.",
-        )
+        message = f"$.created: {date!r} is no date"
+        hint = "Write it as 2026-01-31T12:00:00Z."
         raise ConfigError(message, where=path, hint=hint) from error
-    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+    if when.tzinfo is None:
+        when = when.replace(tzinfo=UTC)
+    return when.timestamp()
 
 
 def series_of(robot: str, files: Sequence[ParameterFile]) -> Iterator[SeriesEntry]:
-    """Yield every quantity of a robot that two of its files hold at least."""
+    """Yield every quantity of a robot that at least two of its files hold."""
     speeds = _shared_speeds(files)
-    tables = [dict(_quantities(file.stages, speeds)) for file in files]
-    dated = [(file.created, table) for file, table in zip(files, tables, strict=True)]
-    for quantity in dict.fromkeys(q for table in tables for q in table):
-        held = [(date, *table[quantity]) for date, table in dated if quantity in table]
-        if len(held) < 2:
+    tables = [dict(_estimates(file.stages, speeds)) for file in files]
+    quantities = dict.fromkeys(quantity for table in tables for quantity in table)
+
+    for quantity in quantities:
+        dates = []
+        estimates = []
+        for file, table in zip(files, tables, strict=True):
+            if quantity in table:
+                dates.append(file.created)
+                estimates.append(table[quantity])
+        if len(dates) < 2:
             continue
-        dates, values, errors, warmth = map(list, zip(*held, strict=True))
+
+        # Without the temperature of every date friction cannot be corrected by it.
+        temperatures = [estimate.temperature for estimate in estimates]
+        if not np.isfinite(temperatures).all():
+            temperatures = []
         yield SeriesEntry(
             robot=robot,
-            **dict(zip(("stage", "joint", "name", "unit"), quantity, strict=True)),
+            stage=quantity.stage,
+            joint=quantity.joint,
+            name=quantity.name,
+            unit=quantity.unit,
             dates=dates,
-            values=values,
-            std_errors=errors,
-            temperatures=warmth if np.isfinite(warmth).all() else [],
+            values=[estimate.value for estimate in estimates],
+            std_errors=[estimate.std_error for estimate in estimates],
+            temperatures=temperatures,
         )
 
 
-def _quantities(
+def _estimates(
     stages: Stages, speeds: Mapping[str, Array]
-) -> Iterator[tuple[Quantity, Found]]:
-    """Yield what a robot can be compared by."""
-    for joint, surface in (stages.friction.joints if stages.friction else {}).items():
-        warmth = np.nan if surface.temperature is None else surface.temperature
-        pace = unit_of("rad/s", surface.unit == "N")
+) -> Iterator[tuple[Quantity, Estimate]]:
+    """Yield the estimates of one file, of friction at the `speeds` [rad/s; m/s]."""
+    for joint, surface in _surfaces(stages).items():
+        temperature = np.nan if surface.temperature is None else surface.temperature
+        speed_unit = unit_of("rad/s", surface.unit == "N")
         for speed in speeds.get(joint, ()):
-            what = ("friction", joint, f"at {speed:.3g} {pace}", surface.unit)
-            yield what, (*_mean_friction(surface, float(speed)), warmth)
-    for name, stage in (("gravity", stages.gravity), ("inertia", stages.inertia)):
-        for p in stage.parameters if stage else ():
-            yield (name, p.joint, p.name, p.unit), (p.value, p.std_error, np.nan)
+            name = f"at {speed:.3g} {speed_unit}"
+            value, std_error = _mean_friction(surface, float(speed))
+            quantity = Quantity("friction", joint, name, surface.unit)
+            yield quantity, Estimate(value, std_error, temperature)
+
+    for stage_name, stage in (("gravity", stages.gravity), ("inertia", stages.inertia)):
+        if stage is None:
+            continue
+        for p in stage.parameters:
+            quantity = Quantity(stage_name, p.joint, p.name, p.unit)
+            yield quantity, Estimate(p.value, p.std_error, np.nan)
+
+
+def _surfaces(stages: Stages) -> Mapping[str, FrictionJoint]:
+    """Return the friction surfaces of a file by joint."""
+    return stages.friction.joints if stages.friction else {}
 
 
 def _shared_speeds(
     files: Sequence[ParameterFile], *, speeds: int = 3
 ) -> dict[str, Array]:
-    """Speeds of each joint that the friction of all files is known at, by joint."""
-    found: dict[str, list[tuple[float, float]]] = {}
+    """Return speeds (S,) by joint [rad/s; m/s] at which all files know its friction."""
+    slowest: dict[str, float] = {}
+    fastest: dict[str, float] = {}
     for file in files:
-        for joint, surface in (
-            file.stages.friction.joints if file.stages.friction else {}
-        ).items():
+        for joint, surface in _surfaces(file.stages).items():
             low, high = surface.speed_range
-            found.setdefault(joint, []).append(
-                (max(low, SLIDES * surface.sign_width), high)
-            )
-    ends = {
-        j: (max(r[0] for r in own), min(r[1] for r in own)) for j, own in found.items()
-    }
+            # Slower than this the joint does not certainly slide.
+            low = max(low, SLIDES * surface.sign_width)
+            slowest[joint] = max(slowest.get(joint, low), low)
+            fastest[joint] = min(fastest.get(joint, high), high)
     return {
-        j: np.linspace(low, high, speeds)
-        for j, (low, high) in ends.items()
-        if low < high
+        joint: np.linspace(slowest[joint], fastest[joint], speeds)
+        for joint in slowest
+        if slowest[joint] < fastest[joint]
     }
 
 
 def _mean_friction(
     joint: FrictionJoint, speed: float, *, positions: int = 25
 ) -> tuple[float, float]:
-    """Mean friction over positions and both directions at a speed, and its standard error."""
+    """Return the mean friction over positions and both directions, and its error."""
     surface = FrictionSurface.from_stage(joint)
     low, high = joint.position_range
     q = np.tile(np.linspace(low, high, positions), 2)
-    v = np.repeat([speed, -speed], positions)
-    mean = float(np.mean(np.sign(v) * surface.torque(q, v)))
-    row = np.mean(np.sign(v)[:, None] * surface.columns(q, v), axis=0)
-    known = surface.covariance.shape == (len(row), len(row))
-    return mean, (
-        float(np.sqrt(max(row @ surface.covariance @ row, 0.0))) if known else 0.0
-    )
+    dq = np.repeat([speed, -speed], positions)
+    direction = np.sign(dq)
+    mean = float(np.mean(direction * surface.torque(q, dq)))
+
+    # The mean is linear in the coefficients of the surface.
+    row = np.mean(direction[:, None] * surface.columns(q, dq), axis=0)
+    if surface.covariance.shape != (len(row), len(row)):
+        return mean, 0.0
+    variance = max(row @ surface.covariance @ row, 0.0)
+    return mean, float(np.sqrt(variance))

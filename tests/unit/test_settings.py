@@ -1,4 +1,4 @@
-"""Settings: what is refused, what is shown, and that each of the judging ones decides."""
+"""Settings that are refused, that are shown, and that decide in judging."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""Time: units, rate, gaps, stamps, holes of single channels, and the reader's warnings."""
+"""Time of a log: unit, rate, gaps, stamps, holes of channels, and reader's warnings."""
 
 import re
 from collections.abc import Iterator
@@ -12,9 +12,9 @@ from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.shares import percent
 
-# What the reader says in words, and the code that it stands for; empty where a check of
-# its own says it better.
-_SAID: tuple[tuple[str, str], ...] = (
+# Warnings of the reader by a pattern of their words, and the codes that they stand for;
+# no code where a check of its own says it better.
+_WARNING_CODES: tuple[tuple[str, str], ...] = (
     (r": a second publisher: ", "second_publisher"),
     (r"runs twice over the same time", "clock_set_back"),
     (r"steps back \d+ times", "stamps_backwards"),
@@ -47,82 +47,124 @@ def clock_findings(
     min_delay_s: float = -0.005,
     max_delay_s: float = 5.0,
 ) -> Iterator[InspectionFinding]:
-    """Check the clock of a log, and turn the reader's warnings into findings."""
+    """Check the clock of a log, and turn the reader's warnings into findings.
+
+    Parameters
+    ----------
+    data : LogData
+        The log.
+    slow_hz : float
+        Rate below which a log is slow [Hz].
+    min_hz, max_hz : float
+        Rates beyond which time is taken to be in another unit [Hz].
+    min_delay_s, max_delay_s : float
+        Times from header stamp to logging beyond which clocks differ [s].
+    """
     health = data.recording.health
-    rate = health.rate_hz
-    text = f"{rate:.3g} samples per second"
-    if not min_hz <= rate <= max_hz:
-        ms = " but looks like ms" if 0.02 <= rate <= min_hz else ""
-        yield found(
-            "time_unit", f"{text}: the time column is not in seconds{ms}", channel="t"
-        )
-    elif rate < slow_hz:
+    rate_hz = health.rate_hz
+    text = f"{rate_hz:.3g} samples per second"
+    if not min_hz <= rate_hz <= max_hz:
+        unit = " but looks like ms" if 0.02 <= rate_hz <= min_hz else ""
+        text = f"{text}: the time column is not in seconds{unit}"
+        yield found("time_unit", text, channel="t")
+    elif rate_hz < slow_hz:
         yield found("rate_low", text)
+
+    # Where intervals scatter, gaps are a part of that.
     if health.jitter > JITTER_LIMIT:
+        share = percent(health.jitter, 0)
+        text = f"the sample interval scatters by {share} of its median"
+        if health.gaps:
+            text += f", with {len(health.gaps)} gaps"
+        yield found("jitter", text)
+    else:
+        yield from _gap_findings(data)
+
+    delay_s = health.log_minus_header_s
+    if delay_s is not None and not min_delay_s <= delay_s <= max_delay_s:
+        text = f"messages are logged {delay_s:.6g} s after their header stamp"
+        yield found("header_clock", text)
+    yield from _warning_findings(data)
+
+
+def _gap_findings(data: LogData) -> Iterator[InspectionFinding]:
+    """Find gaps without a row."""
+    gaps = _gaps(data)
+    if gaps:
+        start, stop = max(gaps, key=lambda gap: gap[1] - gap[0])
+        lost_s = sum(stop - start for start, stop in gaps)
         text = (
-            f"the sample interval scatters by {percent(health.jitter, 0)} of its median"
-        )
-        yield found(
-            "jitter", text + (f", with {len(health.gaps)} gaps" if health.gaps else "")
-        )
-    elif gaps := _gaps(data):
-        a, b = max(gaps, key=lambda gap: gap[1] - gap[0])
-        lost = sum(end - start for start, end in gaps)
-        text = (
-            f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {a:.3f} to"
-            f" {b:.3f} s"
+            f"{len(gaps)} gaps, {lost_s:.3g} s in all, the longest from {start:.3f} to"
+            f" {stop:.3f} s"
         )
         yield found("clock_gap", text)
-    delay = health.log_minus_header_s
-    if delay is not None and not min_delay_s <= delay <= max_delay_s:
-        yield found(
-            "header_clock",
-            f"messages are logged {delay:.6g} s after their header stamp",
-        )
-    names = (*data.robot.joint_names, *(imu.name for imu in data.robot.imus))
-    for text in health.warnings:
-        subject, imu = text.partition(":")[0], re.search(r"IMU '([^']+)'", text)
-        joint = imu[1] if imu else subject if subject in names else ""
-        if code := next(
-            (code for form, code in _SAID if re.search(form, text)), "reader"
-        ):
-            yield found(code, text, joint)
 
 
 def _gaps(data: LogData) -> list[tuple[float, float]]:
-    """Gaps without a row [s], but for the holes between episodes."""
-    t, steps = data.t, np.diff(data.t)
-    said = map(_EPISODES.search, data.recording.health.warnings)
-    holes = [float(match[1]) for match in said if match]  # to three digits
-    gaps = t[np.flatnonzero(steps > gap_limit(steps))[:, None] + (0, 1)].tolist()
-    return [
-        (a, b)
-        for a, b in gaps
-        if all(abs(b - a - hole) > 0.01 * hole for hole in holes)
-    ]
+    """Return gaps without a row [s], but for the holes between episodes."""
+    matches = map(_EPISODES.search, data.recording.health.warnings)
+    holes_s = [float(match[1]) for match in matches if match]  # to three digits
+    t = data.t
+    steps = np.diff(t)
+    gaps = []
+    for k in np.flatnonzero(steps > gap_limit(steps)):
+        start = float(t[k])
+        stop = float(t[k + 1])
+        length = stop - start
+        if not any(abs(length - hole) <= 0.01 * hole for hole in holes_s):
+            gaps.append((start, stop))
+    return gaps
+
+
+def _warning_findings(data: LogData) -> Iterator[InspectionFinding]:
+    """Turn the reader's warnings into findings."""
+    robot = data.robot
+    names = {*robot.joint_names, *(imu.name for imu in robot.imus)}
+    for text in data.recording.health.warnings:
+        subject = text.partition(":")[0]
+        imu = re.search(r"IMU '([^']+)'", text)
+        if imu:
+            subject = imu[1]
+        elif subject not in names:
+            subject = ""
+        code = _code_of(text)
+        if code:
+            yield found(code, text, subject)
+
+
+def _code_of(warning: str) -> str:
+    """Return the code of a warning; empty where another check says it better."""
+    for pattern, code in _WARNING_CODES:
+        if re.search(pattern, warning):
+            return code
+    return "reader"
 
 
 def hole_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Find holes in the position and the torque of every joint."""
-    effort, t = data.effort(), data.t
-    channels = [
-        ("position", data.joints.channels["position"]),
-        *([effort] if effort else []),
-    ]
+    channels = [("position", data.joints.channels["position"])]
+    effort = data.effort()
+    if effort is not None:
+        channels.append(effort)
+    t = data.t
     for quantity, values in channels:
-        for name, there in zip(
-            data.robot.joint_names, np.isfinite(values).T, strict=True
-        ):
-            present = np.flatnonzero(there)
-            if there.all() or len(present) < 3:
+        for j, name in enumerate(data.robot.joint_names):
+            is_present = np.isfinite(values[:, j])
+            present = np.flatnonzero(is_present)
+            if is_present.all() or len(present) < 3:
                 continue
-            steps, rows = np.diff(t[present]), np.diff(present)
-            wide = (steps > gap_limit(steps)) & (rows > 2 * int(np.median(rows)))
-            if count := np.count_nonzero(wide):
-                k = int(np.where(wide, steps, 0.0).argmax())
-                more = f" and {count - 1} more times" if count > 1 else ""
-                text = (
-                    f"has no values from {t[present[k]]:.3f} to {t[present[k + 1]]:.3f}"
-                    f" s{more}"
-                )
-                yield found("channel_hole", text, name, quantity)
+
+            # A slower channel has values in every few rows: that is no hole.
+            steps = np.diff(t[present])
+            rows = np.diff(present)
+            is_hole = (steps > gap_limit(steps)) & (rows > 2 * int(np.median(rows)))
+            n_holes = np.count_nonzero(is_hole)
+            if not n_holes:
+                continue
+            widest = int(np.where(is_hole, steps, 0.0).argmax())
+            start = t[present[widest]]
+            stop = t[present[widest + 1]]
+            text = f"has no values from {start:.3f} to {stop:.3f} s"
+            if n_holes > 1:
+                text += f" and {n_holes - 1} more times"
+            yield found("channel_hole", text, name, quantity)

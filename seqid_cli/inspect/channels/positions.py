@@ -1,7 +1,8 @@
-"""Positions: units, limits, jumps, freezes, encoder resolution."""
+"""Positions of joints: units, limits, jumps, freezes, encoder resolution."""
 
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -19,30 +20,49 @@ ALONE = 0.3  # of a jump, that the samples before and after may move
 
 @dataclass(frozen=True)
 class Break:
-    """Where a joint's positions are broken; `rows` are wrong, none where it is not known which."""
+    """Broken positions of a joint; `rows` are those known to be wrong, or none."""
 
     joint: int
     finding: InspectionFinding
     rows: Index
 
 
+class _Damage(NamedTuple):
+    """What is wrong with positions: code, message, and the samples that are wrong."""
+
+    code: str
+    text: str
+    rows: Index
+
+
 def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
-    """Find breaks of every joint's positions (M, n) rad (m) as logged at `t` (M,) s."""
+    """Find breaks in the positions of every joint.
+
+    Parameters
+    ----------
+    robot : Robot
+        The arm, of n joints.
+    t : (M,) array
+        Times of the samples [s].
+    position : (M, n) array
+        Positions as they were logged [rad; m], NaN where there is none.
+    """
     breaks = []
     for j, joint in enumerate(robot.joints):
         rows = np.flatnonzero(np.isfinite(position[:, j]))
-        own_t, q = t[rows], position[rows, j]
-        if len(q) < 3:
+        if len(rows) < 3:
             continue
-        least = ALONE * _beyond_any_arm(float(np.median(np.diff(own_t))))
-        # no two changes differ by as much as a break makes
-        if np.abs(np.diff(q, 2)).max() < least:
+        t_joint = t[rows]
+        q = position[rows, j]
+
+        # Most joints end here: no two changes differ by as much as a break makes.
+        interval = float(np.median(np.diff(t_joint)))
+        if np.abs(np.diff(q, 2)).max() < ALONE * _beyond_any_arm(interval):
             continue
-        if broken := _break(own_t, q, lattice(q)):
-            code, text, wrong = broken
-            breaks.append(
-                Break(j, found(code, text, joint.name, "position"), rows[wrong])
-            )
+        damage = _damage(t_joint, q, lattice(q))
+        if damage is not None:
+            finding = found(damage.code, damage.text, joint.name, "position")
+            breaks.append(Break(joint=j, finding=finding, rows=rows[damage.rows]))
     return breaks
 
 
@@ -51,14 +71,29 @@ def position_findings(
 ) -> Iterator[InspectionFinding]:
     """Check every joint's positions; `breaks` are those of `breaks_of`."""
     for j in range(data.robot.n):
-        broken = [each.finding for each in breaks if each.joint == j]
-        yield from broken or filter(None, [_unit(data, j)])
+        of_joint = [damage.finding for damage in breaks if damage.joint == j]
+        if of_joint:
+            yield from of_joint
+            continue
+        finding = _unit(data, j)
+        if finding is not None:
+            yield finding
 
 
 def position_quality(
     data: LogData, broken: Container[str], *, max_ratio: float = 2.0
 ) -> Iterator[InspectionFinding]:
-    """Check how well positions are measured, but for the joints named in `broken`."""
+    """Check how well positions are measured.
+
+    Parameters
+    ----------
+    data : LogData
+        The log.
+    broken : container of str
+        Joints of which only missing values are looked for.
+    max_ratio : float
+        Multiple of the speed limit that a joint may reach.
+    """
     for j, joint in enumerate(data.robot.joints):
         column = data.joints.channels["position"][:, j]
         q = column[np.isfinite(column)]
@@ -67,68 +102,90 @@ def position_quality(
         yield from missing(column, joint.name, "position")
         if joint.name in broken:
             continue
-        size, step = held(q), lattice(q)
+
+        step = lattice(q)
         declared = joint.encoder_resolution or step
-        if (
-            step
-            and np.ptp(q) > 20 * max(declared, step)
-            and abs(step / declared - 1.0) > 0.1
-        ):
+        # Of a few steps their size is not certain.
+        travels_far = np.ptp(q) > 20 * max(declared, step)
+        if step and travels_far and abs(step / declared - 1.0) > 0.1:
             text = f"its step is {step:.4g}, the robot file says {declared:.4g}"
             yield found("encoder_resolution", text, joint.name, "position")
-        if size > 1 and data.moves(j):
-            text = f"the position repeats each value {size} times"
+
+        group_size = held(q)
+        if group_size > 1 and data.moves(j):
+            text = f"the position repeats each value {group_size} times"
             yield found("channel_held", text, joint.name, "position")
-        top, limit = top_speed(data, j), joint.velocity_limit
-        if limit is not None and top > max_ratio * limit:
-            text = f"reaches {top:.3g}, velocity_limit is {limit:.3g}"
+
+        speed = top_speed(data, j)
+        limit = joint.velocity_limit
+        if limit is not None and speed > max_ratio * limit:
+            text = f"reaches {speed:.3g}, velocity_limit is {limit:.3g}"
             yield found("speed_limit", text, joint.name, "position")
+
+
+class _OtherUnit(NamedTuple):
+    """A unit that positions may be in, and how many of it make one rad (m)."""
+
+    code: str
+    factor: float
 
 
 def _unit(
     data: LogData, j: int, *, min_outside: float = 0.02
 ) -> InspectionFinding | None:
-    """Compare with the limits, as they are and in other units; `min_outside` of their span."""
+    """Compare positions with the limits, as they are and in other units.
+
+    `min_outside` is the share of the limits' span by which they must be exceeded.
+    """
     joint = data.robot.joints[j]
     column = data.joints.channels["position"][:, j]
     q = column[np.isfinite(column)]
     if joint.position_limits is None or len(q) < 3:
         return None
     low, high = joint.position_limits
-    span, unit = high - low, "m" if joint.prismatic else "rad"
+    span = high - low
     margin = max(3.0 * data.step[j], min_outside * span)
-    least, most = float(q.min()), float(q.max())
+    least = float(q.min())
+    most = float(q.max())
 
-    def within(factor: float) -> bool:
+    def is_within(factor: float) -> bool:
         ends = sorted((least / factor, most / factor))
         return bool(ends[0] >= low - margin and ends[1] <= high + margin)
 
-    if within(1.0):
+    if is_within(1.0):
         return None
+
     text = (
         f"runs from {least:.4g} to {most:.4g}, the limits are {low:.4g} to {high:.4g}"
-        f" {unit}"
+        f" {'m' if joint.prismatic else 'rad'}"
     )
-    degrees, mm = ("position_in_degrees", np.degrees(1.0)), ("position_in_mm", 1000.0)
-    choices = [mm if joint.prismatic else degrees]
+    units = [_OtherUnit("position_in_degrees", np.degrees(1.0))]
+    if joint.prismatic:
+        units = [_OtherUnit("position_in_mm", 1000.0)]
     if joint.gear_ratio is not None and abs(joint.gear_ratio) > 3.0:
-        choices.append(("position_motor_side", joint.gear_ratio))
-    # how many times its declared step is the position's step?
+        units.append(_OtherUnit("position_motor_side", joint.gear_ratio))
+    # The encoder's step is in the same unit: how many times the declared step is it?
     if joint.encoder_resolution:
         ratio = max(lattice(q), 1e-12) / joint.encoder_resolution
-        choices.sort(key=lambda choice: abs(np.log(ratio / abs(choice[1]))))
+        units.sort(key=lambda unit: abs(np.log(ratio / abs(unit.factor))))
+
     beyond = max(low - least, most - high)
-    for code, factor in choices:
-        fills = (most - least) / abs(factor) >= min_outside * span
-        if beyond > span and fills and within(factor):
-            return found(code, text, joint.name, "position")
+    for unit in units:
+        # In a unit so large that hardly any motion is left, anything is within.
+        fills = (most - least) / abs(unit.factor) >= min_outside * span
+        if beyond > span and fills and is_within(unit.factor):
+            return found(unit.code, text, joint.name, "position")
     return found("position_limits", text, joint.name, "position")
 
 
 def fast_in_degrees(
     data: LogData, *, max_speed: float = 20.0
 ) -> Iterator[InspectionFinding]:
-    """Take most joints impossibly fast for degrees; limits and velocities say it better."""
+    """Take positions for degrees where most joints are impossibly fast.
+
+    `max_speed` [rad/s] is beyond any arm. Limits and velocities say it better: with
+    either of them there is nothing to do here.
+    """
     robot = data.robot
     if data.recording.dq is not None or any(j.position_limits for j in robot.joints):
         return
@@ -144,68 +201,72 @@ def fast_in_degrees(
 
 def top_speed(data: LogData, j: int) -> float:
     """Return the top speed of a joint over 0.1 s, rad/s (m/s)."""
-    half = max(1, round(0.05 * data.recording.rate_hz))
-    if 2 * half + 1 >= len(data.recording.q):
+    recording = data.recording
+    half_width = max(1, round(0.05 * recording.rate_hz))
+    if 2 * half_width + 1 >= len(recording.q):
         return 0.0
-    velocity = windowed_velocity(data.recording.q[:, j], data.recording.rate_hz, half)
+    velocity = windowed_velocity(recording.q[:, j], recording.rate_hz, half_width)
     return float(np.abs(velocity).max())
 
 
-def _break(t: Array, q: Array, step: float) -> tuple[str, str, Index] | None:
-    """Find freezes, else spikes, else jumps, with the samples that are wrong."""
-    usual = float(np.median(np.diff(t)))
-    if usual <= 0.0:
+def _damage(t: Array, q: Array, step: float) -> _Damage | None:
+    """Find freezes, else spikes, else jumps, in positions (M,) at times (M,).
+
+    `step` is the encoder's.
+    """
+    interval = float(np.median(np.diff(t)))
+    if interval <= 0.0:
         return None
-    large = _least_jump(q, step, usual)
-    if frozen := _frozen(t, q, large):
-        start, stop = frozen[0]
-        text = f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
-        text += (
-            f"{t[stop - 1] - t[start]:.3f} s, and then catches up by"
-            f" {q[stop] - q[stop - 1]:.3g}"
-        )
-        return (
-            "position_frozen",
-            text,
-            np.concatenate([np.arange(a + 1, b) for a, b in frozen]),
-        )
-    d = np.diff(q)
-    size = np.abs(d)
+    least_jump = _least_jump(q, step, interval)
+    frozen = _frozen(t, q, least_jump)
+    if frozen:
+        return _freezes(t, q, frozen)
+
     # A jump stands alone: the motion around it is small against it (a spike returns at
     # once, and of the two changes on one side the smaller counts).
-    wide = np.pad(size, 2)
-    around = np.maximum(
-        np.minimum(wide[:-4], wide[1:-3]), np.minimum(wide[3:-1], wide[4:])
-    )
-    at = np.flatnonzero(
-        (size > large) & (around < ALONE * size) & (np.diff(t) < 1.5 * usual)
-    )
-    if not len(at):
+    change = np.diff(q)
+    size = np.abs(change)
+    padded = np.pad(size, 2)
+    earlier = np.minimum(padded[:-4], padded[1:-3])
+    later = np.minimum(padded[3:-1], padded[4:])
+    stands_alone = np.maximum(earlier, later) < ALONE * size
+    in_time = np.diff(t) < 1.5 * interval
+    jumps = np.flatnonzero((size > least_jump) & stands_alone & in_time)
+    if not len(jumps):
         return None
-    back: dict[int, int] = {}  # after how many samples a change is undone
-    for k in at.tolist():
-        undone = (
-            s
-            for s in (1, 2, 3)
-            if k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * size[k]
-        )
-        if s := next(undone, 0):
-            back[k] = s
-    first, count = next(iter(back), int(at[0])), len(back) or len(at)
-    text = f"jumps by {d[first]:.4g} at {t[first + 1]:.3f} s"
-    text += f" and {count - 1} more times" if count > 1 else ""
-    wrong = [row for k, s in back.items() for row in range(k + 1, k + s + 1)]
-    return (
-        "position_spikes" if back else "position_jump",
-        text,
-        np.array(wrong, dtype=np.intp),
-    )
+
+    # Of spikes it is known which samples are wrong, of jumps it is not.
+    undone_after = {k: _undone_after(change, k) for k in jumps.tolist()}
+    spikes = {k: count for k, count in undone_after.items() if count}
+    if spikes:
+        code = "position_spikes"
+        first = next(iter(spikes))
+        n_jumps = len(spikes)
+    else:
+        code = "position_jump"
+        first = int(jumps[0])
+        n_jumps = len(jumps)
+    text = f"jumps by {change[first]:.4g} at {t[first + 1]:.3f} s"
+    if n_jumps > 1:
+        text += f" and {n_jumps - 1} more times"
+    wrong = [row for k, count in spikes.items() for row in range(k + 1, k + count + 1)]
+    return _Damage(code, text, np.array(wrong, dtype=np.intp))
+
+
+def _undone_after(change: Array, k: int) -> int:
+    """Return after how many samples, up to three, a change is undone; 0: it is not."""
+    for count in (1, 2, 3):
+        if k + count >= len(change):
+            return 0
+        if abs(change[k] + change[k + count]) < ALONE * abs(change[k]):
+            return count
+    return 0
 
 
 def _least_jump(
     q: Array,
     step: float,
-    usual: float,
+    interval: float,
     *,
     min_steps: float = 8.0,
     # times what one in a hundred changes differs from its neighbours
@@ -213,35 +274,57 @@ def _least_jump(
     max_jumps: int = 16,
     min_share: float = 0.005,  # of the position's range
 ) -> float:
-    """Return the change between two samples that neither motion nor the log's own noise makes."""
-    d = np.diff(q)
-    uneven = np.sort(np.abs(d - median_filter(d, 5, mode="wrap")))
-    noise = float(np.quantile(uneven[: max(len(d) - max_jumps, 1)], 0.99))
+    """Return the change between two samples that neither motion nor noise makes.
+
+    `interval` is the usual time between samples [s].
+    """
+    change = np.diff(q)
+    uneven = np.sort(np.abs(change - median_filter(change, 5, mode="wrap")))
+    # The jumps themselves must not count as noise.
+    without_jumps = uneven[: max(len(change) - max_jumps, 1)]
+    noise = float(np.quantile(without_jumps, 0.99))
     span = float(np.ptp(np.quantile(q, (0.01, 0.99))))
     return max(
-        min_steps * step, _beyond_any_arm(usual), min_noise * noise, min_share * span
+        min_steps * step,
+        _beyond_any_arm(interval),
+        min_noise * noise,
+        min_share * span,
     )
 
 
 def _beyond_any_arm(
-    usual: float, *, max_acceleration: float = 1000.0, max_step: float = 0.05
+    interval: float, *, max_acceleration: float = 1000.0, max_step: float = 0.05
 ) -> float:
-    """Return the change of velocity, times the usual time, that no arm makes."""
-    # the first says little at low rates
-    return min(max_acceleration * usual**2, max_step)
+    """Return the change of velocity, times the usual interval, that no arm makes."""
+    # At low rates the acceleration says little.
+    return min(max_acceleration * interval**2, max_step)
 
 
 def _frozen(
-    t: Array, q: Array, large: float, *, min_samples: int = 5, min_s: float = 0.01
+    t: Array, q: Array, least_jump: float, *, min_samples: int = 5, min_s: float = 0.01
 ) -> list[tuple[int, int]]:
-    """List freezes [start, stop), each ended by a jump as far as the motion around it goes."""
-    found_runs = []
-    for a, b in equal_runs(q, min_samples):
-        if b + 5 >= len(q) or a < 5 or t[b - 1] - t[a] < min_s:
+    """Return freezes [start, stop), each ended by a jump as far as the motion goes."""
+    freezes = []
+    for start, stop in equal_runs(q, min_samples):
+        if stop + 5 >= len(q) or start < 5 or t[stop - 1] - t[start] < min_s:
             continue
-        jump = float(q[b] - q[b - 1])
-        before, after = float(q[a] - q[a - 5]) / 5, float(q[b + 5] - q[b]) / 5
-        missed = 0.5 * (before + after) * (b - a)
-        if abs(jump) > large and before * after > 0 and 0.5 < jump / missed < 2.0:
-            found_runs.append((a, b))
-    return found_runs
+        jump = float(q[stop] - q[stop - 1])
+        slope_before = float(q[start] - q[start - 5]) / 5
+        slope_after = float(q[stop + 5] - q[stop]) / 5
+        missed = 0.5 * (slope_before + slope_after) * (stop - start)
+        goes_on = slope_before * slope_after > 0
+        if abs(jump) > least_jump and goes_on and 0.5 < jump / missed < 2.0:
+            freezes.append((start, stop))
+    return freezes
+
+
+def _freezes(t: Array, q: Array, frozen: Sequence[tuple[int, int]]) -> _Damage:
+    """Describe freezes [start, stop): all samples but the first of each are wrong."""
+    start, stop = frozen[0]
+    text = (
+        f"stands still {len(frozen)} times, first from {t[start]:.3f} s for"
+        f" {t[stop - 1] - t[start]:.3f} s, and then catches up by"
+        f" {q[stop] - q[stop - 1]:.3g}"
+    )
+    rows = np.concatenate([np.arange(start + 1, stop) for start, stop in frozen])
+    return _Damage("position_frozen", text, rows)

@@ -1,4 +1,4 @@
-"""Torque and current, channel by channel."""
+"""Torques and currents, channel by channel; temperatures and sensors beside them."""
 
 from collections.abc import Container, Iterator
 
@@ -32,12 +32,7 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
     for j, joint in enumerate(data.robot.joints):
         for code, text in _of_channel(data, j, values[:, j], quantity):
             yield found(code, text, joint.name, quantity)
-    channels, joints = data.robot.channels, data.robot.joints
-    drives = any(joint.torque_constant is not None for joint in joints)
-    said = channels.effort == "torque" or channels.torque is not None
-    light = data.modelled and largest_gravity(data.robot).max() < HEAVY
-    if quantity == "torque" and drives and light and not said:
-        # Neither the robot file nor the robot's weight tells torque from current.
+    if quantity == "torque" and _may_be_current(data):
         text = (
             "could be torque or current: the robot file gives torque_constant, the log"
             " torque"
@@ -45,47 +40,74 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
         yield found("effort_unclear", text, channel=quantity)
 
 
+def _may_be_current(data: LogData) -> bool:
+    """Return whether neither the robot file nor the robot's weight tells a torque."""
+    channels = data.robot.channels
+    if channels.effort == "torque" or channels.torque is not None:
+        return False
+    has_drive_data = any(
+        joint.torque_constant is not None for joint in data.robot.joints
+    )
+    is_light = data.modelled and largest_gravity(data.robot).max() < HEAVY
+    return has_drive_data and bool(is_light)
+
+
 def _of_channel(
     data: LogData, j: int, column: Array, quantity: str, *, max_rms: float = 200.0
 ) -> Iterator[tuple[str, str]]:
-    """Yield codes and messages of one joint's channel; no drive takes `max_rms` amperes."""
+    """Yield codes and messages of one joint's channel (M,).
+
+    No drive takes a current of `max_rms` amperes.
+    """
     present = np.isfinite(column)
-    values, t = column[present], data.t[present]
+    values = column[present]
+    t = data.t[present]
     rms = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
     if quantity == "current" and rms > max_rms:
         yield "current_in_ma", f"is {rms:.3g} A RMS: it looks like mA"
     if not data.moves(j) or not len(values):
         return
+
     if not values.any():
         yield "torque_zero", "is zero throughout although the joint moves"
-    elif np.ptp(values) == 0.0:
-        yield (
-            "torque_constant_value",
-            f"is {values[0]:.4g} throughout although the joint moves",
-        )
-    elif stuck := _stuck(values, t, data.moving_samples(j)[present]):
+        return
+    if np.ptp(values) == 0.0:
+        text = f"is {values[0]:.4g} throughout although the joint moves"
+        yield "torque_constant_value", text
+        return
+    stuck = _stuck(values, t, data.moving_samples(j)[present])
+    if stuck:
         yield "torque_stuck", stuck
-    else:
-        if len(spikes := _spikes(values)):
-            text = f"is {values[spikes[0]]:.4g} for a moment at {t[spikes[0]]:.3f} s"
-            more = f" and {len(spikes) - 1} more times" if len(spikes) > 1 else ""
-            yield "torque_spikes", text + more
-        if limit := clipped(values):
-            yield (
-                "torque_saturated",
-                f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples",
-            )
+        return
+
+    spikes = _spikes(values)
+    if len(spikes):
+        text = f"is {values[spikes[0]]:.4g} for a moment at {t[spikes[0]]:.3f} s"
+        if len(spikes) > 1:
+            text += f" and {len(spikes) - 1} more times"
+        yield "torque_spikes", text
+    limit_and_share = clipped(values)
+    if limit_and_share:
+        limit, share = limit_and_share
+        text = f"is at {limit:.4g} in {percent(share)} of the samples"
+        yield "torque_saturated", text
 
 
 def _spikes(values: Array, *, min_ratio: float = 10.0, min_share: float = 1.0) -> Index:
-    """One sample or two far from both sides; what lasts longer may be a hard acceleration."""
+    """Return samples of a channel (M,), one or two at a time, far from both sides.
+
+    What lasts longer may be a hard acceleration. `min_ratio` is of the usual distance
+    from the median of five, `min_share` of the channel's span.
+    """
     max_spikes = 16
     if len(values) <= 4 * max_spikes:
         return np.zeros(0, dtype=np.intp)
-    off = np.abs(values - median_filter(values, 5, mode="nearest"))
-    usual = float(np.partition(off, len(off) - max_spikes)[-max_spikes - 1])
+    distance = np.abs(values - median_filter(values, 5, mode="nearest"))
+    # The largest distance that is none of the spikes.
+    usual = float(np.partition(distance, len(values) - max_spikes)[-max_spikes - 1])
     span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
-    rows: Index = np.flatnonzero(off > max(min_ratio * usual, min_share * span))
+    least = max(min_ratio * usual, min_share * span)
+    rows: Index = np.flatnonzero(distance > least)
     return rows if len(rows) <= max_spikes else rows[:0]
 
 
@@ -96,25 +118,42 @@ def torque_quality(
     max_step: float = 0.25,
     max_changing: float = 0.6,
 ) -> Iterator[InspectionFinding]:
-    """Check how well torque is measured, but for the joints named in `broken`."""
-    quantity, all_values = data.effort() or ("", np.zeros((0, 0)))
-    for j, (name, column) in enumerate(
-        zip(data.robot.joint_names, all_values.T, strict=False)
-    ):
+    """Check how well torque is measured.
+
+    Parameters
+    ----------
+    data : LogData
+        The log.
+    broken : container of str
+        Joints of which only missing values are looked for.
+    max_step : float
+        Step of the channel, as a share of the torque's spread.
+    max_changing : float
+        Share of samples that differ from the one before, above which noise carries the
+        signal over the steps.
+    """
+    effort = data.effort()
+    if effort is None:
+        return
+    quantity, all_values = effort
+    for j, name in enumerate(data.robot.joint_names):
+        column = all_values[:, j]
         yield from missing(column, name, quantity)
         if not data.moves(j) or name in broken:
             continue
         present = np.isfinite(column)
-        values, moving = column[present], data.moving_samples(j)[present]
-        if (size := held(values)) > 1:
-            text = f"repeats each value {size} times"
+        values = column[present]
+        moving = data.moving_samples(j)[present]
+
+        group_size = held(values)
+        if group_size > 1:
+            text = f"repeats each value {group_size} times"
             yield found("channel_held", text, name, quantity)
-        step, spread = (
-            lattice(values),
-            float(values[moving].std()) if moving.any() else 0.0,
-        )
-        dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > max_changing
-        if step and spread and step > max_step * spread and not dithered:
+
+        step = lattice(values)
+        spread = float(values[moving].std()) if moving.any() else 0.0
+        is_dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > max_changing
+        if step and spread and step > max_step * spread and not is_dithered:
             text = f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
             yield found("torque_quantised", text, name, quantity)
 
@@ -122,22 +161,26 @@ def torque_quality(
 def _stuck(
     values: Array, t: Array, moving: Mask, *, min_samples: int = 50, min_s: float = 0.2
 ) -> str:
+    """Return where a channel stays at a value while its joint moves; empty: nowhere."""
     if moving.sum() < 3 or not np.median(np.diff(values[moving]) != 0):
         return ""  # it repeats itself anyway
-    for a, b in equal_runs(values, min_samples):
-        seconds, inner = (
-            float(t[b - 1] - t[a]),
-            values[a] not in (values.min(), values.max()),
-        )
-        if seconds >= min_s and inner and moving[a:b].mean() > 0.5:
-            return f"stays at {values[a]:.4g} for {seconds:.3g} s from {t[a]:.3f} s"
+    for start, stop in equal_runs(values, min_samples):
+        value = values[start]
+        seconds = float(t[stop - 1] - t[start])
+        # At its limits a channel is clipped, which is another finding.
+        is_inner = value not in (values.min(), values.max())
+        if seconds >= min_s and is_inner and moving[start:stop].mean() > 0.5:
+            return f"stays at {value:.4g} for {seconds:.3g} s from {t[start]:.3f} s"
     return ""
 
 
 def echo_findings(data: LogData) -> Iterator[InspectionFinding]:
-    """Find torques that echo a command; noise of a joint that stands makes travel, not motion."""
-    log, tau = data.recording, data.recording.tau
-    for j in [] if tau is None else echoes(data.robot, log.t, log.q, tau, log.valid):
+    """Find torques that echo a command."""
+    log = data.recording
+    if log.tau is None:
+        return
+    for j in echoes(data.robot, log.t, log.q, log.tau, log.valid):
+        # Noise of a joint that stands makes travel, but no motion.
         if data.moves(j):
             yield found("torque_echo", WARNING, data.robot.joint_names[j])
 
@@ -145,51 +188,65 @@ def echo_findings(data: LogData) -> Iterator[InspectionFinding]:
 def sensor_findings(
     data: LogData, *, opposed: float = -0.5
 ) -> Iterator[InspectionFinding]:
-    """Check torque sensors behind the gear and encoders on the link against the motor's side."""
-    _, torque = data.effort() or ("", None)
-    for channel, motor in (
-        ("load", torque),
-        ("link_position", data.joints.channels["position"]),
-    ):
-        values = data.joints.channels.get(channel)
-        if values is None or motor is None:
+    """Check torque sensors and encoders on the link against the motor's side.
+
+    A correlation below `opposed` says that they count the other way.
+    """
+    channels = data.joints.channels
+    effort = data.effort()
+    pairs = [
+        ("load", None if effort is None else effort[1]),
+        ("link_position", channels["position"]),
+    ]
+    # Friction hides the load in a motor's torque, but a wrong sign shows through it.
+    for channel, motor_side in pairs:
+        link_side = channels.get(channel)
+        if link_side is None or motor_side is None:
             continue
         for j, name in enumerate(data.robot.joint_names):
-            both = (
-                data.moving_samples(j)
-                & np.isfinite(values[:, j])
-                & np.isfinite(motor[:, j])
+            correlation = _correlation(
+                link_side[:, j], motor_side[:, j], data.moving_samples(j)
             )
-            a, b = values[both, j], motor[both, j]
-            varied = both.sum() > 1 and a.std() * b.std() > 0.0
-            together = float(np.corrcoef(a, b)[0, 1]) if varied else 0.0
-            if together < opposed:
+            if correlation < opposed:
                 text = (
                     "runs against the motor's side: their correlation is"
-                    f" {together:.2f}"
+                    f" {correlation:.2f}"
                 )
                 yield found("sensor_sign", text, name, channel)
 
 
+def _correlation(a: Array, b: Array, moving: Mask) -> float:
+    """Return the correlation of two channels (M,) in motion; 0 if one is constant."""
+    used = moving & np.isfinite(a) & np.isfinite(b)
+    if used.sum() < 2 or a[used].std() * b[used].std() == 0.0:
+        return 0.0
+    return float(np.corrcoef(a[used], b[used])[0, 1])
+
+
 def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
-    """Check the temperatures."""
-    temperatures = data.joints.channels.get("temperature", np.zeros((0, data.robot.n)))
-    for name, column in zip(data.robot.joint_names, temperatures.T, strict=True):
+    """Check the temperatures of every joint."""
+    temperatures = data.joints.channels.get("temperature")
+    if temperatures is None:
+        return
+    for j, name in enumerate(data.robot.joint_names):
+        column = temperatures[:, j]
         values = column[np.isfinite(column)]
-        low, high = (values.min(), values.max()) if len(values) else (20.0, 20.0)
+        if not len(values):
+            continue
+
+        median = np.median(values)
+        low = values.min()
+        high = values.max()
         step = float(np.abs(np.diff(values)).max(initial=0.0))
-        text, code = "", "temperature_nonsense"
-        if len(values) and 240.0 < np.median(values) < 420.0:
-            text, code = (
-                f"is {np.median(values):.4g} in the median",
-                "temperature_in_kelvin",
-            )
+        if 240.0 < median < 420.0:
+            text = f"is {median:.4g} in the median"
+            yield found("temperature_in_kelvin", text, name, "temperature")
         elif low == high == 0.0:
             text = "is exactly 0 throughout"
+            yield found("temperature_nonsense", text, name, "temperature")
         elif low < -40.0 or high > 200.0 or step > 20.0:
             text = (
                 f"runs from {low:.4g} to {high:.4g} degC, in steps of up to"
                 f" {step:.3g} K"
             )
-        if text:
-            yield found(code, text, name, "temperature")
+            yield found("temperature_nonsense", text, name, "temperature")

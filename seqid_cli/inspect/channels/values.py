@@ -13,9 +13,13 @@ from seqid_cli.shares import percent
 
 
 def equal_runs(values: Array, least: int) -> list[tuple[int, int]]:
-    """List the stretches [start, stop) of at least `least` equal values of a channel (M,)."""
-    same = np.diff(values) == 0
-    return [(a, b + 1) for a, b in runs(same, len(same)) if b + 1 - a >= least]
+    """Return stretches [start, stop) of `least` equal values of a channel, or more."""
+    is_same = np.diff(values) == 0
+    return [
+        (start, stop + 1)
+        for start, stop in runs(is_same, len(is_same))
+        if stop + 1 - start >= least
+    ]
 
 
 def clipped(
@@ -25,15 +29,34 @@ def clipped(
     min_share: float = 2e-3,
     min_pile: float = 3.0,
 ) -> tuple[float, float] | None:
-    """Find a limit at which a channel (M,) is cut off, and its share of the samples; or None."""
-    for limit in (float(values.max()), float(values.min())) if len(values) else ():
+    """Find a limit at which a channel is cut off.
+
+    Parameters
+    ----------
+    values : (M,) array
+        Values, all finite.
+    min_samples, min_share : int, float
+        Samples at the limit, and their share, which a limit has at least.
+    min_pile : float
+        Multiple of the samples at the levels beside it that are at the limit.
+
+    Returns
+    -------
+    (limit, share) or None
+        The limit in the channel's unit, and the share of samples at it.
+    """
+    if not len(values):
+        return None
+    for limit in (float(values.max()), float(values.min())):
         count = int(np.count_nonzero(values == limit))
         # Zero is a brake, or a channel that is off, not a limit.
-        if limit != 0.0 and count >= max(min_samples, min_share * len(values)):
-            levels = np.rint(np.abs(values - limit) / (lattice(values) or np.inf))
-            beside = max(int(np.count_nonzero(levels == k)) for k in (1, 2))
-            if count > min_pile * beside:
-                return limit, count / len(values)
+        if limit == 0.0 or count < max(min_samples, min_share * len(values)):
+            continue
+        # A quantised channel has many samples at every level.
+        levels = np.rint(np.abs(values - limit) / (lattice(values) or np.inf))
+        beside = max(int(np.count_nonzero(levels == k)) for k in (1, 2))
+        if count > min_pile * beside:
+            return limit, count / len(values)
     return None
 
 
@@ -44,29 +67,52 @@ def held(
     min_regular: float = 0.95,
     min_changes: int = 20,
 ) -> int:
-    """Return in groups of how many samples a channel (M,) repeats its values; 1 if it does not."""
+    """Return in groups of how many samples a channel repeats its values.
+
+    Parameters
+    ----------
+    values : (M,) array
+        Values, all finite.
+    min_equal, min_regular : float
+        Shares of the distances between changes that are the size of a group, and a
+        multiple of it.
+    min_changes : int
+        Changes below which nothing is said.
+
+    Returns
+    -------
+    int
+        Samples of a group; 1 where the channel does not repeat its values.
+    """
     changes = np.flatnonzero(np.diff(values) != 0)
     if len(changes) < min_changes:
         return 1
-    gaps = np.diff(changes)
-    size = int(np.bincount(gaps).argmax())
-    if size < 2 or np.mean(gaps % size == 0) < min_regular:
+    distances = np.diff(changes)
+    size = int(np.bincount(distances).argmax())
+    if size < 2 or np.mean(distances % size == 0) < min_regular:
         return 1
-    coarse = np.median(np.abs(np.diff(values)[changes])) < 1.5 * lattice(values)
     # A coarse channel at constant speed changes as evenly.
-    return 1 if np.mean(gaps == size) < min_equal or coarse else size
+    change = np.abs(np.diff(values)[changes])
+    is_coarse = np.median(change) < 1.5 * lattice(values)
+    if np.mean(distances == size) < min_equal or is_coarse:
+        return 1
+    return size
 
 
 def lattice(values: Array) -> float:
     """Return the step of a quantised channel (M,); 0 where it is not quantised."""
     scale = float(np.abs(values).max(initial=0.0))
-    step = float(encoder_step((values / scale)[:, None])[0]) * scale if scale else 0.0
+    if not scale:
+        return 0.0
+    step = float(encoder_step((values / scale)[:, None])[0]) * scale
     if not step:
         return 0.0
-    span = np.unique(values) - values.min()
+
     # Steps are counted over ever larger spans, so that all digits of the step come out.
-    for reach in np.geomspace(20.0, max(span[-1] / step, 20.0), 18) * step:
-        near = span[span <= reach]
+    distance = np.unique(values) - values.min()
+    spans = np.geomspace(20.0, max(distance[-1] / step, 20.0), 18)
+    for reach in spans * step:
+        near = distance[distance <= reach]
         count = np.rint(near / step)
         if len(near) > 2 and count.any():  # all may lie within half a step
             step = float(count @ near / (count @ count))
@@ -76,12 +122,25 @@ def lattice(values: Array) -> float:
 def missing(
     values: Array, joint: str, channel: str, *, max_missing: float = 0.01
 ) -> Iterator[InspectionFinding]:
-    """Find values of a channel (M,) that are missing at uneven distances, as of no slower one."""
+    """Find values that are missing at uneven distances.
+
+    Values of a slower channel are missing evenly: that is no fault.
+
+    Parameters
+    ----------
+    values : (M,) array
+        Values, NaN where one is missing.
+    joint, channel : str
+        Names of the joint or IMU, and of the channel.
+    max_missing : float
+        Share of the values that may be missing.
+    """
     present = np.flatnonzero(np.isfinite(values))
     if len(present) < 2:
         return
-    usual = int(np.bincount(np.diff(present)).argmax())
-    share = 1.0 - (len(present) - 1) * usual / float(present[-1] - present[0])
+    usual_distance = int(np.bincount(np.diff(present)).argmax())
+    covered = (len(present) - 1) * usual_distance
+    share = 1.0 - covered / float(present[-1] - present[0])
     if share > max_missing:
         text = f"{percent(share)} of the values are missing"
         yield found("values_missing", text, joint, channel)

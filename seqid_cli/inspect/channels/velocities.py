@@ -1,6 +1,13 @@
-"""Logged velocities against the positions, over windows in which the encoder sees motion."""
+"""Logged velocities against positions, over windows in which the encoder sees motion.
+
+In a window a joint travels x, and its velocity integrates to y. Of all windows W with
+travels X (W, n) and integrals Y (W, n), r = X' Y / (|X| |Y|) are correlations, and the
+gain of joint j, by which its position moves per integral of its velocity, is the
+coefficient r_jj |X_j| / |Y_j| of a regression.
+"""
 
 from collections.abc import Container, Iterator
+from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -14,45 +21,71 @@ from seqid_cli.robot.types import Array, Joint
 from seqid_cli.shares import percent
 
 COUNTS = 10.0  # encoder steps of travel that make a window count
-FEWEST = 10
-NEAR = 0.15
+FEWEST = 10  # windows in which a joint moves
+NEAR = 0.15  # of a factor, by which a gain may differ from it
 CORRELATED = 0.9
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Travels of the positions and integrals of the velocities over windows (W, n)."""
+
+    travel: Array
+    integral: Array
+
+    def __len__(self) -> int:
+        return len(self.travel)
 
 
 def velocity_findings(
     data: LogData, broken: Container[str] = (), *, window_s: float = 0.5
 ) -> Iterator[InspectionFinding]:
-    """Check the velocity of every joint that moves, but for the joints named in `broken`."""
+    """Check the velocity of every joint that moves.
+
+    Parameters
+    ----------
+    data : LogData
+        The log.
+    broken : container of str
+        Joints whose positions are known to be wrong, which are left out.
+    window_s : float
+        Length of a window [s].
+    """
     if data.recording.dq is None:
         return
     names = data.robot.joint_names
-    travel, integral = _windows(data, window_s)
-    if not len(travel):
+    windows = _windows(data, window_s)
+    if not len(windows):
         return
-    counts = np.sum(np.abs(travel) > COUNTS * data.step, axis=0)
-    whole = [j for j, name in enumerate(names) if name not in broken]
-    moving = [j for j in whole if counts[j] >= FEWEST]
-    sizes = [np.maximum(np.linalg.norm(x, axis=0), 1e-300) for x in (travel, integral)]
-    # correlations of positions with velocities
-    r = (travel / sizes[0]).T @ (integral / sizes[1])
-    gains, ratios = np.diag(r) * sizes[0] / sizes[1], sizes[1] / sizes[0]
+    n_windows = np.sum(np.abs(windows.travel) > COUNTS * data.step, axis=0)
+    sound = [j for j, name in enumerate(names) if name not in broken]
+    moving = [j for j in sound if n_windows[j] >= FEWEST]
+
+    travel_size = np.maximum(np.linalg.norm(windows.travel, axis=0), 1e-300)
+    integral_size = np.maximum(np.linalg.norm(windows.integral, axis=0), 1e-300)
+    r = (windows.travel / travel_size).T @ (windows.integral / integral_size)
+    gains = np.diag(r) * travel_size / integral_size
+    ratios = integral_size / travel_size
+
+    # A position that stands still says nothing of the velocity.
     crossed = _crossed(r, moving)
-    paired = {j for pair in crossed for j in pair}
-    still = _still(data, travel, integral, window_s)
-    dead = [j for j in whole if still[j] >= FEWEST and j not in paired]
-    for j in dead:
-        text = (
-            f"stands still for {window_s * still[j]:.2g} s in which its velocity"
-            " moves it"
-        )
+    crossed_joints = {j for pair in crossed for j in pair}
+    n_still = _still(data, windows, window_s)
+    stuck = [j for j in sound if n_still[j] >= FEWEST and j not in crossed_joints]
+    for j in stuck:
+        seconds = window_s * n_still[j]
+        text = f"stands still for {seconds:.2g} s in which its velocity moves it"
         yield found("position_stuck", text, names[j], "position")
-    live = [j for j in moving if j not in dead]
-    clear = [gains[j] for j in live if abs(r[j, j]) > CORRELATED]
-    for factor in (1e-3, 1e-6, 1e3, 1e6) if clear else ():  # by which all gains are off
-        if all(abs(gain / factor - 1.0) < NEAR for gain in clear):
-            text = f"velocities are {1 / factor:.3g} times the slopes of all positions"
-            yield found("time_unit", text, channel="t")
-            return
+    live = [j for j in moving if j not in stuck]
+
+    # One wrong unit of time explains the gains of all joints.
+    clear_gains = [gains[j] for j in live if abs(r[j, j]) > CORRELATED]
+    factor = _time_factor(clear_gains)
+    if factor is not None:
+        text = f"velocities are {1 / factor:.3g} times the slopes of all positions"
+        yield found("time_unit", text, channel="t")
+        return
+
     for a, b in crossed:
         text = (
             f"the velocity of {names[a]} fits the position of {names[b]} and the other"
@@ -60,33 +93,42 @@ def velocity_findings(
         )
         yield found("joints_swapped", text, f"{names[a]}, {names[b]}", "velocity")
     for j in live:
-        if j not in paired:
-            joint = data.robot.joints[j]
+        if j not in crossed_joints:
             yield from _verdict(
-                joint, float(gains[j]), float(r[j, j]), float(ratios[j])
+                data.robot.joints[j], float(gains[j]), float(r[j, j]), float(ratios[j])
             )
+
+
+def _time_factor(gains: list[float]) -> float | None:
+    """Return the factor of another unit of time that all gains have, or None."""
+    if not gains:
+        return None
+    for factor in (1e-3, 1e-6, 1e3, 1e6):
+        if all(abs(gain / factor - 1.0) < NEAR for gain in gains):
+            return factor
+    return None
 
 
 def _still(
     data: LogData,
-    travel: Array,
-    integral: Array,
+    windows: _Windows,
     window_s: float,
     *,
     min_share: float = 0.3,
     min_noises: float = 5.0,
 ) -> Array:
-    """Count the windows (n,) in which the velocity moves a joint and its position stands still.
+    """Count the windows (n,) in which a velocity moves a joint whose position stands.
 
     Noise of the velocity adds up as well: over a window of T seconds white noise of
     density S makes sqrt(S T / 2). An integral below `min_noises` times that moves
     nothing.
     """
-    size = np.abs(integral)
+    size = np.abs(windows.integral)
     noise = np.sqrt(0.5 * window_s * _noise_density(data))
     least = np.maximum(COUNTS * data.step, min_noises * noise)
     fast = np.maximum(least, min_share * np.quantile(size, 0.9, axis=0))
-    return np.asarray(np.sum((travel == 0.0) & (size > fast), axis=0))
+    is_still = (windows.travel == 0.0) & (size > fast)
+    return np.asarray(np.sum(is_still, axis=0))
 
 
 def _noise_density(
@@ -104,35 +146,42 @@ def _noise_density(
     f, density = welch(recording.dq, recording.rate_hz, nperseg=length, axis=0)
 
     edges = motion_hz * 2.0 ** np.arange(12)
-    inside = [(f >= low) & (f < high) for low, high in pairwise(edges)]
-    octaves = [np.median(density[rows], axis=0) for rows in inside if rows.any()]
+    octaves = []
+    for low, high in pairwise(edges):
+        inside = (f >= low) & (f < high)
+        if inside.any():
+            octaves.append(np.median(density[inside], axis=0))
     return np.max(octaves, axis=0) if octaves else np.zeros(data.robot.n)
 
 
 def _crossed(
     r: Array, moving: list[int], *, min_crossed: float = 0.95
 ) -> list[tuple[int, int]]:
-    """Pairs of joints whose velocities fit each other's positions and not their own."""
+    """Return pairs of joints whose velocities fit each other's positions only."""
     own = np.diag(r)
-    fits = (np.minimum(r, r.T) > min_crossed) & (
-        np.maximum.outer(own, own) < CORRELATED
-    )
-    return [pair for pair in combinations(moving, 2) if fits[pair]]
+    fit_each_other = np.minimum(r, r.T) > min_crossed
+    fit_themselves = np.maximum.outer(own, own) >= CORRELATED
+    return [
+        pair
+        for pair in combinations(moving, 2)
+        if fit_each_other[pair] and not fit_themselves[pair]
+    ]
 
 
-def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
-    """Travel of the positions and integral of the velocities over whole windows (W, n)."""
+def _windows(data: LogData, seconds: float) -> _Windows:
+    """Integrate the velocities over windows without a gap."""
     recording = data.recording
     assert recording.dq is not None
     width = max(2, round(seconds * recording.rate_hz))
     edges = np.arange(0, len(recording.t), width)
-    total = cumulative_trapezoid(
+    integral = cumulative_trapezoid(
         recording.dq, dx=1.0 / recording.rate_hz, axis=0, initial=0
     )
-    whole = np.diff(np.concatenate([[0], np.cumsum(~recording.valid)])[edges]) == 0
-    return (
-        np.diff(recording.q[edges], axis=0)[whole],
-        np.diff(total[edges], axis=0)[whole],
+    n_bridged = np.concatenate([[0], np.cumsum(~recording.valid)])
+    without_gap = np.diff(n_bridged[edges]) == 0
+    return _Windows(
+        travel=np.diff(recording.q[edges], axis=0)[without_gap],
+        integral=np.diff(integral[edges], axis=0)[without_gap],
     )
 
 
@@ -146,19 +195,42 @@ def _verdict(
     min_gain: float = 0.8,
     max_gain: float = 1.25,
 ) -> Iterator[InspectionFinding]:
+    """Judge the velocity of one joint.
+
+    Parameters
+    ----------
+    joint : Joint
+        The joint.
+    gain : float
+        Travel of the position per integral of the velocity.
+    correlation : float
+        Correlation of the two over windows.
+    ratio : float
+        Size of the integral over that of the travel.
+    max_empty : float
+        Ratio below which a velocity is no measurement.
+    min_gain, max_gain : float
+        Gains between which it is right.
+    """
     if ratio < max_empty and abs(correlation) < CORRELATED:
         text = f"integrates to {percent(ratio)} of the position's travel"
         yield found("velocity_zero", text, joint.name, "velocity")
         return
-    degrees = np.degrees(1.0)
-    codes = {"position_in_degrees": degrees, "velocity_in_degrees": 1.0 / degrees}
-    if joint.prismatic:
-        codes = {"position_in_mm": 1000.0}
+
     text = f"the position changes by {gain:.3g} times the velocity's integral"
-    for code, factor in {**codes, "velocity_sign": -1.0}.items():
+    degrees = np.degrees(1.0)
+    factors = {
+        "position_in_degrees": degrees,
+        "velocity_in_degrees": 1.0 / degrees,
+        "velocity_sign": -1.0,
+    }
+    if joint.prismatic:
+        factors = {"position_in_mm": 1000.0, "velocity_sign": -1.0}
+    for code, factor in factors.items():
         near = NEAR if factor > 0.0 else 0.2
         if abs(correlation) > CORRELATED and abs(gain / factor - 1.0) < near:
-            yield found(code, text, joint.name, code.partition("_")[0])
+            channel = code.partition("_")[0]
+            yield found(code, text, joint.name, channel)
             return
     if not min_gain < gain < max_gain or correlation < CORRELATED:
         text += f", correlation {correlation:.2f}"

@@ -1,1 +1,1 @@
-"""Checks of torque against motion: friction, the robot's equations, causes of a misfit."""
+"""Checks of torque against motion: friction, equations, causes of a misfit."""

@@ -1,4 +1,4 @@
-"""Whether a log's torque is measured, or an echo of the command while something else moves the arm.
+"""Torques that echo a command, and are no measurement, while something moves the arm.
 
 Under gravity compensation, or with a constant command, an arm that a hand or its own
 weight moves shows a torque that follows position alone. A drive's current that moves a
@@ -13,6 +13,8 @@ others have no part, neither in the torque nor in what the first two leave of it
 for a damping F_v < 0, which no friction has but a controller may. A joint that is only
 held is passed over; see `driven`.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -34,45 +36,73 @@ REMEDY = (
 
 
 def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[int]:
-    """Return the joints whose torque follows position alone, of the samples `valid`.
+    """Return the joints whose torque follows position alone.
 
-    `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N).
+    Parameters
+    ----------
+    robot : Robot
+        The arm, of n joints.
+    t : (N,) array
+        Times, evenly spaced [s].
+    q, tau : (N, n) arrays
+        Positions [rad; m] and torques [N m; N].
+    valid : (N,) array of bool
+        Samples that count.
     """
-    window_s, memory_s = 0.02, 0.5  # of averages, of the residual
-    # windows and rad (m) each way: less is noise, or a flexing brake
-    fewest, travel = 50, 0.1
-    slow = 0.05  # share of the top speed, below which a joint does not certainly slide
+    # Averages over a window take the noise; the residual remembers for `memory_s`.
+    window_s = 0.02
+    memory_s = 0.5
+    # Windows and rad (m) each way: less is noise, or a flexing brake.
+    fewest = 50
+    travel = 0.1
+    # Share of the top speed, below which a joint does not certainly slide.
+    slow = 0.05
     most_windows = 4000
-    width = max(1, round(window_s / float(t[1] - t[0])))
-    step, count = width * float(t[1] - t[0]), len(q) // width
-    parts = (
-        x[: count * width].reshape(count, width, -1) for x in (q, tau, valid * 1.0)
-    )
-    Q, T, whole = (part.mean(axis=1) for part in parts)
-    if len(Q) < 2 * fewest:
+
+    sample_s = float(t[1] - t[0])
+    width = max(1, round(window_s / sample_s))
+    step = width * sample_s
+    q_mean = _window_means(q, width)
+    tau_mean = _window_means(tau, width)
+    all_valid = _window_means(valid.astype(np.float64), width) == 1.0
+    if len(q_mean) < 2 * fewest:
         return []
-    v = np.gradient(Q, step, axis=0)
+    v = np.gradient(q_mean, step, axis=0)
     a = np.gradient(v, step, axis=0)
-    H = gravity_base_regressor(robot, base_parameters(robot, rotor=()), Q)
-    least = slow * np.quantile(np.abs(v), 0.99, axis=0)
-    slides = (whole == 1.0) & (np.abs(v) > least)
-    ways = np.stack([slides & (v > 0), slides & (v < 0)])
-    enough = (ways.sum(axis=1) >= fewest) & (
-        step * (np.abs(v) * ways).sum(axis=1) >= travel
-    )
-    found: list[int] = []
-    for j in np.flatnonzero(driven(Q) & enough.all(axis=0)).tolist():
-        at = np.flatnonzero(slides[:, j])
-        at = at[:: max(1, len(at) // most_windows)]
-        friction = np.stack([np.tanh(v[at, j] / least[j]), v[at, j]], axis=1)
-        law = np.hstack([H[at, j], smooth(Q[at, j], 5)])
-        if _follows(T[at, j], law, friction, a[at], memory_s / step):
-            found.append(j)
-    return found
+
+    # A joint is judged where it slides, and moves far enough both ways.
+    least_speed = slow * np.quantile(np.abs(v), 0.99, axis=0)
+    slides = all_valid & (np.abs(v) > least_speed)
+    directions = np.stack([slides & (v > 0), slides & (v < 0)])
+    n_windows = directions.sum(axis=1)
+    distance = step * (np.abs(v) * directions).sum(axis=1)
+    both_ways = ((n_windows >= fewest) & (distance >= travel)).all(axis=0)
+
+    H = gravity_base_regressor(robot, base_parameters(robot, rotor=()), q_mean)
+    echoing: list[int] = []
+    for j in np.flatnonzero(driven(q_mean) & both_ways).tolist():
+        rows = np.flatnonzero(slides[:, j])
+        rows = rows[:: max(1, len(rows) // most_windows)]
+        columns = _Columns(
+            of_position=np.hstack([H[rows, j], smooth(q_mean[rows, j], 5)]),
+            direction=np.tanh(v[rows, j] / least_speed[j]),
+            speed=v[rows, j],
+            accelerations=a[rows],
+        )
+        if _follows_position(tau_mean[rows, j], columns, memory_s / step):
+            echoing.append(j)
+    return echoing
+
+
+def _window_means(values: Array, width: int) -> Array:
+    """Return means (W, k) over windows of `width` samples of values (N, k) or (N,)."""
+    count = len(values) // width
+    windows = values[: count * width].reshape(count, width, -1)
+    return np.asarray(windows.mean(axis=1))
 
 
 def smooth(q: Array, terms: int) -> Array:
-    """Chebyshev polynomials (N, terms) over the range of positions (N,)."""
+    """Return Chebyshev polynomials (N, terms) over the range of positions (N,)."""
     place = 2.0 * (q - q.min()) / max(float(np.ptp(q)), 1e-12) - 1.0
     return np.asarray(chebvander(place, terms - 1))
 
@@ -80,44 +110,79 @@ def smooth(q: Array, terms: int) -> Array:
 def driven(
     q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 0.99)
 ) -> Mask:
-    """Which joints (n,) of positions (N, n) are driven on a way of their own.
+    """Return which joints (n,) of positions (N, n) are driven on a way of their own.
 
     The others are held, and other joints shake them. In closed loop with a constant
     reference such a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq,
     whatever its friction (Forssell and Ljung, Closed-loop identification revisited,
-    Automatica 35(7), 1999). A joint is held below a share `held` of the farthest one's
-    travel between the `middle` quantiles.
+    Automatica 35(7), 1999).
+
+    Parameters
+    ----------
+    q : (N, n) array
+        Positions [rad; m].
+    held : float
+        Share of the farthest joint's travel, below which a joint is held.
+    middle : (float, float)
+        Quantiles between which a joint travels.
     """
     low, high = np.nanquantile(q, middle, axis=0)
     return np.asarray(high - low >= held * np.max(high - low))
 
 
-def _follows(
-    y: Array, law: Array, friction: Array, accelerations: Array, memory: float
-) -> bool:
-    """Whether position alone makes a torque y (M,); `memory` is how many samples count as one."""
+@dataclass(frozen=True)
+class _Columns:
+    """Terms of a joint's torque at M windows."""
+
+    of_position: Array  # (M, k)
+    direction: Array  # (M,)
+    speed: Array  # (M,)
+    accelerations: Array  # (M, n)
+
+
+def _follows_position(tau: Array, columns: _Columns, memory: float) -> bool:
+    """Return whether position alone makes a torque (M,).
+
+    `memory` is how many windows of the residual say as much as one.
+    """
     # Shares of the torque's RMS: that may be left; with nothing to explain; that is no
     # friction.
-    unexplained, exact, none = 0.1, 1e-3, 0.003
-    # share of what position leaves, squared, for friction and accelerations
+    unexplained = 0.1
+    exact = 1e-3
+    none = 0.003
+    # Share of what position leaves, squared, for friction and accelerations.
     others = 0.15
     uncertain = 2.0  # standard errors of the friction
-    scale = max(float(np.sqrt(np.mean(y**2))), 1e-300)
-    X = np.hstack([law, friction, accelerations])
+
+    size = max(float(np.sqrt(np.mean(tau**2))), 1e-300)
+    friction = np.stack([columns.direction, columns.speed], axis=1)
+    X = np.hstack([columns.of_position, friction, columns.accelerations])
     X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
-    own = law.shape[1]  # where the direction stands
-    theta = np.linalg.lstsq(X, y, rcond=RCOND)[0]
-    direction = _beside(np.delete(X, own, axis=1), X[:, own])
-    # damping by a controller, not friction
-    held_back = [own + 1] if theta[own + 1] < 0 else []
-    left = float(np.mean((y - X @ theta) ** 2))
-    rest = float(np.sqrt(np.mean(_beside(X[:, [*range(own), *held_back]], y) ** 2)))
-    part = 1.0 - left / max(rest**2, 1e-300)  # friction's and accelerations'
-    error = float(np.sqrt(memory * left / max(float(direction @ direction), 1e-300)))
-    alone = rest < unexplained * scale and (part < others or rest < exact * scale)
-    return alone and abs(float(theta[own])) < max(uncertain * error, none * scale)
+    direction_column = columns.of_position.shape[1]
+    speed_column = direction_column + 1
+    theta = np.linalg.lstsq(X, tau, rcond=RCOND)[0]
+    mean_square = float(np.mean((tau - X @ theta) ** 2))
+
+    # Damping by a controller is no friction: it counts as a part of the law.
+    law = list(range(direction_column))
+    if theta[speed_column] < 0:
+        law.append(speed_column)
+    rms_beside_law = float(np.sqrt(np.mean(_residual(X[:, law], tau) ** 2)))
+    share_of_others = 1.0 - mean_square / max(rms_beside_law**2, 1e-300)
+    if rms_beside_law >= unexplained * size:
+        return False
+    if share_of_others >= others and rms_beside_law >= exact * size:
+        return False
+
+    # Only what of the direction the other columns do not show determines its friction.
+    other_columns = np.delete(X, direction_column, axis=1)
+    direction = _residual(other_columns, X[:, direction_column])
+    power = max(float(direction @ direction), 1e-300)
+    std_error = float(np.sqrt(memory * mean_square / power))
+    coulomb_torque = abs(float(theta[direction_column]))
+    return coulomb_torque < max(uncertain * std_error, none * size)
 
 
-def _beside(X: Array, y: Array) -> Array:
-    """What the columns X leave of y."""
+def _residual(X: Array, y: Array) -> Array:
+    """Return what the columns X leave of y."""
     return np.asarray(y - X @ np.linalg.lstsq(X, y, rcond=RCOND)[0])

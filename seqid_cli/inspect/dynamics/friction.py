@@ -1,4 +1,4 @@
-"""Torque against motion: friction must brake, and the rigid-body equations must fit.
+"""Torque against motion: friction must brake, whatever the inertias are.
 
 For every joint j the filtered torque is compared with
 
@@ -15,7 +15,7 @@ torque is that of the other joint.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import correlate
@@ -32,13 +32,14 @@ from seqid_cli.robot.base_parameters import (
 )
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
+from seqid_cli.typing import Mask
 
 SIGMAS = 4.0
 SHARE = 0.03  # of the torque's spread, that friction must be to be judged
 SMOOTH_TERMS = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Sample:
     """Filtered motion and torque of a log at the rows that count, all (N, n)."""
 
@@ -50,47 +51,59 @@ class Sample:
     direction: Array  # of motion, -1 to 1, through the torque's filter
     memory: float  # rows that count as one
     moving: tuple[int, ...]  # joints that are driven far enough both ways
-    # of the robot without rotors; None where its geometry is not known
+    # Of the robot without rotors; None where its geometry is not known.
     basis: Basis | None
 
     def mapped(self, change: Callable[[Array], Array]) -> "Sample":
-        """Change every array alike."""
+        """Return the sample with every array changed alike."""
         names = ("q", "dq", "ddq", "tau", "direction")
         changed: dict[str, Any] = {name: change(getattr(self, name)) for name in names}
         return replace(self, **changed)
 
     def thinned(self, count: int = 600) -> "Sample":
-        """Keep about `count` rows, for a fit of all joints at once."""
-        every = max(1, len(self.q) // count)
-        few = self.mapped(lambda values: values[::every])
-        return replace(few, memory=max(1.0, self.memory / every))
+        """Return about `count` rows, for a fit of all joints at once."""
+        stride = max(1, len(self.q) // count)
+        thin = self.mapped(lambda values: values[::stride])
+        return replace(thin, memory=max(1.0, self.memory / stride))
 
     @property
     def rms_speeds(self) -> Array:
-        """RMS speed of each joint (n,), rad/s."""
-        return np.asarray(np.maximum(np.sqrt(np.mean(self.dq**2, axis=0)), 1e-12))
+        """RMS speeds of the joints (n,), rad/s (m/s)."""
+        return _rms_speeds(self.dq)
 
     def gravity_columns(self) -> Array:
-        """Gravity torque (N, n, g) of its parameters, none where it is not known."""
+        """Return gravity torques (N, n, g) per parameter; g is 0 where unknown."""
         if self.basis is None or not self.robot.gravity.any():
             return np.zeros((*self.q.shape, 0))
         return gravity_base_regressor(self.robot, self.basis, self.q)
 
     def own_columns(self) -> Array:
-        """Columns (N, n, 4) of one joint each: offset, rotor, direction and speed."""
+        """Return columns (N, n, 4) of one joint each: offset, rotor, direction, speed.
+
+        Of a joint that does not move all but the offset are zero.
+        """
         moves = np.isin(np.arange(self.robot.n), self.moving)[:, None]
-        own = np.where(
-            moves, np.stack([self.ddq, self.direction, self.dq], axis=-1), 0.0
-        )
-        return np.concatenate([np.ones((*self.q.shape, 1)), own], axis=2)
+        of_motion = np.stack([self.ddq, self.direction, self.dq], axis=-1)
+        offset = np.ones((*self.q.shape, 1))
+        return np.concatenate([offset, np.where(moves, of_motion, 0.0)], axis=2)
 
     def nominal(self) -> tuple[Array, Array]:
-        """Gravity and inertia torque (N, n) by the URDF's inertials."""
-        robot, still = self.robot, np.zeros_like(self.q)
+        """Return gravity and inertia torques (N, n) by the URDF's inertials."""
+        robot = self.robot
         assert robot.nominal is not None
-        given = robot.chain, robot.gravity, robot.nominal, self.q
-        gravity = inverse_dynamics(*given, still, still)
-        return gravity, inverse_dynamics(*given, self.dq, self.ddq) - gravity
+        still = np.zeros_like(self.q)
+        gravity = inverse_dynamics(
+            robot.chain, robot.gravity, robot.nominal, self.q, still, still
+        )
+        total = inverse_dynamics(
+            robot.chain, robot.gravity, robot.nominal, self.q, self.dq, self.ddq
+        )
+        return gravity, total - gravity
+
+
+def _rms_speeds(dq: Array) -> Array:
+    """Return the RMS (n,) of speeds (N, n), never quite zero."""
+    return np.asarray(np.maximum(np.sqrt(np.mean(dq**2, axis=0)), 1e-12))
 
 
 def sample_of(
@@ -103,7 +116,28 @@ def sample_of(
     min_way: float = 0.05,
     min_balance: float = 0.2,
 ) -> Sample | None:
-    """Filter a log; None where it has no torque or nothing moves long enough."""
+    """Filter a log.
+
+    Parameters
+    ----------
+    data : LogData
+        The log.
+    max_rows, min_rows : int
+        Rows that are kept, and those that a sample has at least.
+    slow : float
+        Share of the RMS speed over which friction changes its sign.
+    memory_s : float
+        Time whose rows count as one [s].
+    min_way : float
+        Way [rad; m] that a joint moves at least each way, to be judged.
+    min_balance : float
+        The same as a share of the longer way.
+
+    Returns
+    -------
+    Sample or None
+        None where the log has no torque, or nothing moves long enough.
+    """
     if data.recording.tau is None or data.motion is None:
         return None
     motion = decimated(data.motion)
@@ -111,108 +145,187 @@ def sample_of(
     rows = rows[:: max(1, len(rows) // max_rows)]
     if len(rows) < min_rows or motion.tau is None:
         return None
-    q, dq, spacing = (
-        motion.q[rows],
-        motion.dq[rows],
-        float(np.median(np.diff(motion.t[rows]))),
+
+    q = motion.q[rows]
+    dq = motion.dq[rows]
+    interval_s = float(np.median(np.diff(motion.t[rows])))
+    moving = _driven_both_ways(
+        data, q, dq, interval_s, min_way=min_way, min_balance=min_balance
     )
-    ways = np.array(
-        [np.clip(sign * dq, 0.0, None).sum(axis=0) * spacing for sign in (1.0, -1.0)]
+    direction = np.tanh(motion.dq / (slow * _rms_speeds(dq)))
+    knows_geometry = data.modelled and bool(moving)
+    return Sample(
+        robot=data.robot,
+        q=q,
+        dq=dq,
+        ddq=motion.ddq[rows],
+        tau=motion.tau[rows],
+        direction=motion.filtered(direction, 2)[rows],
+        memory=max(1.0, memory_s / interval_s),
+        moving=moving,
+        basis=base_parameters(data.robot, rotor=()) if knows_geometry else None,
     )
-    both_ways = ways.min(axis=0) > np.maximum(min_way, min_balance * ways.max(axis=0))
-    moving = tuple(
-        j for j in np.flatnonzero(driven(q) & both_ways).tolist() if data.moves(j)
-    )
-    speeds = np.maximum(np.sqrt(np.mean(dq**2, axis=0)), 1e-12)
-    direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)[rows]
-    basis = base_parameters(data.robot, rotor=()) if data.modelled and moving else None
-    ddq, tau, memory = motion.ddq[rows], motion.tau[rows], max(1.0, memory_s / spacing)
-    return Sample(data.robot, q, dq, ddq, tau, direction, memory, moving, basis)
+
+
+def _driven_both_ways(
+    data: LogData,
+    q: Array,
+    dq: Array,
+    interval_s: float,
+    *,
+    min_way: float,
+    min_balance: float,
+) -> tuple[int, ...]:
+    """Return the joints that are driven far enough both ways.
+
+    `q`, `dq` (N, n) are positions and velocities of rows, `interval_s` apart.
+    """
+    forward = np.clip(dq, 0.0, None).sum(axis=0) * interval_s
+    backward = np.clip(-dq, 0.0, None).sum(axis=0) * interval_s
+    shorter = np.minimum(forward, backward)
+    longer = np.maximum(forward, backward)
+    both_ways = shorter > np.maximum(min_way, min_balance * longer)
+    candidates = np.flatnonzero(driven(q) & both_ways).tolist()
+    return tuple(j for j in candidates if data.moves(j))
+
+
+class _JointFriction(NamedTuple):
+    """Friction of all moving joints in the torque of one joint.
+
+    `values` and `std_errors` (n,) N m at each joint's RMS speed are NaN for joints that
+    do not move. `spread` [N m] is the torque's, `unexplained` the share of it that is
+    left.
+    """
+
+    values: Array
+    std_errors: Array
+    spread: float
+    unexplained: float
 
 
 def friction_findings(
     data: LogData, sample: Sample, *, max_unexplained: float = 0.25
 ) -> Iterator[InspectionFinding]:
-    """Check signs of torques and their order by the friction that they show."""
-    names, gravity = data.robot.joint_names, sample.gravity_columns()
+    """Check signs of torques and their order by the friction that they show.
+
+    Parameters
+    ----------
+    data : LogData
+        The log.
+    sample : Sample
+        Its filtered motion and torque.
+    max_unexplained : float
+        Share of a torque's spread above which nothing is said of a robot whose geometry
+        is not known: gravity of unknown links could pass for anything.
+    """
+    names = data.robot.joint_names
+    gravity = sample.gravity_columns()
     fits = [_friction(sample, gravity[:, j], j) for j in range(data.robot.n)]
-    friction, errors, spread, unexplained = map(np.array, zip(*fits, strict=True))
-    swapped = _exchanged(friction, errors, spread, sample.moving)
+    swapped = _exchanged(fits, sample.moving)
     for a, b in swapped:
         text = (
             f"the torque of {names[a]} is friction of {names[b]}, not of its own motion"
         )
         yield found("joints_swapped", text, f"{names[a]}, {names[b]}", "torque")
+
     for j in sample.moving:
-        unknown = not data.modelled and unexplained[j] > max_unexplained
-        if unknown or any(j in pair for pair in swapped):
-            continue  # gravity of unknown links could pass for anything
-        value, error = friction[j, j], errors[j, j]
-        if value < -SIGMAS * error and value < -SHARE * spread[j]:
-            unit = data.robot.joints[j].unit
-            text = f"its friction is {value:.3g} +- {error:.2g} {unit('N m')} at "
-            text += (
-                f"{sample.rms_speeds[j]:.3g} {unit('rad/s')}: the joint would gain"
-                " energy"
+        fit = fits[j]
+        is_unknown = not data.modelled and fit.unexplained > max_unexplained
+        if is_unknown or any(j in pair for pair in swapped):
+            continue
+        value = fit.values[j]
+        std_error = fit.std_errors[j]
+        if value < -SIGMAS * std_error and value < -SHARE * fit.spread:
+            joint = data.robot.joints[j]
+            text = (
+                f"its friction is {value:.3g} +- {std_error:.2g} {joint.unit('N m')} at"
+                f" {sample.rms_speeds[j]:.3g} {joint.unit('rad/s')}: the joint would"
+                " gain energy"
             )
             yield found("sign_mismatch", text, names[j], "torque")
 
 
-def scaled_fit(
-    X: Array, y: Array, *, rcond: float = 1e-8
-) -> tuple[Array, Array, Array]:
-    """Least squares of y (N,) by columns X (N, p), scaled: theta, map from y, what is left."""
+class ScaledFit(NamedTuple):
+    """Least squares of y (N,): theta (p,), the map (p, N) from y, the residual (N,)."""
+
+    theta: Array
+    inverse: Array
+    residual: Array
+
+
+def scaled_fit(X: Array, y: Array, *, rcond: float = 1e-8) -> ScaledFit:
+    """Fit y (N,) by columns X (N, p), which are scaled to one size."""
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
     inverse = np.linalg.pinv(X / scale, rcond=rcond) / scale[:, None]
     theta = inverse @ y
-    return theta, inverse, y - X @ theta
+    return ScaledFit(theta=theta, inverse=inverse, residual=y - X @ theta)
 
 
-def _friction(
-    sample: Sample, gravity: Array, j: int
-) -> tuple[Array, Array, float, float]:
-    """Friction of every moving joint (n,) in a torque or NaN, errors, its spread, what is left."""
-    tau, moving = sample.tau[:, j], list(sample.moving)
-    spread, (friction, errors) = float(tau.std()), np.full((2, sample.robot.n), np.nan)
+def _friction(sample: Sample, gravity: Array, j: int) -> _JointFriction:
+    """Fit the torque of joint `j`; `gravity` (N, g) are its columns of gravity."""
+    tau = sample.tau[:, j]
+    moving = list(sample.moving)
+    values = np.full(sample.robot.n, np.nan)
+    std_errors = np.full(sample.robot.n, np.nan)
+    spread = float(tau.std())
     if spread == 0.0 or not moving:
-        return friction, errors, spread, np.nan
+        return _JointFriction(values, std_errors, spread, np.nan)
+
     columns = [*sample.direction[:, moving].T, *sample.ddq[:, moving].T]
-    # beside it, the coefficient of the direction is friction at RMS speed
     if j in moving:
-        columns.append(sample.dq[:, j] / sample.rms_speeds[j] - sample.direction[:, j])
-    # What depends on position alone: a smooth function of its own, and gravity.
-    own = smooth(sample.q[:, j], SMOOTH_TERMS if j in sample.moving else 1)
-    heavy = [g for g in gravity.T if np.abs(g).max() > 1e-9]
-    theta, inverse, residual = scaled_fit(np.column_stack([*columns, own, *heavy]), tau)
-    freedom = max(len(tau) - len(theta) * sample.memory, 10.0)
-    # How many samples of the residual say as much as one: by its autocorrelation.
+        # Beside viscous friction less the direction, the coefficient of the direction
+        # is all friction at the RMS speed.
+        relative_speed = sample.dq[:, j] / sample.rms_speeds[j]
+        columns.append(relative_speed - sample.direction[:, j])
+    # What depends on position alone: a smooth function of the joint's own, and gravity.
+    of_position = smooth(sample.q[:, j], SMOOTH_TERMS if j in sample.moving else 1)
+    heavy = [column for column in gravity.T if np.abs(column).max() > 1e-9]
+    X = np.column_stack([*columns, of_position, *heavy])
+    fit = scaled_fit(X, tau)
+
+    memory = max(sample.memory, _memory(fit.residual))
+    freedom = max(len(tau) - len(fit.theta) * sample.memory, 10.0)
+    variance = float(fit.residual @ fit.residual) / freedom * memory
+    count = len(moving)
+    values[moving] = fit.theta[:count]
+    std_errors[moving] = np.sqrt(np.sum(fit.inverse**2, axis=1) * variance)[:count]
+    rms_residual = float(np.sqrt(np.mean(fit.residual**2)))
+    return _JointFriction(values, std_errors, spread, rms_residual / spread)
+
+
+def _memory(residual: Array) -> float:
+    """Return how many rows of a residual say as much as one, by its autocorrelation."""
     x = residual - residual.mean()
     r = correlate(x, x, method="fft")[len(x) - 1 :]
-    last = next(iter(np.flatnonzero(r <= 0.0)), len(r))
-    memory = float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
-    variance = float(residual @ residual) / freedom * max(sample.memory, memory)
-    friction[moving] = theta[: len(moving)]
-    errors[moving] = np.sqrt(np.sum(inverse**2, axis=1) * variance)[: len(moving)]
-    return friction, errors, spread, float(np.sqrt(np.mean(residual**2))) / spread
+    # Beyond its first zero the autocorrelation is noise.
+    not_positive = np.flatnonzero(r <= 0.0)
+    last = not_positive[0] if len(not_positive) else len(r)
+    return float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
 
 
 def _exchanged(
-    friction: Array,
-    errors: Array,
-    spread: Array,
+    fits: list[_JointFriction],
     moving: tuple[int, ...],
     *,
     max_own: float = 0.25,
 ) -> list[tuple[int, int]]:
-    """Pairs of joints whose torques show each other's friction (n, n) but not their own."""
-    own, own_error = np.abs(np.diag(friction)), 2.0 * np.diag(errors)
-    least = np.maximum(np.maximum(SIGMAS * errors, SHARE * spread[:, None]), own_error)
-    alien = (friction > least) & (own < np.maximum(max_own * friction, own_error))
-    still = ~np.isin(np.arange(len(own)), moving)
-    fits = alien | still  # whose motion shows nowhere
-    pairs = combinations(range(len(own)), 2)
+    """Return pairs of joints whose torques show each other's friction only."""
+    friction = np.array([fit.values for fit in fits])
+    std_errors = np.array([fit.std_errors for fit in fits])
+    spreads = np.array([fit.spread for fit in fits])
+    own = np.abs(np.diag(friction))
+    own_error = 2.0 * np.diag(std_errors)
+
+    # Row: the joint of the torque; column: the joint of the motion.
+    least = np.maximum(SIGMAS * std_errors, SHARE * spreads[:, None])
+    is_there = friction > np.maximum(least, own_error)
+    own_is_not = own < np.maximum(max_own * friction, own_error)
+    is_alien = is_there & own_is_not
+    # The motion of a joint that stands shows nowhere.
+    stands: Mask = ~np.isin(np.arange(len(own)), moving)
+    fits_other = is_alien | stands
     return [
         (a, b)
-        for a, b in pairs
-        if fits[a, b] and fits[b, a] and not (still[a] and still[b])
+        for a, b in combinations(range(len(own)), 2)
+        if fits_other[a, b] and fits_other[b, a] and not (stands[a] and stands[b])
     ]

@@ -1,1 +1,1 @@
-"""Checks of IMUs: their readings by themselves, and against the motion of their link."""
+"""Checks of IMUs: their readings by themselves, and against the motion of the link."""

@@ -5,10 +5,14 @@ specific force (3), angular acceleration (3) and products of angular velocity (6
 link's frame, a gyro one of the angular velocity (3), at the IMU's own time. Both sides
 go through the same low-pass; the linear function is fitted to each channel for a range
 of time shifts.
+
+The p features of a link's motion are X (N, p), the K readings y (N, K); a shift of s
+samples compares y(t) with X(t - s). `left` is what a fit leaves of the readings.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,25 +28,43 @@ from seqid_cli.typing import Array, Index
 
 SIGMAS = 4.0
 FOLLOWS = 0.5  # of the variance: an IMU that leaves more does not follow its link
+TELLS = 0.1  # of the variance, that may be left where a map is to tell axes
+MAPPED = 0.03  # standard error of the map that tells axes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LinkFit:
-    """How an IMU's readings follow a link: share of variance left, delay [s] and its error."""
+    """How the readings of an IMU follow a link.
+
+    Attributes
+    ----------
+    imu : Imu
+        The IMU.
+    gyro : bool
+        Whether the readings are of its gyro.
+    left : float
+        Share of their variance that is left.
+    delay, delay_error : float
+        Time of the readings behind the encoders, and its standard error [s].
+    map : (K, p) array
+        Readings from the features.
+    map_error : float
+        Largest standard error of the map of specific force (angular velocity).
+    gain : float
+        Of all channels together: RMS of what the map makes over that of its features.
+    """
 
     imu: Imu
     gyro: bool
     left: float
     delay: float
     delay_error: float
-    map: Array  # (K, p) readings from the features
-    # largest standard error of the map of specific force (angular velocity)
+    map: Array
     map_error: float
-    # of all channels together: RMS of what the map makes over that of its features
     gain: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ShiftScan:
     """Readings against the motion of a link, for shifts of some samples either way."""
 
@@ -58,6 +80,11 @@ class ShiftScan:
         """Share of the variance that the best shift leaves."""
         return float(self.left.min()) / self.total
 
+    @property
+    def best_shift(self) -> float:
+        """The shift that leaves least, in samples."""
+        return float(self.shifts[self.left.argmin()])
+
 
 def scan(
     motion: Motion,
@@ -67,7 +94,26 @@ def scan(
     max_shift_s: float = 0.06,
     grid: int = 25,
 ) -> ShiftScan | None:
-    """Compare readings (N, K) with a link's features (N, p); None where too few rows are usable."""
+    """Compare readings with the features of a link over a range of shifts.
+
+    Parameters
+    ----------
+    motion : Motion
+        The filtered motion of the arm.
+    features : (N, p) array
+        Filtered features of the link's motion.
+    values : (N, K) array
+        Readings as they are.
+    max_shift_s : float
+        Largest shift either way [s].
+    grid : int
+        Number of shifts.
+
+    Returns
+    -------
+    ShiftScan or None
+        None where too few rows can be used.
+    """
     reach = max(1, round(max_shift_s * motion.rate_hz))
     shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
     return _shifted(motion, features, motion.lowpass(values, motion.valid), shifts)
@@ -81,21 +127,30 @@ def _shifted(
     *,
     min_rows: int = 200,
 ) -> ShiftScan | None:
-    """What features leave of readings at each shift, by every fourth of some 4000 rows."""
+    """Scan shifts, by every fourth of some 4000 rows."""
+    farthest = shifts[-1]
     rows = np.flatnonzero(motion.usable)
-    rows = rows[(rows >= shifts[-1]) & (rows < len(readings) - shifts[-1])]
+    rows = rows[(rows >= farthest) & (rows < len(readings) - farthest)]
     rows = rows[:: max(1, len(rows) // 4000)]
-    total = (
-        float(np.sum(np.var(readings[rows], axis=0))) if len(rows) >= min_rows else 0.0
-    )
+    if len(rows) < min_rows:
+        return None
+    total = float(np.sum(np.var(readings[rows], axis=0)))
     if total == 0.0 or not np.isfinite(total):
         return None
+
     few = rows[::4]
-    left = [
-        np.sum(_left(features[few - s], readings[few])[0] ** 2, axis=1).mean()
-        for s in shifts
-    ]
-    return ShiftScan(features, readings, rows, total, shifts, np.array(left))
+    left = []
+    for shift in shifts:
+        residual = _fit(features[few - shift], readings[few]).residual
+        left.append(np.sum(residual**2, axis=1).mean())
+    return ShiftScan(
+        features=features,
+        readings=readings,
+        rows=rows,
+        total=total,
+        shifts=shifts,
+        left=np.array(left),
+    )
 
 
 def fit_link(
@@ -109,233 +164,332 @@ def fit_link(
     far_s: float = 2.0,
     step_s: float = 0.01,
 ) -> LinkFit | None:
-    """Fit readings (N, K) to the motion of a link at the shift that is best; None if it rests."""
+    """Fit the readings of an IMU to the motion of its link at the best shift.
+
+    Parameters
+    ----------
+    robot : Robot
+        The arm.
+    motion : Motion
+        Its filtered motion.
+    values : (N, K) array
+        Readings of the accelerometers, or of the gyro.
+    imu : Imu
+        The IMU.
+    gyro : bool
+        Whether they are of the gyro.
+    wide : float
+        Share of the variance left, from which larger shifts are tried.
+    far_s, step_s : float
+        The largest of these, and their spacing [s].
+
+    Returns
+    -------
+    LinkFit or None
+        None where the link rests, or too few rows can be used.
+    """
     features = _features(robot, motion, imu.after_joint, gyro=gyro)
-    tried = None if features is None else scan(motion, features, values)
-    if tried is None:
+    if features is None:
         return None
-    if tried.share > wide or int(tried.left.argmin()) in (0, len(tried.left) - 1):
+    best = scan(motion, features, values)
+    if best is None:
+        return None
+    is_at_end = int(best.left.argmin()) in (0, len(best.left) - 1)
+    if best.share > wide or is_at_end:
         # None near zero fits: look farther, roughly.
         step = max(1, round(step_s * motion.rate_hz))
         reach = min(round(far_s * motion.rate_hz), len(values) // 4) // step * step
-        far = _shifted(
-            motion, tried.features, tried.readings, np.arange(-reach, reach + 1, step)
-        )
-        if far is not None and (tried.share > FOLLOWS or far.share < 0.5 * tried.share):
-            tried = far
-    return _fine(imu, gyro, motion, tried)
+        shifts = np.arange(-reach, reach + 1, step)
+        far = _shifted(motion, best.features, best.readings, shifts)
+        if far is not None and (best.share > FOLLOWS or far.share < 0.5 * best.share):
+            best = far
+    return _fine(imu, gyro, motion, best)
 
 
 def _fine(
     imu: Imu,
     gyro: bool,
     motion: Motion,
-    scan: ShiftScan,
+    scanned: ShiftScan,
     *,
     blocks: int = 8,
     memory_s: float = 0.1,
 ) -> LinkFit:
-    """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton."""
-    # The delay's error is the larger of what white noise leads to and of how it moves
-    # when one of `blocks` parts of the log is left out: a coarse encoder's noise is far
-    # from white.
-    rows, y = scan.rows, scan.readings[scan.rows]
-    low, high = scan.shifts[[0, -1]]
-    shift, slopes = (
-        float(scan.shifts[scan.left.argmin()]),
-        np.gradient(scan.features, axis=0),
-    )
+    """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton.
+
+    The delay's error is the larger of what white noise leads to and of how it moves
+    when one of `blocks` parts of the log is left out: a coarse encoder's noise is far
+    from white. Rows within `memory_s` count as one.
+    """
+    rows = scanned.rows
+    y = scanned.readings[rows]
+    low, high = scanned.shifts[[0, -1]]
+    shift = scanned.best_shift
+    slopes = np.gradient(scanned.features, axis=0)
     for _ in range(3):
-        at = rows - round(shift)
-        X = scan.features[at] + (round(shift) - shift) * slopes[at]
-        left, fitted = _left(X, y)
-        across = _left(X, slopes[at] @ fitted.T)[0]
-        power, pull = float(np.sum(across**2)), -np.sum(across * left, axis=1)
+        nearest = round(shift)
+        at = rows - nearest
+        X = scanned.features[at] + (nearest - shift) * slopes[at]
+        fit = _fit(X, y)
+        # How the residual moves with the shift, as far as no other map makes up for it.
+        slope_of_residual = _fit(X, slopes[at] @ fit.map.T).residual
+        power = float(np.sum(slope_of_residual**2))
+        pull = -np.sum(slope_of_residual * fit.residual, axis=1)
         if not low < shift < high or power == 0.0:
             break
         shift = float(np.clip(shift + pull.sum() / power, low, high))
-    square = float(np.mean(left**2))
-    memory = max(1.0, memory_s * motion.rate_hz / float(np.median(np.diff(rows))))
-    error = np.inf
+
+    mean_square = float(np.mean(fit.residual**2))
+    row_spacing = float(np.median(np.diff(rows)))
+    memory = max(1.0, memory_s * motion.rate_hz / row_spacing)
+    shift_error = np.inf
     if low < shift < high and power > 0.0:
-        parts = [part.sum() for part in np.array_split(pull, blocks)]
-        error = (
-            max(float(np.sqrt(memory * square * power)), float(np.linalg.norm(parts)))
-            / power
-        )
+        by_noise = float(np.sqrt(memory * mean_square * power))
+        pulls_of_blocks = [part.sum() for part in np.array_split(pull, blocks)]
+        by_blocks = float(np.linalg.norm(pulls_of_blocks))
+        shift_error = max(by_noise, by_blocks) / power
+
     # Size of the map on its features, however few directions these show.
     X = X - X.mean(axis=0)
-    gain = float(np.linalg.norm(X @ fitted.T) / max(float(np.linalg.norm(X)), 1e-12))
-    share, rate = square * y.shape[1] / scan.total, motion.rate_hz
-    map_error = _map_error(X, square * memory)
+    size = max(float(np.linalg.norm(X)), 1e-12)
     return LinkFit(
-        imu, gyro, share, shift / rate, error / rate, fitted, map_error, gain
+        imu=imu,
+        gyro=gyro,
+        left=mean_square * y.shape[1] / scanned.total,
+        delay=shift / motion.rate_hz,
+        delay_error=shift_error / motion.rate_hz,
+        map=fit.map,
+        map_error=_map_error(X, mean_square * memory),
+        gain=float(np.linalg.norm(X @ fit.map.T) / size),
     )
 
 
 def _map_error(X: Array, variance: float) -> float:
-    """Largest standard error of a map's first three columns, of features (N, p) without mean."""
+    """Return the largest standard error of a map's first three columns.
+
+    X (N, p) are features without their mean.
+    """
     scale = np.maximum(X.std(axis=0), 1e-9)
     _, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
-    # large where the motion does not show a direction
+    # It is large where the motion does not show a direction.
     inverse = Vt.T / np.maximum(s, 1e-9 * s[0])
-    spread = np.sqrt(variance * np.sum(inverse**2, axis=1)) / scale
-    return float(spread[:3].max())
+    std_errors = np.sqrt(variance * np.sum(inverse**2, axis=1)) / scale
+    return float(std_errors[:3].max())
 
 
 def _features(
     robot: Robot, motion: Motion, link: int, *, gyro: bool, min_turning: float = 0.02
 ) -> Array | None:
-    """Filtered features (N, p) of a link's motion, for readings on it; None if it rests."""
+    """Return filtered features (N, p) of a link's motion, for readings on it.
+
+    None where the link rests, below an RMS of `min_turning` rad/s.
+    """
     moved = link_motion(
         robot.chain, robot.gravity, motion.q.T, motion.dq.T, motion.ddq.T
     )
     w = moved.w[link]
     if float(np.sqrt(np.mean(np.sum(w**2, axis=0)))) < min_turning:
         return None
+    if gyro:
+        return np.asarray(motion.filtered(w.T))
     products = [w[a] * w[b] for a in range(3) for b in range(a, 3)]
-    features = w.T if gyro else np.vstack([moved.a[link], moved.dw[link], *products]).T
+    features = np.vstack([moved.a[link], moved.dw[link], *products]).T
     return np.asarray(motion.filtered(features))
 
 
-def _left(X: Array, y: Array, *, rcond: float = 1e-6) -> tuple[Array, Array]:
-    """What features (R, p) leave of readings (R, K), and the map (K, p)."""
-    X, y = X - X.mean(axis=0), y - y.mean(axis=0)
+class _MapFit(NamedTuple):
+    """What features leave of readings (R, K), and the map (K, p) from them."""
+
+    residual: Array
+    map: Array
+
+
+def _fit(X: Array, y: Array, *, rcond: float = 1e-6) -> _MapFit:
+    """Fit readings y (R, K) by features X (R, p), both without their means."""
+    X = X - X.mean(axis=0)
+    y = y - y.mean(axis=0)
     scale = np.maximum(X.std(axis=0), 1e-9)
     theta = np.linalg.lstsq(X / scale, y, rcond=rcond)[0] / scale[:, None]
-    return np.asarray(y - X @ theta), theta.T
-
-
-TELLS = 0.1  # of the variance, that may be left where a map is to tell axes
-MAPPED = 0.03  # standard error of the map that tells axes
+    return _MapFit(residual=np.asarray(y - X @ theta), map=theta.T)
 
 
 def follow(data: LogData) -> list[LinkFit]:
-    """Fit every IMU of a log to the motion of its link; empty where nothing turns."""
-    sources = (data.recording.accelerometers, data.recording.gyros)
-    if not data.modelled or not any(sources) or data.motion is None:
+    """Fit every IMU of a log to the motion of its link; none where nothing turns."""
+    accelerometers = data.recording.accelerometers
+    gyros = data.recording.gyros
+    if not data.modelled or not (accelerometers or gyros) or data.motion is None:
         return []
-    result = []
+    fits = []
     for imu in data.robot.imus:
-        for gyro, source in zip((False, True), sources, strict=True):
-            if (values := source.get(imu.name)) is not None:
-                result.append(fit_link(data.robot, data.motion, values, imu, gyro=gyro))
-    return [fit for fit in result if fit is not None]
+        for is_gyro, readings in ((False, accelerometers), (True, gyros)):
+            values = readings.get(imu.name)
+            if values is None:
+                continue
+            fit = fit_link(data.robot, data.motion, values, imu, gyro=is_gyro)
+            if fit is not None:
+                fits.append(fit)
+    return fits
 
 
 def motion_findings(
     data: LogData,
-    fits: list[LinkFit],
+    fits: Sequence[LinkFit],
     *,
     min_delay_s: float = 0.005,
     min_delay_samples: int = 2,
 ) -> Iterator[InspectionFinding]:
-    """Judge how the IMUs follow the encoders."""
-    for item in fits:
-        name = item.imu.name
-        if better := _better(data, item):
+    """Judge how the IMUs follow the encoders.
+
+    Parameters
+    ----------
+    data : LogData
+        The log.
+    fits : sequence of LinkFit
+        Its IMUs, those of `follow`.
+    min_delay_s, min_delay_samples : float, int
+        Delay that is worth a finding [s], and the same in samples of the log.
+    """
+    for fit in fits:
+        name = fit.imu.name
+        better = _better(data, fit)
+        if better:
             yield better
             continue
-        if item.left > FOLLOWS:
-            left = percent(item.left, 0)
-            text = f"the motion of its link leaves {left} of its variance unexplained"
+        if fit.left > FOLLOWS:
+            share = percent(fit.left, 0)
+            text = f"the motion of its link leaves {share} of its variance unexplained"
             yield found("imu_not_moving", text, name)
             continue
-        least, delay = (
-            max(min_delay_s, min_delay_samples / data.recording.rate_hz),
-            item.delay,
-        )
-        error = float(
-            np.hypot(item.delay_error, _resolution_s(data, item.imu.after_joint))
-        )
-        if abs(delay) > least and abs(delay) > SIGMAS * error:
+
+        least_s = max(min_delay_s, min_delay_samples / data.recording.rate_hz)
+        resolution_s = _resolution_s(data, fit.imu.after_joint)
+        error_s = float(np.hypot(fit.delay_error, resolution_s))
+        if abs(fit.delay) > least_s and abs(fit.delay) > SIGMAS * error_s:
             text = (
-                f"its readings are {1e3 * delay:.1f} +- {1e3 * error:.1g} ms behind the"
-                " encoders"
+                f"its readings are {1e3 * fit.delay:.1f} +- {1e3 * error_s:.1g} ms"
+                " behind the encoders"
             )
             yield found("imu_delay", text, name)
-        yield from _gyro(item) if item.gyro else _axes(data, item)
+        yield from _gyro(fit) if fit.gyro else _axes(data, fit)
 
 
 def _resolution_s(data: LogData, link: int) -> float:
-    """Time that the fastest joint before a link takes for the error of its encoder, s."""
+    """Return the time in which the fastest joint moves by the error of its encoder."""
     # Joints rest anywhere within a count, on one side going forward and on the other
-    # going back.
+    # going back: the error is even within one step.
     assert data.motion is not None
-    dq, moving = data.motion.dq, data.motion.moving
-    there = [j for j in range(link + 1) if moving[:, j].any()]
-    speeds = [
-        float(np.sqrt(np.mean(dq[moving[:, j], j] ** 2))) / data.step[j] for j in there
-    ]
-    # the error is even within one step
-    return float(1.0 / np.sqrt(12.0) / max([*speeds, 1e-9]))
+    dq = data.motion.dq
+    moving = data.motion.moving
+    counts_per_s = [1e-9]
+    for j in range(link + 1):
+        rows = moving[:, j]
+        if rows.any():
+            rms_speed = float(np.sqrt(np.mean(dq[rows, j] ** 2)))
+            counts_per_s.append(rms_speed / data.step[j])
+    return float(1.0 / np.sqrt(12.0) / max(counts_per_s))
+
+
+class _Alternative(NamedTuple):
+    """Another link, or a joint reversed (-1: none), and the share that it leaves."""
+
+    share: float
+    reversed_joint: int
+    link: int
 
 
 def _better(
-    data: LogData, item: LinkFit, *, max_ratio: float = 0.25, min_left: float = 0.01
+    data: LogData, fit: LinkFit, *, max_ratio: float = 0.25, min_left: float = 0.01
 ) -> InspectionFinding | None:
-    """Find another link, or a joint reversed, that the IMU follows far better than its own link."""
-    motion, robot = data.motion, data.robot
-    if item.left < min_left or motion is None:
+    """Find a link, or a joint reversed, that an IMU follows far better than its own.
+
+    Far better leaves `max_ratio` of the variance; an IMU that leaves less than
+    `min_left` follows its link well enough.
+    """
+    if fit.left < min_left or data.motion is None:
         return None
-    name, own = item.imu.name, item.imu.after_joint
-    values = (data.recording.gyros if item.gyro else data.recording.accelerometers)[
-        name
-    ]
+    robot = data.robot
+    own_link = fit.imu.after_joint
+    best = _Alternative(max_ratio * fit.left, -1, own_link)
+    others = [(-1, link) for link in range(robot.n) if link != own_link]
+    others += [(j, own_link) for j in range(own_link + 1) if data.moves(j)]
+    for reversed_joint, link in others:
+        share = _share_left(data, fit, data.motion, reversed_joint, link)
+        if share is not None:
+            best = min(best, _Alternative(share, reversed_joint, link))
+
     names = robot.joint_names
-    # the joint that is reversed, the link
-    tried = [(-1, k) for k in range(robot.n) if k != own]
-    tried += [(j, own) for j in range(own + 1) if data.moves(j)]
-    best = (max_ratio * item.left, -1, own)
-    for joint, link in tried:
-        sign = np.where(np.arange(robot.n) == joint, -1.0, 1.0)
-        moved = replace(
-            motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign
-        )
-        features = _features(robot, moved, link, gyro=item.gyro)
-        if features is not None and (scanned := scan(moved, features, values)):
-            best = min(best, (scanned.share, joint, link))
-    share, joint, link = best
-    text = f"{percent(share)} of its variance is left against {percent(item.left, 0)}"
-    if joint >= 0:
-        text = f"by IMU {name} it turns the other way round: {text}"
-        return found("axis_flipped", text, names[joint], "position")
+    text = f"{percent(best.share)} of its variance is left against"
+    text += f" {percent(fit.left, 0)}"
+    if best.reversed_joint >= 0:
+        text = f"by IMU {fit.imu.name} it turns the other way round: {text}"
+        return found("axis_flipped", text, names[best.reversed_joint], "position")
+    if best.link == own_link:
+        return None
     text = (
-        f"follows the link after {names[link]}, not the one after {names[own]}: {text}"
+        f"follows the link after {names[best.link]}, not the one after"
+        f" {names[own_link]}: {text}"
     )
-    return None if link == own else found("imu_wrong_link", text, name)
+    return found("imu_wrong_link", text, fit.imu.name)
 
 
-def _gyro(item: LinkFit) -> Iterator[InspectionFinding]:
-    size, name = item.gain, item.imu.name
-    text = f"reads {size:.3g} times the link's angular velocity"
-    if item.left > TELLS:
+def _share_left(
+    data: LogData, fit: LinkFit, motion: Motion, reversed_joint: int, link: int
+) -> float | None:
+    """Return the share of variance that a link leaves, a joint reversed or none."""
+    robot = data.robot
+    sign = np.where(np.arange(robot.n) == reversed_joint, -1.0, 1.0)
+    moved = replace(
+        motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign
+    )
+    features = _features(robot, moved, link, gyro=fit.gyro)
+    if features is None:
+        return None
+    recording = data.recording
+    readings = recording.gyros if fit.gyro else recording.accelerometers
+    scanned = scan(moved, features, readings[fit.imu.name])
+    return None if scanned is None else scanned.share
+
+
+def _gyro(fit: LinkFit) -> Iterator[InspectionFinding]:
+    """Judge unit, axes and scale of a gyro."""
+    if fit.left > TELLS:
         return
-    if abs(size / np.degrees(1.0) - 1.0) < 0.2:
+    name = fit.imu.name
+    text = f"reads {fit.gain:.3g} times the link's angular velocity"
+    if abs(fit.gain / np.degrees(1.0) - 1.0) < 0.2:
         yield found("gyro_in_degrees", text, name)
-    elif item.map_error < MAPPED and np.linalg.det(item.map) < 0.0:
+    elif fit.map_error < MAPPED and np.linalg.det(fit.map) < 0.0:
         text = "its gyro fits the link's motion as a mirror image only"
         yield found("imu_left_handed", text, name, f"{name}.g")
-    elif abs(size - 1.0) > 0.15:
+    elif abs(fit.gain - 1.0) > 0.15:
         yield found("gyro_scale", text, name)
 
 
 def _axes(
-    data: LogData, item: LinkFit, *, max_scale_error: float = 0.05
+    data: LogData, fit: LinkFit, *, max_scale_error: float = 0.05
 ) -> Iterator[InspectionFinding]:
-    """Judge the axes by the map of specific force, which must be a rotation behind the axes."""
-    force, imu = item.map[:, :3], item.imu
-    size = float(np.linalg.svd(force, compute_uv=False)[0])
-    other_unit = not 0.5 < size / np.sqrt(max(len(imu.axes) / 3.0, 1.0)) < 2.0
-    if item.map_error > MAPPED or item.left > TELLS or other_unit:
+    """Judge the axes by the map of specific force, a rotation behind the axes.
+
+    Scales that are off by less than `max_scale_error` do no harm.
+    """
+    imu = fit.imu
+    of_force = fit.map[:, :3]
+    size = float(np.linalg.svd(of_force, compute_uv=False)[0])
+    expected_size = np.sqrt(max(len(imu.axes) / 3.0, 1.0))
+    is_other_unit = not 0.5 < size / expected_size < 2.0
+    if fit.map_error > MAPPED or fit.left > TELLS or is_other_unit:
         return
+
+    # What the channels would read at rest, gravity along each axis of the link.
     gravity = float(np.linalg.norm(data.robot.gravity)) or 9.81
-    if odd := odd_channel(imu, gravity * force.T, gravity):
+    odd = odd_channel(imu, gravity * of_force.T, gravity)
+    if odd:
         yield odd
         return
-    turned = np.linalg.pinv(imu.axes) @ force
+    turned = np.linalg.pinv(imu.axes) @ of_force
     sizes = np.linalg.svd(turned, compute_uv=False)
-    scale, evenness = float(np.mean(sizes)), sizes[2] / sizes[0]
+    scale = float(np.mean(sizes))
+    evenness = sizes[2] / sizes[0]
     if np.linalg.det(turned) < 0.0 and evenness > 0.7:
         text = "its accelerometers fit the link's motion as a mirror image only"
         yield found("imu_left_handed", text, imu.name)

@@ -1,7 +1,8 @@
-"""IMUs by themselves: stuck, clipped, units, gravity at rest, axes of an array."""
+"""Readings of IMUs by themselves: stuck, clipped, units, gravity at rest, axes."""
 
 from collections.abc import Iterator
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +25,8 @@ def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
     """Find arrays of the robot file that do not determine the angular acceleration."""
     for imu in robot.imus:
         count = len(imu.positions)
-        triad = count == 3 and not imu.positions.any()
-        if not (imu.gyro or triad or layout(imu).acceleration):
+        is_triad = count == 3 and not imu.positions.any()
+        if not (imu.gyro or is_triad or layout(imu).acceleration):
             text = (
                 f"its {count} accelerometers do not determine the angular acceleration"
             )
@@ -35,107 +36,150 @@ def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
 def imu_findings(
     data: LogData, *, max_bias: float = 0.1
 ) -> Iterator[InspectionFinding]:
-    """Check the channels of every IMU in the log; `max_bias` of a gyro at rest, rad/s."""
+    """Check the channels of every IMU in a log.
+
+    `max_bias` [rad/s] is what a gyro may read at rest.
+    """
+    strength = float(np.linalg.norm(data.robot.gravity))
+    is_on_earth = abs(strength - STANDARD_GRAVITY) <= 0.5
     for imu in data.robot.imus:
-        broken = [*_channels(data, imu)]
-        yield from broken
+        of_channels = [*_channels(data, imu)]
+        yield from of_channels
+
         values = data.recording.accelerometers.get(imu.name)
-        on_earth = (
-            abs(float(np.linalg.norm(data.robot.gravity)) - STANDARD_GRAVITY) <= 0.5
-        )
-        if values is not None and on_earth and np.linalg.matrix_rank(imu.axes) == 3:
-            yield from _force(data, imu, values, at_rest=data.modelled and not broken)
+        spans_space = np.linalg.matrix_rank(imu.axes) == 3
+        if values is not None and is_on_earth and spans_space:
+            # Channels that are broken disagree on gravity anyway.
+            at_rest = data.modelled and not of_channels
+            yield from _force(data, imu, values, at_rest=at_rest)
+
         gyro = data.recording.gyros.get(imu.name)
-        rest = rest_rows(data, gyro) if gyro is not None else np.zeros((0, 3))
-        bias = rest.mean(axis=0) if len(rest) else np.zeros(3)
-        if np.linalg.norm(bias) > max_bias:
-            channel = channel_name(imu, GYRO, int(np.abs(bias).argmax()))
-            text = f"reads {np.linalg.norm(bias):.3g} rad/s at rest"
-            yield found("gyro_bias", text, imu.name, channel)
+        if gyro is not None:
+            yield from _bias(data, imu, gyro, max_bias)
+
+
+def _bias(
+    data: LogData, imu: Imu, gyro: Array, max_bias: float
+) -> Iterator[InspectionFinding]:
+    """Find a gyro (N, 3) rad/s that reads more than `max_bias` at rest."""
+    rest = rest_rows(data, gyro)
+    if not len(rest):
+        return
+    bias = rest.mean(axis=0)
+    size = np.linalg.norm(bias)
+    if size > max_bias:
+        channel = channel_name(imu, GYRO, int(np.abs(bias).argmax()))
+        yield found("gyro_bias", f"reads {size:.3g} rad/s at rest", imu.name, channel)
 
 
 def channel_name(imu: Imu, quantity: str, k: int) -> str:
-    """Name a channel as Parquet logs do: a1, a2, ...
-
-    (ax, ay, az of a triad), gx, gy, gz.
-    """
-    return f"{imu.name}.g{'xyz'[k % 3]}" if quantity == GYRO else f"{imu.name}.a{k + 1}"
+    """Return the name of a channel as Parquet logs have it: a1, a2, ..., gx, gy, gz."""
+    if quantity == GYRO:
+        return f"{imu.name}.g{'xyz'[k % 3]}"
+    return f"{imu.name}.a{k + 1}"
 
 
 def _channels(
     data: LogData, imu: Imu, *, stuck_s: float = 0.5, stuck_samples: int = 50
 ) -> Iterator[InspectionFinding]:
-    """Find channels with missing values, and those that are stuck or clipped."""
+    """Find channels with missing values, and those that are stuck or clipped.
+
+    A channel is stuck that stays at a value for `stuck_s` and so many samples.
+    """
+    # The streams of an IMU follow each other in the order of its channels.
     first = {ACCELEROMETERS: 0, GYRO: 0}
     for stream in data.raw.imus.get(imu.name, ()):
         stamps = stream.stamp_ns
-        seconds = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
-        least = max(stuck_samples, int(stuck_s / max(seconds, 1e-9)))
+        interval_s = 0.0
+        if len(stamps) > 1:
+            interval_s = float(np.median(np.diff(stamps))) * 1e-9
+        least = max(stuck_samples, int(stuck_s / max(interval_s, 1e-9)))
+
+        # Of a channel only the first fault is named: missing values look stuck, say.
         for quantity, values in stream.channels.items():
             columns = [column[np.isfinite(column)] for column in values.T]
-            others = any(len(column) and np.ptp(column) > 0 for column in columns)
-            for k, present in enumerate(columns, start=first[quantity]):
-                name = channel_name(imu, quantity, k)
-                lost = [*missing(values[:, k - first[quantity]], imu.name, name)]
-                yield from lost
-                if text := (
-                    "" if lost else _stuck(present, least, seconds, others=others)
-                ):
-                    yield found("imu_stuck", text, imu.name, name)
-                elif limit := None if lost else clipped(present):
-                    text = f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
+            others_change = any(
+                len(column) and np.ptp(column) > 0 for column in columns
+            )
+            for k, present in enumerate(columns):
+                name = channel_name(imu, quantity, first[quantity] + k)
+                lost = [*missing(values[:, k], imu.name, name)]
+                if lost:
+                    yield from lost
+                    continue
+                stuck = _stuck(present, least, interval_s, others_change=others_change)
+                if stuck:
+                    yield found("imu_stuck", stuck, imu.name, name)
+                    continue
+                limit_and_share = clipped(present)
+                if limit_and_share:
+                    limit, share = limit_and_share
+                    text = f"is at {limit:.4g} in {percent(share)} of the samples"
                     yield found("imu_saturated", text, imu.name, name)
             first[quantity] += values.shape[1]
 
 
-def _stuck(present: Array, least: int, seconds: float, *, others: bool) -> str:
-    """Tell for how long a channel stays at one value, beside `others` that change."""
+def _stuck(
+    present: Array, least: int, interval_s: float, *, others_change: bool
+) -> str:
+    """Return for how long a channel stays at one value, beside others that change."""
     # A channel that repeats itself all the time is slow or coarse, not stuck.
-    lively = len(present) > 2 and np.mean(np.diff(present) != 0) > 0.3
-    for a, b in equal_runs(present, least) if others or lively else ():
-        inner = lively and present[a] not in (present.max(), present.min())
-        if inner or b - a == len(present):
-            return f"stays at {present[a]:.4g} for {(b - a) * seconds:.3g} s"
+    is_lively = len(present) > 2 and np.mean(np.diff(present) != 0) > 0.3
+    if not (others_change or is_lively):
+        return ""
+    for start, stop in equal_runs(present, least):
+        value = present[start]
+        is_inner = is_lively and value not in (present.max(), present.min())
+        if is_inner or stop - start == len(present):
+            return f"stays at {value:.4g} for {(stop - start) * interval_s:.3g} s"
     return ""
 
 
 def rest_rows(data: LogData, values: Array, *, min_rest_s: float = 0.2) -> Array:
-    """Average readings (N, K) over each rest of the whole arm; (R, K)."""
-    still = (
-        standing(data.moving, data.recording.rate_hz).all(axis=1) & data.recording.valid
-    )
-    least = min_rest_s * data.recording.rate_hz
+    """Average readings (N, K) over each rest of the whole arm.
+
+    A rest lasts `min_rest_s`. Returns (R, K), in the unit of `values`.
+    """
+    recording = data.recording
+    is_still = standing(data.moving, recording.rate_hz).all(axis=1) & recording.valid
+    least = min_rest_s * recording.rate_hz
     means = [
-        values[a:b].mean(axis=0) for a, b in runs(still, len(still)) if b - a >= least
+        values[start:stop].mean(axis=0)
+        for start, stop in runs(is_still, len(is_still))
+        if stop - start >= least
     ]
     return np.array(means).reshape(-1, values.shape[1])
 
 
 def force_of(imu: Imu, readings: Array) -> float:
-    """Median size of the specific force by readings (R, K)."""
-    return float(
-        np.median(np.linalg.norm(readings @ np.linalg.pinv(imu.axes).T, axis=1))
-    )
+    """Return the median size of the specific force by readings (R, K)."""
+    forces = readings @ np.linalg.pinv(imu.axes).T
+    return float(np.median(np.linalg.norm(forces, axis=1)))
 
 
 def _force(
     data: LogData, imu: Imu, values: Array, *, at_rest: bool
 ) -> Iterator[InspectionFinding]:
-    """Check the size of the specific force, and at rest what the channels say of gravity."""
+    """Check the size of the specific force, and of gravity at rest."""
     rows = values[data.recording.valid & np.isfinite(values).all(axis=1)]
     size = force_of(imu, rows) if len(rows) else 0.0
-    if unit := next(
-        (u for u, g in (("g", 1.0), ("mg", 1e3)) if 0.8 * g < size < 1.2 * g), ""
-    ):
-        text = (
-            f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are expected"
-        )
-        yield found("imu_in_g", text, imu.name)
+    for unit, one_gravity in (("g", 1.0), ("mg", 1e3)):
+        if 0.8 * one_gravity < size < 1.2 * one_gravity:
+            text = (
+                f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are"
+                " expected"
+            )
+            yield found("imu_in_g", text, imu.name)
+            return
+
+    if not at_rest:
+        return
+    rest = rest_rows(data, values)
+    if not len(rest):
         return
     gravity = float(np.linalg.norm(data.robot.gravity))
-    if not at_rest or not len(rest := rest_rows(data, values)):
-        return
-    norm, odd = force_of(imu, rest), odd_channel(imu, rest, gravity)
+    norm = force_of(imu, rest)
+    odd = odd_channel(imu, rest, gravity)
     if odd is not None:
         yield odd
     elif abs(norm / gravity - 1.0) > WRONG:
@@ -143,45 +187,83 @@ def _force(
         yield found("imu_gravity", text, imu.name)
 
 
+class _Change(NamedTuple):
+    """A change of some channels, and the disagreement (m/s^2)^2 that it leaves."""
+
+    left: float
+    code: str
+    channels: tuple[int, ...]
+
+
 def odd_channel(
     imu: Imu, rest: Array, gravity: float, *, max_left: float = 0.1
 ) -> InspectionFinding | None:
-    """Find the one change with which readings (R, K) m/s^2 at rest agree on gravity (Eq. 29)."""
-    every = np.arange(rest.shape[1])
+    """Find the one change with which readings at rest agree on gravity (Eq. 29).
+
+    Parameters
+    ----------
+    imu : Imu
+        The array of K accelerometers.
+    rest : (R, K) array
+        Readings at R rests [m/s^2].
+    gravity : float
+        Strength of gravity [m/s^2].
+    max_left : float
+        Share of the squared error that a change leaves at most.
+    """
     error = _disagreement(rest, imu.axes)
-    if len(every) <= 3 or np.sqrt(error) < WRONG * gravity:
+    if rest.shape[1] <= 3 or np.sqrt(error) < WRONG * gravity:
         return None
-    changed: list[tuple[float, str, tuple[int, ...]]] = []
-    without = changed.copy()
-    for k in every.tolist():
-        left = _disagreement(rest * np.where(every == k, -1.0, 1.0), imu.axes)
-        changed.append((left, "imu_channel_flipped", (k,)))
-        axes = imu.axes[every != k]
-        if np.linalg.matrix_rank(axes) == 3:
-            without.append(
-                (_disagreement(rest[:, every != k], axes), "imu_channel_wrong", (k,))
-            )
-    for pair in combinations(every.tolist(), 2):
-        order = every.copy()
-        order[list(pair)] = pair[::-1]
-        changed.append(
-            (_disagreement(rest[:, order], imu.axes), "imu_channels_swapped", pair)
-        )
-    # leaving it out does even where it is only reversed
-    for tried in (changed, without):
-        left, code, channels = min(tried, default=(np.inf, "", ()))
-        if left <= max_left * error:
-            names = ", ".join(channel_name(imu, ACCELEROMETERS, k) for k in channels)
+    # Leaving a channel out mends it even where it is only reversed: that is tried last.
+    for changes in (
+        [*_reversed(imu, rest), *_exchanged(imu, rest)],
+        [*_left_out(imu, rest)],
+    ):
+        best = min(changes, default=None)
+        if best is not None and best.left <= max_left * error:
+            names = [channel_name(imu, ACCELEROMETERS, k) for k in best.channels]
             text = (
                 f"the accelerometers disagree on gravity by {np.sqrt(error):.3g}"
-                " m/s^2, "
+                f" m/s^2, {np.sqrt(best.left):.3g} once this is mended"
             )
-            text += f"{np.sqrt(left):.3g} once this is mended"
-            return found(code, text, imu.name, names)
+            return found(best.code, text, imu.name, ", ".join(names))
     return None
 
 
+def _reversed(imu: Imu, rest: Array) -> Iterator[_Change]:
+    """Yield each channel reversed."""
+    channels = np.arange(rest.shape[1])
+    for k in channels.tolist():
+        sign = np.where(channels == k, -1.0, 1.0)
+        left = _disagreement(rest * sign, imu.axes)
+        yield _Change(left, "imu_channel_flipped", (k,))
+
+
+def _exchanged(imu: Imu, rest: Array) -> Iterator[_Change]:
+    """Yield each two channels exchanged."""
+    channels = np.arange(rest.shape[1])
+    for pair in combinations(channels.tolist(), 2):
+        order = channels.copy()
+        order[list(pair)] = pair[::-1]
+        left = _disagreement(rest[:, order], imu.axes)
+        yield _Change(left, "imu_channels_swapped", pair)
+
+
+def _left_out(imu: Imu, rest: Array) -> Iterator[_Change]:
+    """Yield each channel left out, where the others still see all directions."""
+    channels = np.arange(rest.shape[1])
+    for k in channels.tolist():
+        others = channels != k
+        axes = imu.axes[others]
+        if np.linalg.matrix_rank(axes) == 3:
+            left = _disagreement(rest[:, others], axes)
+            yield _Change(left, "imu_channel_wrong", (k,))
+
+
 def _disagreement(rest: Array, axes: Array) -> float:
-    """Mean square (m/s^2)^2 of readings (R, K) that no specific force along the axes explains."""
+    """Return the mean square (m/s^2)^2 of readings that no specific force explains.
+
+    `rest` (R, K) are readings along the `axes` (K, 3).
+    """
     P = np.eye(len(axes)) - axes @ np.linalg.pinv(axes)
     return float(np.mean(np.sum((rest @ P) ** 2, axis=1)))

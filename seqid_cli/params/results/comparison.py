@@ -7,7 +7,7 @@ COMPARISON_SCHEMA = "seqid/comparison@1"
 
 
 class RuleEntry(FrozenStruct, kw_only=True, frozen=True):
-    """What counts as a change: beyond `sigma` standard errors (null: never asked) and `rtol`."""
+    """Limits of a change: `sigma` standard errors (null: none), and a share `rtol`."""
 
     sigma: float | None
     rtol: float
@@ -35,7 +35,7 @@ class Difference(FrozenStruct, kw_only=True, frozen=True):
 
 
 class ComparisonFile(Written, kw_only=True):
-    """The whole document; `changed` of the `compared` numbers did, `notes` do not count."""
+    """The whole document; of the `compared` numbers `changed` are different."""
 
     kind: str
     a: str

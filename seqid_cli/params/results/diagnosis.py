@@ -1,4 +1,4 @@
-"""The diagnosis file, `seqid/diagnosis@1`: effects that a model lacks, with the evidence."""
+"""The diagnosis file, `seqid/diagnosis@1`: effects that a model lacks."""
 
 from typing import Literal
 
@@ -26,12 +26,12 @@ DiagnosisVerdict = Literal[
 ]
 _NOT_WHITE = "not white"
 _MEASURES = {"driving_load": "load times direction"}
-# times what a right model leaves; on clean simulated arms 1.0 to 1.5
+# Times what a right model leaves; on clean simulated arms 1.0 to 1.5.
 MORE_THAN_NOISE = 2.5
 
 
 class EffectParameter(Struct, kw_only=True):
-    """One physical parameter of an effect; numbers are null where the logs do not determine it."""
+    """A physical parameter of an effect; numbers that are not determined are null."""
 
     name: str
     value: float | None
@@ -68,7 +68,7 @@ class FindingEntry(Struct, kw_only=True):
 
 
 class Curve(Struct, kw_only=True):
-    """Shape of an unexplained residual over one quantity, in files of before `evidence`."""
+    """Shape of an unexplained residual over a quantity, in files without `evidence`."""
 
     quantity: str
     unit: str
@@ -77,14 +77,14 @@ class Curve(Struct, kw_only=True):
 
 
 class ClosestEffect(Struct, kw_only=True):
-    """The effect that comes nearest to an unexplained part, and the `share` of its gain."""
+    """The effect nearest to an unexplained part, and the `share` of its gain."""
 
     effect: str
     share: float
 
 
 class UnexplainedPart(Struct, kw_only=True):
-    """A part of a joint's residual that depends on quantities, but on no effect of the catalogue.
+    """A part of a joint's residual that depends on quantities, but is no known effect.
 
     `depends_on` names the strongest first, out of position, velocity, direction,
     acceleration, load, temperature, time, time_frequency, other_joint:<name>; `share`
@@ -134,7 +134,7 @@ class ChangedValues(Struct, kw_only=True):
 
 
 class ResidualEntry(Struct, kw_only=True):
-    """Residual of one joint, N m: with the model as it is (`rmse`) and with the findings in it.
+    """Residual of one joint, N m: with the model as it is, and with findings in it.
 
     `rmse` counts all samples that the file sees, but for those of pushes that are
     found. `noise_floor` is the residual by torque noise and encoder alone, estimated by
@@ -153,7 +153,7 @@ class ResidualEntry(Struct, kw_only=True):
 
 
 class EventEntry(Struct, kw_only=True):
-    """An interval of one log (s since its start) in which a force from outside acted on the arm."""
+    """An interval of a log (s since its start) in which something pushed the arm."""
 
     log: str
     start: float
@@ -196,7 +196,7 @@ class DiagnosisFile(OfRobot, kw_only=True):
 
     @property
     def leaves_more(self) -> bool:
-        """Whether more than noise is left of any joint's torque."""
+        """True where more than noise is left of any joint's torque."""
         return any(map(beyond_noise, self.joints.values()))
 
 
@@ -204,46 +204,46 @@ def nothing_found(file: DiagnosisFile) -> str:
     """Return the sentence of a diagnosis without findings."""
     if file.verdict == "nothing_seen":
         return "Nothing was seen: no sample of these logs could be looked at."
-    rest = {
-        name: text
-        for name, joint in file.joints.items()
-        if (text := beyond_noise(joint))
-    }
-    if not rest and file.verdict != "too_short":
+    excess = {}
+    for name, joint in file.joints.items():
+        text = beyond_noise(joint)
+        if text:
+            excess[name] = text
+    by_joint = "; ".join(f"{name}: {text}" for name, text in excess.items())
+    if file.verdict == "too_short":
+        reason = f" ({by_joint})" if by_joint else ""
+        return f"These logs are too short to tell whether anything is missing{reason}."
+    if not excess:
         return "Nothing is missing: what these logs leave of the torque is noise."
-    if set(rest.values()) == {_NOT_WHITE} and file.verdict != "too_short":
+    if set(excess.values()) == {_NOT_WHITE}:
         return (
             "No effect was found. What is left is no larger than slow noise may be,"
-            f" but it is {_NOT_WHITE} ({', '.join(rest)})."
+            f" but it is {_NOT_WHITE} ({', '.join(excess)})."
         )
-    each = "; ".join(f"{name}: {text}" for name, text in rest.items())
-    if file.verdict == "too_short":
-        why = f" ({each})" if each else ""
-        return f"These logs are too short to tell whether anything is missing{why}."
-    return f"No effect was found, but not all that is left is noise ({each})."
+    return f"No effect was found, but not all that is left is noise ({by_joint})."
 
 
 def values_sentence(file: DiagnosisFile) -> str:
     """Return the sentence of a file whose values do not hold."""
-    each = " ".join(values_at(one) for one in file.changed)
-    return f"The form of the model is right, its values do not hold. {each}"
+    sentences = " ".join(map(values_at, file.changed))
+    return f"The form of the model is right, its values do not hold. {sentences}"
 
 
-def values_at(one: ChangedValues) -> str:
+def values_at(changed: ChangedValues) -> str:
     """Return the sentence of a joint at which the file's values do not hold."""
-    since = f" since {one.since}" if one.since else ""
+    since = f" since {changed.since}" if changed.since else ""
+    floors_refitted = changed.rmse_refitted / changed.rmse * changed.floors
     return (
-        f"{one.joint}: the file leaves {one.floors:.3g} times the noise floor{since},"
-        " identified anew it would leave"
-        f" {one.rmse_refitted / one.rmse * one.floors:.3g} times; it may be"
-        f" {causes_in_words(one)}."
+        f"{changed.joint}: the file leaves {changed.floors:.3g} times the noise"
+        f" floor{since}, identified anew it would leave {floors_refitted:.3g} times;"
+        f" it may be {causes_in_words(changed)}."
     )
 
 
-def causes_in_words(one: ChangedValues) -> str:
-    """Return the effects that compete for what has changed, with their probabilities."""
+def causes_in_words(changed: ChangedValues) -> str:
+    """Return the effects that compete for a change, with their probabilities."""
     causes = []
-    for cause in one.causes:
+    for cause in changed.causes:
         where = "" if cause.joint else " of the whole arm"
         causes.append(f"{cause.effect}{where} ({percent(cause.probability, 0)})")
     return ", ".join(causes) or "several values at once"
@@ -251,40 +251,46 @@ def causes_in_words(one: ChangedValues) -> str:
 
 def nothing_added(loop: ClosedLoop) -> str:
     """Return why a refinement added nothing."""
-    why = (
-        "no effect predicts left-out blocks better"
-        if loop.refused
-        else "nothing was found"
-    )
     if loop.unconfirmed:
-        why = "the held-out logs confirm nothing"
-    return f"Nothing was added: {why}"
+        reason = "the held-out logs confirm nothing"
+    elif loop.refused:
+        reason = "no effect predicts left-out blocks better"
+    else:
+        reason = "nothing was found"
+    return f"Nothing was added: {reason}"
 
 
 def beyond_noise(joint: ResidualEntry) -> str:
-    """Return why the residual of a joint may be more than noise; empty where it looks like it."""
-    larger = times_noise(joint, joint.rmse)
-    slow = not joint.white and joint.rmse is not None
-    return ", ".join([*([larger] if larger else []), *([_NOT_WHITE] if slow else [])])
+    """Return why the residual of a joint may be more than noise; else empty."""
+    reasons = []
+    excess = times_noise(joint, joint.rmse)
+    if excess:
+        reasons.append(excess)
+    if not joint.white and joint.rmse is not None:
+        reasons.append(_NOT_WHITE)
+    return ", ".join(reasons)
 
 
 def times_noise(joint: ResidualEntry, rmse: float | None) -> str:
-    """Return by how much an error is larger than noise makes it; empty where it is not."""
+    """Return by how much an error is larger than noise makes it; else empty."""
     if not rmse or not joint.noise_floor:
         return ""
     limits = joint.noise_floor_interval
     most = limits[1] if limits else MORE_THAN_NOISE * joint.noise_floor
     if rmse <= most:
         return ""
-    times, allowed = rmse / joint.noise_floor, most / joint.noise_floor
-    return f"{times:.3g} times the noise floor, noise makes up to {allowed:.3g}"
+    ratio = rmse / joint.noise_floor
+    largest_ratio = most / joint.noise_floor
+    return f"{ratio:.3g} times the noise floor, noise makes up to {largest_ratio:.3g}"
 
 
-def over_words(shown: EvidenceEntry) -> str:
+def over_words(evidence: EvidenceEntry) -> str:
     """Return the quantity that a residual is shown over, in words, without its unit."""
-    if shown.quantity == "torque":
+    if evidence.quantity == "torque":
         return "the effect's own torque"
-    if shown.quantity == "wave":
+    if evidence.quantity == "wave":
         return "place on its wave"
-    other = "" if shown.of == shown.joint else f" of {shown.of}"
-    return f"{_MEASURES.get(shown.quantity, shown.quantity)}{other}"
+    quantity = _MEASURES.get(evidence.quantity, evidence.quantity)
+    if evidence.of == evidence.joint:
+        return quantity
+    return f"{quantity} of {evidence.of}"

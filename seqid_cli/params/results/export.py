@@ -25,7 +25,7 @@ class ExportedParameter(Struct, kw_only=True):
 
 
 class ExportedFriction(Struct, kw_only=True):
-    """Coulomb and viscous friction in the place of the surface; `rms_misfit` of `rms`, N m."""
+    """Coulomb and viscous friction in place of the surface; the RMS values are N m."""
 
     coulomb: float
     viscous: float
@@ -48,7 +48,7 @@ class ExportedLink(Struct, kw_only=True):
 
 
 class CollisionLimits(Struct, kw_only=True):
-    """When a momentum observer raises an alarm at a joint, N m and rad/s.
+    """Limits at which a momentum observer raises an alarm at a joint, N m and rad/s.
 
     Beyond `limit`, and slower than `slow` beyond `limit` and `stiction`; null where the
     error of the joint's torque is not known.
@@ -60,7 +60,7 @@ class CollisionLimits(Struct, kw_only=True):
 
 
 class ReplayedJoint(Struct, kw_only=True):
-    """RMS errors of a joint on replayed logs, N m: by the parameter file, by what was written.
+    """RMS errors of a joint on replayed logs, N m, by parameter file and by export.
 
     `loss` is what the form loses of the file's torque on these logs; null where it
     holds all. The samples are those at which the joint slides; without any the errors
@@ -74,7 +74,7 @@ class ReplayedJoint(Struct, kw_only=True):
 
 
 class Replay(Struct, kw_only=True):
-    """What the written file makes of logs; `failures` are messages, and none where it passed."""
+    """Replay of logs with the written file; `failures` are messages."""
 
     logs: list[str]
     joints: dict[str, ReplayedJoint]

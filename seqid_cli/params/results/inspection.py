@@ -1,4 +1,4 @@
-"""The inspection document, `seqid/inspection@1`: the content of logs and their faults."""
+"""The inspection document, `seqid/inspection@1`: the content and faults of logs."""
 
 from typing import Literal
 
@@ -62,7 +62,9 @@ class InspectionFinding(FrozenStruct, kw_only=True, frozen=True):
 
 
 class InspectedLog(Struct, kw_only=True):
-    """One log; `missing` maps names of the robot file that the log lacks to the nearest name.
+    """One log, and what it shows.
+
+    `missing` maps names of the robot file that the log lacks to the nearest name in it.
 
     `recorded` are its first and last stamp, as in `InputLog`.
     """
@@ -91,7 +93,7 @@ class InspectedLog(Struct, kw_only=True):
 
 
 class PlannedPart(Struct, kw_only=True):
-    """What the logs hold of one move of a plan.
+    """One move of a plan, and how much of it the logs hold.
 
     `status` is recorded, missing or spoiled (with the `reason`); `start` is the time in
     `log` at which it begins, `share` how much of it is there.

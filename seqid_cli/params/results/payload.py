@@ -1,4 +1,4 @@
-"""What a robot carries, `seqid/payload@1`."""
+"""The payload file, `seqid/payload@1`: what a robot carries."""
 
 from collections.abc import Iterator
 
@@ -41,28 +41,29 @@ class CarriedBodyEntry(Struct, kw_only=True):
     distance: float = 0.0
 
     def __post_init__(self) -> None:
-        shapes = [
-            [len(row) for row in each]
-            for each in (self.inertia, self.inertia_std_errors)
-        ]
-        if len(self.center_of_mass) != 3 or shapes not in ([[], []], [[3, 3, 3]] * 2):
+        lengths = list(map(len, self.inertia))
+        error_lengths = list(map(len, self.inertia_std_errors))
+        is_square = lengths == error_lengths and lengths in ([], [3, 3, 3])
+        if len(self.center_of_mass) != 3 or not is_square:
             raise ValueError("a centre of mass has 3 numbers, an inertia 3 rows of 3")
 
     def numbers(self) -> Iterator[tuple[str, Measured]]:
-        """Yield all numbers by name, the inertia's upper triangle row by row where it is known."""
+        """Yield all numbers by name, of the inertia the upper triangle row by row."""
         yield "mass", self.mass
-        for axis, own in zip("xyz", self.center_of_mass, strict=True):
-            yield f"centre of mass {axis}", own
+        for axis, coordinate in zip("xyz", self.center_of_mass, strict=True):
+            yield f"centre of mass {axis}", coordinate
         for i, row in enumerate(self.inertia):
             for k in range(i, 3):
-                own = Measured(
+                moment = Measured(
                     value=row[k], std_error=self.inertia_std_errors[i][k], unit="kg m^2"
                 )
-                yield f"inertia {'xyz'[i]}{'xyz'[k]}", own
+                yield f"inertia {'xyz'[i]}{'xyz'[k]}", moment
 
 
 class JointWithPayload(Struct, kw_only=True):
-    """RMS of the torque error where the joint slides, N m, without the body and with it.
+    """RMS of a joint's torque error, N m, without the body (`before`) and with it.
+
+    It is over the samples in which the joint slides.
 
     `friction_change` is the share by which its friction was found to differ from the
     model's.

@@ -1,4 +1,4 @@
-"""The plan file, `seqid/plan@1`: which motions to record next and what errors they will give."""
+"""The plan file, `seqid/plan@1`: motions to record next, and errors they will give."""
 
 import math
 
@@ -8,12 +8,12 @@ from seqid_cli.params.schema import OfRobot, Verdict
 
 PLAN_SCHEMA = "seqid/plan@1"
 HARMONICS = 5  # of a Fourier motion
-SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
-SHORTEST_S = 0.01  # of a move: from its duration follows how finely it is drawn
+SMALLEST = 1e-12  # of divisors: by smaller numbers results overflow
+SHORTEST_S = 0.01  # of a move: its duration says how finely it is drawn
 
 
 class JointLimits(Struct, kw_only=True):
-    """What a plan uses of a joint's limits: rad, rad/s, rad/s^2, N m (prismatic: m, N).
+    """Limits of a joint in a plan: rad, rad/s, rad/s^2, N m (prismatic: m, N).
 
     `torque` is null where neither robot file nor URDF tell it: torques were not checked
     there.
@@ -29,19 +29,17 @@ class JointLimits(Struct, kw_only=True):
         if len(self.position) != 2 or self.position[0] > self.position[1]:
             raise ValueError("position must be two numbers, the smaller one first")
         width = self.position[1] - self.position[0]
-        if any(
-            0.0 < abs(size) < SMALLEST
-            for size in (width, self.speed, self.torque or 0.0)
-        ):
-            raise ValueError(f"a limit must be 0 or at least {SMALLEST}")
+        for size in (width, self.speed, self.torque or 0.0):
+            if 0.0 < abs(size) < SMALLEST:
+                raise ValueError(f"a limit must be 0 or at least {SMALLEST}")
 
 
 class FourierMotion(Struct, kw_only=True):
-    """How one joint moves: q(t) = centre + w(t) sum_k [sine[k] sin(k W t) + cosine[k] cos(k W t)].
+    """Motion of one joint, a Fourier series that rises from rest and falls to it.
 
-    k counts from 1, W = 2 pi / T with T the move's duration, and w rises from 0 to 1
-    within T / 10 of the start as 10 x^3 - 15 x^4 + 6 x^5 and falls alike before the
-    end.
+    q(t) = centre + w(t) sum_k [sine[k] sin(k W t) + cosine[k] cos(k W t)]. k counts
+    from 1, W = 2 pi / T with T the move's duration, and w rises from 0 to 1 within T /
+    10 of the start as 10 x^3 - 15 x^4 + 6 x^5 and falls alike before the end.
     """
 
     centre: float
@@ -54,7 +52,7 @@ class FourierMotion(Struct, kw_only=True):
 
 
 class Stroke(Struct, kw_only=True):
-    """One way of one joint at constant speed; ends are reached and left in cosine ramps."""
+    """One way of a joint at constant speed; its ends are reached in cosine ramps."""
 
     start: float
     end: float
@@ -67,9 +65,10 @@ class Stroke(Struct, kw_only=True):
 
     @property
     def seconds(self) -> float:
-        """How long it takes, s."""
-        way = abs(self.end - self.start)
-        return way / self.speed + math.pi * self.speed / (2.0 * self.acceleration)
+        """Duration, s."""
+        distance = abs(self.end - self.start)
+        ramps = math.pi * self.speed / (2.0 * self.acceleration)
+        return distance / self.speed + ramps
 
 
 class PlannedMove(Struct, kw_only=True):
@@ -116,10 +115,10 @@ class PredictedParameter(Struct, kw_only=True):
 
 
 class PlanGrowth(Struct, kw_only=True):
-    """The torque error that parameters leave after the first `moves` of a stage, over noise.
+    """Torque error that parameters leave after the first `moves` of a stage.
 
-    The error is the root mean square over typical all-joint moves, the noise that below
-    25 Hz.
+    It is over the noise. The error is the root mean square over typical all-joint
+    moves, the noise that below 25 Hz.
     """
 
     moves: int
@@ -129,7 +128,7 @@ class PlanGrowth(Struct, kw_only=True):
 
 
 class EffectSeparation(Struct, kw_only=True):
-    """How well the moves tell two effects apart, as the diagnosis will ask.
+    """Power of the moves to tell two effects apart, as the diagnosis will ask.
 
     `size` is the root mean square torque (N m) of the effect that is assumed. `powers`
     are the probabilities, in the order of `between`, that the diagnosis drops the other
@@ -155,7 +154,7 @@ class EffectSeparation(Struct, kw_only=True):
 
 
 class PlanCriterion(Struct, kw_only=True):
-    """What was minimised, in words, and its value for the moves of the plan."""
+    """The criterion that was minimised, in words, and its value for the moves."""
 
     minimised: str
     value: float
@@ -205,10 +204,8 @@ class PlanFile(OfRobot, kw_only=True):
     notes: list[str] = []
 
     def __post_init__(self) -> None:
-        known = set(self.limits)
+        joints = set(self.limits)
         for index, move in enumerate(self.moves):
-            if (
-                set(move.start) != known
-                or not {*move.joints, *move.fourier, *move.torque} <= known
-            ):
+            named = {*move.joints, *move.fourier, *move.torque}
+            if set(move.start) != joints or not named <= joints:
                 raise ValueError(f"moves[{index}] names other joints than limits")

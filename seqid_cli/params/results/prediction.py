@@ -1,4 +1,4 @@
-"""The prediction file, `seqid/prediction@1`: how well a model predicts the torque of some logs."""
+"""The prediction file, `seqid/prediction@1`: errors of predicted torques on logs."""
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.schema import InputLog, MotionUse, OfRobot, UsedSettings, Verdict
@@ -14,7 +14,7 @@ class FileId(Struct, kw_only=True):
 
 
 class BandCoverage(Struct, kw_only=True):
-    """How often the bands of a joint held: shares of samples in the 90 and the 95 % band.
+    """Coverage of a joint's bands: shares of samples in the 90 and the 95 % band.
 
     The bands are 1.645 and 1.96 standard deviations to either side. `blocks` are blocks
     of 2 s of time, about as many independent tests.
@@ -27,7 +27,7 @@ class BandCoverage(Struct, kw_only=True):
 
 
 class JointCoverage(Struct, kw_only=True):
-    """How often the bands of a joint held where it slides: over all, by speed and by load.
+    """Coverage of a joint's bands where it slides: over all, by speed and by load.
 
     What is slow and what a low load is the parameter file says
     (`stages.inertia.bands`); without a calibration there it is null.

@@ -11,7 +11,7 @@ TITLES = {  # of verdicts
 
 
 class ReportPoint(Struct, kw_only=True):
-    """One thing that is wrong or missing, and the file in which it shows."""
+    """A point that is wrong or missing, and the file in which it shows."""
 
     weight: str
     text: str
@@ -26,7 +26,7 @@ class ReportSection(Struct, kw_only=True):
 
 
 class ReportFile(Document, kw_only=True):
-    """The verdict in a word, in a sentence, and point by point; what the page was made of."""
+    """The verdict in a word, in a sentence, and point by point; the page's sources."""
 
     output: str
     robot: str

@@ -1,4 +1,4 @@
-"""The record of a run, `seqid/run@1`: from what, how and by which version results were made."""
+"""The record of a run, `seqid/run@1`: inputs, options and version of each result."""
 
 from seqid_cli.params.base import Struct
 
@@ -14,7 +14,7 @@ class FileContent(Struct, kw_only=True):
 
 
 class StepRecord(Struct, kw_only=True):
-    """How the results of one step were made; `partial`: from logs that were read in part."""
+    """Origin of the results of one step; `partial`: some logs were read in part."""
 
     command_line: list[str]
     version: str

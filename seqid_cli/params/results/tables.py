@@ -1,10 +1,10 @@
-"""Results as tables of values: the screen and the report write them with the same heads."""
+"""Results as tables of values, which the screen and the report write alike."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from seqid_cli.params.evidence_schema import RivalEntry
+from seqid_cli.params.evidence_schema import RefinementRound, RivalEntry
 from seqid_cli.params.results.diagnosis import (
     ChangedValues,
     EventEntry,
@@ -18,12 +18,14 @@ from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.results.trend import ChangeEntry
 from seqid_cli.params.schema import ClosedLoop, RobotId, Verdict
 
-_WORDS = ("text", "effect", "path", "unit")
+_TEXT_KINDS = ("text", "effect", "path", "unit")
+# Stands for the unit of a joint's torque, N m or N.
+_TORQUE = "{unit}"
 
 
 @dataclass(frozen=True)
 class Head:
-    """A column's title and unit, and what it holds.
+    """The head of a column: its title and unit, and the kind of its values.
 
     `kind` is text, effect, path, unit, count, number, share (of one), or limits, shares
     (both ends of an interval of them); `digits` are those of its numbers.
@@ -36,13 +38,13 @@ class Head:
 
     @property
     def numeric(self) -> bool:
-        """Whether it is set to the right."""
-        return self.kind not in _WORDS
+        """True for a column that is set to the right."""
+        return self.kind not in _TEXT_KINDS
 
 
 @dataclass(frozen=True)
 class Values:
-    """Rows of values, None where there is none, under their heads; text stays as it is."""
+    """Rows of values under their heads; None where there is no value."""
 
     heads: Sequence[Head]
     rows: Sequence[Sequence[Any]]
@@ -53,7 +55,17 @@ class Values:
         percent: Callable[[float | None], str],
         **words: Callable[[str], str],
     ) -> list[tuple[str, ...]]:
-        """Write the values as text; `words` say how effects, paths and units are written."""
+        """Write the values as text.
+
+        Parameters
+        ----------
+        number : callable
+            Writes a number, or None, with some digits.
+        percent : callable
+            Writes a share, or None.
+        **words : callable
+            Write words by the kind of their column: effects, paths, units.
+        """
 
         def cell(head: Head, value: Any) -> str:
             if value is None:
@@ -64,227 +76,389 @@ class Values:
                 return value  # as it is: it may be marked up
             if head.kind in ("text", "count"):
                 return str(value)
-            write = (
-                percent
-                if head.kind.startswith("share")
-                else lambda x: number(x, head.digits)
-            )
-            ends = value if head.kind.endswith("s") else [value]
-            return " to ".join(map(write, ends)) or number(None, head.digits)
 
-        pairs = (zip(self.heads, row, strict=True) for row in self.rows)
-        return [tuple(cell(head, value) for head, value in row) for row in pairs]
+            # Plural kinds are both ends of an interval, or none.
+            ends = value if head.kind.endswith("s") else [value]
+            if head.kind.startswith("share"):
+                texts = [percent(end) for end in ends]
+            else:
+                texts = [number(end, head.digits) for end in ends]
+            return " to ".join(texts) or number(None, head.digits)
+
+        written = []
+        for row in self.rows:
+            pairs = zip(self.heads, row, strict=True)
+            written.append(tuple(cell(head, value) for head, value in pairs))
+        return written
 
 
 def heads(titles: str, kinds: str, **names: str) -> list[Head]:
-    """Return heads by their titles and units, "speed [rad/s] | RMS error [{unit}]".
+    """Return heads by their titles and kinds.
 
-    `kinds` are those of `Head`, each with its digits where they are not three: "text
-    number4". `names` stand for the words in braces: whatever comes from a file.
+    Parameters
+    ----------
+    titles : str
+        Titles and units, "speed [rad/s] | RMS error [{unit}]".
+    kinds : str
+        Those of `Head`, each with its digits where they are not three, "text number4".
+    **names : str
+        Texts for the words in braces: whatever comes from a file.
     """
-    found = []
+    columns = []
     for title, kind in zip(titles.split(" | "), kinds.split(), strict=True):
         name, _, unit = title.removesuffix("]").partition(" [")
-        form = kind.rstrip("0123456789")
-        digits = int(kind.removeprefix(form) or 3)
-        found.append(Head(name.format(**names), form, unit.format(**names), digits))
-    return found
+        word = kind.rstrip("0123456789")
+        digits = int(kind.removeprefix(word) or 3)
+        columns.append(
+            Head(
+                title=name.format(**names),
+                kind=word,
+                unit=unit.format(**names),
+                digits=digits,
+            )
+        )
+    return columns
 
 
 def values(
     titles: str, kinds: str, rows: Iterable[Sequence[Any]], **names: str
 ) -> Values:
-    """Return rows under `heads`."""
+    """Return rows under heads; the other arguments are those of `heads`."""
     return Values(heads(titles, kinds, **names), list(rows))
 
 
 def of_joints(
     titles: str, kinds: str, rows: Iterable[Sequence[Any]], robot: RobotId
 ) -> Values:
-    """Return rows that begin with a joint's name; `{unit}` in `titles` is that of its torque.
+    """Return rows that begin with a joint's name under heads.
 
-    Where some joints slide and others do not, every row says its own.
+    Parameters
+    ----------
+    titles, kinds : str
+        Those of `heads`, "{unit}" for the unit of a joint's torque. Where some joints
+        slide and others do not, a column of its own has the unit.
+    rows : iterable of sequence
+        Values, the joint's name first.
+    robot : RobotId
+        The robot that they are of.
     """
-    found = list(rows)
-    units = [robot.unit("N m", row[0]) for row in found]
+    return _joint_table(heads(titles, kinds, unit=_TORQUE), rows, robot)
+
+
+def _joint_table(
+    columns: Sequence[Head], rows: Iterable[Sequence[Any]], robot: RobotId
+) -> Values:
+    """Return rows that begin with a joint's name under heads with units of torque."""
+    joint_rows = list(rows)
+    units = [robot.unit("N m", row[0]) for row in joint_rows]
     if len(set(units)) < 2:
-        return values(titles, kinds, found, unit="".join(units[:1]))
-    (joint, others), (first, more) = titles.split(" | ", 1), kinds.split(" ", 1)
-    titles = f"{joint} | unit | {others}".replace(" [{unit}]", "")
-    told = [(row[0], unit, *row[1:]) for row, unit in zip(found, units, strict=True)]
-    return values(titles, f"{first} unit {more}", told)
+        unit = units[0] if units else ""
+        columns = [
+            replace(head, unit=head.unit.replace(_TORQUE, unit)) for head in columns
+        ]
+        return Values(columns, joint_rows)
+
+    without_unit = [
+        replace(head, unit="") if head.unit == _TORQUE else head for head in columns
+    ]
+    with_column = [without_unit[0], Head("unit", "unit"), *without_unit[1:]]
+    rows_with_unit = [
+        (row[0], unit, *row[1:]) for row, unit in zip(joint_rows, units, strict=True)
+    ]
+    return Values(with_column, rows_with_unit)
 
 
 def prediction_errors(
     file: PredictionFile, verdict_text: Callable[[Sequence[Verdict], str], str]
 ) -> Values:
-    """Return the error of each joint, its parts, how often the bands held, and the verdict."""
+    """Return the error of each joint, its parts, the coverage of bands, the verdict.
+
+    `verdict_text` writes the verdicts on a joint.
+    """
     rows = []
     for name, error in file.joints.items():
         coverage = error.coverage
-        rows.append(
-            (
-                name,
-                error.rmse,
-                error.relative_rmse,
-                error.rmse_inside,
-                error.rmse_outside,
-                error.rmse_rest,
-                None if coverage is None else coverage.overall.band_90,
-                verdict_text(file.verdicts, name) if error.samples else "not judged",
-            )
+        row = (
+            name,
+            error.rmse,
+            error.relative_rmse,
+            error.rmse_inside,
+            error.rmse_outside,
+            error.rmse_rest,
+            None if coverage is None else coverage.overall.band_90,
+            verdict_text(file.verdicts, name) if error.samples else "not judged",
         )
-    titles = "joint | RMSE [{unit}] | relative | inside [{unit}] | outside [{unit}]"
-    titles += " | rests [{unit}] | in 90 % | verdict"
-    kinds = "text number share number number number share text"
-    return of_joints(titles, kinds, rows, file.robot)
+        rows.append(row)
+
+    columns = [
+        Head("joint", "text"),
+        Head("RMSE", "number", _TORQUE),
+        Head("relative", "share"),
+        Head("inside", "number", _TORQUE),
+        Head("outside", "number", _TORQUE),
+        Head("rests", "number", _TORQUE),
+        Head("in 90 %", "share"),
+        Head("verdict", "text"),
+    ]
+    return _joint_table(columns, rows, file.robot)
 
 
 def loop_errors(loop: ClosedLoop, robot: RobotId) -> Values:
-    """Errors of each joint on held-out logs, inside what friction was identified at and outside."""
+    """Return errors of each joint on held-out logs, before and after a refinement.
+
+    `outside` and what follows are of samples beyond the identified friction.
+    """
     rows = []
-    for name, old in loop.before.items():
-        new, floor = loop.after.get(name), loop.noise_floor_interval.get(name, ())
-        less = None if new is None or not old.rmse else 1.0 - (new.rmse / old.rmse) ** 2
-        after, there = (None, None) if new is None else (new.rmse, new.rmse_outside)
-        errors = (name, old.rmse, after, loop.noise_floor.get(name), floor)
-        gain = loop.gain_interval.get(name, ())
-        rows.append((*errors, less, gain, old.share_outside, old.rmse_outside, there))
-    titles = (
-        "joint | before [{unit}] | after [{unit}] | noise floor [{unit}] | its 95 %"
-        " interval | "
-    )
-    titles += "variance less by | 95 % interval | outside"
-    titles += " | before there [{unit}] | after there [{unit}]"
-    kinds = "text number number number limits share shares share number number"
-    return of_joints(titles, kinds, rows, robot)
+    for name, before in loop.before.items():
+        after = loop.after.get(name)
+        gain = None
+        if after is not None and before.rmse:
+            gain = 1.0 - (after.rmse / before.rmse) ** 2
+        row = (
+            name,
+            before.rmse,
+            None if after is None else after.rmse,
+            loop.noise_floor.get(name),
+            loop.noise_floor_interval.get(name, ()),
+            gain,
+            loop.gain_interval.get(name, ()),
+            before.share_outside,
+            before.rmse_outside,
+            None if after is None else after.rmse_outside,
+        )
+        rows.append(row)
+
+    columns = [
+        Head("joint", "text"),
+        Head("before", "number", _TORQUE),
+        Head("after", "number", _TORQUE),
+        Head("noise floor", "number", _TORQUE),
+        Head("its 95 % interval", "limits"),
+        Head("variance less by", "share"),
+        Head("95 % interval", "shares"),
+        Head("outside", "share"),
+        Head("before there", "number", _TORQUE),
+        Head("after there", "number", _TORQUE),
+    ]
+    return _joint_table(columns, rows, robot)
 
 
 def rounds(loop: ClosedLoop) -> Values:
-    """Effects that were tried in a refinement, and what became of them."""
+    """Return the effects that a refinement tried, and the outcome of each."""
+    tried = [(item, "added") for item in loop.rounds]
+    tried += [(item, "not kept") for item in loop.unconfirmed]
+    tried += [(item, "refused") for item in loop.refused]
     rows = []
-    outcomes = {
-        "added": loop.rounds,
-        "not kept": loop.unconfirmed,
-        "refused": loop.refused,
-    }
-    for outcome, tried in outcomes.items():
-        for x in tried:
-            said, why = outcome, x.reason
-            if outcome == "added":
-                said = f"added, {'confirmed' if x.confirmed else 'not confirmed'}"
-            elif outcome == "refused":
-                why = x.reason or "no gain"
-            said += f": {why}" if why else ""
-            gains = (x.training_gain, x.training_interval, x.held_out_gain, x.interval)
-            rows.append((x.effect, x.joint or "whole arm", *gains, said))
-    titles = (
-        "effect | joint | gain left out | 95 % interval | gain held out | 95 % interval"
-    )
-    return values(
-        f"{titles} | outcome", "effect text share shares share shares text", rows
-    )
+    for item, outcome in tried:
+        row = (
+            item.effect,
+            item.joint or "whole arm",
+            item.training_gain,
+            item.training_interval,
+            item.held_out_gain,
+            item.interval,
+            _outcome(item, outcome),
+        )
+        rows.append(row)
+
+    columns = [
+        Head("effect", "effect"),
+        Head("joint", "text"),
+        Head("gain left out", "share"),
+        Head("95 % interval", "shares"),
+        Head("gain held out", "share"),
+        Head("95 % interval", "shares"),
+        Head("outcome", "text"),
+    ]
+    return Values(columns, rows)
+
+
+def _outcome(item: RefinementRound, outcome: str) -> str:
+    """Return the outcome of a round in words, with its reason."""
+    if outcome == "added":
+        return f"added, {'confirmed' if item.confirmed else 'not confirmed'}"
+    reason = item.reason
+    if outcome == "refused":
+        reason = item.reason or "no gain"
+    return f"{outcome}: {reason}" if reason else outcome
 
 
 def rivals(tried: Sequence[RivalEntry], title: str = "tried") -> Values:
-    """Terms that were tried, each with the reason why it was not taken."""
+    """Return terms that were tried, each with the reason why it was not taken."""
     rows = [
-        (x.effect, x.joint or "whole arm", f"{x.log_gain:.0f}", x.why_not)
-        for x in tried
+        (
+            rival.effect,
+            rival.joint or "whole arm",
+            f"{rival.log_gain:.0f}",
+            rival.why_not,
+        )
+        for rival in tried
     ]
-    titles = "{title} | joint | gain, nats | why it was not taken"
-    return values(titles, "effect text count text", rows, title=title)
+    columns = [
+        Head(title, "effect"),
+        Head("joint", "text"),
+        Head("gain, nats", "count"),
+        Head("why it was not taken", "text"),
+    ]
+    return Values(columns, rows)
 
 
 def joint_residuals(joints: Mapping[str, ResidualEntry], robot: RobotId) -> Values:
-    """What a model leaves of some joints' torque, against the noise floor."""
+    """Return what a model leaves of some joints' torque, against the noise floor."""
     rows = []
-    for name, x in joints.items():
-        times = x.rmse / x.noise_floor if x.rmse is not None and x.noise_floor else None
-        floor = (x.noise_floor, x.noise_floor_interval)
-        rows.append(
-            (name, x.rmse, *floor, times, x.rmse_explained, "yes" if x.white else "no")
+    for name, residual in joints.items():
+        ratio = None
+        if residual.rmse is not None and residual.noise_floor:
+            ratio = residual.rmse / residual.noise_floor
+        row = (
+            name,
+            residual.rmse,
+            residual.noise_floor,
+            residual.noise_floor_interval,
+            ratio,
+            residual.rmse_explained,
+            "yes" if residual.white else "no",
         )
-    titles = "joint | RMSE [{unit}] | noise floor [{unit}] | 95 % interval | ratio"
-    titles += " | with findings [{unit}] | white"
-    return of_joints(
-        titles, "text number number limits number number text", rows, robot
-    )
+        rows.append(row)
+
+    columns = [
+        Head("joint", "text"),
+        Head("RMSE", "number", _TORQUE),
+        Head("noise floor", "number", _TORQUE),
+        Head("95 % interval", "limits"),
+        Head("ratio", "number"),
+        Head("with findings", "number", _TORQUE),
+        Head("white", "text"),
+    ]
+    return _joint_table(columns, rows, robot)
 
 
 def changed_values(changed: Sequence[ChangedValues], robot: RobotId) -> Values:
-    """Joints at which the file's values do not hold, and what may be the cause."""
-    rows = [
-        (
-            one.joint,
-            one.rmse,
-            one.floors,
-            one.rmse_refitted,
-            one.since or "the first log on",
-            causes_in_words(one),
+    """Return joints at which the file's values do not hold, and possible causes."""
+    rows = []
+    for item in changed:
+        row = (
+            item.joint,
+            item.rmse,
+            item.floors,
+            item.rmse_refitted,
+            item.since or "the first log on",
+            causes_in_words(item),
         )
-        for one in changed
+        rows.append(row)
+
+    columns = [
+        Head("values do not hold at", "text"),
+        Head("RMSE", "number", _TORQUE),
+        Head("noise floors", "number"),
+        Head("refitted", "number", _TORQUE),
+        Head("since", "path"),
+        Head("may be", "text"),
     ]
-    titles = (
-        "values do not hold at | RMSE [{unit}] | noise floors | refitted [{unit}] |"
-        " since"
-    )
-    titles += " | may be"
-    return of_joints(titles, "text number number number path text", rows, robot)
+    return _joint_table(columns, rows, robot)
 
 
-def events(pushed: Sequence[EventEntry]) -> Values:
-    """Times in which something pushed the arm."""
+def events(pushes: Sequence[EventEntry]) -> Values:
+    """Return times in which something pushed the arm."""
     rows = [
-        (x.log, f"{x.start:.2f}", f"{x.end:.2f}", ", ".join(x.joints)) for x in pushed
+        (push.log, f"{push.start:.2f}", f"{push.end:.2f}", ", ".join(push.joints))
+        for push in pushes
     ]
-    return values(
-        "pushed in log | from [s] | to [s] | joints", "path count count text", rows
-    )
+    columns = [
+        Head("pushed in log", "path"),
+        Head("from", "count", "s"),
+        Head("to", "count", "s"),
+        Head("joints", "text"),
+    ]
+    return Values(columns, rows)
 
 
 def hidden(effects: Sequence[HiddenEntry]) -> Values:
-    """Effects that the motions of the logs cannot show."""
-    rows = [(x.effect, x.joint or "whole arm", x.visible) for x in effects]
-    return values(
-        "hidden from these motions | joint | visible", "effect text share", rows
-    )
+    """Return effects that the motions of the logs cannot show."""
+    rows = [
+        (effect.effect, effect.joint or "whole arm", effect.visible)
+        for effect in effects
+    ]
+    columns = [
+        Head("hidden from these motions", "effect"),
+        Head("joint", "text"),
+        Head("visible", "share"),
+    ]
+    return Values(columns, rows)
 
 
 def payload_joints(file: PayloadFile) -> Values:
-    """Torque error of each joint without and with the load, where it slides."""
+    """Return the torque error of each joint without and with the load, in motion."""
     rows = [
-        (n, x.before, x.after, x.relative, x.friction_change)
-        for n, x in file.joints.items()
+        (name, joint.before, joint.after, joint.relative, joint.friction_change)
+        for name, joint in file.joints.items()
     ]
-    titles = (
-        "joint | RMSE without [{unit}] | with [{unit}] | of the torque | friction"
-        " differs by"
-    )
-    return of_joints(titles, "text number number share share", rows, file.robot)
+    columns = [
+        Head("joint", "text"),
+        Head("RMSE without", "number", _TORQUE),
+        Head("with", "number", _TORQUE),
+        Head("of the torque", "share"),
+        Head("friction differs by", "share"),
+    ]
+    return _joint_table(columns, rows, file.robot)
 
 
 def moves(planned: Sequence[PlannedMove]) -> Values:
-    """Moves of a plan."""
-    rows = [(x.name, " ".join(x.joints), x.duration_s, x.torque_share) for x in planned]
-    return values(
-        "move | joints | seconds | of torque limit", "text text number share", rows
-    )
+    """Return the moves of a plan."""
+    rows = [
+        (move.name, " ".join(move.joints), move.duration_s, move.torque_share)
+        for move in planned
+    ]
+    columns = [
+        Head("move", "text"),
+        Head("joints", "text"),
+        Head("seconds", "number"),
+        Head("of torque limit", "share"),
+    ]
+    return Values(columns, rows)
 
 
 def planned_errors(stage: PlannedStage) -> Values:
-    """Standard errors that the moves of a stage will give."""
-    rows = [(x.name, x.value, x.std_error, x.unit) for x in stage.parameters]
-    return values(
-        "parameter | value now | std error then | unit", "text number number text", rows
-    )
+    """Return the standard errors that the moves of a stage will give."""
+    rows = [
+        (parameter.name, parameter.value, parameter.std_error, parameter.unit)
+        for parameter in stage.parameters
+    ]
+    columns = [
+        Head("parameter", "text"),
+        Head("value now", "number"),
+        Head("std error then", "number"),
+        Head("unit", "text"),
+    ]
+    return Values(columns, rows)
 
 
 def changes(entries: Sequence[ChangeEntry]) -> Values:
-    """What changed over time, in the order given."""
+    """Return what changed over time, in the order given."""
     rows = []
-    for x in entries:
-        what = (x.robot, x.joint or None, f"{x.stage} {x.name}", x.kind, x.since[:10])
-        rows.append((*what, x.before, x.after, x.relative, x.sigmas))
-    titles = "robot | joint | quantity | how | since | before | after | change | sigmas"
-    return values(titles, "text text text text text number4 number4 share number", rows)
+    for entry in entries:
+        row = (
+            entry.robot,
+            entry.joint or None,
+            f"{entry.stage} {entry.name}",
+            entry.kind,
+            entry.since[:10],
+            entry.before,
+            entry.after,
+            entry.relative,
+            entry.sigmas,
+        )
+        rows.append(row)
+
+    columns = [
+        Head("robot", "text"),
+        Head("joint", "text"),
+        Head("quantity", "text"),
+        Head("how", "text"),
+        Head("since", "text"),
+        Head("before", "number", digits=4),
+        Head("after", "number", digits=4),
+        Head("change", "share"),
+        Head("sigmas", "number"),
+    ]
+    return Values(columns, rows)

@@ -1,4 +1,4 @@
-"""What changed over time, `seqid/trend@1`."""
+"""The trend file, `seqid/trend@1`: what changed over time."""
 
 from datetime import datetime
 
@@ -10,7 +10,7 @@ TREND_SCHEMA = "seqid/trend@1"
 
 
 class QuantityEntry(Struct, kw_only=True):
-    """One number of a robot: a parameter, or the mean friction of a joint at a speed."""
+    """One number of a robot: a parameter, or a joint's mean friction at a speed."""
 
     robot: str
     stage: str
@@ -20,7 +20,10 @@ class QuantityEntry(Struct, kw_only=True):
 
 
 class SeriesEntry(QuantityEntry, kw_only=True):
-    """A quantity over the dates of the files that hold it; `temperatures` degC, of friction."""
+    """A quantity over the dates of the files that hold it.
+
+    `temperatures` [degC] are there for friction where all files have them.
+    """
 
     dates: list[str]
     values: list[float]

@@ -23,7 +23,7 @@ WAVES, POINTS, SINGLE = (
 
 @dataclass(frozen=True)
 class Fault:
-    """A change to a log or to the robot file, and the only finding that it may lead to."""
+    """A change to a log or robot file, and the only finding that it may lead to."""
 
     name: str
     code: str

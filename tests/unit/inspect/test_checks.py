@@ -12,7 +12,7 @@ import pytest
 
 from seqid_cli.inspect.findings import ERRORS, WARNINGS
 from seqid_cli.inspect.inspection import inspect_log
-from seqid_cli.inspect.parts import serve_together
+from seqid_cli.inspect.serves import serve_together
 from seqid_cli.params.results.inspection import InspectedLog
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics

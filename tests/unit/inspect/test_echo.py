@@ -34,7 +34,7 @@ def friction(dq: Array) -> Array:
 
 
 def found(t: Array, q: Array, tau: Array, seed: int) -> list[int]:
-    """Joints whose torque is an echo, with noise and in steps, as a drive reports it."""
+    """Return joints whose torque is an echo, with a drive's noise and steps in it."""
     noise = np.random.default_rng(seed).normal(scale=0.02, size=tau.shape)
     logged = np.round((tau + noise) / STEP) * STEP
     return echoes(two_joint_robot(), t, q, logged, np.ones(len(t), dtype=bool))

@@ -17,7 +17,7 @@ FOLDER = SAMPLES / "six_joint"
 def inspected(
     columns: Columns, folder: Path, changes: dict[str, str]
 ) -> list[tuple[str, str]]:
-    """Inspect a log of the six-joint arm with a changed robot file: codes and joints."""
+    """Return codes and joints of a six-joint log with a changed robot file."""
     kept = {name: values for name, values in columns.items() if "imu" not in name}
     write_columns(folder / "log.parquet", kept)
     text = (FOLDER / "robot.toml").read_text()

@@ -13,7 +13,8 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ParameterFile, RigidStage
 from seqid_cli.payload import PayloadOptions, payload
-from seqid_cli.payload.result import carried, settings_of
+from seqid_cli.payload.body import carried
+from seqid_cli.payload.controllers import settings_of
 from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import PER_LINK, inverse_dynamics
@@ -30,7 +31,7 @@ ENCODERS = PayloadOptions(source="encoder")
 
 @cache
 def arm() -> tuple[Robot, ParameterFile]:
-    """The six-joint arm and the model of a last link of 1 kg alone, without friction."""
+    """Return the six-joint arm and a model of a last link of 1 kg, no friction."""
     robot = load_robot(RIG / "robot.toml")
     link = standard_parameters(1.0, (0.0, 0.0, 0.02), (0.03, 0.03, 0.03), np.eye(3))
     last = {

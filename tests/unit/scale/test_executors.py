@@ -1,4 +1,4 @@
-"""Work in several processes: order, failures, deaths, and that nothing is left behind."""
+"""Work in several processes: order, failures, deaths, and nothing left behind."""
 
 import multiprocessing
 import os
@@ -26,7 +26,7 @@ class Waiting:
 
 
 def state(_: int) -> tuple[int, int, bool]:
-    """Process, threads of BLAS, and whether interrupts are left to the asking process."""
+    """Return process, threads of BLAS, and whether it ignores interrupts."""
     import numpy as np
     from threadpoolctl import threadpool_info
 

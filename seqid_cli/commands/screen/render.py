@@ -4,8 +4,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import typer
-
 from seqid_cli import shares
 from seqid_cli.commands.screen import layout
 from seqid_cli.commands.screen.messages import write_error, write_warning
@@ -91,15 +89,16 @@ class Screen:
             sys.stderr.write(f"{layout.visible(message)}\n")
 
 
-def screen_of(context: typer.Context) -> Screen:
-    """Return the screen that the command line and the environment ask for."""
-    options = context.params
-    colorful = not options["no_color"]
+def screen_for(
+    command: str, *, quiet: bool, verbose: bool, json: bool, no_color: bool
+) -> Screen:
+    """Return the screen that a command's flags and the environment ask for."""
+    colorful = not no_color
     return Screen(
-        command=context.info_name or "",
-        quiet=options["quiet"],
-        verbose=options["verbose"],
-        json=options["json"],
+        command=command,
+        quiet=quiet,
+        verbose=verbose,
+        json=json,
         color=colorful and layout.can_be_steered(sys.stdout),
         color_messages=colorful and layout.can_be_steered(sys.stderr),
     )

@@ -16,6 +16,8 @@ from seqid_cli.commands.options import (
     JsonOption,
     NoColorOption,
     QuietOption,
+    SetOption,
+    ShowSettingsOption,
     VerboseOption,
     command_app,
     examples,
@@ -24,10 +26,12 @@ from seqid_cli.commands.robot_file import found_robot
 from seqid_cli.commands.run_logs import NAMED_FOLDERS, STAGES, RunLogs, logs_of_run
 from seqid_cli.commands.run_record import Record
 from seqid_cli.commands.screen.render import Screen, screen_for
+from seqid_cli.commands.settings import RunSettings, words_for_step
 from seqid_cli.errors import UsageError
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import LEVELS, Level, ParameterFile, Verdict
+from seqid_cli.settings import overridden
 
 app = command_app()
 
@@ -173,6 +177,8 @@ def run(
             "--strict", help="Exit with 1 when the worst verdict is not good."
         ),
     ] = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
     json: JsonOption = False,
@@ -185,18 +191,21 @@ def run(
     its logs, the options and the version are the same, so that a run goes on where it
     stopped. A folder that is not sorted is sorted by what inspect finds. The run stops
     at the first stage whose verdict is poor, with what to do. It ends with the worst
-    verdict; the exit code is 1 where that is poor.
+    verdict; the exit code is 1 where that is poor. A setting goes to every stage that
+    has it.
     """
     from seqid_cli.robot.file import load_robot
 
     screen = screen_for(
         "run", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
+    settings = list(set_values or ())
+    overridden(RunSettings(), settings)  # refuses what no stage has, before any runs
     runner = StepRunner(screen=screen, no_color=no_color)
     robot_file = _robot_file(runner, folder, robot, urdf, output)
     arm = load_robot(robot_file)
     logs = logs_of_run(folder, output, arm, screen.note)
-    steps = list(_steps(logs, robot_file, output, jobs, refine=refine))
+    steps = list(_steps(logs, robot_file, output, jobs, settings, refine=refine))
     _make_folder(output)
 
     record = Record(output)
@@ -256,10 +265,14 @@ def _steps(
     robot_file: Path,
     output: Path,
     jobs: int | None,
+    settings: Sequence[str],
     *,
     refine: bool,
 ) -> Iterator[Step]:
-    """Yield the commands for the logs at hand, each with the results before it."""
+    """Yield the commands for the logs at hand, each with the results before it.
+
+    `settings` are what --set was given; a command gets those that it has.
+    """
     processes = [] if jobs is None else ["--jobs", jobs]
     robot_files = [robot_file, *_urdf_of(robot_file)]
     # What has been identified so far; the last file holds it all.
@@ -286,6 +299,7 @@ def _steps(
                 "-o",
                 writes[0],
                 *options,
+                *words_for_step(command, settings),
                 "--",
                 *log_paths,
             ],

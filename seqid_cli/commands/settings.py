@@ -1,23 +1,61 @@
 """`--show-settings` and `--set`: which settings each command has, and their table."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 
 from typer.core import TyperCommand
 
 from seqid_cli.commands.screen.render import Screen, screen_for
 from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.identify.settings import (
+    AgreementSettings,
+    CutoffCheckSettings,
+    CutoffSettings,
     FrictionSettings,
+    GravityFitSettings,
     GravitySettings,
+    HuntingSettings,
     ImuCalibSettings,
     InertiaSettings,
+    JudgingSettings,
+    MountingSettings,
+    PredictionErrorSettings,
     PredictSettings,
+    ResidualSettings,
+    ReversalSettings,
+    RotorSettings,
     SimultaneousSettings,
+    SurfaceSettings,
+    TrialSettings,
 )
 from seqid_cli.payload.settings import PayloadSettings
 from seqid_cli.settings import Entry, Settings, entries, overridden
 
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(Settings):
+    """The settings of `run`: those of the commands that it runs, each group once.
+
+    Commands of a run that have a group of one name have the same group.
+    """
+
+    judging: JudgingSettings = JudgingSettings()
+    surface: SurfaceSettings = SurfaceSettings()
+    trials: TrialSettings = TrialSettings()
+    hunting: HuntingSettings = HuntingSettings()
+    fit: GravityFitSettings = GravityFitSettings()
+    mounting: MountingSettings = MountingSettings()
+    residual: ResidualSettings = ResidualSettings()
+    reversals: ReversalSettings = ReversalSettings()
+    cutoff: CutoffSettings = CutoffSettings()
+    cutoff_check: CutoffCheckSettings = CutoffCheckSettings()
+    rotors: RotorSettings = RotorSettings()
+    agreement: AgreementSettings = AgreementSettings()
+    errors: PredictionErrorSettings = PredictionErrorSettings()
+
+
 SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {
+    "run": RunSettings(),
     "friction": FrictionSettings(),
     "gravity": GravitySettings(),
     "imu-calib": ImuCalibSettings(),
@@ -28,6 +66,22 @@ SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {
     "simultaneous": SimultaneousSettings(),
     "payload": PayloadSettings(),
 }
+
+
+def words_for_step(command: str, set_values: Sequence[str]) -> list[str]:
+    """Return the --set options of a run that one of its commands takes.
+
+    `set_values` have been checked against the settings of the run.
+    """
+    if command not in SETTINGS_OF_COMMANDS:
+        return []
+    groups = {group.name for group in fields(SETTINGS_OF_COMMANDS[command])}
+    words = []
+    for text in set_values:
+        group_name = text.partition(".")[0].strip()
+        if group_name in groups:
+            words += ["--set", text]
+    return words
 
 
 def show_settings(command: TyperCommand, name: str, words: Sequence[str]) -> int:

@@ -29,6 +29,8 @@ def rewritten(text: str) -> str:
 def _tables(before: str) -> Iterator[str]:
     commands: dict[tuple[str, type[Group]], list[str]] = {}
     for command, settings in SETTINGS_OF_COMMANDS.items():
+        if command == "run":  # it has the settings of its stages
+            continue
         for each in fields(settings):
             kind = type(getattr(settings, each.name))
             commands.setdefault((each.name, kind), []).append(command)

@@ -166,9 +166,19 @@ class GravityFitSettings(Group):
     shown_sigma: float = setting(
         4.0,
         unit="standard errors",
-        reason="below which no parameter shows gravity in the torque: a note",
+        reason=(
+            "from which gravity shows in the torque, and a change of friction between"
+            " logs"
+        ),
         low=0.5,
         high=50.0,
+    )
+    min_friction_change: float = setting(
+        0.01,
+        unit="of friction",
+        reason="between two logs, from which friction is usable only",
+        low=1e-4,
+        high=10.0,
     )
 
 

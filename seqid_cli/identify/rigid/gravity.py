@@ -6,32 +6,28 @@ stage. Its error flips with the direction while gravity does not, so trials in b
 directions keep it out of the estimate. What does not turn with the direction either, a
 drive's offset and the share by which friction is larger one way, is unknown beside
 gravity, joint by joint (`identify.nuisances`). The surfaces are handed on with what
-these trials, in more postures than friction's, show of it.
+these trials, in more postures than friction's, show of it, and judged once more by
+whether a joint rubs alike in all of them (`friction_of_logs`).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace as replace_fields
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.friction_surface import corrections
-from seqid_cli.identify.friction_surface.corrections import HeldJoints, SteadyGroup
-from seqid_cli.identify.friction_surface.gravity_separation import configurations
-from seqid_cli.identify.friction_surface.trials import Trial, collect_trials
+from seqid_cli.identify.friction_surface.corrections import HeldJoints
+from seqid_cli.identify.friction_surface.trials import collect_trials
+from seqid_cli.identify.judging import as_a_whole
 from seqid_cli.identify.nuisances import (
     EVEN_TERMS,
     EvenPart,
-    change_of,
     described,
-    even_columns,
-    even_prior,
     friction_rms,
     robot_friction_rms,
     shown,
-    thermal_column,
     with_even_part,
     with_term,
 )
@@ -41,26 +37,30 @@ from seqid_cli.identify.regression.least_squares import (
     Solution,
     solve,
 )
-from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
+from seqid_cli.identify.rigid.friction_of_logs import FrictionShares
+from seqid_cli.identify.rigid.gravity_rows import GravityRows
 from seqid_cli.identify.rigid.parameters import rigid_stage
-from seqid_cli.identify.rigid.posterior import Posterior, Sensitivity
-from seqid_cli.identify.settings import GravityFitSettings, GravitySettings
-from seqid_cli.identify.tolerances import deviation_torques, deviations
+from seqid_cli.identify.rigid.posterior import Posterior
+from seqid_cli.identify.settings import GravitySettings
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Index, Mask
+from seqid_cli.typing import Array, Index
 
-# of each joint's drive: what is alike both ways, and thermal change
-TERMS = EVEN_TERMS + 1
+LOCK_REMEDY = (
+    "Move the joints that carry them with the others locked in other configurations"
+)
+NO_GRAVITY = (
+    "no gravity shows in the torque: either no joint carries a weight, or a driver has"
+    ' subtracted it (then write effort = "gravity_compensated" under [channels])'
+)
 
 
 @dataclass(frozen=True)
 class GravityResult:
-    """The gravity stage, and the friction stage with the offsets that gravity's trials show."""
+    """The gravity stage, and the friction stage with what gravity's trials show of it."""
 
     gravity: RigidStage
     friction: FrictionStage
@@ -72,7 +72,25 @@ def identify_gravity(
     stages: Stages,
     settings: GravitySettings = GravitySettings(),
 ) -> GravityResult:
-    """Identify the base parameters of gravity; the stage is empty where it loads no joint."""
+    """Identify the base parameters of gravity; the stage is empty where it loads no joint.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Constant-velocity trials of single joints, those of the friction stage among
+        them; a `LogSet` is read log by log.
+    robot : Robot
+    stages : Stages
+        With the friction stage.
+    settings : GravitySettings
+
+    Raises
+    ------
+    UsageError
+        Without a friction stage.
+    QualityError
+        Where no joint with known friction moves by itself at constant velocity.
+    """
     if stages.friction is None:
         raise UsageError(
             "gravity needs the friction stage", hint="run seqid friction first"
@@ -82,6 +100,9 @@ def identify_gravity(
         note = "gravity loads no joint of this robot: nothing to identify (Sec. 4.2)"
         empty = RigidStage(parameters=[], condition=0.0, rank=0, notes=[note])
         return GravityResult(empty, stages.friction)
+
+    if not hasattr(recordings, "logs"):  # all but a `LogSet` may come only once
+        recordings = list(recordings)
     trials = list(collect_trials(recordings, robot))
     surfaces = friction_surfaces(stages, robot)
     held = HeldJoints.of(robot, trials, surfaces)
@@ -89,311 +110,56 @@ def identify_gravity(
     joints = [Accumulator(rows.columns) for _ in range(robot.n)]
     for j in range(robot.n):
         rows.add_joint([trial for trial in trials if trial.joint == j], joints)
-    if not rows.used:
+    if not rows.trials_used:
         message = "no constant-velocity trial of a joint with known friction was found"
         hint = "give the logs of the friction stage again, or record single-joint moves"
         raise QualityError(message, hint=hint)
 
     prior = rows.prior(stages.friction)
     solution = solve(joints, prior=prior, nuisances=slice(size, None))
-    return _stage(solution, rows, prior, stages.friction, settings.fit)
+    judged_joints = _judged(solution, rows, stages.friction, _log_names(recordings))
+    return _result(solution, rows, prior, stages.friction, judged_joints)
 
 
-@dataclass(frozen=True)
-class TrialFit:
-    """Rows H (N, p), y (N,) N m of one joint's trials as they were measured, and their weights."""
-
-    H: Array
-    y: Array
-    weight: Array
-
-    def left(self, theta: Array) -> float:
-        """Return the RMS torque [N m] that parameters and nuisance terms (p,) leave."""
-        residual = self.y - self.H @ theta
-        return float(np.sqrt(np.average(residual**2, weights=self.weight)))
+def _log_names(recordings: Iterable[Recording]) -> list[str]:
+    """Return the file names of the logs, in the order in which trials number them."""
+    logs: Iterable[Path | Recording] = getattr(recordings, "logs", recordings)
+    return [log.path.name if isinstance(log, Recording) else log.name for log in logs]
 
 
-class EvenParts(NamedTuple):
-    """Friction with another even part, its terms, and their places behind the parameters."""
+@dataclass(frozen=True, kw_only=True)
+class JudgedJoints:
+    """What is said of joints: of gravity's fit there, and of their friction log by log.
 
-    friction: FrictionStage
-    terms: list[Nuisance]
-    order: Index
-
-
-class GravityRows:
-    """Turns trials into white rows of Eq. 19 and remembers how friction errors would enter them."""
-
-    def __init__(
-        self,
-        held: HeldJoints,
-        surfaces: list[FrictionSurface | None],
-        friction: FrictionStage,
-        settings: GravitySettings = GravitySettings(),
-    ) -> None:
-        self.robot, self.held, self.surfaces = held.robot, held, surfaces
-        self.settings = settings
-        self.size = len(held.theta)
-        # Behind the parameters: changes of all joints' offsets, then of their
-        # asymmetries, then of the viscous ones, then of friction per kelvin.
-        self.columns = self.size + TERMS * held.robot.n
-        joints = friction.joints
-        self.thermal = [
-            change_of(joints[name], "thermal") if name in joints else None
-            for name in held.robot.joint_names
-        ]
-        self.used = 0
-        self.skipped: list[str] = []
-        self.cross: dict[int, Array] = {}
-        self.fits: dict[int, TrialFit] = {}
-        standard = held.basis.representative[:, : self.size] @ held.theta
-        # The whole of the bodies counts where the geometry is another, not their base
-        # parameters.
-        links = standard[: 10 * self.robot.n].reshape(-1, 10)
-        self.standard = links if self.robot.nominal is None else self.robot.nominal
-        self.deviations = [deviation.name for deviation in deviations(self.robot)]
-        self.tolerances: dict[str, dict[int, Array]] = {
-            name: {} for name in self.deviations
-        }
-        # what is not known of acceleration and others
-        self.unseen: list[tuple[int, Array]] = []
-
-    def add_joint(self, trials: list[Trial], joints: list[Accumulator]) -> None:
-        """Add the trials of one joint, the torque of what acceleration is left taken off."""
-        j = trials[0].joint if trials else 0
-        surface = self.surfaces[j]
-        if surface is None:
-            self.skipped += [self.robot.joint_names[trial.joint] for trial in trials]
-            return
-        every = configurations(trials, self.settings.trials)
-        groups = corrections.without_acceleration(self.robot, every, surface)
-        table = self._table(groups, surface)
-        if not len(table):
-            return
-        shared = self.size + TERMS
-        t, weight, seconds = table[:, -6:-3].T
-        trial, log, group = table[:, -3:].T.astype(np.intp)
-        noise = Rows(table[:, :shared], table[:, -7], t, weight, seconds, trial, log)
-        white = whitener_of(noise)(table[:, :-6])
-        count = len(self.deviations)
-        parts_of = [self.size, shared, -2 - count - self.robot.n, -2 - count, -2, -1]
-        gravity, even, F, stood, deviated, accelerated, y = np.split(
-            white, parts_of, axis=1
-        )
-
-        H = np.zeros((len(gravity), self.columns))
-        H[:, : self.size] = gravity
-        H[:, self.size + j :: self.robot.n] = even
-        for number in np.unique(trial):  # each is a block
-            self.used += 1
-            for k, joint in enumerate(joints):
-                joint.add(H, y[:, 0], (trial == number) & (k == j))
-        self.cross[j] = H.T @ F
-        raw = np.zeros((len(table), self.columns))
-        raw[:, : self.size] = table[:, : self.size]
-        raw[:, self.size + j :: self.robot.n] = table[:, self.size : shared]
-        self.fits[j] = TrialFit(raw, table[:, -7], weight)
-        for name, torque in zip(self.deviations, deviated.T, strict=True):
-            self.tolerances[name][j] = H.T @ torque
-        for k, each in enumerate(groups):
-            self.unseen.append(
-                (j, H.T @ (each.std_error * accelerated[:, 0] * (group == k)))
-            )
-            # each with the same reading all along
-            for number in np.unique(log[group == k]):
-                there = (group == k) & (log == number)
-                self.unseen += [(j, H.T @ (column * there)) for column in stood.T]
-
-    def _table(
-        self,
-        groups: list[SteadyGroup],
-        surface: FrictionSurface,
-        *,
-        group_size: int = 8,
-    ) -> Array:
-        """Rows of all trials, means over so many slices (`group_size`)."""
-        # H, offset and asymmetries, F, where others stand, deviations, acceleration,
-        # torque, time, samples, seconds; last come trial, log, group.
-        every = [(k, trial) for k, group in enumerate(groups) for trial in group.trials]
-        settling = self.settings.fit
-        settled = [
-            (k, trial.part(_settled(trial, surface, settling))) for k, trial in every
-        ]
-        used = [(k, trial) for k, trial in settled if len(trial.q) >= group_size]
-        if not used:
-            return np.zeros((0, 1))
-        own = [trial for _, trial in used]
-        by_gravity = zip(used, self.held.means(own), self.held.unseen(own), strict=True)
-        parts = []
-        for n, ((k, trial), H, stood) in enumerate(by_gravity):
-            v, count = np.full(len(trial.q), trial.velocity), len(trial.q) // group_size
-            # What friction's surfaces have alike both ways is an unknown here, of which
-            # they hold a first estimate; its error is not friction's.
-            F = surface.error_columns(trial.q, v)
-            warmed = surface.warmed(np.full(len(v), trial.celsius))
-            y = trial.tau - warmed * surface.torque(trial.q, v)
-            even = even_columns(surface, trial.q, v)
-            still = np.zeros_like(trial.places)
-            torques = deviation_torques(
-                self.robot, self.standard, trial.places, still, still
-            )
-            deviated = [torque[:, trial.joint] for torque in torques.values()]
-            warm = self._warm(trial, surface, v)
-            columns = [H, even, warm, F, stood, *deviated, trial.ddq, y, trial.t]
-            wide = np.array_split(np.column_stack(columns), count)
-            slices = len(trial.q) / count
-            about = slices * trial.weight, slices * trial.seconds, n, trial.log, k
-            means = np.stack([part.mean(axis=0) for part in wide])
-            parts.append(np.hstack([means, np.tile(about, (count, 1))]))
-        return np.vstack(parts)
-
-    def _warm(self, trial: Trial, surface: FrictionSurface, v: Array) -> Array:
-        """Return the torque (K,) [N m K] per friction's change per kelvin; 0 without a sensor."""
-        change = self.thermal[trial.joint]
-        if change is None:
-            return np.zeros(len(v))
-        kelvin = surface.kelvin(np.full(len(v), trial.celsius))
-        return thermal_column(surface, change, kelvin, trial.q, v)
-
-    def prior(self, friction: FrictionStage) -> Prior:
-        """Return what friction's trials know of the drives' terms, as rows of unit variance."""
-        n = self.robot.n
-        even = even_prior(self.surfaces, friction, self.robot.joint_names)
-        weights = [
-            1.0 if change is None else 1.0 / change.std_error for change in self.thermal
-        ]
-        A = np.zeros((TERMS * n, self.columns))
-        A[: len(even.b), self.size : self.size + len(even.b)] = even.A
-        A[len(even.b) :, self.size + len(even.b) :] = np.diag(weights)
-        return Prior(A, np.concatenate([even.b, np.zeros(n)]))
-
-    def tolerance_moves(self, solution: Solution) -> dict[str, Array]:
-        """How the parameters move with one standard deviation of what no log shows."""
-        moves = {}
-        for name, crossed in self.tolerances.items():
-            parts = [cross / solution.sigma[j] ** 2 for j, cross in crossed.items()]
-            moves[name] = solution.bread @ np.sum(parts, axis=0)
-        return moves
-
-    def sensitivity(self, solution: Solution) -> Sensitivity:
-        """How the parameters move with the coefficients of each joint's friction."""
-        return {
-            j: -solution.bread @ (S / solution.sigma[j] ** 2)
-            for j, S in self.cross.items()
-        }
-
-
-def _settled(
-    trial: Trial, surface: FrictionSurface, settings: GravityFitSettings
-) -> Mask:
-    """Return the slices (K,) of a trial where friction is known and the joint keeps its speed."""
-    # Left out are slices that begin or end within `settling` of either end, but no more
-    # than `settling_share` of the trial there. One that only reaches into it holds the
-    # torque of a rotor's acceleration, which is many times a light joint's friction.
-    middle = (trial.t[0] + trial.t[-1]) / 2.0
-    half_slice = trial.seconds / 2.0
-    half_trial = (trial.t[-1] - trial.t[0]) / 2.0 + half_slice
-    settling = min(settings.settling, 2.0 * settings.settling_share * half_trial)
-    farthest = np.abs(trial.t - middle) + half_slice
-    settled = farthest <= half_trial - settling
-    speed = np.full(len(trial.q), trial.velocity)
-    return np.asarray(settled & ~surface.outside(trial.q, speed))
-
-
-def _stage(
-    solution: Solution,
-    rows: GravityRows,
-    prior: Prior,
-    friction: FrictionStage,
-    settings: GravityFitSettings,
-) -> GravityResult:
-    """The stage; gravity shows where a parameter is `shown_sigma` standard errors from zero.
-
-    One set of parameters may leave `max_left` times what friction's surface leaves of
-    the same joint's trials, each posture having its own gravity there.
+    `changed_friction` holds the joints, by name, whose friction is another in every log.
     """
-    robot = rows.robot
-    size = rows.size
-    unseen = [
-        solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen
-    ]
-    joint_posterior = Posterior.of(
-        solution,
-        rows.surfaces,
-        robot.torque_constant_errors,
-        rows.sensitivity(solution),
-        known=_by_prior(solution, prior, robot.n),
-        prior=prior,
-    ).with_error(np.reshape(unseen, (-1, rows.columns)).T)
-    joint_posterior = replace(
-        joint_posterior, tolerances=rows.tolerance_moves(solution)
-    )
 
-    posterior = joint_posterior.first(size)
-    parameters = solution.first(size)
-    own = np.arange(size)
-    stage = rigid_stage(
-        robot, rows.held.basis, parameters, posterior, own, np.zeros(robot.n)
-    )
-    remedy = (
-        "Move the joints that carry them with the others locked in other configurations"
-    )
-    notes = [f"{note}. {remedy}" for note in stage.notes]
-    if rows.skipped:
-        notes.append(
-            "trials without a friction surface left out: "
-            + ", ".join(set(rows.skipped))
-        )
-    if all(abs(p.value) < settings.shown_sigma * p.std_error for p in stage.parameters):
-        notes.append(
-            "no gravity shows in the torque: either no joint carries a weight, or a"
-            ' driver has subtracted it (then write effort = "gravity_compensated" under'
-            " [channels])"
-        )
-
-    friction, terms, order = _with_even_parts(solution, joint_posterior, rows, friction)
-    used = np.concatenate([np.flatnonzero(parameters.determined), size + order])
-    covariance = joint_posterior.covariance[np.ix_(used, used)]
-    sizes = robot_friction_rms(rows.surfaces, robot)
-    notes += [described(term) for term in shown(terms, sizes)]
-
-    of_joints = _joint_verdicts(solution, rows, friction, settings.max_left)
-    good = not stage.not_excited and solution.condition < settings.max_condition
-    reason = f"rank {solution.rank} of {size}, condition {solution.condition:.3g}"
-    stage = replace_fields(
-        stage,
-        structural_rank=size,
-        verdicts=[*of_joints, Verdict(good=good, reason=reason)],
-        notes=notes,
-        nuisances=terms,
-        nuisance_covariance=covariance.tolist(),
-    )
-    return GravityResult(stage, friction)
+    gravity: list[Verdict]
+    friction: list[Verdict]
+    changed_friction: dict[str, FrictionShares]
 
 
-def _by_prior(solution: Solution, prior: Prior, joints: int) -> dict[int, Array]:
-    """Return what the centre of each joint's prior adds to the solution (p,), taken off.
-
-    A prior's centre is an offset that was measured: it scales with the torque as the
-    rows do.
-    """
-    found = {}
-    for j in range(joints):
-        rows = np.arange(j, len(prior.b), joints)
-        found[j] = -solution.bread @ prior.A[rows].T @ prior.b[rows]
-    return found
-
-
-def _joint_verdicts(
-    solution: Solution, rows: GravityRows, friction: FrictionStage, max_left: float
-) -> list[Verdict]:
-    """Judge the joints at which one gravity for all postures leaves more than noise."""
-    verdicts = []
-    for j, fit in rows.fits.items():
+def _judged(
+    solution: Solution, rows: GravityRows, friction: FrictionStage, logs: Sequence[str]
+) -> JudgedJoints:
+    """Judge the joints by what one gravity for all postures leaves there."""
+    settings = rows.settings.fit
+    of_gravity: list[Verdict] = []
+    of_friction: list[Verdict] = []
+    changed: dict[str, FrictionShares] = {}
+    for j, joint_rows in rows.joints.items():
         joint = rows.robot.joints[j]
-        left = fit.left(solution.theta)
+        residual = joint_rows.residual(solution.theta)
+        shares = FrictionShares.of(joint_rows, solution.theta)
+        if shares.has_changed(settings):
+            changed[joint.name] = shares
+            of_friction.append(shares.verdict(joint.name, logs))
+            # What friction explains is no fault of gravity, which is alike both ways.
+            residual = shares.unexplained
+
+        left = joint_rows.rms(residual)
         alone = friction.joints[joint.name].rmse
-        if left <= max_left * alone:
+        if left <= settings.max_left * alone:
             continue
         unit = joint.unit("N m")
         reason = (
@@ -402,30 +168,136 @@ def _joint_verdicts(
             " geometry, zeros or gravity's direction in the robot file are not the"
             " arm's, or the load was another in some trials"
         )
-        verdicts.append(
+        of_gravity.append(
             Verdict(joint=joint.name, good=False, level="usable", reason=reason)
         )
-    return verdicts
+    return JudgedJoints(
+        gravity=of_gravity, friction=of_friction, changed_friction=changed
+    )
 
 
-def _with_even_parts(
-    solution: Solution, posterior: Posterior, rows: GravityRows, friction: FrictionStage
-) -> EvenParts:
-    """Return friction with offsets and asymmetries as gravity's trials show them.
+def _result(
+    solution: Solution,
+    rows: GravityRows,
+    prior: Prior,
+    friction: FrictionStage,
+    judged_joints: JudgedJoints,
+) -> GravityResult:
+    """Return the stage with its verdicts, and friction with what its trials show."""
+    robot = rows.robot
+    size = rows.size
+    settings = rows.settings.fit
+    joint_posterior = _posterior(solution, rows, prior)
+    parameters = solution.first(size)
+    stage = rigid_stage(
+        robot,
+        rows.held.basis,
+        parameters,
+        joint_posterior.first(size),
+        np.arange(size),
+        np.zeros(robot.n),
+    )
 
-    Beside it stand the terms as the file lists them, joint by joint, and the place of
-    each of them behind the parameters.
+    drives = _with_drive_terms(solution, joint_posterior, rows, friction)
+    used = np.concatenate([np.flatnonzero(parameters.determined), size + drives.places])
+    covariance = joint_posterior.covariance[np.ix_(used, used)]
+    friction_sizes = robot_friction_rms(rows.surfaces, robot)
+
+    notes = [f"{note}. {LOCK_REMEDY}" for note in stage.notes]
+    if rows.skipped_joints:
+        names = ", ".join(rows.skipped_joints)
+        notes.append(f"trials without a friction surface left out: {names}")
+    shows_gravity = [
+        abs(p.value) >= settings.shown_sigma * p.std_error for p in stage.parameters
+    ]
+    if not any(shows_gravity):
+        notes.append(NO_GRAVITY)
+    notes += [described(term) for term in shown(drives.terms, friction_sizes)]
+
+    good = not stage.not_excited and solution.condition < settings.max_condition
+    reason = f"rank {solution.rank} of {size}, condition {solution.condition:.3g}"
+    stage = replace_fields(
+        stage,
+        structural_rank=size,
+        verdicts=[*judged_joints.gravity, Verdict(good=good, reason=reason)],
+        notes=notes,
+        nuisances=drives.terms,
+        nuisance_covariance=covariance.tolist(),
+    )
+    return GravityResult(stage, _with_changes(drives.friction, judged_joints))
+
+
+def _posterior(solution: Solution, rows: GravityRows, prior: Prior) -> Posterior:
+    """Return the covariance of all unknowns with everything that is not known better."""
+    unseen = [
+        solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen
+    ]
+    posterior = Posterior.of(
+        solution,
+        rows.surfaces,
+        rows.robot.torque_constant_errors,
+        rows.sensitivity(solution),
+        known=_by_prior(solution, prior, rows.robot.n),
+        prior=prior,
+    ).with_error(np.reshape(unseen, (-1, rows.columns)).T)
+    return replace(posterior, tolerances=rows.tolerance_moves(solution))
+
+
+def _by_prior(solution: Solution, prior: Prior, joints: int) -> dict[int, Array]:
+    """Return what the centre of each joint's prior adds to the solution (q,), taken off.
+
+    A prior's centre is an offset that was measured: it scales with the torque as the
+    rows do.
     """
+    moves = {}
+    for j in range(joints):
+        rows = np.arange(j, len(prior.b), joints)
+        moves[j] = -solution.bread @ prior.A[rows].T @ prior.b[rows]
+    return moves
+
+
+def _with_changes(
+    friction: FrictionStage, judged_joints: JudgedJoints
+) -> FrictionStage:
+    """Return friction as uncertain as it differs between logs, and judged by that."""
+    if not judged_joints.friction:
+        return friction
+    joints = dict(friction.joints)
+    for name, shares in judged_joints.changed_friction.items():
+        joints[name] = shares.widened(joints[name])
+
+    changed = {verdict.joint: verdict for verdict in judged_joints.friction}
+    verdicts = []
+    for verdict in friction.verdicts:
+        is_good = verdict.level == "good"
+        verdicts.append(changed.get(verdict.joint, verdict) if is_good else verdict)
+    return replace_fields(friction, joints=joints, verdicts=as_a_whole(verdicts))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveTerms:
+    """Friction with another even part and thermal change, and the terms as a file lists them.
+
+    `places` (m,): where the terms stand behind the parameters.
+    """
+
+    friction: FrictionStage
+    terms: list[Nuisance]
+    places: Index
+
+
+def _with_drive_terms(
+    solution: Solution, posterior: Posterior, rows: GravityRows, friction: FrictionStage
+) -> DriveTerms:
+    """Return friction with the drives' terms as gravity's trials show them."""
     n = rows.robot.n
     joints = dict(friction.joints)
     terms: list[Nuisance] = []
-    order: list[int] = []
+    all_places: list[int] = []
     for j, name in enumerate(rows.robot.joint_names):
         surface = rows.surfaces[j]
         if surface is None or j not in rows.cross:
             continue
-        places = [k * n + j for k in range(EVEN_TERMS)]
-        wide = [rows.size + place for place in places]
         change = rows.thermal[j]
         if change is not None:
             place = rows.size + EVEN_TERMS * n + j
@@ -435,13 +307,19 @@ def _with_even_parts(
                 value=change.value + float(solution.theta[place]),
                 std_error=float(np.sqrt(posterior.covariance[place, place])),
             )
+
+        places = [k * n + j for k in range(EVEN_TERMS)]
+        columns = [rows.size + place for place in places]
         before = EvenPart.of_joint(joints[name], friction_rms(surface))
         even = EvenPart(
-            values=before.values + solution.theta[wide],
-            covariance=posterior.covariance[np.ix_(wide, wide)],
+            values=before.values + solution.theta[columns],
+            covariance=posterior.covariance[np.ix_(columns, columns)],
         )
         joints[name] = with_even_part(joints[name], name, even)
         terms += even.terms(name, joints[name].unit)
-        order += places
-    stage = replace_fields(friction, joints=joints)
-    return EvenParts(stage, terms, np.array(order, dtype=np.intp))
+        all_places += places
+    return DriveTerms(
+        friction=replace_fields(friction, joints=joints),
+        terms=terms,
+        places=np.array(all_places, dtype=np.intp),
+    )

@@ -16,7 +16,9 @@ Friction of most gears waves over the position,
 
 which this law does not hold and base parameters take, up to many of their errors'
 worth. So the same equations are solved once more with a and b unknown, 0 +- 0.1 F_c.
-Where they show, the stage is usable, not good.
+Where they show, the stage is usable, not good. What they change in the parameters
+counts as an error of these, and what they add to friction as one of Coulomb friction
+at any one position.
 """
 
 from collections.abc import Iterable, Sequence
@@ -253,9 +255,12 @@ class SimultaneousEquations:
             j: -self.independent * solution.bread @ sums / solution.sigma[j] ** 2
             for j, sums in enumerate(self._rotor_sums)
         }
+        coulomb = solution.theta[[terms.start for terms in self.own]]
+        waving = self.solved(self.prior(coulomb))
+        moved_by_waves = waving.theta - solution.theta
         posterior = Posterior.of(
             solution, (), robot.torque_constant_errors, {}, known, prior
-        )
+        ).with_error(moved_by_waves[:, None])
         moved = [j for j in range(robot.n) if self.joints[j].samples]
         named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
         note = (
@@ -264,7 +269,8 @@ class SimultaneousEquations:
         cutoff = float(np.median([use.cutoff_hz for use in uses]))
         friction = schema.FrictionStage(
             joints={
-                robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved
+                robot.joint_names[j]: self._joint(j, solution, posterior, waving)
+                for j in moved
             },
             method="simultaneous",
             cutoff_hz=cutoff,
@@ -304,7 +310,11 @@ class SimultaneousEquations:
             cutoff_hz=cutoff,
             verdicts=[
                 *self._verdicts(
-                    solution, floor, len(stage.not_excited), settings.residual
+                    solution,
+                    waving,
+                    floor,
+                    n_missing=len(stage.not_excited),
+                    settings=settings.residual,
                 ),
                 *agreement_verdicts(
                     log_equations([use.log for use in uses], self.logs),
@@ -330,11 +340,20 @@ class SimultaneousEquations:
         return friction, replace(rigid, bands=bands)
 
     def _joint(
-        self, j: int, solution: Solution, posterior: Posterior
+        self, j: int, solution: Solution, posterior: Posterior, waving: Solution
     ) -> schema.FrictionJoint:
-        """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
-        own, fast, sigma = self.own[j], float(self.fastest[j]), float(solution.sigma[j])
-        joint, values = self.robot.joints[j], solution.theta[own]
+        """Return one joint's friction as a surface, tau_f = s(v) (c_0 + c_1 T_1(u)).
+
+        It is as uncertain as it waves over the position by the solution `waving`.
+        """
+        own = self.own[j]
+        fast = float(self.fastest[j])
+        sigma = float(solution.sigma[j])
+        joint = self.robot.joints[j]
+        values = solution.theta[own]
+        covariance = posterior.covariance[own, own].copy()
+        wave = waving.theta[self.waves[j]]
+        covariance[0, 0] += float(wave @ wave) / 2.0  # its mean square over positions
         ahead, back = surface_entries(fast, len(self.terms))
         directional = len(self.terms) == len(TERMS)
         both = np.vstack([ahead, back]) if directional else ahead
@@ -353,7 +372,7 @@ class SimultaneousEquations:
             directional=directional,
             positive=[(ahead @ values).tolist()],
             negative=[(back @ values).tolist()],
-            covariance=(both @ solution.covariance[own, own] @ both.T).tolist(),
+            covariance=(both @ covariance @ both.T).tolist(),
             torque_constant_error=joint.torque_constant_error,
             speeds=[schema.SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
             parameters=[
@@ -393,8 +412,10 @@ class SimultaneousEquations:
     def _verdicts(
         self,
         solution: Solution,
+        waving: Solution,
         floor: NoiseLevel,
-        missing: int,
+        *,
+        n_missing: int,
         settings: OneStepSettings,
     ) -> list[schema.Verdict]:
         """Judge each joint.
@@ -412,8 +433,6 @@ class SimultaneousEquations:
             max_of_noise=settings.max_of_noise,
             idle="does not move",
         )
-        coulomb = solution.theta[[own.start for own in self.own]]
-        waving = self.solved(self.prior(coulomb))
         for j, (joint, own) in enumerate(zip(self.robot.joints, self.own, strict=True)):
             dry, error = (
                 solution.theta[own.start],
@@ -431,9 +450,9 @@ class SimultaneousEquations:
                     verdicts[j], good=False, level="usable", reason=reason
                 )
         reason = (
-            f"condition {solution.condition:.3g}, {missing} parameter(s) not excited"
+            f"condition {solution.condition:.3g}, {n_missing} parameter(s) not excited"
         )
-        return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
+        return [*verdicts, schema.Verdict(good=not n_missing, reason=reason)]
 
     def _wave(self, j: int, waving: Solution, settings: OneStepSettings) -> str:
         """Say how a joint's friction waves over the position, where that is certain and matters."""

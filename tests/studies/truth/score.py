@@ -32,6 +32,7 @@ from tests.studies.truth.truths import (
 )
 
 Row = dict[str, Any]
+HANDED_ON = "friction, after gravity"  # as the gravity stage leaves it
 POINTS = 10  # of each friction surface, in each direction
 # Bands, and how many standard deviations they are wide.
 LEVELS = {0.9: 1.645, 0.95: 1.960}
@@ -119,6 +120,13 @@ class _Stages:
             return None
         seconds = time.process_time() - started
         self.row["stages"][name] = self._of_stage(name, file) | {"seconds": seconds}
+        if name == "gravity":
+            handed_on = verdict_row(file.stages.friction.verdicts, self.session.folder)
+            handed_on["parameters"] = []
+            handed_on["friction"] = friction_rows(
+                self.case, self.session.warmth, file.stages.friction
+            )
+            self.row["stages"][HANDED_ON] = handed_on
         return path
 
     def _short(self, text: str) -> str:

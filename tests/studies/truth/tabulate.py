@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from tests.studies.tables import grouped, number, rms, share_within, table
+from tests.studies.truth.score import HANDED_ON
 from tests.studies.truth.tolerances import TOLERANCES
 
 Row = dict[str, Any]
-STAGES = ("friction", "gravity", "imu", "inertia", "simultaneous")
-MODEL = ("friction", "gravity", "inertia")
+STAGES = ("friction", HANDED_ON, "gravity", "imu", "inertia", "simultaneous")
+MODEL = ("friction", HANDED_ON, "gravity", "inertia")
 INSIDE = 1.96  # stated standard errors: the 95 % interval
 WRONG = 4.0  # stated standard errors, beyond which a parameter is wrong
 LEVELS = ("poor", "usable", "good")

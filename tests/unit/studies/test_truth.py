@@ -17,7 +17,7 @@ from tests.studies.outside.simulate import simulate
 from tests.studies.truth import __main__ as program
 from tests.studies.truth.follow import Followed, follow
 from tests.studies.truth.plan import CLEAN, KINDS, Case, Imperfection, drawn, kinds_of
-from tests.studies.truth.score import Row, scored
+from tests.studies.truth.score import HANDED_ON, Row, scored
 from tests.studies.truth.session import as_logged, session_of, write_robot
 from tests.studies.truth.tabulate import level_of, silent_wrongs, tables
 from tests.studies.truth.tolerances import TOLERANCES
@@ -227,7 +227,8 @@ def test_a_clean_arm_is_told_truly(tmp_path: Path) -> None:
     case = replace(case, arm=arm)
     row = scored(case, tmp_path)
     assert not row["failed"]
-    assert list(row["stages"]) == ["friction", "gravity", "inertia", "simultaneous"]
+    stages = ["friction", "gravity", HANDED_ON, "inertia", "simultaneous"]
+    assert list(row["stages"]) == stages
     assert not silent_wrongs([row])
     assert level_of(row) == "good"
     assert row["prediction"]["joints"]["j1"]["relative"] < 0.02

@@ -9,7 +9,7 @@ from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.identify.nuisances import PRIORS, friction_rms
 from seqid_cli.identify.regression.least_squares import Accumulator, Prior, solve
-from seqid_cli.identify.rigid.gravity import GravityRows
+from seqid_cli.identify.rigid.gravity_rows import GravityRows
 from seqid_cli.identify.rigid.posterior import friction_covariance
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling

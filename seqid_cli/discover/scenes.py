@@ -81,15 +81,13 @@ def with_own_cutoffs(
     )
 
 
-def _is_coarse(
-    log: Recording, scene: Scene, *, most: float = Options.improvement
-) -> bool:
+def _is_coarse(log: Recording, scene: Scene) -> bool:
     """Whether encoder noise makes a share, of which terms count, of what the model leaves."""
     if scene.motion.source != "encoder":
         return False
     every = encoder_residuals([log], [scene])[0], residual_of(scene)
     made, whole = (np.sum(np.where(scene.slides, x, 0.0) ** 2, axis=0) for x in every)
-    return bool(np.any(made > most * whole))
+    return bool(np.any(made > Options().improvement * whole))
 
 
 def thinned(full: Scene) -> Scene:

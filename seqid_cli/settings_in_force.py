@@ -28,7 +28,7 @@ _defaults: dict[type[Settings], Settings] = {}
 
 
 def in_force(kind: type[S]) -> S:
-    """Return the settings of a class that are in force: the defaults unless others are."""
+    """Return the settings of a class that are in force, by default its defaults."""
     settings = _in_force.get(_NONE).get(kind)
     if settings is None:
         # Made once: this is asked in inner loops.

@@ -209,21 +209,21 @@ def _command_behind_options() -> None:
 
 
 def _settings_are_asked_for(command: TyperCommand, words: Sequence[str]) -> bool:
-    """Whether --show-settings is among the words, of a command that has settings.
+    """Return whether a command is to show its settings, of which it has some.
 
     Not where another option is misspelt: then the command is run, which says so.
     """
-    known = {"--help"}
+    spellings = {"--help"}
     for param in command.params:
-        known.update(param.opts, param.secondary_opts)
+        spellings.update(param.opts, param.secondary_opts)
     options = [word.partition("=")[0] for word in words if word.startswith("--")]
-    return "--show-settings" in known.intersection(options) and known.issuperset(
-        options
-    )
+    if not spellings.issuperset(options):
+        return False
+    return "--show-settings" in spellings.intersection(options)
 
 
 def _answered(arguments: Sequence[str]) -> int:
-    """Run a command line; return its exit code, or that of its error when it is shown."""
+    """Run a command line and return its exit code, also where it ends in an error."""
     name = "seqid"
     if arguments and arguments[0] in COMMANDS:
         name = f"seqid {arguments[0]}"

@@ -1,4 +1,4 @@
-"""One run of a command: progress and warnings while its function works, then an exit code.
+"""One run of a command: progress and warnings while it works, then an exit code.
 
 with CommandRun(screen) as run:
     file = identify.gravity(logs, robot, ..., on_progress=run.on_progress)
@@ -37,7 +37,7 @@ WORTH_BYTES = 32_000_000
 
 
 class CommandRun:
-    """Shows what a function reports inside the `with` block, and keeps what counts later.
+    """A run that shows what its function reports, and keeps what counts later.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class CommandRun:
         line_number: int,
         *_: Any,
     ) -> None:
-        """Show a warning where the line of progress stands, in place of Python's way."""
+        """Show a warning as the screen does, and not as Python would."""
         with self._line.hidden():
             if issubclass(category, SeqidWarning):
                 self.screen.warn(str(message))
@@ -198,7 +198,7 @@ def log_readers(
 
 
 def process_count(logs: Sequence[str], jobs: int | None) -> int:
-    """Return how many processes to start for these logs; 1 means none beside this one."""
+    """Return how many processes read these logs; 1 means this one alone."""
     from seqid_cli.logs.storage.files import expand
     from seqid_cli.logs.storage.remote import is_url
     from seqid_cli.scale import cores
@@ -219,5 +219,5 @@ def process_count(logs: Sequence[str], jobs: int | None) -> int:
 
 
 def any_poor(verdicts: Sequence[Verdict]) -> bool:
-    """Whether a verdict is not good."""
+    """Return whether a verdict is not good."""
     return any(not verdict.good for verdict in verdicts)

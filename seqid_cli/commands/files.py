@@ -188,14 +188,15 @@ def export(
     no_color: NoColorOption = False,
     debug: DebugOption = False,
 ) -> int:
-    """Write an identified arm as URDF, MJCF, ROS 2 parameters, C, or what a controller takes.
+    """Write an identified arm as URDF, MJCF, ROS 2 parameters, C, or \
+what a controller takes.
 
     Links get inertial parameters that a body can have, with the identified torque, as
     near as possible to those of the URDF. A form that cannot hold the whole model gets
     the links and the Coulomb and viscous friction that lose least of its torque, and
     says how much that is. What was written is run over held-out logs: exits with 1
     where it is worse than it states.
-    """
+    """  # noqa: D205
     from seqid_cli.export import export as write_export
 
     screen = screen_for(
@@ -297,7 +298,7 @@ def _show_deviations(screen: Screen, file: ExportFile) -> None:
 
 
 def _show_replay(screen: Screen, file: ExportFile) -> bool:
-    """Show what the written file makes of logs; return whether it is worse than it states."""
+    """Show the replay of the written file; return whether it is worse than stated."""
     if file.replay is None:
         return False
     rows = [
@@ -410,7 +411,7 @@ def _summary(file: ComparisonFile) -> str:
 
 
 def _show_comparison(screen: Screen, file: ComparisonFile) -> None:
-    """Print the numbers that changed, and those unchanged that are the most different."""
+    """Print the changed numbers, and the most different of the unchanged ones."""
     changed = [item for item in file.differences if item.different]
     unchanged = [item for item in file.differences if not item.different]
     unchanged.sort(key=lambda item: -(item.relative or 0.0))

@@ -96,12 +96,13 @@ def inspect(
     no_color: NoColorOption = False,
     debug: DebugOption = False,
 ) -> int:
-    """Look through logs: channels, rates, clocks, units, joints that move, and what is wrong.
+    """Look through logs: channels, rates, clocks, units, joints that move, \
+and what is wrong.
 
     With a robot file, torque and IMUs are compared with its geometry as well. The exit
     code is 1 when an error is found, 2 when a log cannot be read, 3 when one was read
     in part.
-    """
+    """  # noqa: D205
     screen = screen_for(
         "inspect", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
@@ -197,10 +198,11 @@ def init(
     no_color: NoColorOption = False,
     debug: DebugOption = False,
 ) -> int:
-    """Write a commented robot file: joints, limits, encoder steps, channels, IMUs as far as known.
+    """Write a commented robot file: joints, limits, encoder steps, channels, \
+IMUs as far as known.
 
     What nobody can read off a log stands in it as a TODO.
-    """
+    """  # noqa: D205
     screen = screen_for(
         "init", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )

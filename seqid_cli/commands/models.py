@@ -204,10 +204,11 @@ def diagnose(
     no_color: NoColorOption = False,
     debug: DebugOption = False,
 ) -> int:
-    """Find out which physical effects a model lacks; any logs will do, nothing is changed.
+    """Find out which physical effects a model lacks; any logs will do, \
+nothing is changed.
 
     With --strict the exit code is 1 unless nothing is missing.
-    """
+    """  # noqa: D205
     screen = screen_for(
         "diagnose", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
@@ -336,12 +337,13 @@ def refine(
     no_color: NoColorOption = False,
     debug: DebugOption = False,
 ) -> int:
-    """Add the effects that a model lacks, as long as left-out blocks are predicted better.
+    """Add the effects that a model lacks, as long as left-out blocks are \
+predicted better.
 
     The held-out logs choose nothing: they are opened last. What they do not confirm is
     taken out and listed; the rest is fitted again without it. With --strict the exit
     code is 1 if nothing stays, or if something stays that they do not confirm.
-    """
+    """  # noqa: D205
     screen = screen_for(
         "refine", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )

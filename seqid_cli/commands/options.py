@@ -47,7 +47,7 @@ def number_check(
 
 
 def is_positive(value: float) -> bool:
-    """Whether a number is above zero."""
+    """Return whether a number is above zero."""
     return value > 0.0
 
 

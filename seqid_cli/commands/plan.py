@@ -214,11 +214,12 @@ def plan(
     no_color: NoColorOption = False,
     debug: DebugOption = False,
 ) -> int:
-    """Plan the moves to record next, within the limits, and the standard errors they will give.
+    """Plan the moves to record next, within the limits, and the \
+standard errors they will give.
 
     Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a
     robot.
-    """
+    """  # noqa: D205
     screen = screen_for(
         "plan", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
@@ -260,7 +261,7 @@ def plan(
 
 
 def _box(text: str) -> tuple[float, ...]:
-    """Return two corners of a box, x, y, z each [m], from six numbers between commas."""
+    """Return x, y, z of two corners of a box [m], from six numbers between commas."""
     try:
         corners = tuple(float(word) for word in text.split(","))
     except ValueError:

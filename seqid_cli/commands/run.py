@@ -38,10 +38,11 @@ app = command_app()
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One command of a run: what it reads and writes, the result first, and its options.
+    """One command of a run, with the files that it reads and writes.
 
-    `words` are the options and arguments that decide the result, `neutral_words` those
-    that do not, such as the number of processes.
+    The result is the first file that it writes. `words` are the options and arguments
+    that decide the result, `neutral_words` those that do not, such as the number of
+    processes.
     """
 
     command: str
@@ -363,7 +364,7 @@ def _urdf_of(robot_file: Path) -> list[Path]:
 
 
 def _outcome(step: Step, record: Record, runner: StepRunner, *, force: bool) -> Outcome:
-    """Run a step, or keep its result where nothing of what it is made of has changed."""
+    """Run a step, or keep its result where no file and no option has changed."""
     screen = runner.screen
     earlier = None
     if not force:

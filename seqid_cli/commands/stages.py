@@ -1,4 +1,4 @@
-"""The commands that identify a stage: friction, gravity, IMUs, inertia, or all at once."""
+"""The commands that identify: friction, gravity, IMUs, inertia, or all at once."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -233,12 +233,13 @@ def imu_calib(
     no_color: NoColorOption = False,
     debug: DebugOption = False,
 ) -> int:
-    """Find how accelerometers and IMUs are mounted on the links, and what they are like.
+    """Find how accelerometers and IMUs are mounted on the links, and \
+what they are like.
 
     The logs hold rotations of the first joint with the other joints locked in several
     configurations. Mounting, place, biases, scales, axes and clock offset are found
     together.
-    """
+    """  # noqa: D205
     screen = screen_for(
         "imu-calib", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )

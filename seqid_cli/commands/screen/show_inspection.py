@@ -1,4 +1,4 @@
-"""An inspection on the screen: the verdict first, then logs, joints, moves, findings."""
+"""An inspection on the screen: its verdict, then logs, findings, joints, moves."""
 
 import os
 import re
@@ -135,7 +135,7 @@ def _common_folder(paths: Sequence[str]) -> str:
 
 
 def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
-    """Print findings, the gravest first; what several logs or joints share comes once."""
+    """Print findings, the gravest first, and once where logs or joints share them."""
     shared: dict[tuple[str, str], list[InspectionFinding]] = {}
     for finding in sorted(findings, key=lambda x: _GRAVEST_FIRST.index(x.severity)):
         if screen.verbose:

@@ -107,9 +107,10 @@ def _files_of(path: Path) -> list[Path]:
     """Return a file, or all files of a folder but hidden ones."""
     if not path.is_dir():
         return [path] if path.is_file() else []
-    return [
-        file
-        for file in path.rglob("*")
-        if file.is_file()
-        and not any(part.startswith(".") for part in file.relative_to(path).parts)
-    ]
+    files = []
+    for file in path.rglob("*"):
+        parts = file.relative_to(path).parts
+        is_hidden = any(part.startswith(".") for part in parts)
+        if file.is_file() and not is_hidden:
+            files.append(file)
+    return files

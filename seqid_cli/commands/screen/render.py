@@ -34,9 +34,12 @@ class Screen:
             return
         from seqid_cli.commands.screen.drawing import table_text
 
+        visible_rows = []
+        for row in rows:
+            visible_rows.append([layout.visible_cell(cell) for cell in row])
         text = table_text(
             [layout.visible_cell(head) for head in columns],
-            [[layout.visible_cell(cell) for cell in row] for row in rows],
+            visible_rows,
             width=layout.width_of(sys.stdout),
             whole_words=not sys.stdout.isatty(),
             color=self.color,

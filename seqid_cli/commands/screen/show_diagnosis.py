@@ -363,7 +363,8 @@ def text_chart(
     heights: list[float] = []
     for _, means in curves:
         heights += means.values()
-    low, high = min(heights), max(heights)
+    low = min(heights)
+    high = max(heights)
 
     canvas = [[" "] * _CHART_COLUMNS for _ in range(_CHART_ROWS)]
     last_row = _CHART_ROWS - 1

@@ -46,7 +46,8 @@ def prepare_streams() -> None:
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     if isinstance(sys.stderr, io.TextIOWrapper):
-        encoding, buffer = sys.stderr.encoding, sys.stderr.detach()
+        encoding = sys.stderr.encoding  # which the detached stream has no more
+        buffer = sys.stderr.detach()
         sys.stderr = Messages(buffer, encoding, "backslashreplace", line_buffering=True)
 
 

@@ -48,13 +48,23 @@ GRID: Array = np.geomspace(bandwidth.LOWEST_HZ, bandwidth.HIGHEST_HZ, 200)
 
 @dataclass(frozen=True, kw_only=True)
 class _Surveyed:
-    """What one log says of cut-offs before anything is identified."""
+    """What one log says of cut-offs before anything is identified.
+
+    `score` is by the encoders, `smoothed` by the smoothed motion where IMUs take part,
+    `highest_hz` the highest cut-off that the log allows, `pieces` what cut-offs are
+    tried on: the whole log where it is short.
+    """
 
     score: bandwidth.Score
-    smoothed: bandwidth.Score | None  # by its smoothed motion
-    highest_hz: float  # that it allows
+    smoothed: bandwidth.Score | None
+    highest_hz: float
     seconds: float
-    pieces: list[Recording]  # to try cut-offs on; the whole log where it is short
+    pieces: list[Recording]
+
+    @property
+    def used_score(self) -> bandwidth.Score:
+        """The score by the motion that is used of the log."""
+        return self.smoothed or self.score
 
 
 def _survey(
@@ -68,7 +78,8 @@ def _survey(
 
     `most_values`: samples times joints of the pieces.
     """
-    source, time_source = options.source, options.time_source
+    source = options.source
+    time_source = options.time_source
     fuses = imu is not None and bool(imu.imus) and source != "encoder"
     with contextlib.ExitStack() as stack:
         log: Recording | SurveyedLog
@@ -82,31 +93,33 @@ def _survey(
         score = survey_of(log).score(encoder_resolution(robot), GRID)
         if score is None:
             return None
-        highest = log.rate_hz / 8
+        highest_hz = log.rate_hz / 8
         smoothed = None
         if isinstance(log, Recording):
-            highest = min(highest, highest_bridged(log))
-            encoder = estimate_motion(log, robot, MotionOptions()) if fuses else None
-            if (
-                encoder
-                and best_motion(log, robot, imu, encoder, source=source).source
-                == "fused"
-            ):
-                smoothed = score_of_smoothed(log, robot, imu, encoder, GRID)
+            highest_hz = min(highest_hz, highest_bridged(log))
+            if fuses:
+                encoder = estimate_motion(log, robot, MotionOptions())
+                best = best_motion(log, robot, imu, encoder, source=source)
+                if best.source == "fused":
+                    smoothed = score_of_smoothed(log, robot, imu, encoder, GRID)
 
         seconds = whole_of(log).length
         ranges = _spread(seconds, most_values / robot.n / log.rate_hz)
         if isinstance(log, SurveyedLog):
-            whole = whole_of(log)
             pieces = read_pieces(
-                log.file, robot, whole, ranges, time_source=time_source, kind=log.format
+                log.file,
+                robot,
+                whole_of(log),
+                ranges,
+                time_source=time_source,
+                kind=log.format,
             )
         else:
             pieces = cut(log, ranges) if ranges else [log]
         return _Surveyed(
             score=score,
             smoothed=smoothed,
-            highest_hz=min(bandwidth.HIGHEST_HZ, highest),
+            highest_hz=min(bandwidth.HIGHEST_HZ, highest_hz),
             seconds=seconds,
             pieces=pieces,
         )
@@ -130,13 +143,14 @@ def _fewer(pieces: list[Recording], share: float) -> list[Recording]:
 
 
 def _summed(scores: Sequence[bandwidth.Score], allowed_hz: float) -> tuple[Array, int]:
-    """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
-    ordered = sorted(tuple(one.values) for one in scores)  # sums to the last bit
-    widest, joints = (
-        max(getattr(x, name) for x in scores) for name in ("bandwidth_hz", "joints")
+    """Return the sum of the logs' scores, and how many of the grid's cut-offs all allow."""
+    ordered = sorted(tuple(score.values) for score in scores)  # sums to the last bit
+    highest_hz = bandwidth.highest_of(
+        max(score.bandwidth_hz for score in scores),
+        max(score.joints for score in scores),
+        sum(score.seconds for score in scores),
     )
-    highest = bandwidth.highest_of(widest, joints, sum(one.seconds for one in scores))
-    count = int(np.searchsorted(GRID, min(highest, allowed_hz), side="right"))
+    count = int(np.searchsorted(GRID, min(highest_hz, allowed_hz), side="right"))
     return np.sum(ordered, axis=0), max(1, count)
 
 
@@ -168,26 +182,30 @@ def identification_options(
     """
     if options.cutoff_hz is not None:
         return MotionOptions(options.cutoff_hz, origin="as given")
-    found: list[_Surveyed] = []
-    for given in logs if trial is not None or len(logs) > 1 else ():
-        # Errors are reported when the log is read to be identified from.
-        with contextlib.suppress(SeqidError):
-            own = _survey(given, robot, options, imu, most_values / len(logs))
-            found += [own] if own is not None else []
-    if not found:
+    surveys: list[_Surveyed] = []
+    if trial is not None or len(logs) > 1:
+        for log in logs:
+            # Errors are reported when the log is read to be identified from.
+            with contextlib.suppress(SeqidError):
+                survey = _survey(log, robot, options, imu, most_values / len(logs))
+                if survey is not None:
+                    surveys.append(survey)
+    if not surveys:
         return MotionOptions()
 
     # By the motion: what all logs allow, and the sum of their scores.
-    highest = min(one.highest_hz for one in found)
-    total, allowed = _summed([one.score for one in found], highest)
-    best = alone = bandwidth.first_maximum(total[:allowed])
-    if any(one.smoothed for one in found):
+    highest_hz = min(survey.highest_hz for survey in surveys)
+    total, allowed = _summed([survey.score for survey in surveys], highest_hz)
+    by_encoders = bandwidth.first_maximum(total[:allowed])
+    best = by_encoders
+    if any(survey.smoothed for survey in surveys):
         # The lowest that scores nearly as well by the smoothed motion, from the
         # encoders' best on.
-        total, allowed = _summed([one.smoothed or one.score for one in found], highest)
-        joints = sum(one.score.joints for one in found)
+        total, allowed = _summed([survey.used_score for survey in surveys], highest_hz)
+        joints = sum(survey.score.joints for survey in surveys)
         best += bandwidth.lowest_as_good(total[best : max(allowed, best + 1)], joints)
-    hz, encoder_hz = float(GRID[best]), float(GRID[alone])
+    hz = float(GRID[best])
+    encoder_hz = float(GRID[by_encoders])
     origin = "chosen from the log"
     if len(logs) > 1:
         origin = f"chosen from all {len(logs)} logs together"
@@ -195,13 +213,12 @@ def identification_options(
         # No higher than the motion's bandwidth allows: beyond it parameters gain
         # little, and every prediction at the inherited cut-off would have the torque's
         # noise.
-        bounded_hz = min(highest, float(GRID[allowed - 1]))
-        hz = _by_posterior(
-            trial, found, hz, highest_hz=bounded_hz, limits=limits
-        ).cutoff_hz
+        bounded_hz = min(highest_hz, float(GRID[allowed - 1]))
+        choice = _by_posterior(trial, surveys, hz, highest_hz=bounded_hz, limits=limits)
+        hz = choice.cutoff_hz
         encoder_hz = min(encoder_hz, hz)
         origin += ": the smallest error of the predicted torque"
-    jerk_noise = _at(_noise_shares(found).of_jerk(), hz)
+    jerk_noise = _at(_noise_shares(surveys).of_jerk(), hz)
     return MotionOptions(
         cutoff_hz=hz,
         origin=origin,
@@ -212,7 +229,7 @@ def identification_options(
 
 def _by_posterior(
     trial: Trial,
-    found: Sequence[_Surveyed],
+    surveys: Sequence[_Surveyed],
     start_hz: float,
     *,
     highest_hz: float,
@@ -224,31 +241,34 @@ def _by_posterior(
     `most_rows`: samples of the pieces that stay an octave above the start.
     """
     most_s = most_rows / (2.0 * SAMPLES_PER_CUTOFF * start_hz)
-    have_s = sum(float(piece.t[-1]) for one in found for piece in one.pieces)
-    share = min(1.0, most_s / max(have_s, 1e-9))
-    # In an order of their own, so that sums are the same to the last bit.
-    pieces = sorted(
-        (piece for one in found for piece in _fewer(one.pieces, share)),
-        key=lambda p: p.sha256,
+    available_s = sum(
+        float(piece.t[-1]) for survey in surveys for piece in survey.pieces
     )
+    share = min(1.0, most_s / max(available_s, 1e-9))
+    pieces: list[Recording] = []
+    for survey in surveys:
+        pieces += _fewer(survey.pieces, share)
+    # In an order of their own, so that sums are the same to the last bit.
+    pieces.sort(key=lambda piece: piece.sha256)
 
-    noise = _noise_shares(found).of_acceleration()
+    noise = _noise_shares(surveys).of_acceleration()
     tried_s = sum(float(piece.t[-1]) for piece in pieces)
+    logged_s = sum(survey.seconds for survey in surveys)
     return choose_cutoff(
         lambda hz: trial(pieces, hz),
         start_hz,
         lowest_hz=bandwidth.LOWEST_HZ,
         highest_hz=highest_hz,
         acceleration_noise=lambda hz: _at(noise, hz),
-        represented=sum(one.seconds for one in found) / max(tried_s, 1e-9),
+        represented=logged_s / max(tried_s, 1e-9),
         limits=limits,
     )
 
 
-def _noise_shares(found: Sequence[_Surveyed]) -> bandwidth.NoiseShares:
+def _noise_shares(surveys: Sequence[_Surveyed]) -> bandwidth.NoiseShares:
     """Return how much of the motion of all logs is noise, by the motion that is used of each."""
-    scores = [one.smoothed or one.score for one in found]
-    return reduce(add, [score.shares for score in scores if score.shares is not None])
+    shares = [survey.used_score.shares for survey in surveys]
+    return reduce(add, [share for share in shares if share is not None])
 
 
 def _at(values: Array, hz: float) -> float:
@@ -257,7 +277,7 @@ def _at(values: Array, hz: float) -> float:
 
 
 def inherited(stages: Stages, cutoff_hz: float | None) -> MotionOptions:
-    """How logs are filtered by what builds on stages: as these were, unless the user says so."""
+    """Return how logs are filtered by what builds on stages: as these were, unless asked."""
     if cutoff_hz is not None:
         return MotionOptions(cutoff_hz, origin="as given")
     if stages.inertia is None or stages.inertia.cutoff_hz is None:

@@ -41,7 +41,7 @@ Model: TypeAlias = "PathLike | ParameterFile"
 Models: TypeAlias = "Model | Sequence[Model]"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Inputs:
     """What a function works on, checked; nothing heavy has been imported yet.
 
@@ -101,22 +101,23 @@ def prepare(
     storage.
     """
     options = options or LogOptions()
-    found, missing = _logs(listed(logs), go_on=options.skip_failed, stored=stored)
+    chosen, missing = _logs(listed(logs), go_on=options.skip_failed, stored=stored)
     target = optional(output)
-    given = listed(parameters)
-    files = tuple(
-        Path(model) for model in given if not isinstance(model, ParameterFile)
+    model_list = listed(parameters)
+    model_files = tuple(
+        Path(model) for model in model_list if not isinstance(model, ParameterFile)
     )
-    place = Path(robot) if isinstance(robot, str | os.PathLike) else robot.source
-    paths = [*(log for log in found if isinstance(log, Path)), place, *files]
+    robot_file = Path(robot) if isinstance(robot, str | os.PathLike) else robot.source
+    log_files = [log for log in chosen if isinstance(log, Path)]
     for path in [target, *more_outputs]:
         if path is not None:
-            check_output(path, paths)
-    models = read_models(given)
+            check_output(path, [*log_files, robot_file, *model_files])
+
+    models = read_models(model_list)
     previous = join(models) if models else None
-    there = present(previous.stages) if previous else {}
+    stages = present(previous.stages) if previous else {}
     for name in needs:
-        if name not in there:
+        if name not in stages:
             message = f"there is no {name} stage, which this command builds on"
             hint = f"Run seqid {COMMAND_OF[name]} first and give its result with -p."
             if name == "inertia":
@@ -124,65 +125,93 @@ def prepare(
             raise ConfigError(
                 message, where=", ".join(file for file, _ in models), hint=hint
             )
-    arm, said = robot_of(robot, models), list[str]()
+    arm = robot_of(robot, models)
+    remarks: tuple[str, ...] = ()
     if arm.locked:
-        found, arm, failed, said = _in_posture(found, arm, go_on=options.skip_failed)
-        missing = (*missing, *failed)
-    named = (found, arm, models, previous, files, target, options, missing)
-    return Inputs(*named, executor, on_progress, tuple(said))
+        posture = _in_posture(chosen, arm, go_on=options.skip_failed)
+        arm = posture.robot
+        chosen = posture.logs
+        missing = (*missing, *posture.failed)
+        remarks = posture.remarks
+    return Inputs(
+        logs=chosen,
+        robot=arm,
+        models=models,
+        previous=previous,
+        parameters=model_files,
+        output=target,
+        options=options,
+        missing=missing,
+        executor=executor,
+        on_progress=on_progress,
+        said=remarks,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Posture:
+    """A robot whose left-out joints stand where the logs have them.
+
+    `logs` are those that can be used, `failed` says why others cannot, `remarks` what
+    is to be said of joints that stand.
+    """
+
+    robot: Robot
+    logs: tuple[Path | Recording, ...]
+    failed: list[InputError]
+    remarks: tuple[str, ...]
 
 
 def _in_posture(
     logs: tuple[Path | Recording, ...], robot: Robot, *, go_on: bool
-) -> tuple[tuple[Path | Recording, ...], Robot, list[InputError], list[str]]:
+) -> _Posture:
     """Take joints that the robot file leaves out where they stand in the logs.
 
-    Returns: the logs that can be used; the robot; why others cannot, where that is no
-    reason to stop (`go_on`); what is to be said.
+    With `go_on` a log that cannot be used is no reason to stop.
     """
     from seqid_cli.logs.left_out import Standing, in_logged_posture, standing_joints
 
-    kept: list[Path | Recording] = []
+    usable: list[Path | Recording] = []
     standing: list[Standing] = []
     failed: list[InputError] = []
     arm = robot
     for log in logs:
-        own = standing_joints(log, robot) if isinstance(log, Path) else []
+        of_log = standing_joints(log, robot) if isinstance(log, Path) else []
         try:
-            arm = in_logged_posture(robot, [*standing, *own])
+            arm = in_logged_posture(robot, [*standing, *of_log])
         except InputError as error:
             if not go_on:
                 raise
             failed.append(error)
             warn(f"left out: {error}")
             continue
-        kept.append(log)
-        standing += own
-    if failed and not kept:
+        usable.append(log)
+        standing += of_log
+    if failed and not usable:
         raise failed[0]
-    first: dict[str, Standing] = {}
-    for one in standing:
-        if one.message:
-            first.setdefault(one.joint.name, one)
-    said = [
-        f"[joint_stands] {one.log}: {name} {one.message}" for name, one in first.items()
-    ]
-    for text in said:
+
+    first_of_joint: dict[str, Standing] = {}
+    for joint in standing:
+        if joint.message:
+            first_of_joint.setdefault(joint.joint.name, joint)
+    remarks = tuple(
+        f"[joint_stands] {joint.log}: {name} {joint.message}"
+        for name, joint in first_of_joint.items()
+    )
+    for text in remarks:
         warn(text)
-    return tuple(kept), arm, failed, said
+    return _Posture(robot=arm, logs=tuple(usable), failed=failed, remarks=remarks)
 
 
 def read_models(given: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]:
     """Return parameter files with the names to use in messages."""
-    name = "the given parameters"
-    return tuple(
-        (
-            (name, x)
-            if isinstance(x, ParameterFile)
-            else (str(x), read_parameters(Path(x)))
-        )
-        for x in given
-    )
+    models: list[tuple[str, ParameterFile]] = []
+    for model in given:
+        if isinstance(model, ParameterFile):
+            models.append(("the given parameters", model))
+        else:
+            models.append((str(model), read_parameters(Path(model))))
+    return tuple(models)
 
 
 def robot_of(
@@ -197,7 +226,7 @@ def robot_of(
 
 
 def model_id(name: str, file: ParameterFile, paths: Sequence[Path]) -> FileId:
-    """A parameter file as documents list it."""
+    """Return a parameter file as documents list it."""
     if name in map(str, paths):
         return FileId(path=name, sha256=file_sha256(Path(name)))
     return FileId(path="", sha256=hashlib.sha256(encode(file).encode()).hexdigest())
@@ -207,19 +236,19 @@ def _logs(
     given: Sequence[Log], *, go_on: bool, stored: bool
 ) -> tuple[tuple[Path | Recording, ...], tuple[InputError, ...]]:
     """Return the logs that are meant, and what stands for none where that is no reason to stop."""
-    found: list[Log] = []
+    present_logs: list[Log] = []
     missing: list[InputError] = []
     for log in given:
         try:
             if go_on and is_place(log):
                 expand([os.fspath(log)], stored=stored)  # type: ignore[arg-type]
-            found.append(log)
+            present_logs.append(log)
         except InputError as error:
             missing.append(error)
             warn(f"left out: {error}")
-    if missing and not found:
+    if missing and not present_logs:
         raise missing[0]
-    files = expanded(found, stored=stored)
+    files = expanded(present_logs, stored=stored)
     for file in files:
         if not go_on and isinstance(file, Path) and not isinstance(file, StoredLog):
             check_log(file)

@@ -40,8 +40,11 @@ def judged(
     limits: JudgingSettings = JudgingSettings(),
 ) -> schema.Stages:
     """Add to the verdicts of new stages those by physics, those `of_logs`, that of the whole."""
-    friction, gravity = new.friction or before.friction, new.gravity or before.gravity
-    known, stages = schema.Stages(friction=friction, gravity=gravity), {}
+    known = schema.Stages(
+        friction=new.friction or before.friction,
+        gravity=new.gravity or before.gravity,
+    )
+    stages = {}
     for name in ("friction", "gravity", "imu", "inertia"):
         stage = getattr(new, name)
         if stage is not None:
@@ -107,7 +110,8 @@ def _physics(
         yield from friction_verdicts(stage, robot, limits)
     elif isinstance(stage, schema.RigidStage) and stage.parameters:
         q = postures(robot, count=POSTURES)
-        samples = dict(enumerate((q, own) for own in _gravity(robot, stage, q).T))
+        gravity = _gravity(robot, stage, q)
+        samples = {j: (q, gravity[:, j]) for j in range(robot.n)}
         if stage is not known.gravity:
             yield from inertia_verdicts(stage, robot, limits)
             if known.gravity is not None and known.gravity.parameters:
@@ -128,24 +132,26 @@ def friction_verdicts(
     """Judge whether friction brakes, and whether the gravity beside it is of the URDF's size."""
     for name, joint in stage.joints.items():
         surface = FrictionSurface.from_stage(joint)
-        (low, high), (first, last) = joint.speed_range, joint.position_range
-        levels = [
-            level.speed for level in joint.speeds if level.speed > joint.sign_width
-        ]
-        speeds = np.array(levels or [high])
+        low, high = joint.speed_range
+        speeds = np.array(
+            [level.speed for level in joint.speeds if level.speed > joint.sign_width]
+            or [high]
+        )
         if joint.parameters:  # a law over speed, of one level alone
             speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, SPEEDS)
-        q, v = (
-            x.ravel() for x in np.meshgrid(np.linspace(first, last, POSITIONS), speeds)
-        )
+        first, last = joint.position_range
+        positions = np.linspace(first, last, POSITIONS)
+        grid_q, grid_v = np.meshgrid(positions, speeds)
+        q = grid_q.ravel()
+        v = grid_v.ravel()
+
         # The mean of both directions: what is the same in both is an offset and takes
         # no energy.
         value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
         error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
-        usual = float(np.sqrt(np.mean(value**2)))
-        drives = (value < -limits.clear_sigma * error) & (
-            value < -limits.driving_share * usual
-        )
+        rms = float(np.sqrt(np.mean(value**2)))
+        is_clear = value < -limits.clear_sigma * error
+        drives = is_clear & (value < -limits.driving_share * rms)
         if np.mean(drives) > limits.driving_cells:
             worst = int(np.argmin(np.where(drives, value, np.inf)))
             reason = (
@@ -164,8 +170,8 @@ Samples = dict[int, tuple[Array, Array]]
 
 
 def _measured(stage: schema.FrictionStage, robot: Robot) -> Samples:
-    """Gravity torque by Eq. 12-14 in the postures of the friction trials."""
-    found: Samples = {}
+    """Return the gravity torque by Eq. 12-14 in the postures of the friction trials."""
+    samples: Samples = {}
     for j, name in enumerate(robot.joint_names):
         joint = stage.joints.get(name)
         groups = [group for group in joint.gravity if group.p_xi] if joint else []
@@ -180,12 +186,12 @@ def _measured(stage: schema.FrictionStage, robot: Robot) -> Samples:
         ]
         postures = np.repeat(places, len(q), axis=0)
         postures[:, j] = np.tile(q, len(groups))
-        found[j] = postures, np.concatenate(torques)
-    return found
+        samples[j] = (postures, np.concatenate(torques))
+    return samples
 
 
 def _gravity(robot: Robot, stage: schema.RigidStage | None, q: Array) -> Array:
-    """Gravity torque (N, n) N m by a stage, by the URDF's inertials where it is None."""
+    """Return the gravity torque (N, n) N m by a stage, or by the URDF's inertials for None."""
     phi = robot.nominal if stage is None else standard_parameters(stage, robot.n)[0]
     assert phi is not None
     still = np.zeros_like(q)
@@ -224,22 +230,26 @@ def _gravity_verdicts(
     largest = float(
         np.abs(_gravity(robot, stage, postures(robot, count=POSTURES))).max()
     )
-    for j, (q, own) in samples.items():
-        told = _gravity(robot, stage, q)[:, j]
-        rms = float(np.sqrt(np.mean(told**2)))
-        if rms < max(limits.min_gravity_torque, limits.light_share * largest):
+    for j, (q, torque) in samples.items():
+        expected = _gravity(robot, stage, q)[:, j]
+        expected_rms = _rms(expected)
+        if expected_rms < max(limits.min_gravity_torque, limits.light_share * largest):
             continue
-        off, size = (float(np.sqrt(np.mean(x**2))) / rms for x in (own - told, own))
-        ratio = float(own @ told) / float(told @ told)
+        off = _rms(torque - expected) / expected_rms
+        size = _rms(torque) / expected_rms
+        ratio = float(torque @ expected) / float(expected @ expected)
         differs = off > limits.max_gravity_difference
         if stage is None:
-            differs = (
-                not 1.0 / limits.max_gravity_factor < size < limits.max_gravity_factor
-            )
+            largest_factor = limits.max_gravity_factor
+            differs = not 1.0 / largest_factor < size < largest_factor
             differs |= ratio < limits.min_gravity_correlation * size
         if differs:
             reason = text.format(percent(off, 0), ratio)
             yield schema.Verdict(joint=robot.joint_names[j], good=False, reason=reason)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def inertia_verdicts(
@@ -247,21 +257,24 @@ def inertia_verdicts(
 ) -> Iterator[schema.Verdict]:
     """Judge whether rotors and the inertia that each drive feels are positive."""
     for p in stage.parameters:
-        rotor = p.terms and all(
-            x > 0.0 and name.startswith("Ia_") for name, x in p.terms.items()
+        is_rotor = p.terms and all(
+            factor > 0.0 and name.startswith("Ia_") for name, factor in p.terms.items()
         )
-        if rotor and p.value < -limits.clear_sigma * p.std_error:
-            found = f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}"
-            reason = f"{found}: a rotor cannot have negative inertia"
+        if is_rotor and p.value < -limits.clear_sigma * p.std_error:
+            reason = (
+                f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}: a rotor cannot have"
+                " negative inertia"
+            )
             yield schema.Verdict(joint=p.joint, good=False, reason=reason)
+
     # The inertia M_jj that joint j's drive feels, by the stage's parameters and their
     # errors.
     basis = free_basis(robot)
-    own = [basis.names.index(p.name) for p in stage.parameters if p.name in basis.names]
-    if len(own) != len(stage.parameters) or np.shape(stage.covariance) != (
-        len(own),
-        len(own),
-    ):
+    places = [
+        basis.names.index(p.name) for p in stage.parameters if p.name in basis.names
+    ]
+    count = len(stage.parameters)
+    if len(places) != count or np.shape(stage.covariance) != (count, count):
         return
     links, rotors = standard_parameters(stage, robot.n)
     standard = np.concatenate([links.ravel(), rotors])
@@ -271,19 +284,18 @@ def inertia_verdicts(
     for j, name in enumerate(robot.joint_names):
         if stage.rmse and name not in stage.rmse:
             continue
-        pushed = np.zeros_like(q)
-        pushed[:, j] = 1.0
-        H = (
-            standard_regressor(robot, q, still, pushed, coupling="diagonal")[:, j]
-            - at_rest[:, j]
-        )
-        felt, columns = H @ standard, H @ basis.representative[:, own]
+        ddq = np.zeros_like(q)
+        ddq[:, j] = 1.0
+        pushed = standard_regressor(robot, q, still, ddq, coupling="diagonal")
+        H = pushed[:, j] - at_rest[:, j]
+        inertia = H @ standard
+        columns = H @ basis.representative[:, places]
         variance = np.sum((columns @ np.array(stage.covariance)) * columns, axis=1)
         error = limits.clear_sigma * np.sqrt(np.maximum(variance, 0.0))
-        worst = int(np.argmax(felt + error))
-        if felt[worst] < -error[worst]:  # in every posture
+        worst = int(np.argmax(inertia + error))
+        if inertia[worst] < -error[worst]:  # in every posture
             reason = (
-                f"the inertia that its drive feels is at most {felt[worst]:.3g} +-"
+                f"the inertia that its drive feels is at most {inertia[worst]:.3g} +-"
                 f" {error[worst] / limits.clear_sigma:.2g}: it cannot be negative."
                 " Check sign and unit of the torque, torque_constant, gear_ratio and"
                 " rotor_inertia"

@@ -63,15 +63,19 @@ def deviation_torques(
     dict of str to (N, n) array
         By the deviation's name [N m; N where prismatic].
     """
-    usual = inverse_dynamics(robot.chain, robot.gravity, standard, q, dq, ddq)
-    found = {}
+    nominal = inverse_dynamics(robot.chain, robot.gravity, standard, q, dq, ddq)
+    torques = {}
     for deviation in deviations(robot):
-        chain, gravity = deviation.robot.chain, deviation.robot.gravity
         torque = inverse_dynamics(
-            chain, gravity, standard, q + deviation.shift, dq, ddq
+            deviation.robot.chain,
+            deviation.robot.gravity,
+            standard,
+            q + deviation.shift,
+            dq,
+            ddq,
         )
-        found[deviation.name] = torque - usual
-    return found
+        torques[deviation.name] = torque - nominal
+    return torques
 
 
 @dataclass(frozen=True)

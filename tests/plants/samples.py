@@ -78,14 +78,19 @@ def one_joint_recipe() -> Recipe:
     return Recipe(plant, trials, inject("spring", plant, 0), later, 4, 1, {}, base=base)
 
 
-def two_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
-    """All logs of the planar rig; there is no gravity to identify."""
+def two_joint_trials(
+    plant: Plant, rng: np.random.Generator, *, inertia_s: float = 8.0
+) -> list[Trial]:
+    """All logs of the planar rig, two of them of `inertia_s` seconds for inertia.
+
+    There is no gravity to identify.
+    """
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
     return [
         *experiments.friction_trials(plant, postures[0]),
         *experiments.imu_trials(plant, postures, turns=1),
         *experiments.inertia_trials(
-            plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=8.0
+            plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=inertia_s
         ),
         *experiments.validation_trials(plant, rng, seconds=12.0, points=6),
     ]

@@ -11,7 +11,7 @@ from seqid_cli.commands.settings import SETTINGS_OF_COMMANDS as ALL
 from seqid_cli.errors import UsageError
 from seqid_cli.identify.judging import friction_verdicts, inertia_verdicts, judged
 from seqid_cli.identify.prediction.verdicts import joint_verdicts
-from seqid_cli.identify.rigid.cutoff_check import with_cutoff_check
+from seqid_cli.identify.rigid.cutoff_check import Difference, with_cutoff_check
 from seqid_cli.identify.settings import (
     CutoffCheckSettings,
     FrictionSettings,
@@ -215,7 +215,7 @@ def test_a_parameter_that_depends_on_the_cutoff_is_judged_by_settings(
     basis = free_basis(robot)
     one = Parameter(name=basis.names[0], value=1.0, std_error=0.1, unit="kg m^2")
     stage = RigidStage(parameters=[one], condition=1.0, rank=1)
-    differences = [(0, 0.7, 3.5)]
+    differences = [Difference(place=0, multiple=0.7, n_errors=3.5)]
     loose = CutoffCheckSettings(usable_sigma=4.5)
     assert poor(with_cutoff_check(stage, differences, basis).verdicts)
     assert not poor(with_cutoff_check(stage, differences, basis, loose).verdicts)

@@ -32,9 +32,9 @@ from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.rigid.parameters import representative_of
-from seqid_cli.identify.rigid.simultaneous import (
-    TERMS,
-    identify_simultaneous,
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
+from seqid_cli.identify.rigid.simultaneous_equations import (
+    FRICTION_TERMS,
     surface_entries,
 )
 from seqid_cli.logs.recording import Recording
@@ -338,7 +338,9 @@ def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
     if friction is not None and friction.method == "simultaneous":
         logs = unique([*material.logs_of("friction"), *material.training])
         freed = [material.freed(log, model) for log in logs]
-        offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
+        offset = any(
+            len(j.parameters) == len(FRICTION_TERMS) for j in friction.joints.values()
+        )
         motion = material.options.motion.motion
         new, inertia = identify_simultaneous(
             freed, robot, options=motion, offset=offset

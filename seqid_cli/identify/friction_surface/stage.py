@@ -1,7 +1,17 @@
-"""Friction stage (Sec. 2.2.1-2.2.2, Eq. 7-16): one surface per joint from steady motion."""
+"""Friction stage (Sec. 2.2.1-2.2.2, Eq. 7-16): one surface per joint from steady motion.
 
-from collections.abc import Iterable
-from dataclasses import replace
+Three passes lead to a joint's surface:
+
+1. Gravity is separated from pairs of trials, forward and backward (Eq. 12-15), and a
+   first surface is fitted to what is left. By it, trials in which the joint hunts
+   between counts of its encoder are left out.
+2. The first surfaces of all joints tell what acceleration is left in the trials, and
+   by how much held joints gave way (`corrections`). Gravity is separated once more.
+3. The final surface is fitted to friction by Eq. 16, on the likeliest of some bases.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,9 +22,13 @@ from seqid_cli.identify.friction_surface.corrections import (
     without_acceleration,
 )
 from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_surfaces
-from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
+from seqid_cli.identify.friction_surface.gravity_separation import (
+    GravityFit,
+    GravityGroup,
+)
 from seqid_cli.identify.friction_surface.hunting import note_on_hunting, sliding_trials
 from seqid_cli.identify.friction_surface.prior import Sizes
+from seqid_cli.identify.friction_surface.reduction import SpeedData
 from seqid_cli.identify.friction_surface.trials import (
     Trial,
     collect_trials,
@@ -27,11 +41,22 @@ from seqid_cli.identify.settings import FrictionSettings, SurfaceSettings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
-from seqid_cli.params.schema import FrictionStage, Verdict
+from seqid_cli.params.schema import FrictionJoint, FrictionStage, Verdict
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
+NO_TRIAL = "no constant-velocity trial moves this joint"
 UNPAIRED = "no pair of forward and backward trials at one speed in one configuration"
+# The surface is fitted once per entry: slices that do not belong to their trial lose
+# their weight round by round. Only in the last round, whose data are clean, are all
+# bases tried.
+TRIES_ALL_BASES = (False, False, True)
+# Temperature is told apart from speed where at least this share of its variance lies
+# within trials of one speed and direction.
+LEAST_WITHIN_SHARE = 0.1
+# Speeds or positions that span more than this ratio may want another basis.
+WIDE_SPEED_RANGE = 4.0
+TURN = 2.0 * np.pi
 
 
 def identify_friction(
@@ -43,72 +68,140 @@ def identify_friction(
 ) -> FrictionStage:
     """Identify the friction surface of every joint that the logs move at constant velocity.
 
-    Raises QualityError if no joint moves by itself at constant velocity, no trial has a
-    twin in the other direction, or the orders ask for more speeds than there are.
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Logs in which one joint at a time moves at constant speed, both ways.
+    robot : Robot
+    options : FrictionOptions
+        Orders that the user fixes, and the bound beta of Eq. 11.
+    settings : FrictionSettings
+
+    Returns
+    -------
+    FrictionStage
+        Surfaces of the joints that have any, a verdict on every joint, and notes.
+
+    Raises
+    ------
+    QualityError
+        If no joint moves by itself at constant velocity, no trial has a twin in the
+        other direction, or the orders ask for more speeds than there are.
     """
     trials = collect_trials(recordings, robot)
     if not trials:
-        logs = [
-            str(getattr(log, "path", log))
-            for log in getattr(recordings, "logs", recordings)
-        ]
-        raise QualityError(
-            "no stretch was found in which one joint moves by itself at constant"
-            " velocity",
-            hint=(
-                "record trapezoidal moves of one joint at a time, or use seqid"
-                " simultaneous"
-            ),
-            where="".join(logs[:1]) + f" and {len(logs) - 1} more" * (len(logs) > 1),
-        )
-    firsts: dict[int, summary.Fit] = {}
-    reasons = dict.fromkeys(
-        range(robot.n), "no constant-velocity trial moves this joint"
-    )
-    joints, verdicts, notes = {}, [], []
-    sliding: list[Trial] = []
-    for j in sorted({trial.joint for trial in trials}):
-        reasons[j] = UNPAIRED
-        own = [trial for trial in trials if trial.joint == j]
-        first = _first_fit(robot, j, own, options, settings)
-        slides = sliding_trials(robot, own, first, settings.hunting)
-        if len(slides) < len(own):
-            text = note_on_hunting(robot.joints[j], own, slides)
-            notes.append(text)
-            first = _first_fit(robot, j, slides, options, settings)
-            reasons[j] = text if first is None else UNPAIRED
-        sliding += slides
-        if first is not None:
-            firsts[j] = first
-    surfaces = [firsts[j].surface if j in firsts else None for j in range(robot.n)]
-    held = HeldJoints.of(robot, sliding, surfaces)
+        raise _no_trials(recordings)
+
+    first = _first_pass(robot, trials, options, settings)
+    surfaces = [
+        first.fits[j].surface if j in first.fits else None for j in range(robot.n)
+    ]
+    held = HeldJoints.of(robot, first.sliding_trials, surfaces)
+
+    joints: dict[str, FrictionJoint] = {}
+    verdicts: list[Verdict] = []
+    notes = first.notes
     for j, joint in enumerate(robot.joints):
-        first, verdict = (
-            firsts.get(j),
-            Verdict(joint=joint.name, good=False, reason=reasons[j]),
-        )
-        steady = _steady_gravity(robot, first, held) if first else None
-        if first and steady and steady.groups:
-            sizes = first.parts[0][1].sizes
+        verdict = Verdict(joint=joint.name, good=False, reason=first.reasons[j])
+        first_fit = first.fits.get(j)
+        gravity = _steady_gravity(robot, first_fit, held) if first_fit else None
+        if first_fit is not None and gravity is not None and gravity.groups:
             fit = _fit(
-                robot, j, steady, options, settings.surface, near=sizes, held=held
+                robot,
+                j,
+                gravity,
+                options,
+                settings.surface,
+                near=first_fit.parts[0][1].sizes,
+                held=held,
             )
-            unpaired = first.gravity.unpaired
-            joints[joint.name], verdict, said = summary.summarise(
-                robot, j, fit, unpaired, options, settings.surface
+            n_unpaired = first_fit.gravity.unpaired
+            joints[joint.name], verdict, joint_notes = summary.summarise(
+                robot, j, fit, n_unpaired, options, settings.surface
             )
-            notes += said
+            notes += joint_notes
         verdicts.append(verdict)
     if not joints:
-        hint = "record every speed in both directions over the same range (Eq. 15)"
-        names = [
-            robot.joint_names[j] for j, reason in reasons.items() if reason == UNPAIRED
-        ]
-        if not names:
-            raise QualityError(notes[-1], hint="no joint slides in these logs")
-        raise QualityError(UNPAIRED, hint=hint, where=f"joint {names[-1]}")
+        raise _no_surface(robot, first)
     notes += summary.constants_note(robot)
     return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
+
+
+def _no_trials(recordings: Iterable[Recording]) -> QualityError:
+    """Return the error of logs in which no joint moves by itself at constant velocity."""
+    logs = [
+        str(getattr(log, "path", log))
+        for log in getattr(recordings, "logs", recordings)
+    ]
+    where = "".join(logs[:1])
+    if len(logs) > 1:
+        where += f" and {len(logs) - 1} more"
+    return QualityError(
+        "no stretch was found in which one joint moves by itself at constant velocity",
+        hint=(
+            "record trapezoidal moves of one joint at a time, or use seqid simultaneous"
+        ),
+        where=where,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstPass:
+    """First estimates of the joints' friction, by the joint's number.
+
+    `reasons` says of every joint why it would have no surface; `sliding_trials` are
+    those in which the joint does not hunt.
+    """
+
+    fits: dict[int, summary.Fit]
+    sliding_trials: list[Trial]
+    reasons: dict[int, str]
+    notes: list[str]
+
+
+def _first_pass(
+    robot: Robot,
+    trials: list[Trial],
+    options: FrictionOptions,
+    settings: FrictionSettings,
+) -> FirstPass:
+    """Fit a first surface to every joint, without the trials in which it hunts."""
+    fits: dict[int, summary.Fit] = {}
+    all_sliding: list[Trial] = []
+    reasons = dict.fromkeys(range(robot.n), NO_TRIAL)
+    notes: list[str] = []
+    for j in sorted({trial.joint for trial in trials}):
+        reasons[j] = UNPAIRED
+        joint_trials = [trial for trial in trials if trial.joint == j]
+        fit = _first_fit(robot, j, joint_trials, options, settings)
+        sliding = sliding_trials(robot, joint_trials, fit, settings.hunting)
+        if len(sliding) < len(joint_trials):
+            note = note_on_hunting(robot.joints[j], joint_trials, sliding)
+            notes.append(note)
+            fit = _first_fit(robot, j, sliding, options, settings)
+            reasons[j] = note if fit is None else UNPAIRED
+        all_sliding += sliding
+        if fit is not None:
+            fits[j] = fit
+    return FirstPass(
+        fits=fits, sliding_trials=all_sliding, reasons=reasons, notes=notes
+    )
+
+
+def _no_surface(robot: Robot, first: FirstPass) -> QualityError:
+    """Return the error of logs that give no joint a surface, naming the last that moved."""
+    unpaired = [
+        robot.joint_names[j]
+        for j, reason in first.reasons.items()
+        if reason == UNPAIRED
+    ]
+    if not unpaired:
+        return QualityError(first.notes[-1], hint="no joint slides in these logs")
+    return QualityError(
+        UNPAIRED,
+        hint="record every speed in both directions over the same range (Eq. 15)",
+        where=f"joint {unpaired[-1]}",
+    )
 
 
 def _first_fit(
@@ -128,10 +221,12 @@ def _first_fit(
     return _fit(robot, j, gravity, options, settings.surface)
 
 
-def _steady_gravity(robot: Robot, first: summary.Fit, held: HeldJoints) -> GravityFit:
-    """Gravity once more: first surfaces show what acceleration is left, and how others gave way."""
-    stood = [held.standing(group.trials) for group in first.gravity.groups]
-    steady = without_acceleration(robot, stood, first.surface)
+def _steady_gravity(
+    robot: Robot, first_fit: summary.Fit, held: HeldJoints
+) -> GravityFit:
+    """Separate gravity once more, from trials without acceleration and held joints' play."""
+    stood = [held.standing(group.trials) for group in first_fit.gravity.groups]
+    steady = without_acceleration(robot, stood, first_fit.surface)
     return gravity_separation.fit_gravity(robot, [group.trials for group in steady])
 
 
@@ -145,66 +240,94 @@ def _fit(
     near: Sizes | None = None,
     held: HeldJoints | None = None,
 ) -> summary.Fit:
-    """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`."""
+    """Fit a joint's surface to its trials freed of gravity.
+
+    Parameters
+    ----------
+    robot : Robot
+    j : int
+        The joint.
+    gravity : GravityFit
+        What the trials have alike both ways.
+    options : FrictionOptions
+    settings : SurfaceSettings
+    near : Sizes, optional
+        Sizes of terms and errors that an earlier fit has found. With them all bases
+        are tried, without them the first alone.
+    held : HeldJoints, optional
+        What held joints gave way by; without it nothing is known of that.
+    """
     # One surface for both directions together: what is alike both ways has been taken
     # off.
-    data, asked = (
-        _friction_data(gravity, held),
-        (options.position_order, options.velocity_order),
-    )
-    levels = len({item.speed for item in data})
-    if asked[1] is not None and asked[1] + 1 > levels:
-        needed = f"velocity order {asked[1]} needs at least {asked[1] + 1} speeds"
-        hint = f"record more speeds or use --velocity-order {levels - 1} or less"
-        where = f"joint {robot.joints[j].name}"
-        raise QualityError(
-            f"{needed}, these logs hold {levels}", hint=hint, where=where
-        )
-    parts = _fitted(
-        [data], _scalings(data) if near else _scalings(data)[:1], asked, near
-    )
-    fits, beta = [fit for _, fit in parts], options.beta
+    data = _friction_data(gravity, held)
+    orders_asked = (options.position_order, options.velocity_order)
+    _check_speeds(robot, j, data, options.velocity_order)
+    scalings = _scalings(data)
+    if near is None:
+        scalings = scalings[:1]
+    parts = _fitted(data, scalings, orders_asked, near)
+    fits = [fit for _, fit in parts]
 
     def meets_criterion(orders: reduction.Orders) -> bool:
-        """Return whether Eq. 11 holds, where there is a beta that it may hold at."""
+        """Return whether Eq. 11 holds."""
         errors = summary.errors_of(parts, orders, unseen=False)
-        return beta is not None and errors.relative <= beta
+        return options.beta is not None and errors.relative <= options.beta
 
-    chosen = choose_orders(
-        fits, asked, accept=None if beta is None else meets_criterion
+    orders = choose_orders(
+        fits,
+        orders_asked,
+        accept=None if options.beta is None else meets_criterion,
     )
-    entries = fits[0].entries(chosen)
+    entries = fits[0].entries(orders)
     scaling = fits[0].reduced.scaling
-    units = {"delay": PRIORS.delay_s, "thermal": PRIORS.per_kelvin}
-    places = {"delay": reduction.LATE, "thermal": reduction.WARM}
     surface = FrictionSurface(
         scaling=scaling,
         sign_width=scaling.speed[0] / settings.sign_narrowness,
         positive=entries,
         negative=entries,
-        entry_covariance=fits[0].covariance(chosen),
+        entry_covariance=fits[0].covariance(orders),
         directional=False,
     )
+
+    # The fit's columns hold one prior standard deviation of a term each.
+    prior_std = {"delay": PRIORS.delay_s, "thermal": PRIORS.per_kelvin}
+    places = {"delay": reduction.LATE, "thermal": reduction.WARM}
     terms = {}
-    for name, unit in units.items():
-        shared = fits[0].shared_term(chosen, places[name])
+    for name, std in prior_std.items():
+        shared = fits[0].shared_term(orders, places[name])
         terms[name] = summary.Term(
-            value=unit * shared.value,
-            std_error=unit * shared.std_error,
-            moves=shared.moves / unit,
+            value=std * shared.value,
+            std_error=std * shared.std_error,
+            moves=shared.moves / std,
         )
     if not _tells_temperature(gravity):
         surface, terms["thermal"] = _marginalised(surface, terms["thermal"])
-    return summary.Fit(gravity, parts, chosen, surface, terms)
+    return summary.Fit(
+        gravity=gravity, parts=parts, orders=orders, surface=surface, terms=terms
+    )
 
 
-def _tells_temperature(gravity: GravityFit, *, least_share: float = 0.1) -> bool:
-    """Whether trials at one speed, one way, were recorded at temperatures that differ.
+def _check_speeds(
+    robot: Robot, j: int, data: list[SpeedData], velocity_order: int | None
+) -> None:
+    """Raise QualityError where a velocity order was asked for that the speeds cannot tell."""
+    n_speeds = len({item.speed for item in data})
+    if velocity_order is None or velocity_order + 1 <= n_speeds:
+        return
+    raise QualityError(
+        f"velocity order {velocity_order} needs at least {velocity_order + 1} speeds,"
+        f" these logs hold {n_speeds}",
+        hint=f"record more speeds or use --velocity-order {n_speeds - 1} or less",
+        where=f"joint {robot.joints[j].name}",
+    )
+
+
+def _tells_temperature(gravity: GravityFit) -> bool:
+    """Return whether trials at one speed, one way, were recorded at different temperatures.
 
     A joint warms up while its speeds are recorded one after the other. Temperature and
     speed then say the same, and how smooth friction is over the speed decides between
-    them: the trials do not. `least_share` of the temperatures' variance must lie within
-    speeds and directions.
+    them: the trials do not.
     """
     trials = [trial for group in gravity.groups for trial in group.trials]
     celsius = np.array([trial.celsius for trial in trials])
@@ -213,10 +336,13 @@ def _tells_temperature(gravity: GravityFit, *, least_share: float = 0.1) -> bool
     total = float(np.sum((celsius - celsius.mean()) ** 2))
     within = 0.0
     for level in speed_levels(trials):
-        for way in (1, -1):
-            alike = np.array([t.celsius for t in level if way * t.velocity > 0.0])
-            within += float(np.sum((alike - alike.mean()) ** 2)) if len(alike) else 0.0
-    return within >= least_share * total
+        for direction in (1, -1):
+            same_way = [
+                trial.celsius for trial in level if direction * trial.velocity > 0.0
+            ]
+            if same_way:
+                within += float(np.sum((np.array(same_way) - np.mean(same_way)) ** 2))
+    return within >= LEAST_WITHIN_SHARE * total
 
 
 def _marginalised(
@@ -232,85 +358,99 @@ def _marginalised(
 
 
 def _fitted(
-    sets: list[list[reduction.SpeedData]],
+    data: list[SpeedData],
     scalings: list[Scaling],
-    asked: Asked,
+    orders_asked: Asked,
     near: Sizes | None,
 ) -> list[summary.Part]:
-    """Fit on the likeliest basis; slices that do not belong lose their weight round by round."""
-    # Sizes of terms and errors are searched from those of the round before, first from
-    # `near`.
-    distances = [reduction.around_medians(own) for own in sets]
-    for last in (False, False, True):
-        data = [
-            reduction.weighted(own, off)
-            for own, off in zip(sets, distances, strict=True)
-        ]
-        tried = [
-            fit_surfaces(
-                [reduction.reduce_trials(own, scaling) for own in data], asked, near
-            )
-            for scaling in (scalings if last else scalings[:1])
-        ]
-        fits = max(tried, key=lambda each: each[1])[0]
-        near = fits[0].sizes
-        distances = [fit.distances(own) for own, fit in zip(sets, fits, strict=True)]
-    return list(zip(data, fits, strict=True))
+    """Fit a joint's surface on the likeliest basis, slices that do not belong left out.
+
+    Sizes of terms and errors are searched from those of the round before, first from
+    `near`.
+    """
+    distances = reduction.around_medians(data)
+    for tries_all_bases in TRIES_ALL_BASES:
+        weighted = reduction.weighted(data, distances)
+        best_evidence = -np.inf
+        for scaling in scalings if tries_all_bases else scalings[:1]:
+            reduced = reduction.reduce_trials(weighted, scaling)
+            fits, evidence = fit_surfaces([reduced], orders_asked, near)
+            if evidence > best_evidence:
+                best_evidence = evidence
+                fit = fits[0]
+        near = fit.sizes
+        distances = fit.distances(data)
+    return [(weighted, fit)]
 
 
-def _scalings(
-    data: list[reduction.SpeedData], *, wide_range: float = 4.0
-) -> list[Scaling]:
-    """Bases that may suit: speeds or their logarithms, positions of one range or of every turn."""
-    q, speeds = np.concatenate([item.q for item in data]), [item.speed for item in data]
-    low, high, slow, fast = float(q.min()), float(q.max()), min(speeds), max(speeds)
+def _scalings(data: list[SpeedData]) -> list[Scaling]:
+    """Return the bases that may suit: by speeds or their logarithms, by range or by turns."""
+    q = np.concatenate([item.q for item in data])
+    speeds = [item.speed for item in data]
+    position = (float(q.min()), float(q.max()))
+    speed = (min(speeds), max(speeds))
+    over_speed = [False]
+    if speed[0] * WIDE_SPEED_RANGE < speed[1]:
+        over_speed.append(True)
+    over_position = [False]
+    if position[1] - position[0] > TURN:
+        over_position.append(True)
     return [
-        Scaling((low, high), (slow, fast), logarithmic, periodic)
-        for periodic in ((False, True) if high - low > 2.0 * np.pi else (False,))
-        for logarithmic in ((False, True) if slow * wide_range < fast else (False,))
+        Scaling(position, speed, logarithmic, periodic)
+        for periodic in over_position
+        for logarithmic in over_speed
     ]
 
 
-def _friction_data(
-    gravity: GravityFit, held: HeldJoints | None
-) -> list[reduction.SpeedData]:
-    """Friction by Eq. 16, one entry per trial, all trials of a level at the level's mean speed."""
+def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[SpeedData]:
+    """Return friction by Eq. 16, one entry per trial, at the mean speed of the trial's level."""
+    entries = list(_trial_entries(gravity, held))
     data = []
+    for level in speed_levels(entries):
+        mean_speed = float(np.mean([entry.speed for entry in level]))
+        data += [replace(entry, speed=mean_speed) for entry in level]
+    return data
+
+
+def _trial_entries(gravity: GravityFit, held: HeldJoints | None) -> Iterator[SpeedData]:
+    """Yield the friction of every trial, and what it would change by with known errors."""
     celsius = summary.mean_celsius(gravity)
     for group in gravity.groups:
-        doubts = (
-            held.doubt(group.trials)
-            if held
-            else [0.0 * trial.q for trial in group.trials]
-        )
+        doubts = [0.0 * trial.q for trial in group.trials]
+        if held is not None:
+            doubts = held.doubt(group.trials)
         for trial, doubt in zip(group.trials, doubts, strict=True):
-            way = 1 if trial.velocity > 0 else -1
-            same_both_ways = group.torque(trial.q) + gravity.even_torque(
-                trial.q, trial.speed
-            )
-            item = reduction.SpeedData(
-                speed=trial.speed,
-                direction=way,
-                q=trial.q,
-                friction=way * (trial.tau - same_both_ways),
-                weight=np.full(len(trial.q), trial.weight),
-                edges=reduction.edges_of(trial.t, trial.seconds),
-                push=way * trial.inertia_error * trial.ddq,
-                doubt=doubt,
-                late=-PRIORS.delay_s * trial.speed * group.slope(trial.q),
-                warm=PRIORS.per_kelvin
-                * _warmth(trial, gravity)
-                * kelvin_of(trial, celsius),
-            )
-            data.append(item)
-    return [
-        replace(item, speed=float(np.mean([other.speed for other in level])))
-        for level in speed_levels(data)
-        for item in level
-    ]
+            yield _trial_entry(trial, group, gravity, doubt=doubt, celsius=celsius)
 
 
-def _warmth(trial: Trial, gravity: GravityFit) -> Array:
+def _trial_entry(
+    trial: Trial,
+    group: GravityGroup,
+    gravity: GravityFit,
+    *,
+    doubt: Array,
+    celsius: float | None,
+) -> SpeedData:
+    """Return the friction of one trial; `doubt` (K,) N m is of how far held joints gave way."""
+    direction = 1 if trial.velocity > 0 else -1
+    gravity_torque = group.torque(trial.q)
+    even_torque = gravity.even_torque(trial.q, trial.speed)
+    warmth = _thermal_friction(trial, gravity) * kelvin_of(trial, celsius)
+    return SpeedData(
+        speed=trial.speed,
+        direction=direction,
+        q=trial.q,
+        friction=direction * (trial.tau - (gravity_torque + even_torque)),
+        weight=np.full(len(trial.q), trial.weight),
+        edges=reduction.edges_of(trial.t, trial.seconds),
+        push=direction * trial.inertia_error * trial.ddq,
+        doubt=doubt,
+        late=-PRIORS.delay_s * trial.speed * group.slope(trial.q),
+        warm=PRIORS.per_kelvin * warmth,
+    )
+
+
+def _thermal_friction(trial: Trial, gravity: GravityFit) -> Array:
     """Return the friction (K,) N m of a trial that goes with the temperature."""
     if gravity.friction is None:
         return np.full(len(trial.q), float(np.median(np.abs(trial.tau))))

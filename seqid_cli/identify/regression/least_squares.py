@@ -23,84 +23,123 @@ import numpy as np
 
 from seqid_cli.typing import Array, Mask
 
+# Blocks that are kept; from then on neighbours merge. Their memory, and the time of the
+# jackknife, stay small, and a log of minutes has blocks of a second all the same.
+MOST_BLOCKS = 256
+# A direction counts as excited from this share of the largest singular value of scaled
+# columns.
+RANK_TOLERANCE = 1e-3
+# A parameter is determined where its share of directions that are not excited is below.
+OPEN_SHARE = 1e-4
+# Columns below this share of the largest hold rounding alone.
+ROUNDING = 1e-9
+# A direction in which the blocks happen to agree is not known better than this share of
+# what white noise allows.
+WHITE_FLOOR = 0.05
+# A move of the estimate without a block is believed up to so many times its first
+# order: beyond, the rest without that block is all but singular.
+REGULAR_RATIO = 4.0
+LEAST_SIGMA = 1e-12  # N m
+
 
 def triangular(rows: Array) -> Array:
-    """Triangular factor (p, p) of rows (N, p), diagonal not negative; zero columns cost nothing."""
-    alive = np.flatnonzero(rows.any(axis=0))
-    R = np.asarray(np.linalg.qr(rows[:, alive], mode="r"), dtype=np.float64)
-    full = np.zeros((rows.shape[1], rows.shape[1]))
-    full[alive[: len(R), None], alive] = (
-        np.where(R.diagonal() < 0, -1.0, 1.0)[:, None] * R
-    )
-    return full
+    """Return the triangular factor (p, p) of rows (N, p), its diagonal not negative.
 
-
-MOST_BLOCKS = 256
-# singular value of scaled columns, over the largest, that counts as excited
-RANK_TOLERANCE = 1e-3
+    Columns of zeros cost nothing.
+    """
+    filled = np.flatnonzero(rows.any(axis=0))
+    R = np.asarray(np.linalg.qr(rows[:, filled], mode="r"), dtype=np.float64)
+    signs = np.where(R.diagonal() < 0, -1.0, 1.0)
+    factor = np.zeros((rows.shape[1], rows.shape[1]))
+    factor[filled[: len(R), None], filled] = signs[:, None] * R
+    return factor
 
 
 @dataclass
 class Accumulator:
-    """Factors of one joint's equations with p parameters: `blocks` (p + 1, p + 1) of [H y]."""
+    """Factors of one joint's equations with p parameters.
+
+    `blocks` (p + 1, p + 1) are the factors of [H y] of blocks of time, `rows` how many
+    each has, `span` how many additions go into a block, and `filled` how many of them
+    the last one has.
+    """
 
     size: int
     blocks: list[Array] = field(default_factory=list)
     rows: list[int] = field(default_factory=list)
-    span: int = 1  # additions that a block takes
-    filled: int = 1  # of them in the last one
+    span: int = 1
+    filled: int = 1
     _total: Array | None = field(default=None, repr=False, compare=False)
 
     def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
-        """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true."""
-        # An empty one keeps the joints' blocks in step. Cheapest with a column's
-        # samples in a row.
+        """Add one block of rows.
+
+        Parameters
+        ----------
+        H : (N, p) array
+            Regressor; cheapest with a column's samples in a row.
+        y : (N,) array
+            Right side [N m].
+        where : (N,) array of bool, optional
+            Rows that count. A block without any keeps the joints' blocks in step.
+        """
         self._total = None
-        rows = (
-            np.vstack([H.T, y])
-            if where is None
-            else np.vstack([H.T[:, where], y[where]])
-        )
-        factor, count = triangular(rows.T), rows.shape[1]
+        if where is None:
+            columns = np.vstack([H.T, y])
+        else:
+            columns = np.vstack([H.T[:, where], y[where]])
+        n_rows = columns.shape[1]
+        factor = triangular(columns.T)
+
         if self.blocks and self.filled < self.span:
-            if count:
+            if n_rows:
                 self.blocks[-1] = triangular(np.vstack([self.blocks[-1], factor]))
-            self.rows[-1] += count
+            self.rows[-1] += n_rows
             self.filled += 1
         else:
             self.blocks.append(factor)
-            self.rows.append(count)
+            self.rows.append(n_rows)
             self.filled = 1
         while len(self.blocks) > MOST_BLOCKS:
             self._halve()
 
     def __add__(self, other: "Accumulator") -> "Accumulator":
-        first, second = copy(self), copy(other)
-        for own in (first, second):  # blocks of one length
-            while own.span < max(self.span, other.span):
-                own._halve()
-        blocks, rows = first.blocks + second.blocks, first.rows + second.rows
-        both = Accumulator(self.size, blocks, rows, first.span, first.span)
-        while len(both.blocks) > MOST_BLOCKS:
-            both._halve()
-        return both
+        first = copy(self)
+        second = copy(other)
+        for accumulator in (first, second):  # blocks of one length
+            while accumulator.span < max(self.span, other.span):
+                accumulator._halve()
+        merged = Accumulator(
+            size=self.size,
+            blocks=first.blocks + second.blocks,
+            rows=first.rows + second.rows,
+            span=first.span,
+            filled=first.span,
+        )
+        while len(merged.blocks) > MOST_BLOCKS:
+            merged._halve()
+        return merged
 
     def _halve(self) -> None:
         """Merge each two neighbouring blocks; one without a partner stays."""
         if len(self.blocks) % 2 == 0:
             self.filled += self.span
-        pairs = [self.blocks[i : i + 2] for i in range(0, len(self.blocks), 2)]
-        self.blocks = [triangular(np.vstack(p)) if len(p) == 2 else p[0] for p in pairs]
-        self.rows = [sum(self.rows[i : i + 2]) for i in range(0, len(self.rows), 2)]
+        blocks: list[Array] = []
+        rows: list[int] = []
+        for first in range(0, len(self.blocks), 2):
+            pair = self.blocks[first : first + 2]
+            blocks.append(triangular(np.vstack(pair)) if len(pair) == 2 else pair[0])
+            rows.append(sum(self.rows[first : first + 2]))
+        self.blocks = blocks
+        self.rows = rows
         self.span *= 2
 
     @property
     def total(self) -> Array:
-        """Factor of all rows, from the blocks in their order."""
+        """Factor (p + 1, p + 1) of all rows, from the blocks in their order."""
         if self._total is None:
-            self._total = triangular(
-                np.vstack(self.blocks or [np.zeros((0, self.size + 1))])
-            )
+            blocks = self.blocks or [np.zeros((0, self.size + 1))]
+            self._total = triangular(np.vstack(blocks))
         return self._total
 
     @property
@@ -109,7 +148,7 @@ class Accumulator:
         return sum(self.rows)
 
     def with_fixed(self, column: int, value: float) -> "Accumulator":
-        """The same rows with one parameter held at a value and taken out."""
+        """Return the same rows with one parameter held at a value and taken out."""
         factors = np.stack([self.total, *self.blocks])
         fewer = np.delete(factors, column, axis=2)
         fewer[:, :, -1] -= value * factors[:, :, column]
@@ -121,36 +160,63 @@ class Accumulator:
         fewer[:, column:-1, column:] = below * np.where(negative, -1.0, 1.0)[:, :, None]
         total, *blocks = fewer[:, :-1].copy()
         return Accumulator(
-            self.size - 1, blocks, list(self.rows), self.span, self.filled, total
+            size=self.size - 1,
+            blocks=blocks,
+            rows=list(self.rows),
+            span=self.span,
+            filled=self.filled,
+            _total=total,
         )
 
     def residual_rms(self, theta: Array, fitted: int = 0) -> float:
-        """RMS of H theta - y over all rows, but for so many that were `fitted`."""
-        left = np.linalg.norm(self.total @ np.append(theta, -1.0))
-        return float(left / np.sqrt(max(self.samples - fitted, 1)))
+        """Return the RMS of H theta - y over all rows, but for so many that were `fitted`."""
+        norm = np.linalg.norm(self.total @ np.append(theta, -1.0))
+        return float(norm / np.sqrt(max(self.samples - fitted, 1)))
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,)."""
+    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,).
+
+    `friction` (k, K_j) by joint, `constants` (k,) by joint and `tolerances` (k,) by
+    name are what b moves by with the coefficients of friction, with the errors of torque
+    constants, and with what no log shows.
+    """
 
     A: Array
     b: Array
-    # By joint what b moves by with coefficients of friction (k, K_j), torque constants'
-    # errors (k,)
     friction: dict[int, Array] = field(default_factory=dict)
     constants: dict[int, Array] = field(default_factory=dict)
-    # likewise with what no log shows
     tolerances: dict[str, Array] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Solution:
     """Weighted least squares over all joints.
 
-    `determined` (p,) is False for parameters that these data do not distinguish from
-    others; their values are one choice among many (the smallest) and must not be
-    reported. `left_open` (p, p - rank) are the directions along which nothing is known.
+    Attributes
+    ----------
+    theta : (p,) array
+        The estimate.
+    covariance : (p, p) array
+        By the block jackknife, the prior's own errors included.
+    determined : (p,) array of bool
+        False for parameters that these data do not distinguish from others; their
+        values are one choice among many (the smallest) and must not be reported.
+    rank, condition : int, float
+        Of the parameters alone, nuisances being marginalised.
+    sigma : (n,) array
+        Residual RMS of each joint [N m].
+    bread : (p, p) array
+        Inverse of the weighted normal matrix.
+    left_open : (p, p - rank) array
+        Directions along which nothing is known.
+    moves : (G, p) array
+        By which the estimate moves without one block of time.
+    shares : (n, p) array
+        What of the estimate comes from each joint's right side.
+    designs : (n,) array
+        Variance that each joint's residual makes, over that of white noise.
     """
 
     theta: Array
@@ -158,12 +224,11 @@ class Solution:
     determined: Mask
     rank: int
     condition: float
-    sigma: Array  # residual RMS per joint
-    bread: Array  # inverse of the weighted normal matrix
+    sigma: Array
+    bread: Array
     left_open: Array
-    moves: Array  # (G, p) by which the estimate moves without one block of time
-    shares: Array  # (n, p) of the estimate that come from each joint's right side
-    # (n,) variance that each joint's residual makes, over that of white noise
+    moves: Array
+    shares: Array
     designs: Array
 
     def first(self, count: int) -> "Solution":
@@ -186,121 +251,177 @@ def solve(
     prior: Prior | None = None,
     iterations: int = 3,
     independent: float = 1.0,
-    white_floor: float = 0.05,
     nuisances: slice = slice(0, 0),
 ) -> Solution:
     """Solve for all joints together, each weighted by its own residual, with a block jackknife.
 
-    `iterations`: rounds of reweighting. `independent`: share of the samples that count
-    beside the prior: low-passed noise does not count more where there are more samples
-    of it. `nuisances`: columns that the prior determines where the rows do not; rank
-    and condition are of the others, these being marginalised.
+    Parameters
+    ----------
+    joints : sequence of Accumulator
+        Rows of each joint, with the same p parameters.
+    prior : Prior, optional
+        What is known before.
+    iterations : int
+        Rounds of reweighting.
+    independent : float
+        Share of the samples that counts beside the prior: low-passed noise does not
+        count more where there are more samples of it.
+    nuisances : slice
+        Columns that the prior determines where the rows do not; rank and condition are
+        of the others, these being marginalised.
     """
     size = joints[0].size
     totals = [joint.total for joint in joints]
-    marginalised = len(range(*nuisances.indices(size)))
-    fewest = (size - marginalised) // 4
+    n_nuisances = len(range(*nuisances.indices(size)))
+    # A joint with hardly any rows has no residual to be weighted by.
+    fewest = (size - n_nuisances) // 4
     used = [k for k, joint in enumerate(joints) if joint.samples > fewest]
+
     # Each joint by itself first, not by R's last entry: rounding decides it where
     # columns depend.
-    alone = [_solve_scaled(total)[:2] for total in totals]
-    left = [
-        j.residual_rms(x, B.shape[1]) for j, (x, B) in zip(joints, alone, strict=True)
-    ]
-    sigma = np.maximum(left, 1e-12)
-    told = [] if prior is None else [np.column_stack([prior.A, prior.b])]
-    known = [_seen(rows[:, :-1]) for rows in [*(totals[k] for k in used), *told]]
-    seen = np.any(known, axis=0) if known else np.zeros(size, dtype=bool)
+    sigma = np.zeros(len(joints))
+    for k, joint in enumerate(joints):
+        alone = _solve_scaled(totals[k])
+        sigma[k] = joint.residual_rms(alone.theta, fitted=alone.root.shape[1])
+    sigma = np.maximum(sigma, LEAST_SIGMA)
+
+    prior_rows = []
+    if prior is not None:
+        prior_rows.append(np.column_stack([prior.A, prior.b]))
+    filled = np.zeros(size, dtype=bool)
+    for rows in [*(totals[k] for k in used), *prior_rows]:
+        filled |= _filled_columns(rows[:, :-1])
+
     for _ in range(iterations):
         # of the factor: what follows must use the same
         scale = sigma / np.sqrt(independent)
-        stack = [totals[k] / scale[k] for k in used] + told
-        factor = (
-            triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
-        )
-        theta, basis, left_open, condition, determined = _solve_marginalised(
-            factor, seen, nuisances
-        )
-        sigma = np.maximum([joint.residual_rms(theta) for joint in joints], 1e-12)
-    rank = basis.shape[1] - marginalised
-    bread = basis @ basis.T
+        stack = [*(totals[k] / scale[k] for k in used), *prior_rows]
+        factor = np.zeros((size + 1, size + 1))
+        if stack:
+            factor = triangular(np.vstack(stack))
+        solved = _solve_marginalised(factor, filled, nuisances)
+        residual_rms = [joint.residual_rms(solved.theta) for joint in joints]
+        sigma = np.maximum(residual_rms, LEAST_SIGMA)
+
+    bread = solved.root @ solved.root.T
     blocks = {k: joints[k].blocks for k in used}
-    moves, designs = _jackknife(blocks, scale, theta, factor, bread)
-    # A direction in which the blocks happen to agree is not known better than white
-    # noise allows.
-    covariance = spread_of(moves) + white_floor * bread
+    moves, designs = _jackknife(blocks, scale, solved.theta, factor, bread)
+    covariance = spread_of(moves) + WHITE_FLOOR * bread
     if prior is not None:  # of unit variance: no residual to learn it from
-        own = prior.A @ bread
-        covariance += own.T @ own
+        by_prior = prior.A @ bread
+        covariance += by_prior.T @ by_prior
     shares = np.zeros((len(joints), size))
     for k in used:
-        shares[k] = bread @ (totals[k][:, :-1].T @ totals[k][:, -1]) / scale[k] ** 2
-    found = theta, covariance, determined, rank, condition
-    return Solution(*found, sigma, bread, left_open, moves, shares, designs)
+        R = totals[k][:, :-1]
+        z = totals[k][:, -1]
+        shares[k] = bread @ (R.T @ z) / scale[k] ** 2
+    return Solution(
+        theta=solved.theta,
+        covariance=covariance,
+        determined=solved.determined,
+        rank=solved.root.shape[1] - n_nuisances,
+        condition=solved.condition,
+        sigma=sigma,
+        bread=bread,
+        left_open=solved.left_open,
+        moves=moves,
+        shares=shares,
+        designs=designs,
+    )
 
 
-def _seen(rows: Array) -> Mask:
-    """Columns of rows (k, p) of one noise that hold more than rounding."""
+def _filled_columns(rows: Array) -> Mask:
+    """Return the columns (p,) of rows (k, p) of one noise that hold more than rounding."""
     norms = np.linalg.norm(rows, axis=0)
-    return np.asarray(norms > 1e-9 * norms.max(initial=1e-300))
+    return np.asarray(norms > ROUNDING * norms.max(initial=1e-300))
 
 
-def _solve_scaled(
-    factor: Array, seen: Mask | None = None
-) -> tuple[Array, Array, Array, float, Mask]:
-    """Smallest solution with scaled columns, of those that are `seen` (p,)."""
-    # Then B with (H'H)^+ = B B' over what is excited, the directions that are not, the
-    # condition, and which parameters have no part in those directions.
-    R, z = factor[:-1, :-1], factor[:-1, -1]
+@dataclass(frozen=True, kw_only=True)
+class ScaledSolution:
+    """The smallest solution with scaled columns.
+
+    With `root` (p, r), (H'H)^+ = root root' over the r directions that are excited.
+    `left_open` (p, p - r) are the directions that are not, `determined` (p,) which
+    parameters have no part in those.
+    """
+
+    theta: Array
+    root: Array
+    left_open: Array
+    condition: float
+    determined: Mask
+
+
+def _solve_scaled(factor: Array, filled: Mask | None = None) -> ScaledSolution:
+    """Solve a factor [R z] of (p + 1) columns, of those that are `filled` (p,)."""
+    R = factor[:-1, :-1]
+    z = factor[:-1, -1]
     scale = np.linalg.norm(R, axis=0)
-    scale[~(_seen(R) if seen is None else seen)] = np.inf
+    if filled is None:
+        filled = _filled_columns(R)
+    scale[~filled] = np.inf
+
     U, s, Vt = np.linalg.svd(R / scale)
-    kept = s > RANK_TOLERANCE * s[0] if s[0] > 0 else np.zeros(len(s), dtype=bool)
-    basis = (Vt[kept].T / s[kept]) / scale[:, None]
-    condition = float(s[kept][0] / s[kept][-1]) if kept.any() else 0.0
-    left_open = Vt[~kept].T / np.where(np.isfinite(scale), scale, 1.0)[:, None]
-    determined: Mask = np.isfinite(scale) & (np.sum(Vt[kept] ** 2, axis=0) > 1 - 1e-4)
-    return basis @ (U[:, kept].T @ z), basis, left_open, condition, determined
+    excited = np.zeros(len(s), dtype=bool)
+    if s[0] > 0:
+        excited = s > RANK_TOLERANCE * s[0]
+    root = (Vt[excited].T / s[excited]) / scale[:, None]
+    condition = float(s[excited][0] / s[excited][-1]) if excited.any() else 0.0
+    is_finite = np.isfinite(scale)
+    left_open = Vt[~excited].T / np.where(is_finite, scale, 1.0)[:, None]
+    excited_share = np.sum(Vt[excited] ** 2, axis=0)
+    return ScaledSolution(
+        theta=root @ (U[:, excited].T @ z),
+        root=root,
+        left_open=left_open,
+        condition=condition,
+        determined=is_finite & (excited_share > 1 - OPEN_SHARE),
+    )
 
 
 def _solve_marginalised(
-    factor: Array, seen: Mask, nuisances: slice
-) -> tuple[Array, Array, Array, float, Mask]:
-    """Solve as `_solve_scaled` does, which directions are excited being asked of the others alone.
+    factor: Array, filled: Mask, nuisances: slice
+) -> ScaledSolution:
+    """Solve as `_solve_scaled` does, asking of the other parameters alone what is excited.
 
     A nuisance term that resembles a parameter is told apart by its prior, however weak
     that is beside the rows: it is no direction to be dropped.
     """
     columns = np.arange(len(factor) - 1)
     first = columns[nuisances]
-    if not len(first):
-        return _solve_scaled(factor, seen)
+    count = len(first)
+    if not count:
+        return _solve_scaled(factor, filled)
 
     # With the nuisances first, the rows below theirs are of what they leave of the
     # others.
     others = np.setdiff1d(columns, first)
     ordered = factor[:, [*first, *others, len(columns)]]
     R = np.asarray(np.linalg.qr(ordered, mode="r"), dtype=np.float64)
-    count = len(first)
-    theta_rest, basis_rest, open_rest, condition, determined_rest = _solve_scaled(
-        R[count:, count:], seen[others]
-    )
+    rest = _solve_scaled(R[count:, count:], filled[others])
     inner = R[:count, :count]
     across = R[:count, count:-1]
 
-    size, rank = len(columns), basis_rest.shape[1]
+    size = len(columns)
+    rank = rest.root.shape[1]
     theta = np.zeros(size)
-    theta[others] = theta_rest
-    theta[first] = np.linalg.solve(inner, R[:count, -1] - across @ theta_rest)
-    basis = np.zeros((size, count + rank))
-    basis[np.ix_(others, np.arange(count, count + rank))] = basis_rest
-    basis[first, :count] = np.linalg.inv(inner)
-    basis[first, count:] = -np.linalg.solve(inner, across @ basis_rest)
-    left_open = np.zeros((size, open_rest.shape[1]))
-    left_open[others] = open_rest
+    theta[others] = rest.theta
+    theta[first] = np.linalg.solve(inner, R[:count, -1] - across @ rest.theta)
+    root = np.zeros((size, count + rank))
+    root[np.ix_(others, np.arange(count, count + rank))] = rest.root
+    root[first, :count] = np.linalg.inv(inner)
+    root[first, count:] = -np.linalg.solve(inner, across @ rest.root)
+    left_open = np.zeros((size, rest.left_open.shape[1]))
+    left_open[others] = rest.left_open
     determined = np.ones(size, dtype=np.bool_)
-    determined[others] = determined_rest
-    return theta, basis, left_open, condition, determined
+    determined[others] = rest.determined
+    return ScaledSolution(
+        theta=theta,
+        root=root,
+        left_open=left_open,
+        condition=rest.condition,
+        determined=determined,
+    )
 
 
 def _jackknife(
@@ -310,49 +431,77 @@ def _jackknife(
     factor: Array,
     bread: Array,
 ) -> tuple[Array, Array]:
-    """Moves (G, p) of the estimate when one block of time is left out, and designs (n,)."""
-    # With G blocks of normal matrix A_b and score s_b the estimate without block b
-    # moves by (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves.
-    # Unlike the sandwich it does not shrink when a block has leverage. The scores of
-    # one joint alone, over what white noise would make of them, are its design effect.
-    normal = factor[:-1, :-1].T @ factor[:-1, :-1]
-    count = max(map(len, blocks.values()), default=0)
-    A, s = np.zeros((count, *bread.shape)), np.zeros((len(sigma), count, len(theta)))
+    """Return the moves (G, p) of the estimate without one block of time, and designs (n,).
+
+    With G blocks of normal matrix A_b and score s_b the estimate without block b moves
+    by (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves. Unlike the
+    sandwich it does not shrink when a block has leverage. The scores of one joint
+    alone, over what white noise would make of them, are its design effect.
+
+    Parameters
+    ----------
+    blocks : dict of lists of (p + 1, p + 1) arrays
+        Factors of each joint's blocks.
+    sigma : (n,) array
+        Standard deviations by which joints are weighted.
+    theta : (p,) array
+    factor : (p + 1, p + 1) array
+        Of all rows together, weighted.
+    bread : (p, p) array
+        Inverse of its normal matrix.
+    """
+    n_blocks = max(map(len, blocks.values()), default=0)
+    block_normals = np.zeros((n_blocks, *bread.shape))
+    joint_scores = np.zeros((len(sigma), n_blocks, len(theta)))
     designs = np.ones(len(sigma))
     for k, factors in blocks.items():
         R = np.stack(factors) / sigma[k]
-        inner, own = R[:, :, :-1].transpose(0, 2, 1), slice(len(R))
-        normals = inner @ R[:, :, :-1]
-        A[own] += normals
-        s[k, own] = (inner @ (R @ np.append(-theta, 1.0))[:, :, None])[:, :, 0]
+        Ht = R[:, :, :-1].transpose(0, 2, 1)
+        residual = R @ np.append(-theta, 1.0)
+        scores_of_joint = (Ht @ residual[:, :, None])[:, :, 0]
+        normals = Ht @ R[:, :, :-1]
+        block_normals[: len(R)] += normals
+        joint_scores[k, : len(R)] = scores_of_joint
         white = np.trace(bread @ normals.sum(axis=0))
-        designs[k] = np.sum((s[k] @ bread) * s[k]) / max(white, 1e-300)
-    scores = s.sum(axis=0)
+        # Over all blocks: those that this joint has no rows in score nothing.
+        spread = np.sum((joint_scores[k] @ bread) * joint_scores[k])
+        designs[k] = spread / max(white, 1e-300)
+
     # (A - A_b)^+ s_b within the excited directions; the plain score where that is not
     # regular.
-    plain, left = scores @ bread, np.eye(len(bread)) - bread @ A
+    scores = joint_scores.sum(axis=0)
+    plain = scores @ bread
+    without_block = np.eye(len(bread)) - bread @ block_normals
     try:
-        moves = np.linalg.solve(left, plain[:, :, None])[:, :, 0]
+        moves = np.linalg.solve(without_block, plain[:, :, None])[:, :, 0]
     except np.linalg.LinAlgError:
-        moves = (np.linalg.pinv(left) @ plain[:, :, None])[:, :, 0]
-    before, after = (
-        np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves)
-    )
-    regular: Mask = np.sqrt(after) <= 4.0 * np.sqrt(before)
+        moves = (np.linalg.pinv(without_block) @ plain[:, :, None])[:, :, 0]
+    normal = factor[:-1, :-1].T @ factor[:-1, :-1]
+    plain_size = np.sqrt(_squares(plain, normal))
+    regular: Mask = np.sqrt(_squares(moves, normal)) <= REGULAR_RATIO * plain_size
     moves = np.where(regular[:, None], moves, plain)
+
     # Few blocks: what the fit itself has taken of their residuals.
-    leverage = np.sum((moves @ normal) * moves) / max(np.sum(plain * scores), 1e-300)
+    expected = max(np.sum(plain * scores), 1e-300)
+    leverage = np.sum((moves @ normal) * moves) / expected
     return moves, designs * leverage
 
 
+def _squares(moves: Array, normal: Array) -> Array:
+    """Return the squared sizes (G,) of moves (G, p) in units of a normal matrix (p, p)."""
+    squares = np.einsum("bi,ij,bj->b", moves, normal, moves)
+    return np.asarray(squares.clip(0.0))
+
+
 def spread_of(moves: Array) -> Array:
-    """Covariance (p, p) by the jackknife's moves (G, p)."""
+    """Return the covariance (p, p) by the jackknife's moves (G, p)."""
     count = len(moves)
     return np.asarray(moves.T @ moves * (max(count - 1, 1) / max(count, 1)))
 
 
 def whitened(covariance: Array) -> Array:
-    """Rows L with L' L the (pseudo-)inverse of a covariance: a stage's result as a prior."""
+    """Return rows L with L' L the (pseudo-)inverse of a covariance: a result as a prior."""
     value, vector = np.linalg.eigh((covariance + covariance.T) / 2)
-    kept = value > 1e-14 * max(value.max(initial=0.0), 1e-300)
-    return np.asarray((vector[:, kept] / np.sqrt(value[kept])).T)
+    known_directions = value > 1e-14 * max(value.max(initial=0.0), 1e-300)
+    scaled = vector[:, known_directions] / np.sqrt(value[known_directions])
+    return np.asarray(scaled.T)

@@ -15,7 +15,8 @@ What of d is beyond its own noise, a share 1 - p / W of its square, counts as an
 of theta.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -28,61 +29,107 @@ from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
 
 Result = tuple[Solution, Posterior]
-# Parameters by their place, the multiple of the cut-off, the difference in stated
-# standard errors.
-Differences = list[tuple[int, float, float]]
+# Directions in which the covariance of a difference is below this share of its largest
+# are rounding.
+FLAT = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """A parameter that is another at another cut-off.
+
+    `place` is the parameter's, `multiple` that of the cut-off, `n_errors` the
+    difference in stated standard errors.
+    """
+
+    place: int
+    multiple: float
+    n_errors: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CutoffDependence:
+    """What other cut-offs change beyond its noise: directions (p, d), and what to say."""
+
+    directions: Array
+    differences: list[Difference]
 
 
 def cutoff_check(
-    own: Result,
-    near: Mapping[float, Result],
+    used: Result,
+    neighbours: Mapping[float, Result],
     surfaces: Surfaces,
     settings: CutoffCheckSettings = CutoffCheckSettings(),
-) -> tuple[Array, Differences]:
-    """Compare an estimate with others, `near` by multiple of the cut-off.
+) -> CutoffDependence:
+    """Compare an estimate with those at other cut-offs.
 
-    Returns directions (p, d) of one standard deviation each, and differences that
-    exceed `noted_sigma` of their own errors.
+    Parameters
+    ----------
+    used : Result
+        Solution and posterior at the cut-off in use.
+    neighbours : mapping of float to Result
+        The same by multiple of the cut-off.
+    surfaces : sequence of FrictionSurface or None
+        Of the joints.
+    settings : CutoffCheckSettings
+        From how many of its own errors a difference is noted.
+
+    Returns
+    -------
+    CutoffDependence
+        Directions of one standard deviation each.
     """
-    size = len(own[0].theta)
-    stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
-    excess, differences = [], Differences()
-    for factor, other in near.items():
-        if own[0].moves.shape != other[0].moves.shape:  # their blocks are not alike
+    solution, posterior = used
+    size = len(solution.theta)
+    stated = np.sqrt(np.maximum(np.diag(posterior.covariance), 0.0))
+    excess: list[Array] = []
+    differences: list[Difference] = []
+    for multiple, (other, other_posterior) in neighbours.items():
+        if solution.moves.shape != other.moves.shape:  # their blocks are not alike
             continue
-        d, (first, second) = (
-            other[0].theta - own[0].theta,
-            (own[1].friction, other[1].friction),
-        )
-        both = {j: second[j] - first[j] for j in first if j in second}
-        V = spread_of(other[0].moves - own[0].moves) + friction_covariance(
-            both, surfaces, size
-        )
-        known = own[0].determined & other[0].determined
-        excess.append(
-            np.where(known, d, 0.0) * _excess(d[known], V[np.ix_(known, known)])
-        )
-        error = np.sqrt(np.maximum(np.diag(V), 0.0))
-        for k in np.flatnonzero(known & (np.abs(d) > settings.noted_sigma * error)):
-            differences.append((int(k), factor, float(d[k] / max(stated[k], 1e-300))))
-    errors = (
-        np.array(excess).T / np.sqrt(len(excess)) if excess else np.zeros((size, 0))
-    )
-    return errors, differences
+        change = other.theta - solution.theta
+        by_friction = {
+            j: other_posterior.friction[j] - moves
+            for j, moves in posterior.friction.items()
+            if j in other_posterior.friction
+        }
+        V = spread_of(other.moves - solution.moves)
+        V = V + friction_covariance(by_friction, surfaces, size)
+
+        determined = solution.determined & other.determined
+        share = _excess(change[determined], V[np.ix_(determined, determined)])
+        excess.append(np.where(determined, change, 0.0) * share)
+        std_error = np.sqrt(np.maximum(np.diag(V), 0.0))
+        noted = determined & (np.abs(change) > settings.noted_sigma * std_error)
+        differences += [
+            Difference(
+                place=int(k),
+                multiple=multiple,
+                n_errors=float(change[k] / max(stated[k], 1e-300)),
+            )
+            for k in np.flatnonzero(noted)
+        ]
+    directions = np.zeros((size, 0))
+    if excess:
+        directions = np.array(excess).T / np.sqrt(len(excess))
+    return CutoffDependence(directions=directions, differences=differences)
 
 
-def _excess(d: Array, V: Array, *, flat: float = 1e-09) -> float:
-    """Square root of the share of a difference that its own noise does not explain."""
+def _excess(change: Array, V: Array) -> float:
+    """Return the root of the share of a difference (k,) that its covariance V does not explain."""
     scale = np.sqrt(np.maximum(np.diag(V), 1e-300))
     value, vector = np.linalg.eigh(V / np.outer(scale, scale))
-    kept = value > flat * max(float(value.max(initial=0.0)), 1e-300)
-    W = float(np.sum((vector[:, kept].T @ (d / scale)) ** 2 / value[kept]))
-    return float(np.sqrt(max(0.0, 1.0 - float(kept.sum()) / W))) if W > 0 else 0.0
+    seen = value > FLAT * max(float(value.max(initial=0.0)), 1e-300)
+    along = vector[:, seen].T @ (change / scale)
+    W = float(np.sum(along**2 / value[seen]))
+    if W <= 0:
+        return 0.0
+    return float(np.sqrt(max(0.0, 1.0 - float(seen.sum()) / W)))
 
 
 def with_cutoff_check(
     stage: RigidStage,
-    differences: Differences,
+    differences: Sequence[Difference],
     basis: Basis,
     settings: CutoffCheckSettings = CutoffCheckSettings(),
 ) -> RigidStage:
@@ -92,26 +139,26 @@ def with_cutoff_check(
     something that the model lacks shows.
     """
     stated = {p.name for p in stage.parameters}
-    # the rest: nuisances
-    of_parameters = [one for one in differences if one[0] < basis.size]
-    named = [
-        (basis.names[k], at, by)
-        for k, at, by in of_parameters
-        if basis.names[k] in stated
+    noted = [
+        difference
+        for difference in differences
+        # the rest are nuisances, or of another stage
+        if difference.place < basis.size and basis.names[difference.place] in stated
     ]
+    if not noted:
+        return stage
+
     text = ", ".join(
-        f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in named
+        f"{basis.names[x.place]} by {x.n_errors:+.1f} at {x.multiple:g} times"
+        for x in noted
     )
     note = f"parameters that depend on the cut-off, in stated standard errors: {text}"
-    reason = (
-        f"{note}. Noise of the encoders' acceleration or something that the model"
-        " lacks; use accelerometers, a finer encoder or slower moves, or look for"
-        " effects (seqid diagnose)"
-    )
-    notes = list(stage.notes)
     verdicts = list(stage.verdicts)
-    if named:
-        notes.append(note)
-    if any(abs(by) >= settings.usable_sigma for *_, by in named):
+    if any(abs(x.n_errors) >= settings.usable_sigma for x in noted):
+        reason = (
+            f"{note}. Noise of the encoders' acceleration or something that the model"
+            " lacks; use accelerometers, a finer encoder or slower moves, or look for"
+            " effects (seqid diagnose)"
+        )
         verdicts.append(Verdict(good=False, level="usable", reason=reason))
-    return replace(stage, notes=notes, verdicts=verdicts)
+    return replace(stage, notes=[*stage.notes, note], verdicts=verdicts)

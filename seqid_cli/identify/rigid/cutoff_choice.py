@@ -42,7 +42,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, spread_of
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations
-from seqid_cli.identify.rigid.simultaneous import SimultaneousEquations
+from seqid_cli.identify.rigid.simultaneous_equations import SimultaneousEquations
 from seqid_cli.identify.settings import CutoffSettings, InertiaSettings
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion
@@ -425,7 +425,7 @@ class InertiaTrial:
             covariance=posterior.covariance,
             joints=[joint.with_fixed(joint.size - 1, 0.0) for joint in rows.joints],
             torque_squares=rows.torque_squares,
-            independent=float(rows.counts[0]),
+            independent=float(rows.sample_counts[0]),
             nuisances=own.nuisances.all,
         )
 

@@ -9,7 +9,8 @@ import contextlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
-from typing import NamedTuple, cast
+from operator import add
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -56,9 +57,6 @@ from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages,
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-# as used, at neighbouring cut-offs, by the encoders
-AllRows = tuple[InertiaRows | None, ...]
-
 
 @dataclass(frozen=True)
 class InertiaResult:
@@ -66,6 +64,35 @@ class InertiaResult:
 
     inertia: RigidStage
     friction: FrictionStage
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogRows:
+    """Rows of one log or of several, as used and otherwise filtered.
+
+    `neighbours` are rows at multiples of the cut-off, by the multiple; `by_encoders`
+    those of the encoders' motion where IMUs take part in the other.
+    """
+
+    used: InertiaRows
+    neighbours: dict[float, InertiaRows]
+    by_encoders: InertiaRows | None = None
+
+    def __add__(self, other: "LogRows") -> "LogRows":
+        neighbours = dict(self.neighbours)
+        for multiple, rows in other.neighbours.items():
+            present = neighbours.get(multiple)
+            neighbours[multiple] = rows if present is None else present + rows
+        by_encoders = self.by_encoders
+        if by_encoders is None:
+            by_encoders = other.by_encoders
+        elif other.by_encoders is not None:
+            by_encoders = by_encoders + other.by_encoders
+        return LogRows(
+            used=self.used + other.used,
+            neighbours=neighbours,
+            by_encoders=by_encoders,
+        )
 
 
 def identify_inertia(
@@ -76,50 +103,88 @@ def identify_inertia(
     options: InertiaOptions,
     compare: bool = False,
 ) -> InertiaResult:
-    """Identify the base parameters that gravity does not show."""
-    # With `compare` a second time with the encoders alone, for their standard errors.
+    """Identify the base parameters that gravity does not show.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording or SurveyedLog
+        Moves of two joints or more at a time; a `LogSet` is read log by log.
+    robot : Robot
+    stages : Stages
+        With friction; with gravity where it loads a joint; with imu to use IMUs.
+    options : InertiaOptions
+        Cut-off, neighbouring cut-offs, whose motion counts.
+    compare : bool
+        Whether to solve a second time with the encoders alone, for their standard
+        errors.
+
+    Raises
+    ------
+    UsageError
+        Without a friction stage.
+    QualityError
+        Where no joint with known friction moves.
+    """
     if stages.friction is None:
         raise UsageError(
             "inertia needs the friction stage", hint="run seqid friction first"
         )
-    equations, others = InertiaEquations(robot, stages, options), None
-    if compare and stages.imu is not None and options.source != "encoder":
-        hz = options.motion.encoder_hz or options.motion.cutoff_hz
-        motion = replace(options.motion, cutoff_hz=hz)
-        others = InertiaEquations(
-            robot, stages, replace(options, source="encoder", motion=motion)
-        )
-    # whoever reduces them does not look inside
+    equations = InertiaEquations(robot, stages, options)
+    by_encoders = _encoder_equations(equations) if compare else None
+
+    # whoever reduces the logs does not look inside
     logs = cast("Iterable[Recording]", recordings)
-    opens = open_if_long if others is None and streams(stages, options) else None
-    none: AllRows = (None,) * (2 + len(options.neighbours))
-    parts = list(mapped(logs, partial(_rows_of, equations, others), opens))
-    own, *near, encoder = reduce(_all, parts, none)
-    if own is None or not any(joint.samples for joint in own.joints):
+    opens = open_if_long if by_encoders is None and streams(stages, options) else None
+    rows_of_log = partial(_rows_of_log, equations, by_encoders)
+    each_log = list(mapped(logs, rows_of_log, opens))
+    together = reduce(add, each_log) if each_log else None
+    if together is None or not any(joint.samples for joint in together.used.joints):
         raise QualityError("no joint with known friction moves in these logs")
-    known = zip(options.neighbours, near, strict=True)
-    result = _stage(
-        equations, own, {factor: rows for factor, rows in known if rows is not None}
-    )
-    by_log = [rows for rows, *_ in parts if rows is not None]
-    stage = _with_agreement(result.inertia, equations, own, by_log)
-    if not (
-        others and encoder and any(use.source != "encoder" for use in stage.motion_use)
-    ):
-        return InertiaResult(stage, result.friction)
-    before = {
-        p.name: p.std_error for p in _stage(others, encoder, {}).inertia.parameters
+
+    # In the order of the options, which that of the cut-offs' comparison is.
+    neighbours = {
+        multiple: together.neighbours[multiple]
+        for multiple in options.neighbours
+        if multiple in together.neighbours
     }
-    there = [p for p in stage.parameters if p.name in before]
-    ratios = [before[p.name] / max(p.std_error, 1e-300) for p in there]
+    result = _stage(equations, together.used, neighbours)
+    stage = _with_agreement(
+        result.inertia, equations, together.used, [log.used for log in each_log]
+    )
+    uses_imus = any(use.source != "encoder" for use in stage.motion_use)
+    if by_encoders is not None and together.by_encoders is not None and uses_imus:
+        encoder_stage = _stage(by_encoders, together.by_encoders, {}).inertia
+        stage = _with_encoder_errors(stage, encoder_stage)
+    return InertiaResult(stage, result.friction)
+
+
+def _encoder_equations(equations: InertiaEquations) -> InertiaEquations | None:
+    """Return the same equations by the encoders alone; None where they are that already."""
+    options = equations.options
+    if equations.stages.imu is None or options.source == "encoder":
+        return None
+    motion = replace(
+        options.motion, cutoff_hz=options.motion.encoder_hz or options.motion.cutoff_hz
+    )
+    encoder_options = replace(options, source="encoder", motion=motion)
+    return InertiaEquations(equations.robot, equations.stages, encoder_options)
+
+
+def _with_encoder_errors(stage: RigidStage, encoder_stage: RigidStage) -> RigidStage:
+    """Add the standard errors that the encoders alone would have."""
+    by_encoders = {p.name: p.std_error for p in encoder_stage.parameters}
+    ratios = [
+        by_encoders[p.name] / max(p.std_error, 1e-300)
+        for p in stage.parameters
+        if p.name in by_encoders
+    ]
     notes = list(stage.notes)
     if ratios:
-        times = f"{np.median(ratios):.2g} times these"
         notes.append(
-            f"by the encoders alone the standard errors would be {times} (median)"
+            "by the encoders alone the standard errors would be"
+            f" {np.median(ratios):.2g} times these (median)"
         )
-    stage = msgspec.structs.replace(stage, encoder_std_errors=before, notes=notes)
-    return InertiaResult(stage, result.friction)
+    return msgspec.structs.replace(stage, encoder_std_errors=by_encoders, notes=notes)
 
 
 def _with_agreement(
@@ -129,81 +194,84 @@ def _with_agreement(
     logs: Sequence[InertiaRows],
 ) -> RigidStage:
     """Add verdicts on logs whose rigid body is not that of all of them `together`."""
-    robot, size = equations.robot, equations.basis.size
+    robot = equations.robot
     coupling = float(stage.rotor_coupling == "gyroscopic")
-    joints = [
-        [j.with_fixed(j.size - 1, coupling) for j in rows.joints] for rows in logs
+    joints_of_logs = [
+        [joint.with_fixed(joint.size - 1, coupling) for joint in rows.joints]
+        for rows in logs
     ]
-    found = agreement_verdicts(
-        log_equations([rows.uses[0].log for rows in logs], joints),
+    residual_rms = np.array(
+        [stage.rmse.get(name, np.inf) for name in robot.joint_names]
+    )
+    verdicts = agreement_verdicts(
+        log_equations([rows.uses[0].log for rows in logs], joints_of_logs),
         robot,
-        np.array([stage.rmse.get(name, np.inf) for name in robot.joint_names]),
+        residual_rms,
         together.torque_squares,
-        size,
+        equations.basis.size,
         equations.options.settings.agreement,
         independent=together.independent,
     )
-    return msgspec.structs.replace(stage, verdicts=[*stage.verdicts, *found])
+    return msgspec.structs.replace(stage, verdicts=[*stage.verdicts, *verdicts])
 
 
-def _rows_of(
-    used: InertiaEquations,
-    others: InertiaEquations | None,
+def _rows_of_log(
+    equations: InertiaEquations,
+    by_encoders: InertiaEquations | None,
     log: Recording | SurveyedLog,
     _: int,
-) -> AllRows:
+) -> LogRows:
     """Reduce the equations of one log, and those by its encoders where they are asked for."""
-    own, factors = used.rows_of(log), used.options.neighbours
-    near: list[InertiaRows | None] = [None] * len(factors)
-    for k, factor in enumerate(factors if isinstance(log, Recording) else ()):
-        with contextlib.suppress(InputError):  # the log is too short or too slow for it
-            near[k] = used.at_cutoff(own.uses[0].cutoff_hz * factor).rows_of(log)
-    return own, *near, others.rows_of(log) if others else None
-
-
-def _all(first: AllRows, second: AllRows) -> AllRows:
-    pairs = zip(first, second, strict=True)
-    return tuple(a + b if a is not None and b is not None else a or b for a, b in pairs)
+    used = equations.rows_of(log)
+    neighbours: dict[float, InertiaRows] = {}
+    if isinstance(log, Recording):
+        for multiple in equations.options.neighbours:
+            # The log may be too short or too slow for another cut-off.
+            with contextlib.suppress(InputError):
+                cutoff_hz = used.uses[0].cutoff_hz * multiple
+                neighbours[multiple] = equations.at_cutoff(cutoff_hz).rows_of(log)
+    return LogRows(
+        used=used,
+        neighbours=neighbours,
+        by_encoders=by_encoders.rows_of(log) if by_encoders else None,
+    )
 
 
 def _stage(
-    equations: InertiaEquations, rows: InertiaRows, near: Mapping[float, InertiaRows]
+    equations: InertiaEquations,
+    rows: InertiaRows,
+    neighbours: Mapping[float, InertiaRows],
 ) -> InertiaResult:
-    """Solve, decide on the rotor coupling, and describe; `near` by multiples of the cut-off."""
-    robot, basis, stages = equations.robot, equations.basis, equations.stages
+    """Solve, decide on the rotor coupling, and describe.
+
+    `neighbours` are rows at other cut-offs, by multiples of the one in use.
+    """
+    basis = equations.basis
     settings = equations.options.settings
-    coupling = decide(equations, [rows, *near.values()], settings.rotors)
+
+    coupling = decide(equations, [rows, *neighbours.values()], settings.rotors)
     share = float(coupling.used)
     solution, posterior = equations.solved(rows, share)
     posterior = posterior.with_error(coupling.directions)
-    there = {factor: equations.solved(other, share) for factor, other in near.items()}
-    by_cutoff, differences = cutoff_check(
-        (solution, posterior), there, equations.surfaces, settings.cutoff_check
+    at_neighbours = {
+        multiple: equations.solved(other, share)
+        for multiple, other in neighbours.items()
+    }
+    by_cutoff = cutoff_check(
+        (solution, posterior), at_neighbours, equations.surfaces, settings.cutoff_check
     )
-    imus = stages.imu.imus if stages.imu else {}
-    used = {name for use in rows.uses for name in use.imus}
-    errors = {name: imus[name].acceleration_std_error or 0.0 for name in used if imus}
-    theta = solution.theta[: basis.size]
-    inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, theta)
-    moves = parameters.imu_moves(robot, basis, inertia, equations.reflected, errors)
-    moves = np.pad(moves, ((0, equations.nuisances.count), (0, 0)))
-    posterior = posterior.with_error(by_cutoff).with_error(moves)
-    posterior = replace(
-        posterior, tolerances=tolerance_moves(equations, rows, solution)
-    )
+    by_imus = _imu_moves(equations, rows, solution)
+    posterior = posterior.with_error(by_cutoff.directions).with_error(by_imus)
+    tolerances = tolerance_moves(equations, rows, solution)
+    posterior = replace(posterior, tolerances=tolerances)
+
     stage = _described(
         equations, rows, solution.first(basis.size), posterior.first(basis.size)
     )
-    believed = {
+    good_joints = {
         verdict.joint for verdict in stage.verdicts if verdict.joint and verdict.good
     }
-    drives = _drive_terms(equations, rows, solution, posterior, believed)
-    stage = msgspec.structs.replace(
-        stage,
-        nuisances=drives.terms,
-        nuisance_covariance=drives.covariance.tolist(),
-        notes=[*stage.notes, *drives.notes],
-    )
+    drives = _drive_terms(equations, rows, solution, posterior, good_joints)
     verdicts = list(stage.verdicts)
     if coupling.contradicted:
         verdicts.append(
@@ -211,14 +279,40 @@ def _stage(
         )
     stage = msgspec.structs.replace(
         stage,
+        nuisances=drives.terms,
+        nuisance_covariance=drives.covariance.tolist(),
         rotor_coupling="gyroscopic" if coupling.used else "diagonal",
         verdicts=verdicts,
-        notes=[*stage.notes, *coupling.notes],
+        notes=[*stage.notes, *drives.notes, *coupling.notes],
     )
-    stage = with_cutoff_check(stage, differences, basis, settings.cutoff_check)
-    model = msgspec.structs.replace(stages, friction=drives.friction, inertia=stage)
+    stage = with_cutoff_check(
+        stage, by_cutoff.differences, basis, settings.cutoff_check
+    )
+    model = msgspec.structs.replace(
+        equations.stages, friction=drives.friction, inertia=stage
+    )
     stage = _with_bands(equations, rows, model, stage, solution, share)
     return InertiaResult(stage, drives.friction)
+
+
+def _imu_moves(
+    equations: InertiaEquations, rows: InertiaRows, solution: Solution
+) -> Array:
+    """Return how the unknowns (p, k) move with one standard error of each IMU's scale."""
+    basis = equations.basis
+    stages = equations.stages
+    imus = stages.imu.imus if stages.imu else {}
+    used = {name for use in rows.uses for name in use.imus}
+    std_errors = {
+        name: imus[name].acceleration_std_error or 0.0 for name in used if imus
+    }
+    theta = solution.theta[: basis.size]
+    # Gravity has been identified without IMUs.
+    inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, theta)
+    moves = parameters.imu_moves(
+        equations.robot, basis, inertia, equations.reflected, std_errors
+    )
+    return np.pad(moves, ((0, equations.nuisances.count), (0, 0)))
 
 
 def _with_bands(
@@ -241,7 +335,8 @@ def _with_bands(
     return msgspec.structs.replace(stage, bands=bands)
 
 
-class DriveTerms(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class DriveTerms:
     """Nuisance terms of the joints that moved, their notes, and friction with them.
 
     `covariance` is that of the stage's determined parameters, then of the terms.
@@ -258,15 +353,17 @@ def _drive_terms(
     rows: InertiaRows,
     solution: Solution,
     posterior: Posterior,
-    believed: Collection[str],
+    good_joints: Collection[str],
 ) -> DriveTerms:
     """Describe the terms of the drives, and put them into the friction stage.
 
-    They are `believed` at joints of which noise alone is left: elsewhere they take what
-    else the model lacks, a friction that has changed reads as a delay of ten
+    They are believed at `good_joints`, of which noise alone is left. Elsewhere they
+    take what else the model lacks, a friction that has changed reads as a delay of ten
     milliseconds. There they are marginalised, and friction stays as it came.
     """
-    robot, basis, columns = equations.robot, equations.basis, equations.nuisances
+    robot = equations.robot
+    basis = equations.basis
+    columns = equations.nuisances
     friction = equations.stages.friction
     assert friction is not None
     joints = dict(friction.joints)
@@ -307,7 +404,7 @@ def _drive_terms(
             std_error = float(np.sqrt(posterior.covariance[place, place]))
             joint = with_term(joint, term, value, std_error)
         joints[name] = with_even_part(joint, name, even)
-        if name not in believed:
+        if name not in good_joints:
             joints[name] = friction.joints[name]
         by_name = {term.name: term for term in joints[name].nuisances}
         terms += [by_name[term] for term in DRIVE_NAMES if term in by_name]
@@ -320,7 +417,7 @@ def _drive_terms(
         notes=[
             described(term)
             for term in shown(terms, sizes)
-            if term.joint in believed and (reads_delays or term.name != "delay")
+            if term.joint in good_joints and (reads_delays or term.name != "delay")
         ],
         friction=msgspec.structs.replace(friction, joints=joints),
     )
@@ -332,15 +429,17 @@ def _described(
     solution: Solution,
     posterior: Posterior,
 ) -> RigidStage:
-    """The stage, with the parameters that the gravity stage does not have."""
+    """Return the stage, with the parameters that the gravity stage does not have."""
     settings = equations.options.settings.residual
-    robot, basis, gravity = equations.robot, equations.basis, equations.stages.gravity
-    known = {p.name for p in gravity.parameters} if gravity else set()
-    own = np.array(
-        [k for k in range(basis.size) if basis.names[k] not in known], dtype=int
+    robot = equations.robot
+    basis = equations.basis
+    gravity = equations.stages.gravity
+    of_gravity = {p.name for p in gravity.parameters} if gravity else set()
+    new_parameters = np.array(
+        [k for k in range(basis.size) if basis.names[k] not in of_gravity], dtype=int
     )
     stage = parameters.rigid_stage(
-        robot, basis, solution, posterior, own, equations.rotors
+        robot, basis, solution, posterior, new_parameters, equations.rotors
     )
     pairs = (
         parameters.missing_pairs(robot, basis, solution.left_open)

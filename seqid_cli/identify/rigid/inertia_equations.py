@@ -11,6 +11,7 @@ anywhere within its stiction.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -52,10 +53,16 @@ from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
-LEAST_CHUNKS, MOST_CHUNKS = 2, 6  # of the equations, worked on together
-
-
-MOST_STATES = 200  # of one log, at which deviations from the robot file are looked at
+# Chunks of the equations that are worked on together.
+LEAST_CHUNKS = 2
+MOST_CHUNKS = 6
+# States of one log at which deviations from the robot file are looked at.
+MOST_STATES = 200
+# Share of the low-pass's memory that is computed beside a part: it leaves 1e-10.
+REMEMBERED = 0.8
+# Rounds of weighing joints by what is left of them: weights settle to 1e-3 standard
+# errors.
+ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -68,33 +75,47 @@ class States:
     used: Mask
 
 
-@dataclass
+@dataclass(kw_only=True)
 class InertiaRows:
-    """The equations of some logs, reduced: factors, sums and crossed sums per joint."""
+    """The equations of some logs, reduced.
+
+    `joints` are the factors of each joint's rows, `torque_squares` (n,) sums of its
+    squared torque [(N m)^2], `cross` the products (p, c) of its rows with the columns
+    of friction's errors, `sample_counts` (2,) the samples that count as independent,
+    and all. `noise` is of the logs that are held, `states` are some of each log's.
+    """
 
     joints: list[Accumulator]
     torque_squares: Array
-    cross: dict[int, Array]
-    uses: list[MotionUse]
-    counts: Array  # (2,): samples that count as independent, and all
-    noise: list[LogNoise] = field(default_factory=list)  # of the logs that are held
-    states: list[States] = field(default_factory=list)  # some of each log's
+    sample_counts: Array
+    cross: dict[int, Array] = field(default_factory=dict)
+    uses: list[MotionUse] = field(default_factory=list)
+    noise: list[LogNoise] = field(default_factory=list)
+    states: list[States] = field(default_factory=list)
     band_rows: BandRowsCollector = field(default_factory=BandRowsCollector)
 
-    def __add__(self, other: "InertiaRows") -> "InertiaRows":
-        none, known = np.zeros(()), self.cross | other.cross
-        cross = {j: self.cross.get(j, none) + other.cross.get(j, none) for j in known}
-        joints = [a + b for a, b in zip(self.joints, other.joints, strict=True)]
-        squares, counts = (
-            self.torque_squares + other.torque_squares,
-            self.counts + other.counts,
+    @classmethod
+    def empty(cls, joints: int, unknowns: int) -> "InertiaRows":
+        """Return the rows of no log, for so many joints and unknowns."""
+        return cls(
+            joints=[Accumulator(unknowns) for _ in range(joints)],
+            torque_squares=np.zeros(joints),
+            sample_counts=np.zeros(2),
         )
+
+    def __add__(self, other: "InertiaRows") -> "InertiaRows":
+        nothing = np.zeros(())
+        cross = {
+            j: self.cross.get(j, nothing) + other.cross.get(j, nothing)
+            for j in self.cross | other.cross
+        }
+        joints = [a + b for a, b in zip(self.joints, other.joints, strict=True)]
         return InertiaRows(
             joints=joints,
-            torque_squares=squares,
+            torque_squares=self.torque_squares + other.torque_squares,
+            sample_counts=self.sample_counts + other.sample_counts,
             cross=cross,
             uses=self.uses + other.uses,
-            counts=counts,
             noise=self.noise + other.noise,
             states=self.states + other.states,
             band_rows=self.band_rows + other.band_rows,
@@ -103,7 +124,8 @@ class InertiaRows:
     @property
     def independent(self) -> float:
         """Share of the samples that counts as independent."""
-        return float(self.counts[0] / max(self.counts[1], 1.0))
+        independent, samples = self.sample_counts
+        return float(independent / max(samples, 1.0))
 
 
 @dataclass(frozen=True)
@@ -143,7 +165,9 @@ class InertiaEquations:
     measures_noise = True
 
     def __init__(self, robot: Robot, stages: Stages, options: InertiaOptions) -> None:
-        self.robot, self.stages, self.options = robot, stages, options
+        self.robot = robot
+        self.stages = stages
+        self.options = options
         self.basis = free_basis(robot)
         self.nuisances = NuisanceColumns(self.basis.size, robot.n)
         self.coupling_place = self.nuisances.size
@@ -155,107 +179,119 @@ class InertiaEquations:
         self._thermal = [self._change_of(name, "thermal") for name in robot.joint_names]
         self._scaled = (robot.torque_constant_errors > 0.0) & (self.reflected > 0.0)
 
-    def rows_of(
-        self, log: Recording | SurveyedLog, *, forgotten: float = 0.8
-    ) -> InertiaRows:
-        """Rows of one log; `forgotten`: share of the low-pass's memory computed beside."""
-        # The motion of a held log is one block, of others many. 0.8 of the memory
-        # leaves 1e-10.
-        options = self.options.motion
-        if isinstance(log, Recording):
-            imu, source = self.stages.imu, self.options.source
-            motion = equations.torque_motion(
-                log, self.robot, options, imu=imu, source=source
-            )
-            parts: Iterable[Motion] = [motion]
-            lowpass, samples = motion.lowpass, motion.samples
-        else:
-            plan = equations.plan_of(log, self.robot, options)
-            parts = motion_blocks(log.blocks(), plan)
-            factor, samples = plan.factor, -(-log.samples // plan.factor)
-            lowpass = Lowpass(plan.cutoff.hz, plan.rate_hz / factor, factor)
-        reach = int(forgotten * lowpass.memory) + lowpass.settling
+    def rows_of(self, log: Recording | SurveyedLog) -> InertiaRows:
+        """Return the rows of one log, reduced.
+
+        Raises
+        ------
+        InputError
+            Where the log has no torque, or is too short for its cut-off.
+        """
+        motions = self._motions_of(log)
+        lowpass = motions.lowpass
+        reach = int(REMEMBERED * lowpass.memory) + lowpass.settling
         # Friction at the onset of sliding is not that of its surface, and the filter
         # mixes it in: the shorter quarter period that a prediction is judged by reads
         # delays of up to a millisecond where there are none.
         settled = self.options.settings.reversals.settled_periods
-        size = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
-        # samples of a second; longer where blocks would be merged anyway
-        block = lowpass.rate_hz
-        while samples > MOST_BLOCKS * block and block < CHUNK / 2:
-            block *= 2.0
-        joints = [Accumulator(self.nuisances.size + 1) for _ in range(self.robot.n)]
-        rows = InertiaRows(joints, np.zeros(self.robot.n), {}, [], np.zeros(2))
+        n_chunks = np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS)
+        size = CHUNK * int(n_chunks)
+        block_s = _block_samples(lowpass.rate_hz, motions.samples) / lowpass.rate_hz
+
+        rows = InertiaRows.empty(self.robot.n, self.nuisances.size + 1)
         rows.band_rows.next_log()
-        moving, usable = np.zeros(self.robot.n, dtype=bool), False
+        moving = np.zeros(self.robot.n, dtype=bool)
+        is_usable = False
         # Right sides need little memory: they are made of longer parts than the
         # regressor.
-        held = samples if isinstance(log, Recording) else 2 * size
-        for motion, start, stop in overlapping(parts, held, 2 * reach):
-            y = self.right_side(motion)
+        held = motions.samples if isinstance(log, Recording) else 2 * size
+        for motion, start, stop in overlapping(motions.parts, held, 2 * reach):
             drive = self.drive_columns(motion)
-            y += self._reference(drive)
-            about, beside = (motion, self.robot, self.basis), self.coupling_column
+            y = self.right_side(motion) + self._reference(drive)
             for part, H in equations.filtered_regressor(
-                *about, within=(start, stop), chunk=size, reach=reach, beside=beside
+                motion,
+                self.robot,
+                self.basis,
+                within=(start, stop),
+                chunk=size,
+                reach=reach,
+                beside=self.coupling_column,
             ):
-                low, high = max(0, part.start - reach), part.stop + reach
-                near = motion.part(slice(low, high))
-                slides = sliding(near, self.slowest, reach_periods=settled)
-                judged = sliding(near, self.slowest)
-                for at in range(part.start, part.stop, CHUNK):
-                    own = slice(at, min(at + CHUNK, part.stop))
-                    rigid = H[own.start - part.start : own.stop - part.start]
-                    columns = self._joined(rigid, drive.part(own))
-                    inner = slice(own.start - low, own.stop - low)
+                first = max(0, part.start - reach)
+                surrounding = motion.part(slice(first, part.stop + reach))
+                used = sliding(surrounding, self.slowest, reach_periods=settled)
+                judged = sliding(surrounding, self.slowest)
+                for begin in range(part.start, part.stop, CHUNK):
+                    end = min(begin + CHUNK, part.stop)
+                    samples = slice(begin, end)
+                    rigid = H[begin - part.start : end - part.start]
+                    columns = self._joined(rigid, drive.part(samples))
+                    inner = slice(begin - first, end - first)
                     self.add_chunk(
                         rows,
-                        motion.part(own),
+                        motion.part(samples),
                         columns,
-                        y[own],
-                        slides[inner],
-                        block / lowpass.rate_hz,
+                        y[samples],
+                        used[inner],
+                        block_s,
                     )
                     self._add_band_rows(
                         rows.band_rows,
-                        motion.part(own),
+                        motion.part(samples),
                         columns,
-                        y[own],
-                        used=slides[inner],
+                        y[samples],
+                        used=used[inner],
                         judged=judged[inner],
                     )
             moving |= motion.moving.any(axis=0)
-            usable |= bool(motion.usable.any())
-        if not usable:
+            is_usable |= bool(motion.usable.any())
+        if not is_usable:
             raise too_short(log.path, lowpass.cutoff_hz)
+
         if isinstance(log, Recording) and self.measures_noise:
-            slides = sliding(motion, self.slowest, reach_periods=settled)
-            rows.noise.append(noise_of_log(log, motion, slides))
-            some = np.flatnonzero(slides.any(axis=1))
-            some = some[:: max(1, len(some) // MOST_STATES)]
-            rows.states.append(
-                States(motion.q[some], motion.dq[some], motion.ddq[some], slides[some])
-            )
+            used = sliding(motion, self.slowest, reach_periods=settled)
+            rows.noise.append(noise_of_log(log, motion, used))
+            rows.states.append(_some_states(motion, used))
         whole = replace(motion, moving=moving[None])
         rows.uses.append(equations.motion_use(log.path, self.robot, whole))
         return rows
 
+    def _motions_of(self, log: Recording | SurveyedLog) -> "LogMotions":
+        """Return the motion of a log: in one part where it is held, in many where not."""
+        options = self.options.motion
+        if isinstance(log, Recording):
+            motion = equations.torque_motion(
+                log,
+                self.robot,
+                options,
+                imu=self.stages.imu,
+                source=self.options.source,
+            )
+            return LogMotions(
+                parts=[motion], lowpass=motion.lowpass, samples=motion.samples
+            )
+        plan = equations.plan_of(log, self.robot, options)
+        return LogMotions(
+            parts=motion_blocks(log.blocks(), plan),
+            lowpass=Lowpass(plan.cutoff.hz, plan.rate_hz / plan.factor, plan.factor),
+            samples=-(-log.samples // plan.factor),
+        )
+
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
-        """The same equations, filtered at another cut-off."""
+        """Return the same equations, filtered at another cut-off."""
         motion = replace(self.options.motion, cutoff_hz=cutoff_hz, own=frozenset())
         return InertiaEquations(
             self.robot, self.stages, replace(self.options, motion=motion)
         )
 
     def right_side(self, motion: Motion) -> Array:
-        """Torque without friction and known rotors, filtered alike (N, n) N m."""
+        """Return the torque (N, n) N m without friction and known rotors, filtered alike."""
         assert motion.tau is not None
-        own = motion.tau - motion.filtered(
-            sampled_friction(self.surfaces, motion), times=2
-        )
+        friction = sampled_friction(self.surfaces, motion)
+        torque = motion.tau - motion.filtered(friction, times=2)
         if self.rotors.any():
-            own -= motion.filtered(self.reflected * motion.ddq)
-        return own
+            torque -= motion.filtered(self.reflected * motion.ddq)
+        return torque
 
     def _change_of(self, name: str, term: str) -> FrictionChange | None:
         """Return a term of a joint's friction, and how friction goes with it."""
@@ -266,24 +302,19 @@ class InertiaEquations:
     def drive_columns(self, motion: Motion) -> DriveColumns:
         """Return what delay and asymmetry of each joint's drive add to its torque."""
         assert motion.tau is not None
-        by_friction = self._friction_of(motion, self._delays)
-        none: list[FrictionSurface | None] = [None, None]
-        sizes = [
-            none if surface is None else even_surfaces(surface)
-            for surface in self.surfaces
-        ]
-        dry, viscous = (
-            motion.filtered(
-                sampled_friction([parts[k] for parts in sizes], motion), times=2
-            )
-            for k in range(2)
-        )
-        change = np.gradient(motion.tau, axis=0) * motion.rate_hz
+        friction_per_second = self._friction_of(motion, self._delays)
+        dry: list[FrictionSurface | None] = []
+        viscous: list[FrictionSurface | None] = []
+        for surface in self.surfaces:
+            sizes = (None, None) if surface is None else even_surfaces(surface)
+            dry.append(sizes[0])
+            viscous.append(sizes[1])
+        torque_rate = np.gradient(motion.tau, axis=0) * motion.rate_hz
         return DriveColumns(
-            delay=by_friction - change,
-            friction_per_second=by_friction,
-            dry_size=dry,
-            viscous_size=viscous,
+            delay=friction_per_second - torque_rate,
+            friction_per_second=friction_per_second,
+            dry_size=motion.filtered(sampled_friction(dry, motion), times=2),
+            viscous_size=motion.filtered(sampled_friction(viscous, motion), times=2),
             per_kelvin=self._per_kelvin(motion),
         )
 
@@ -333,20 +364,19 @@ class InertiaEquations:
         return columns
 
     def coupling_column(self, motion: Motion) -> Array:
-        """Torque (N, n) that known rotors add if they are coupled to the links that carry them."""
+        """Return the torque (N, n) N m that known rotors add if their links feel them."""
         if not self.rotors.any():
             return np.zeros_like(motion.q)
-        state = (
+        of_coupling = partial(
+            rotor_regressor,
             self.robot.chain,
             motion.q,
             motion.dq,
             motion.ddq,
             gear_ratios(self.robot),
         )
-        coupled = rotor_regressor(*state, "gyroscopic") - rotor_regressor(
-            *state, "diagonal"
-        )
-        return motion.filtered(coupled @ self.rotors)
+        difference = of_coupling("gyroscopic") - of_coupling("diagonal")
+        return motion.filtered(difference @ self.rotors)
 
     def add_chunk(
         self,
@@ -357,28 +387,44 @@ class InertiaEquations:
         usable: Mask,
         block_s: float,
     ) -> None:
-        """Add H (N, n, p), y (N, n) of consecutive samples, where usable, to some rows."""
+        """Add consecutive samples to some rows.
+
+        Parameters
+        ----------
+        rows : InertiaRows
+            What they are added to.
+        motion : Motion
+            That of the N samples.
+        H : (N, n, p) array
+            Columns of all unknowns.
+        y : (N, n) array
+            Right side [N m].
+        usable : (N, n) array of bool
+            Whose rows count.
+        block_s : float
+            Length of a block of rows [s], whose errors count as one.
+        """
+        assert motion.tau is not None
         share = equations.independent_share(motion)
-        rows.counts += motion.samples * np.array([share, 1.0])
-        every = max(
-            1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz))
-        )
-        parts = list(equations.blocks(motion.samples, motion.rate_hz, block_s=block_s))
+        rows.sample_counts += motion.samples * np.array([share, 1.0])
+        blocks = list(equations.blocks(motion.samples, motion.rate_hz, block_s=block_s))
+        # The errors of friction are smooth: some samples stand for those around them.
+        per_cutoff = motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)
+        stride = max(1, int(per_cutoff))
         for j, surface in enumerate(self.surfaces):
-            own = usable[:, j] & (surface is not None)
-            for part in parts:
-                rows.joints[j].add(H[part, j], y[part, j], own[part])
-            if surface is None or not own.any():
+            used = usable[:, j] & (surface is not None)
+            for block in blocks:
+                rows.joints[j].add(H[block, j], y[block, j], used[block])
+            if surface is None or not used.any():
                 continue
-            assert motion.tau is not None
-            rows.torque_squares[j] += float(np.sum(motion.tau[own, j] ** 2))
-            some = np.flatnonzero(own)[::every]
+            rows.torque_squares[j] += float(np.sum(motion.tau[used, j] ** 2))
             # What is alike both ways of friction's error is in the nuisance terms.
-            F = every * surface.error_columns(motion.q[some, j], motion.dq[some, j])
+            some = np.flatnonzero(used)[::stride]
+            errors = surface.error_columns(motion.q[some, j], motion.dq[some, j])
+            F = stride * errors
             if self._scaled[j]:
-                F = np.column_stack(
-                    [F, every * self.reflected[j] * motion.ddq[some, j]]
-                )
+                rotor_torque = self.reflected[j] * motion.ddq[some, j]
+                F = np.column_stack([F, stride * rotor_torque])
             rows.cross[j] = rows.cross.get(j, 0.0) + H[some, j].T @ F
 
     def _add_band_rows(
@@ -410,66 +456,111 @@ class InertiaEquations:
         )
 
     def solved(
-        self, rows: InertiaRows, coupling: float | None, *, rounds: int = 6
+        self, rows: InertiaRows, coupling: float | None, *, rounds: int = ROUNDS
     ) -> tuple[Solution, Posterior]:
-        """Solve for the base parameters, the share of coupling held, or free where it is None."""
-        # The gravity stage enters as a prior with its covariance, friction's errors
-        # directly and through gravity. After six rounds the weights have settled to
-        # 1e-3 standard errors.
+        """Solve for the base parameters and the drives' terms.
+
+        The gravity stage enters as a prior with its covariance, friction's errors
+        directly and through gravity.
+
+        Parameters
+        ----------
+        rows : InertiaRows
+        coupling : float or None
+            Share of the rotors' coupling at which it is held; free where None.
+        rounds : int
+            Rounds of weighing joints by what is left of them.
+        """
         joints = rows.joints
         prior = self.prior()
         if coupling is None:  # of which the prior knows nothing
             prior = replace(prior, A=np.pad(prior.A, ((0, 0), (0, 1))))
         else:
             joints = [joint.with_fixed(joint.size - 1, coupling) for joint in joints]
-        share = rows.independent
         solution = solve(
             joints,
             prior=prior,
             iterations=rounds,
-            independent=share,
+            independent=rows.independent,
             nuisances=self.nuisances.all,
         )
+
         size = len(solution.theta)
-        crossed = {
-            j: -share * solution.bread @ sums[:size] / solution.sigma[j] ** 2
+        moves = {
+            j: -rows.independent * solution.bread @ sums[:size] / solution.sigma[j] ** 2
             for j, sums in rows.cross.items()
         }
-        known = {j: S[:, -1] for j, S in crossed.items() if self._scaled[j]}
-        direct = {j: S[:, :-1] if j in known else S for j, S in crossed.items()}
-        about = self.surfaces, self.robot.torque_constant_errors
-        return solution, Posterior.of(solution, *about, direct, known, prior)
+        # The last column of a joint with a known rotor is the torque of that.
+        by_rotors = {j: move[:, -1] for j, move in moves.items() if self._scaled[j]}
+        by_friction = {
+            j: move[:, :-1] if j in by_rotors else move for j, move in moves.items()
+        }
+        posterior = Posterior.of(
+            solution,
+            self.surfaces,
+            self.robot.torque_constant_errors,
+            by_friction,
+            by_rotors,
+            prior,
+        )
+        return solution, posterior
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogMotions:
+    """The motion of one log in parts, with what all of them share."""
+
+    parts: Iterable[Motion]
+    lowpass: Lowpass
+    samples: int  # of all parts
+
+
+def _block_samples(rate_hz: float, samples: int) -> float:
+    """Return the samples of a second; of longer where blocks would be merged anyway."""
+    block = rate_hz
+    while samples > MOST_BLOCKS * block and block < CHUNK / 2:
+        block *= 2.0
+    return block
+
+
+def _some_states(motion: Motion, used: Mask) -> States:
+    """Return states of a log, evenly chosen among those at which a joint is `used` (N, n)."""
+    some = np.flatnonzero(used.any(axis=1))
+    some = some[:: max(1, len(some) // MOST_STATES)]
+    return States(
+        q=motion.q[some], dq=motion.dq[some], ddq=motion.ddq[some], used=used[some]
+    )
 
 
 def tolerance_moves(
     equations: InertiaEquations, rows: InertiaRows, solution: Solution
 ) -> dict[str, Array]:
     """Return how the unknowns (p,) move with one standard deviation of what no log shows."""
-    robot, basis = equations.robot, equations.basis
+    robot = equations.robot
+    basis = equations.basis
     names = [deviation.name for deviation in deviations(robot)]
     if not names or not rows.states:
         return {}
-    q, dq, ddq, used = (
-        np.concatenate([getattr(states, name) for states in rows.states])
-        for name in ("q", "dq", "ddq", "used")
-    )
+    q = np.concatenate([states.q for states in rows.states])
+    dq = np.concatenate([states.dq for states in rows.states])
+    ddq = np.concatenate([states.ddq for states in rows.states])
+    used = np.concatenate([states.used for states in rows.states])
     links = (basis.representative @ solution.theta[: basis.size])[: 10 * robot.n]
     standard = links.reshape(-1, 10) if robot.nominal is None else robot.nominal
     H = base_regressor(robot, basis, q, dq, ddq)
     torques = deviation_torques(robot, standard, q, dq, ddq)
 
-    # Some states stand for all rows of a joint, of which a share counts as independent.
-    share = rows.independent
     prior = equations.prior()
     size = len(solution.theta)
     moves = {}
     for name in names:
         right = np.zeros(size)
         for j, joint in enumerate(rows.joints):
+            # Some states stand for all rows of a joint, of which a share counts as
+            # independent.
             mask = used[:, j]
-            weight = (
-                share * joint.samples / max(int(mask.sum()), 1) / solution.sigma[j] ** 2
-            )
+            per_state = rows.independent * joint.samples / max(int(mask.sum()), 1)
+            weight = per_state / solution.sigma[j] ** 2
             right[: basis.size] += weight * (H[mask, j].T @ torques[name][mask, j])
         if name in prior.tolerances:
             right += prior.A[:, :size].T @ prior.tolerances[name]
@@ -478,5 +569,5 @@ def tolerance_moves(
 
 
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
-    """Speed (n,) below which the sign of the friction is not certain."""
+    """Return the speeds (n,) rad/s below which the sign of the friction is not certain."""
     return np.array([0.0 if s is None else SLIDES * s.sign_width for s in surfaces])

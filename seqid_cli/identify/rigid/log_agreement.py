@@ -56,15 +56,17 @@ def parts_of(
 ) -> list[LogEquations]:
     """Cut the equations of a log into stretches of about equal length, in their order."""
     name = PurePath(log).name
-    found = []
+    stretches = []
     for k in range(parts):
-        factors, samples = [], []
+        factors = []
+        samples = []
         for joint in joints:
-            first, last = (len(joint.blocks) * edge // parts for edge in (k, k + 1))
-            rows = joint.blocks[first:last] or [np.zeros((1, joint.size + 1))]
-            factors.append(triangular(np.vstack(rows)))
+            first = len(joint.blocks) * k // parts
+            last = len(joint.blocks) * (k + 1) // parts
+            blocks = joint.blocks[first:last] or [np.zeros((1, joint.size + 1))]
+            factors.append(triangular(np.vstack(blocks)))
             samples.append(sum(joint.rows[first:last]))
-        found.append(
+        stretches.append(
             LogEquations(
                 log=name,
                 part=f"part {k + 1} of {parts}",
@@ -72,17 +74,31 @@ def parts_of(
                 samples=np.array(samples),
             )
         )
-    return found
+    return stretches
 
 
 def log_equations(
     logs: Sequence[str], joints: Sequence[Sequence[Accumulator]], *, few: int = 2
 ) -> list[LogEquations]:
-    """Take each log as a whole; `few` logs, or fewer, in stretches, so that one can stand out."""
+    """Take each log as a whole; `few` logs, or fewer, in stretches, so that one can stand out.
+
+    `joints` are the rows of each log's joints.
+    """
     pairs = list(zip(logs, joints, strict=True))
     if len(pairs) > few:
-        return [LogEquations.of(log, own) for log, own in pairs]
-    return [part for log, own in pairs for part in parts_of(log, own)]
+        return [LogEquations.of(log, log_joints) for log, log_joints in pairs]
+    stretches: list[LogEquations] = []
+    for log, log_joints in pairs:
+        stretches += parts_of(log, log_joints)
+    return stretches
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupedFit:
+    """Weighted squares that G groups leave, and the parameters (G, p) of each."""
+
+    squares: float
+    theta: Array
 
 
 class _Fit:
@@ -99,23 +115,26 @@ class _Fit:
         self.b = normals[:, :-1, -1] / self.scale
         self.squares = float(normals[:, -1, -1].sum())
 
-    def solved(
-        self, groups: Sequence[Group], *, rcond: float = 1e-9
-    ) -> tuple[float, Array]:
-        """Return the weighted squares that groups leave, and parameters (G, p) of each."""
-        count, rigid, shared = len(groups), self.rigid, self.A.shape[1] - self.rigid
-        size = count * rigid + shared
-        A, b = np.zeros((size, size)), np.zeros(size)
+    def solved(self, groups: Sequence[Group], *, rcond: float = 1e-9) -> GroupedFit:
+        """Fit a rigid body to each group of logs, and one friction to all."""
+        n_groups = len(groups)
+        n_shared = self.A.shape[1] - self.rigid
+        size = n_groups * self.rigid + n_shared
+        shared = np.arange(n_groups * self.rigid, size)
+        A = np.zeros((size, size))
+        b = np.zeros(size)
         places = []
         for g, group in enumerate(groups):
-            own = np.arange(g * rigid, (g + 1) * rigid)
-            place = np.concatenate([own, np.arange(count * rigid, size)])
+            of_body = np.arange(g * self.rigid, (g + 1) * self.rigid)
+            place = np.concatenate([of_body, shared])
             A[np.ix_(place, place)] += self.A[group].sum(axis=0)
             b[place] += self.b[group].sum(axis=0)
             places.append(place)
         theta = np.linalg.pinv(A, rcond=rcond, hermitian=True) @ b
-        left = max(self.squares - float(theta @ b), 0.0)
-        return left, np.array([theta[place] / self.scale for place in places])
+        return GroupedFit(
+            squares=max(self.squares - float(theta @ b), 0.0),
+            theta=np.array([theta[place] / self.scale for place in places]),
+        )
 
 
 def agreement_verdicts(
@@ -163,22 +182,24 @@ def agreement_verdicts(
     if not 2 <= len(logs) <= most_logs:
         return []
     fit = _Fit(logs, np.maximum(sigma, 1e-12), rigid)
-    everything = list(range(len(logs)))
-    before, (together,) = fit.solved([everything])
-    first, second = _two_groups(fit, everything)
-    after, apart = fit.solved([first, second])
+    all_logs = list(range(len(logs)))
+    one_body = fit.solved([all_logs])
+    groups = _two_groups(fit, all_logs)
+    two_bodies = fit.solved(groups)
 
     # No chance, and no model that is wrong in every log.
-    rows = independent * sum(float(log.samples.sum()) for log in logs)
-    certainty = (before - after) / rigid / max(after / max(rows, 1.0), 1e-300)
-    third = after - _with_a_third(fit, first, second)
-    if certainty < settings.min_certainty or third > max_third * (before - after):
+    n_rows = independent * sum(float(log.samples.sum()) for log in logs)
+    gain = one_body.squares - two_bodies.squares
+    variance = max(two_bodies.squares / max(n_rows, 1.0), 1e-300)
+    certainty = gain / rigid / variance
+    gain_of_third = two_bodies.squares - _least_with_a_third(fit, groups)
+    if certainty < settings.min_certainty or gain_of_third > max_third * gain:
         return []
 
     # Where it is seen: what each joint leaves by one body and by two.
     counts = np.maximum(sum(log.samples for log in logs), 1)
-    with_one = _left(logs, [everything], [together]) / np.sqrt(counts)
-    with_two = _left(logs, [first, second], apart) / np.sqrt(counts)
+    with_one = _residual_norms(logs, [all_logs], one_body) / np.sqrt(counts)
+    with_two = _residual_norms(logs, groups, two_bodies) / np.sqrt(counts)
     torque = np.sqrt(torque_squares / counts)
     differs = np.sqrt(np.maximum(with_one**2 - with_two**2, 0.0)) / np.maximum(
         torque, 1e-300
@@ -189,7 +210,7 @@ def agreement_verdicts(
         return []
     joint = robot.joints[worst]
     reason = (
-        f"{_named(logs, second)}: one rigid body for all leaves {with_one[worst]:.3g}"
+        f"{_named(logs, groups[1])}: one rigid body for all leaves {with_one[worst]:.3g}"
         f" {joint.unit('N m')} at {joint.name} ({percent(differs[worst])} of its"
         f" torque), one for each leaves {with_two[worst]:.3g}. Is there a tool, a load"
         " or another mounting in one of them? Identify them apart; seqid diagnose"
@@ -201,24 +222,29 @@ def agreement_verdicts(
 
 def _named(logs: Sequence[LogEquations], odd: Group) -> str:
     """Say which logs, or parts of logs, differ from which."""
-    other = [k for k in range(len(logs)) if k not in odd]
-    split = {logs[k].log for k in odd} & {logs[k].log for k in other}
-    names = []
-    for group in (odd, other):
-        found: dict[str, list[str]] = {}
-        for k in group:
-            found.setdefault(logs[k].log, []).append(logs[k].part)
-        names.append(
-            [
-                f"{log} ({', '.join(own)})" if log in split else log
-                for log, own in found.items()
-            ]
-        )
-    verb = "differs" if len(names[0]) == 1 else "differ"
-    others = names[1][0] if len(names[1]) == 1 and not split else "the others"
+    others = [k for k in range(len(logs)) if k not in odd]
+    split = {logs[k].log for k in odd} & {logs[k].log for k in others}
+    odd_names = _names(logs, odd, split)
+    other_names = _names(logs, others, split)
+
+    verb = "differs" if len(odd_names) == 1 else "differ"
+    from_what = "the others"
     if split and len({log.log for log in logs}) == 1:
-        others = "the rest of the log"
-    return f"{', '.join(names[0])} {verb} from {others}"
+        from_what = "the rest of the log"
+    elif len(other_names) == 1 and not split:
+        from_what = other_names[0]
+    return f"{', '.join(odd_names)} {verb} from {from_what}"
+
+
+def _names(logs: Sequence[LogEquations], group: Group, split: set[str]) -> list[str]:
+    """Return the names of a group's logs, with their parts where a log is `split`."""
+    parts: dict[str, list[str]] = {}
+    for k in group:
+        parts.setdefault(logs[k].log, []).append(logs[k].part)
+    return [
+        f"{log} ({', '.join(of_log)})" if log in split else log
+        for log, of_log in parts.items()
+    ]
 
 
 def _two_groups(
@@ -229,39 +255,43 @@ def _two_groups(
     `min_gain`: share of the squares that are left by which one more log must lower
     them.
     """
-    first, second = list(logs), Group()
+    first = list(logs)
+    second = Group()
     least = np.inf
     while len(first) > 1:
-        tries = [
-            (fit.solved([[k for k in first if k != m], [*second, m]])[0], m)
-            for m in first
-        ]
-        left, moved = min(tries)
-        if left > (1.0 - min_gain) * least:
+        squares_without = {}
+        for k in first:
+            remaining = [other for other in first if other != k]
+            squares_without[k] = fit.solved([remaining, [*second, k]]).squares
+        moved = min(squares_without, key=lambda k: (squares_without[k], k))
+        if squares_without[moved] > (1.0 - min_gain) * least:
             break
-        least = left
-        first, second = [k for k in first if k != moved], sorted([*second, moved])
+        least = squares_without[moved]
+        first = [k for k in first if k != moved]
+        second = sorted([*second, moved])
     return (first, second) if len(second) <= len(first) else (second, first)
 
 
-def _with_a_third(fit: _Fit, first: Group, second: Group) -> float:
+def _least_with_a_third(fit: _Fit, groups: tuple[Group, Group]) -> float:
     """Return the least squares that are left if one more log has a body of its own."""
-    tries = [fit.solved([first, second])[0]]
-    for group, other in ((first, second), (second, first)):
-        for one in group if len(group) > 1 else []:
-            rest = [k for k in group if k != one]
-            tries.append(fit.solved([rest, other, [one]])[0])
-    return min(tries)
-
-
-def _left(
-    logs: Sequence[LogEquations],
-    groups: Sequence[Group],
-    theta: Sequence[Array] | Array,
-) -> Array:
-    """Root of the squares (n,) that parameters of each group leave at each joint, N m."""
-    squares = np.zeros(len(logs[0].factors))
-    for group, own in zip(groups, theta, strict=True):
+    first, second = groups
+    squares = [fit.solved([first, second]).squares]
+    for group, other_group in ((first, second), (second, first)):
+        if len(group) == 1:
+            continue
         for k in group:
-            squares += np.sum((logs[k].factors @ np.append(own, -1.0)) ** 2, axis=1)
+            remaining = [other for other in group if other != k]
+            squares.append(fit.solved([remaining, other_group, [k]]).squares)
+    return min(squares)
+
+
+def _residual_norms(
+    logs: Sequence[LogEquations], groups: Sequence[Group], fit: GroupedFit
+) -> Array:
+    """Return the root of the squares (n,) N m that parameters of each group leave at joints."""
+    squares = np.zeros(len(logs[0].factors))
+    for group, theta in zip(groups, fit.theta, strict=True):
+        for k in group:
+            residual = logs[k].factors @ np.append(theta, -1.0)
+            squares += np.sum(residual**2, axis=1)
     return np.sqrt(squares)

@@ -28,30 +28,36 @@ from seqid_cli.typing import Array, Index
 def parameters_of(
     robot: Robot, basis: Basis, chosen: Index, theta: Array, covariance: Array
 ) -> list[Parameter]:
-    """Parameters `chosen` (indices) with standard errors, units and expressions."""
-    return [
-        Parameter(
-            name=basis.names[k],
-            value=float(theta[k]),
-            std_error=float(np.sqrt(max(covariance[k, k], 0.0))),
-            unit=basis.unit(k),
-            joint=robot.joint_names[basis.joint_index(k)],
-            expression=basis.expression_text(k),
-            terms=basis.terms(k),
+    """Return parameters `chosen` by their places, with standard errors, units, expressions."""
+    parameters = []
+    for place in chosen:
+        k = int(place)
+        parameters.append(
+            Parameter(
+                name=basis.names[k],
+                value=float(theta[k]),
+                std_error=float(np.sqrt(max(covariance[k, k], 0.0))),
+                unit=basis.unit(k),
+                joint=robot.joint_names[basis.joint_index(k)],
+                expression=basis.expression_text(k),
+                terms=basis.terms(k),
+            )
         )
-        for k in (int(k) for k in chosen)
-    ]
+    return parameters
 
 
 def representative_of(basis: Basis, theta: Array, rotors: Array) -> dict[str, float]:
-    """Standard parameters, zeros left out, that give the model's torque; known rotors included."""
+    """Return standard parameters that give the model's torque, known rotors included.
+
+    Zeros are left out.
+    """
     phi = basis.representative @ theta
     phi[len(phi) - len(rotors) :] += rotors
     return _named(phi, len(rotors))
 
 
 def _named(phi: Array, n: int) -> dict[str, float]:
-    """Standard parameters (11 n,) by name, zeros left out."""
+    """Return standard parameters (11 n,) by name, zeros left out."""
     return {
         name: float(x)
         for name, x in zip(standard_names(n), phi, strict=True)
@@ -64,15 +70,36 @@ def rigid_stage(
     basis: Basis,
     solution: Solution,
     posterior: Posterior,
-    own: Index,
+    chosen: Index,
     rotors: Array,
 ) -> RigidStage:
-    """What a solution tells of parameters `own`; known `rotors` (n,) join the representative."""
-    determined, left = own[solution.determined[own]], own[~solution.determined[own]]
-    missing = [basis.expression_text(int(k)) for k in left]
+    """Return what a solution tells of some parameters.
+
+    Parameters
+    ----------
+    robot : Robot
+    basis : Basis
+        Of b base parameters.
+    solution : Solution
+        Of the first b parameters at least, where the stage has that many.
+    posterior : Posterior
+        With everything that widens the solution's errors.
+    chosen : array of int
+        Places of the parameters that the stage is about.
+    rotors : (n,) array
+        Known rotor inertias [kg m^2], which join the representative.
+    """
+    is_determined = solution.determined[chosen]
+    determined = chosen[is_determined]
+    missing = [basis.expression_text(int(k)) for k in chosen[~is_determined]]
+    notes = []
+    if missing:
+        notes.append("not excited by these logs: " + "; ".join(missing))
+
     theta = np.zeros(basis.size)
     theta[: min(len(solution.theta), basis.size)] = solution.theta[: basis.size]
-    names, friction = robot.joint_names, posterior.friction
+    names = robot.joint_names
+    friction = posterior.friction
     return RigidStage(
         parameters=parameters_of(robot, basis, determined, theta, posterior.stated),
         condition=solution.condition,
@@ -93,7 +120,7 @@ def rigid_stage(
             for name, move in posterior.tolerances.items()
         },
         not_excited=missing,
-        notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
+        notes=notes,
     )
 
 
@@ -103,9 +130,10 @@ def made_consistent(
     """Put the parameters of an inertia stage among those that bodies can have."""
     # Standard errors stay the unconstrained ones. A note names what moved by `min_move`
     # of them.
-    found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
-    nearest = nearest_bodies(robot, found)
-    moved = {d.name: d for d in found.deviations(nearest.links, nearest.rotor)}
+    unconstrained = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
+    nearest = nearest_bodies(robot, unconstrained)
+    deviations = unconstrained.deviations(nearest.links, nearest.rotor)
+    moved = {deviation.name: deviation for deviation in deviations}
     parameters = [
         replace(p, value=moved[p.name].exported) if p.name in moved else p
         for p in stage.parameters
@@ -113,8 +141,11 @@ def made_consistent(
     phi = _named(np.concatenate([nearest.links.ravel(), nearest.rotor]), robot.n)
     note = "physically consistent as identified: bodies with these parameters exist"
     if not nearest.exact:
-        by = {name: d.std_errors or 0.0 for name, d in moved.items()}
-        named = [f"{name} by {x:+.1f}" for name, x in by.items() if abs(x) >= min_move]
+        named = []
+        for name, deviation in moved.items():
+            n_errors = deviation.std_errors or 0.0
+            if abs(n_errors) >= min_move:
+                named.append(f"{name} by {n_errors:+.1f}")
         text = ", ".join(named) or f"none by more than {min_move:g}"
         note = f"made physically consistent; moved, in standard errors: {text}"
     return replace(
@@ -190,65 +221,101 @@ def imu_moves(
     reflected: Array,
     errors: Mapping[str, float],
 ) -> Array:
-    """By what IMUs' errors move the parameters (b, d), one standard deviation per column.
+    """Return what IMUs' errors move the parameters by (b, d), one standard deviation a column.
 
     Accelerations that a calibration takes for too large by a share leave inertias too
     small by as much: those of the links between the IMU before and its own. A known
     rotor's share of it comes upon the inertia about the joint that it turns.
 
-    `inertia` (b,): base parameters, zero where accelerations do not show them.
-    `reflected` (n,): known rotor inertias at the joints, kg m^2. `errors`: relative
-    standard errors of the accelerations by the IMUs that took part.
+    Parameters
+    ----------
+    robot : Robot
+    basis : Basis
+    inertia : (b,) array
+        Base parameters, zero where accelerations do not show them.
+    reflected : (n,) array
+        Known rotor inertias at the joints [kg m^2].
+    errors : mapping of str to float
+        Relative standard errors of the accelerations by the IMUs that took part.
     """
     links = np.array([basis.joint_index(k) for k in range(basis.size)], dtype=int)
-    about = np.array([name.startswith("Izz_") for name in basis.names])
-    whole = inertia + np.where(about, reflected[links], 0.0)
-    moves, first = [], 0
+    turns_rotor = np.array([name.startswith("Izz_") for name in basis.names])
+    accelerated = inertia + np.where(turns_rotor, reflected[links], 0.0)
+    moves = []
+    first_link = 0
     for imu in sorted(robot.imus, key=lambda imu: imu.after_joint):
         if imu.name in errors:
-            own = (links >= first) & (links <= imu.after_joint)
-            moves.append(np.where(own, errors[imu.name] * whole, 0.0))
-            first = imu.after_joint + 1
+            measured = (links >= first_link) & (links <= imu.after_joint)
+            moves.append(np.where(measured, errors[imu.name] * accelerated, 0.0))
+            first_link = imu.after_joint + 1
     return np.column_stack(moves) if moves else np.zeros((basis.size, 0))
 
 
 def missing_pairs(
     robot: Robot, basis: Basis, left_open: Array, *, states: int = 120
 ) -> list[list[str]]:
-    """Choose pairs greedily until all base parameters are seen, none that others make idle."""
-    # By random states of two moving joints, the others at random angles. Empty where no
-    # pair would add anything. An arm of one joint has that alone.
-    seen: dict[tuple[int, int], Array] = {}
+    """Choose pairs of joints that show what is left open when they move together.
+
+    Pairs are chosen greedily until all base parameters are seen; those that others make
+    idle are dropped. An arm of one joint has that alone.
+
+    Parameters
+    ----------
+    robot : Robot
+    basis : Basis
+        Of b base parameters.
+    left_open : (b, k) array
+        Directions along which nothing is known.
+    states : int
+        Random states of two moving joints, the others at random angles, by which a
+        pair is judged.
+
+    Returns
+    -------
+    list of lists of str
+        Names of joints; empty where no pair would add anything.
+    """
+    regressors: dict[tuple[int, int], Array] = {}
     for pair in list(combinations(range(robot.n), 2)) or [(0, 0)]:
-        rng, moving = np.random.default_rng(0), list(pair)
+        rng = np.random.default_rng(0)
+        moving = list(pair)
         q = rng.uniform(-2.5, 2.5, (states, robot.n))
-        dq, ddq = np.zeros_like(q), np.zeros_like(q)
+        dq = np.zeros_like(q)
         dq[:, moving] = rng.normal(size=(states, 2))
+        ddq = np.zeros_like(q)
         ddq[:, moving] = 3 * rng.normal(size=(states, 2))
         H = base_regressor(robot, basis, q, dq, ddq)[:, moving]
-        seen[pair] = H.reshape(-1, basis.size)
-    scale = np.max([np.linalg.norm(H, axis=0) for H in seen.values()], axis=0)
+        regressors[pair] = H.reshape(-1, basis.size)
+    norms = [np.linalg.norm(H, axis=0) for H in regressors.values()]
+    scale = np.max(norms, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    first = left = np.asarray(np.linalg.qr(scale[:, None] * left_open)[0])
+
+    all_open = np.asarray(np.linalg.qr(scale[:, None] * left_open)[0])
+    still_open = all_open
     chosen: list[tuple[int, int]] = []
-    while left.shape[1]:
-        after = {pair: _still_open(H / scale, left) for pair, H in seen.items()}
-        best = min(after, key=lambda pair: after[pair].shape[1])
-        if after[best].shape[1] == left.shape[1]:
+    while still_open.shape[1]:
+        open_with = {
+            pair: _still_open(H / scale, still_open) for pair, H in regressors.items()
+        }
+        best = min(open_with, key=lambda pair: open_with[pair].shape[1])
+        if open_with[best].shape[1] == still_open.shape[1]:
             break
         chosen.append(best)
-        left = after[best]
+        still_open = open_with[best]
+
     for pair in list(chosen):
-        others = [seen[each] / scale for each in chosen if each != pair]
-        if others and _still_open(np.vstack(others), first).shape[1] <= left.shape[1]:
+        others = [regressors[other] / scale for other in chosen if other != pair]
+        if not others:
+            continue
+        open_without = _still_open(np.vstack(others), all_open)
+        if open_without.shape[1] <= still_open.shape[1]:
             chosen.remove(pair)
     return [[robot.joint_names[j] for j in dict.fromkeys(pair)] for pair in chosen]
 
 
-def _still_open(H: Array, left: Array, *, min_share: float = 1e-6) -> Array:
-    """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see."""
+def _still_open(H: Array, directions: Array, *, min_share: float = 1e-6) -> Array:
+    """Return the part of `directions` (b, k), orthonormal, that rows H (N, b) do not see."""
     # Singular values below `min_share` of the largest are rounding.
-    _, s, Vt = np.linalg.svd(H @ left, full_matrices=True)
-    return np.asarray(
-        left @ Vt[int(np.sum(s > min_share * float(np.linalg.norm(H, 2)))) :].T
-    )
+    _, s, Vt = np.linalg.svd(H @ directions, full_matrices=True)
+    rank = int(np.sum(s > min_share * float(np.linalg.norm(H, 2))))
+    return np.asarray(directions @ Vt[rank:].T)

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from seqid_cli.identify.rigid.simultaneous import surface_entries
+from seqid_cli.identify.rigid.simultaneous_equations import surface_entries
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.regressor import inverse_dynamics

@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,9 @@ COUNTS = (
 RIGS: Mapping[str, tuple[Callable[[], Plant], Callable[..., list[Trial]]]] = {
     "one joint": (one_joint, one_joint_trials),
     "two joints": (two_joint, two_joint_trials),
+    # What rotors do to the links that carry them is a hundredth of the torque: it takes
+    # minutes of moves to be told.
+    "two joints, longer": (two_joint, partial(two_joint_trials, inertia_s=60.0)),
 }
 EVERY = 4  # control periods of 1 ms to a row of the log
 PAPER = {  # errors in %, of Tables I, II and IV

@@ -4,7 +4,12 @@ import numpy as np
 
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.identify.rigid import cutoff_check as checks
-from seqid_cli.identify.rigid.cutoff_check import Differences, Result, cutoff_check
+from seqid_cli.identify.rigid.cutoff_check import (
+    CutoffDependence,
+    Difference,
+    Result,
+    cutoff_check,
+)
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.params.schema import Parameter, RigidStage
 from seqid_cli.robot.base_parameters import base_parameters
@@ -24,35 +29,40 @@ def result(H: Array, y: Array) -> Result:
     return solution, Posterior.of(solution, [None], np.zeros(1), {}, {})
 
 
-def checked(seed: int, *, shrunk: float) -> tuple[Array, Differences, Array]:
-    """Errors and differences of the same rows, noisier and one column off; standard
-    errors.
-    """
+def checked(seed: int, *, shrunk: float) -> tuple[CutoffDependence, Array]:
+    """Return what the same rows, noisier and one column off, change; standard errors."""
     rng = np.random.default_rng(seed)
     H = rng.standard_normal((BLOCKS * ROWS, len(THETA)))
     y = H @ THETA + 0.5 * rng.standard_normal(len(H))
     own = result(H, y)
     other = result(H * [1.0 + shrunk, 1.0, 1.0], y + 0.1 * rng.standard_normal(len(H)))
-    return *cutoff_check(own, {0.7: other}, [None]), np.sqrt(np.diag(own[1].covariance))
+    stated = np.sqrt(np.diag(own[1].covariance))
+    return cutoff_check(own, {0.7: other}, [None]), stated
 
 
 def test_noise_alone_is_not_said_and_adds_little() -> None:
     found = (checked(seed, shrunk=0.0) for seed in range(40))
-    errors, differences, stated = zip(*found, strict=True)
-    assert sum(map(bool, differences)) <= 1
-    added = np.mean([np.sum(own**2, axis=1) for own in errors], axis=0)
+    checks_of_seeds, stated = zip(*found, strict=True)
+    assert sum(bool(check.differences) for check in checks_of_seeds) <= 1
+    added = np.mean(
+        [np.sum(check.directions**2, axis=1) for check in checks_of_seeds], axis=0
+    )
     assert (added < 0.1 * stated[0] ** 2).all()
 
 
 def test_a_parameter_that_depends_on_the_cutoff_is_named_and_its_error_grows() -> None:
     for seed in range(5):
-        errors, differences, _ = checked(seed, shrunk=0.1)
-        assert [k for k, *_ in differences] == [0]
-        _, factor, by = differences[0]
-        assert factor == 0.7
-        assert by < -3.0
-        assert abs(errors[0, 0]) > 0.12  # of the 2 / 1.1 - 2 that it differs by
-        assert (np.abs(errors[1:, 0]) < 0.03).all()
+        check, _ = checked(seed, shrunk=0.1)
+        assert [x.place for x in check.differences] == [0]
+        assert check.differences[0].multiple == 0.7
+        assert check.differences[0].n_errors < -3.0
+        # of the 2 / 1.1 - 2 that it differs by
+        assert abs(check.directions[0, 0]) > 0.12
+        assert (np.abs(check.directions[1:, 0]) < 0.03).all()
+
+
+def difference(n_errors: float) -> Difference:
+    return Difference(place=0, multiple=0.7, n_errors=n_errors)
 
 
 def test_the_stage_is_poor_where_the_difference_matters() -> None:
@@ -62,7 +72,7 @@ def test_the_stage_is_poor_where_the_difference_matters() -> None:
     stage = RigidStage(parameters=[parameter], condition=1.0, rank=1)
     none, mild, poor = (
         checks.with_cutoff_check(stage, differences, basis)
-        for differences in ([], [(0, 0.7, 1.5)], [(0, 0.7, -6.0)])
+        for differences in ([], [difference(1.5)], [difference(-6.0)])
     )
     assert none == stage
     assert not mild.verdicts

@@ -13,7 +13,7 @@ from msgspec.structs import replace as with_fields
 
 from seqid_cli import identify
 from seqid_cli.identify import common_cutoff
-from seqid_cli.identify.friction_surface import hunting, summary
+from seqid_cli.identify.friction_surface import hunting, stage, summary
 from seqid_cli.identify.friction_surface.gravity_separation import configurations
 from seqid_cli.identify.imu_calibration.calibrate import verdict_of
 from seqid_cli.identify.imu_calibration.segments import calibration_cutoff
@@ -22,7 +22,11 @@ from seqid_cli.identify.prediction.verdicts import joint_verdicts
 from seqid_cli.identify.regression.least_squares import Accumulator, spread_of
 from seqid_cli.identify.regression.noise_level import NoiseLevel
 from seqid_cli.identify.rigid import gravity, inertia, parameters, rotor_coupling
-from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
+from seqid_cli.identify.rigid.cutoff_check import (
+    Difference,
+    cutoff_check,
+    with_cutoff_check,
+)
 from seqid_cli.identify.rigid.cutoff_choice import (
     Candidate,
     CutoffChoice,
@@ -32,12 +36,11 @@ from seqid_cli.identify.rigid.friction_of_logs import FrictionShares
 from seqid_cli.identify.rigid.gravity_rows import _settled
 from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equations
 from seqid_cli.identify.rigid.rotor_coupling import FreeShare
-from seqid_cli.identify.rigid.simultaneous import SimultaneousEquations
+from seqid_cli.identify.rigid.simultaneous import OneStepResult
 from seqid_cli.identify.settings import (
     AgreementSettings,
     CutoffCheckSettings,
     CutoffSettings,
-    FrictionSettings,
     GravityFitSettings,
     GravitySettings,
     HuntingSettings,
@@ -49,6 +52,7 @@ from seqid_cli.identify.settings import (
     ResidualSettings,
     ReversalSettings,
     RotorSettings,
+    SimultaneousSettings,
     SurfaceSettings,
     TrialSettings,
 )
@@ -224,17 +228,27 @@ def rough_surface(settings: SurfaceSettings, error: float) -> bool:
 
 
 @cache
+def friction_fit() -> tuple[tuple[Any, ...], dict[str, Any]]:
+    """What a friction surface is fitted to, for the arm with one joint."""
+    seen: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
+    work = stage._fit
+
+    def watched(*given: Any, **named: Any) -> Any:
+        seen.append((given, named))
+        return work(*given, **named)
+
+    options = identify.FrictionOptions(position_order=0, velocity_order=1)
+    with patch.object(stage, "_fit", watched):
+        identify.friction(ONE_JOINT / "friction", robot(), options)
+    return seen[-1]
+
+
+@cache
 def sign_width(settings: SurfaceSettings) -> float:
     """Width over which friction changes its sign, as a share of the slowest speed."""
-    options = identify.FrictionOptions(position_order=0, velocity_order=1)
-    file = identify.friction(
-        ONE_JOINT / "friction",
-        robot(),
-        options,
-        settings=FrictionSettings(surface=settings),
-    )
-    (joint,) = file.stages.friction.joints.values()
-    return joint.sign_width / joint.speed_range[0]
+    (*others, _), named = friction_fit()
+    surface = stage._fit(*others, settings, **named).surface
+    return surface.sign_width / surface.scaling.speed[0]
 
 
 def narrow_sign(settings: SurfaceSettings, narrowness: float) -> bool:
@@ -583,17 +597,16 @@ def depends_on_the_cutoff(settings: CutoffCheckSettings, sigma: float) -> bool:
         return solution, SimpleNamespace(covariance=np.eye(2), friction={})
 
     near = {0.7: result(sigma * error, moves)}
-    _, differences = cutoff_check(
-        result(0.0, np.zeros((40, 2))), near, [None], settings
-    )
-    return bool(differences)
+    still = result(0.0, np.zeros((40, 2)))
+    return bool(cutoff_check(still, near, [None], settings).differences)
 
 
 def depends_by_much(settings: CutoffCheckSettings, sigma: float) -> bool:
     basis = free_basis(robot())
     one = Parameter(name=basis.names[0], value=1.0, std_error=0.1, unit="kg m^2")
     stage = RigidStage(parameters=[one], condition=1.0, rank=1)
-    found = with_cutoff_check(stage, [(0, 0.7, sigma)], basis, settings)
+    differences = [Difference(place=0, multiple=0.7, n_errors=sigma)]
+    found = with_cutoff_check(stage, differences, basis, settings)
     return any_poor(found.verdicts)
 
 
@@ -690,10 +703,10 @@ def certain_difference(settings: AgreementSettings, certainty: float) -> bool:
 # --- one step, prediction, payload
 
 
-def one_step(
+def one_step_level(
     settings: OneStepSettings, *, coulomb: float, wave: float, wave_error: float
-) -> tuple[str, str]:
-    """The verdict on a joint with 1 N m RMS of torque, and what is said of its wave.
+) -> str:
+    """The verdict on a joint with 1 N m RMS of torque.
 
     Coulomb friction is known to 0.01 N m.
     """
@@ -703,36 +716,41 @@ def one_step(
         sigma=np.array([0.01]),
         condition=1.0,
     )
-    equations: Any = SimpleNamespace(
+    rows: Any = SimpleNamespace(
         robot=robot(),
         joints=[SimpleNamespace(samples=100)],
         torque_squares=np.array([100.0]),
-        own=[slice(0, 1)],
+        friction=[slice(0, 1)],
         waves=[slice(1, 2)],
-        prior=lambda *_: None,
-        solved=lambda *_: solution,
     )
-    kind = SimultaneousEquations
-    equations._wave = lambda *given: kind._wave(equations, *given)
+    nothing: Any = None
+    result = OneStepResult(
+        rows=rows,
+        solution=solution,
+        waving=solution,
+        posterior=nothing,
+        uses=[],
+        noise=[],
+        options=nothing,
+        settings=SimultaneousSettings(residual=settings),
+    )
     floor = NoiseLevel(np.zeros(1), np.zeros(1), np.zeros(1))
-    verdict, _ = kind._verdicts(
-        equations, solution, solution, floor, n_missing=0, settings=settings
-    )
-    return verdict.level, verdict.reason
+    verdict, _ = result._joint_verdicts(floor, n_missing=0)
+    return verdict.level
 
 
 def negative_friction(settings: OneStepSettings, sigma: float) -> bool:
-    level, _ = one_step(settings, coulomb=-0.01 * sigma, wave=0.0, wave_error=1.0)
+    level = one_step_level(settings, coulomb=-0.01 * sigma, wave=0.0, wave_error=1.0)
     return level == "poor"
 
 
 def certain_wave(settings: OneStepSettings, sigma: float) -> bool:
-    level, _ = one_step(settings, coulomb=1.0, wave=0.2, wave_error=0.2 / sigma)
+    level = one_step_level(settings, coulomb=1.0, wave=0.2, wave_error=0.2 / sigma)
     return level == "usable"
 
 
 def large_wave(settings: OneStepSettings, share: float) -> bool:
-    level, _ = one_step(settings, coulomb=1.0, wave=share, wave_error=1e-4)
+    level = one_step_level(settings, coulomb=1.0, wave=share, wave_error=1e-4)
     return level == "usable"
 
 

@@ -32,8 +32,6 @@ from seqid_cli.commands.robot_file import found_robot_if_any
 from seqid_cli.commands.screen.render import Screen, screen_for
 from seqid_cli.commands.screen.show_inspection import show_inspection
 from seqid_cli.errors import UsageError
-from seqid_cli.inspect import inspect as inspect_logs
-from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.results.inspection import InspectionFile
@@ -103,6 +101,9 @@ and what is wrong.
     code is 1 when an error is found, 2 when a log cannot be read, 3 when one was read
     in part.
     """  # noqa: D205
+    from seqid_cli.inspect import InspectSettings
+    from seqid_cli.inspect import inspect as inspect_logs
+
     screen = screen_for(
         "inspect", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )

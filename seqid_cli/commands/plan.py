@@ -15,8 +15,6 @@ from seqid_cli.commands.options import (
     OutputOption,
     QuietOption,
     RobotOption,
-    SetOption,
-    ShowSettingsOption,
     StrictOption,
     VerboseOption,
     command_app,
@@ -32,8 +30,6 @@ from seqid_cli.params.schema import RobotId
 from seqid_cli.plan import PlanOptions
 from seqid_cli.plan import plan as plan_moves
 from seqid_cli.plan.options import What
-from seqid_cli.plan.settings import PlanSettings
-from seqid_cli.settings import overridden
 
 app = command_app()
 
@@ -206,8 +202,6 @@ def plan(
         typer.Option("--seed", metavar="N", min=0, help="Of the moves that are drawn."),
     ] = 0,
     strict: StrictOption = False,
-    set_values: SetOption = None,
-    show_settings: ShowSettingsOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
     json: JsonOption = False,
@@ -240,14 +234,12 @@ standard errors they will give.
         workspace=None if workspace is None else _box(workspace),
         floor=floor,
     )
-    settings = overridden(PlanSettings(), set_values or ())
     with CommandRun(screen) as run:
         file = plan_moves(
             what,
             robot,
             parameters or (),
             options,
-            settings=settings,
             have=have or (),
             output=output,
             trajectories=trajectories,

@@ -30,11 +30,10 @@ from seqid_cli.discover.notes import (
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
-from seqid_cli.discover.select.naming import named
+from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.discover.verdict import changed_values, joint_states, verdict_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
@@ -47,11 +46,11 @@ from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import diagnosis
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.typing import Array
 
 # of a coefficient's variance beforehand, from which the logs tell nothing of it
 UNTOLD_SHARE = 0.9
+HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
 def diagnose(
@@ -79,10 +78,9 @@ def diagnose(
 
 def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
-    least = in_force(DiscoverSettings).evidence.min_confidence
-    sure = [taken for taken in found.found.effects if named(taken).confidence >= least]
+    sure = [taken for taken in found.found.effects if named(taken).confidence >= TOLD]
     findings = [_finding(found, robot, taken) for taken in sure]
-    if found.events and (contact := _contact(found, robot)).confidence >= least:
+    if found.events and (contact := _contact(found, robot)).confidence >= TOLD:
         findings.append(contact)
         found = found.without_told_events()
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
@@ -109,6 +107,7 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     ]
     changed = changed_values(found, robot, states)
     named_joints = {*(part.joint for part in rest), *(one.joint for one in changed)}
+    visible = sorted(found.found.visible.items(), key=lambda x: x[1])
     return diagnosis.DiagnosisFile(
         **head(diagnosis.DIAGNOSIS_SCHEMA, now()),
         robot=robot_id(robot),
@@ -130,20 +129,15 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
             for event in found.events
             for log in [found.logs[event.scene]]
         ],
-        hidden=_hidden(found, robot),
+        hidden=[
+            diagnosis.HiddenEntry(
+                effect=name, joint=robot.name_of(joint), visible=share
+            )
+            for (name, joint), share in visible
+            if share < HIDDEN
+        ],
         notes=notes_of(found, robot, ordinary, excess, named_joints),
     )
-
-
-def _hidden(found: Investigation, robot: Robot) -> list[diagnosis.HiddenEntry]:
-    """Return the effects that these motions cannot show, the least visible first."""
-    least = in_force(DiscoverSettings).evidence.min_visible
-    visible = sorted(found.found.visible.items(), key=lambda x: x[1])
-    return [
-        diagnosis.HiddenEntry(effect=name, joint=robot.name_of(joint), visible=share)
-        for (name, joint), share in visible
-        if share < least
-    ]
 
 
 def _contact(found: Investigation, robot: Robot) -> diagnosis.FindingEntry:

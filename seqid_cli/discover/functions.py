@@ -25,7 +25,6 @@ from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import ParameterFile
-from seqid_cli.settings_in_force import puts_settings_in_force
 
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 
 
 @documented(Keywords)
-@puts_settings_in_force
 def diagnose(
     logs: Logs,
     robot: PathLike | Robot,
@@ -84,7 +82,6 @@ def diagnose(
 
 
 @documented(Keywords)
-@puts_settings_in_force
 def refine(
     logs: Logs,
     holdout: Logs,

@@ -21,18 +21,17 @@ from seqid_cli.discover.noise.floor import (
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
+from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import select, select_among
-from seqid_cli.discover.settings import DiscoverSettings
-from seqid_cli.discover.survey.events import Interval, find_events
+from seqid_cli.discover.survey.events import GATE, Interval, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.typing import Array, Mask
 from seqid_cli.working import step
 
@@ -144,12 +143,9 @@ def investigate(
     stages: Stages,
     options: DiscoverOptions,
     *,
-    least: float | None = None,
+    least: float = TOLD,
 ) -> Investigation:
-    """Select what a model lacks, and find events in what is left.
-
-    Told is what is as likely as `least`, or as the settings ask for.
-    """
+    """Select what a model lacks, and find events in what is left; tell what is likely."""
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     step("choosing effects", 4, 10)
@@ -203,7 +199,7 @@ def investigate_beside(
     ground = Ground.of(rows, stages)
     found = select_among(ground, HELD, candidates)
     told = found.largest()
-    look = all(one.one.predicted.share <= Options().improvement for one in told.taken)
+    look = all(one.one.predicted.share <= Options.improvement for one in told.taken)
     if look:
         found.finish()
         told = found.told(0.0)
@@ -265,12 +261,11 @@ def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
     """
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     period = round(scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)
-    gate = in_force(DiscoverSettings).events.min_sigma
     for j in event.joints:
-        least = Options().small * float(np.ptp(scene.modelled[around, j]))
+        least = Options.small * float(np.ptp(scene.modelled[around, j]))
         away = inside & shrink(scene.slides[:, j], period)
         size = max(
-            rms(residual[inside, j]), rms(residual[away, j]) * event.score / gate
+            rms(residual[inside, j]), rms(residual[away, j]) * event.score / GATE
         )
         if size >= least:
             return False

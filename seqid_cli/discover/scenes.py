@@ -81,13 +81,15 @@ def with_own_cutoffs(
     )
 
 
-def _is_coarse(log: Recording, scene: Scene) -> bool:
+def _is_coarse(
+    log: Recording, scene: Scene, *, most: float = Options.improvement
+) -> bool:
     """Whether encoder noise makes a share, of which terms count, of what the model leaves."""
     if scene.motion.source != "encoder":
         return False
     every = encoder_residuals([log], [scene])[0], residual_of(scene)
     made, whole = (np.sum(np.where(scene.slides, x, 0.0) ** 2, axis=0) for x in every)
-    return bool(np.any(made > Options().improvement * whole))
+    return bool(np.any(made > most * whole))
 
 
 def thinned(full: Scene) -> Scene:

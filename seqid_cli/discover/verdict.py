@@ -83,13 +83,13 @@ def _state(
 def predicted_worse(found: Investigation, joint: int) -> bool:
     """Whether a model fitted to a part of the logs surely predicts the rest worse."""
     fitted, file = _squares(found, joint)
-    return doubt_of(fitted - (1.0 + Options().improvement) * file) <= Options.doubt
+    return doubt_of(fitted - (1.0 + Options.improvement) * file) <= Options.doubt
 
 
 def predicted_better(found: Investigation, joint: int) -> bool:
     """Whether a model fitted to a part of the logs surely predicts the rest better."""
     fitted, file = _squares(found, joint)
-    return doubt_of((1.0 - Options().improvement) * file - fitted) <= Options.doubt
+    return doubt_of((1.0 - Options.improvement) * file - fitted) <= Options.doubt
 
 
 def _squares(found: Investigation, joint: int) -> tuple[Array, Array]:

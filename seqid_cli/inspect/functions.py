@@ -10,26 +10,21 @@ from msgspec import structs
 
 from seqid_cli.errors import UsageError
 from seqid_cli.inspect.progress import Progress
-from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
-from seqid_cli.params.document import used_settings
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.robot.file import load_robot
-from seqid_cli.settings_in_force import puts_settings_in_force
 
 if TYPE_CHECKING:
     from seqid_cli.logs.raw import TimeSource
     from seqid_cli.robot.types import Robot
 
 
-@puts_settings_in_force
 def inspect(
     logs: Logs,
     robot: PathLike | Robot | None = None,
     *,
-    settings: InspectSettings = InspectSettings(),
     time_source: TimeSource = "header",
     plan: PathLike | None = None,
     output: PathLike | None = None,
@@ -43,8 +38,6 @@ def inspect(
         Logs of any format that can be read.
     robot : path or Robot, optional
         Torque and IMUs are compared with its geometry; joints are guessed without it.
-    settings : InspectSettings
-        Numbers that decide; `seqid inspect --show-settings` lists them.
     time_source : {"header", "log"}
         Which stamps of an MCAP log count.
     plan : path, optional
@@ -78,7 +71,6 @@ def inspect(
 
         parts = recorded_parts(Path(plan), arm, files, time_source)  # type: ignore[arg-type]
         report = structs.replace(report, planned=parts)
-    report = structs.replace(report, settings=used_settings(settings))
     if target is not None:
         write_json_atomic(target, report, inputs=files)
     return report

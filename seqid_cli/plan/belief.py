@@ -32,7 +32,6 @@ from seqid_cli.plan.nuisance import (
     friction_size,
     move_terms,
 )
-from seqid_cli.plan.settings import PlanSettings
 from seqid_cli.robot.base_parameters import (
     Basis,
     base_regressor,
@@ -40,7 +39,6 @@ from seqid_cli.robot.base_parameters import (
     gear_ratios,
 )
 from seqid_cli.robot.types import Robot
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.typing import Array, Mask
 
 if TYPE_CHECKING:
@@ -187,13 +185,8 @@ class Belief:
             )
             total.add(rows)
 
-    def torque(self, moves: Moves, H: Array, *, sigmas: float | None = None) -> Array:
-        """Torque (M, N, n) N m that the joints need, and `sigmas` standard errors on top.
-
-        The settings say how many, if it is left out.
-        """
-        if sigmas is None:
-            sigmas = in_force(PlanSettings).margins.torque_sigma
+    def torque(self, moves: Moves, H: Array, *, sigmas: float = 3.0) -> Array:
+        """Torque (M, N, n) N m that the joints need, and `sigmas` standard errors on top."""
         if self.theta is None:
             return np.zeros(H.shape[:3])
         n = self.robot.n

@@ -17,8 +17,6 @@ from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.plan.options import PlanOptions, What
-from seqid_cli.plan.settings import PlanSettings
-from seqid_cli.settings_in_force import puts_settings_in_force
 
 if TYPE_CHECKING:
     from seqid_cli.plan.limits import Limits
@@ -27,14 +25,12 @@ if TYPE_CHECKING:
     from seqid_cli.robot.urdf_model import Geometry
 
 
-@puts_settings_in_force
 def plan(
     what: What,
     robot: PathLike | Robot,
     parameters: Models = (),
     options: PlanOptions = PlanOptions(),
     *,
-    settings: PlanSettings = PlanSettings(),
     have: Logs = (),
     output: PathLike | None = None,
     trajectories: PathLike | None = None,
@@ -52,8 +48,6 @@ def plan(
     parameters : path or ParameterFile, or a sequence of them
         What is identified already: torque and noise are taken from it.
     options : PlanOptions
-    settings : PlanSettings
-        Numbers that decide; `seqid plan --show-settings` lists them.
     have : path, table, recording, or a sequence of them
         Logs that the inertia stage, or the diagnosis that tells two effects apart, gets
         as well.

@@ -9,7 +9,7 @@ from msgspec import structs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.planned import sampled
 from seqid_cli.params.dates import now
-from seqid_cli.params.document import head, robot_id, used_settings
+from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results.plan import (
     PLAN_SCHEMA,
     JointLimits,
@@ -19,12 +19,11 @@ from seqid_cli.params.results.plan import (
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of, information_of
-from seqid_cli.plan.discrimination.discriminate import plan_discriminate
+from seqid_cli.plan.discrimination.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.floor import Floor
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.settings import PlanSettings
 from seqid_cli.plan.stages.goal import Planned
 from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.inertia import plan_inertia, plan_validation
@@ -32,7 +31,6 @@ from seqid_cli.plan.stages.payload import loaded, plan_payload
 from seqid_cli.plan.stages.sweeps import plan_friction, plan_imu
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import Geometry
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.shares import percent
 
 
@@ -93,7 +91,6 @@ def make_plan(
         verdicts=[
             v for name, planned in found.items() for v in _verdicts(name, planned)
         ],
-        settings=used_settings(in_force(PlanSettings)),
         notes=_notes(belief, options),
     )
 
@@ -180,8 +177,7 @@ def _verdicts(what: str, planned: Planned) -> list[Verdict]:
             f" {percent(power, 0)} ({other} reaches up to {percent(most)} of the gain)"
             for one, other, power, most in pairs
         )
-        least = in_force(PlanSettings).discrimination.min_power
-        return [Verdict(good=told.power >= least, reason=reason)]
+        return [Verdict(good=told.power >= ENOUGH, reason=reason)]
     if what == "discriminate":
         return [Verdict(good=False, reason=stage.notes[0])]
     if stage.rank is None:

@@ -279,9 +279,7 @@ def _taken_out_note(
 def _loss_note(changes: Mapping[str, Gain]) -> tuple[str, ...]:
     """Say which joints are certainly predicted worse, by more than is small."""
     lost = {
-        n: -g.value
-        for n, g in changes.items()
-        if g.loses and -g.value > Options().small
+        n: -g.value for n, g in changes.items() if g.loses and -g.value > Options.small
     }
     worse = ", ".join(f"{name} ({percent(share)})" for name, share in lost.items())
     said = f"predicted worse than before, in squared error where they slide: {worse}"

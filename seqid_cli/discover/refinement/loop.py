@@ -208,8 +208,7 @@ class Judgement:
     def gains(self) -> bool:
         """Whether it gains as much as a finding does, and not by chance."""
         return (
-            self.change.value >= Options().improvement
-            and self.by_chance <= Options.doubt
+            self.change.value >= Options.improvement and self.by_chance <= Options.doubt
         )
 
     @property

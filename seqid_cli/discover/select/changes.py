@@ -21,14 +21,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from seqid_cli.discover.select.model import Model
-from seqid_cli.discover.select.naming import reality, shares_of, tempered
+from seqid_cli.discover.select.naming import TOLD, reality, shares_of, tempered
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Taken, Weighed
 from seqid_cli.discover.select.search import Search
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.model.effects.registry import catalogue_of
-from seqid_cli.settings_in_force import in_force
 
 if TYPE_CHECKING:
     from seqid_cli.discover.select.selection import Selection
@@ -83,9 +81,8 @@ def value_changes(
     list of ValueChange
         One per joint at most, and one for the whole arm.
     """
-    certain = in_force(DiscoverSettings).evidence.min_confidence
     sure = [
-        taken.term for taken in told if reality(taken.share, taken.evidence) >= certain
+        taken.term for taken in told if reality(taken.share, taken.evidence) >= TOLD
     ]
     places = (None, *range(selection.model.ground.n))
     found = [_at_place(selection, joint, sure, least) for joint in places]

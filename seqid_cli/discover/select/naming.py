@@ -25,6 +25,7 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Taken
 from seqid_cli.typing import Array
 
+TOLD = 0.7  # probability from which something is told
 BEHIND = -float(logit(Options.doubt))  # log odds against a rival that is not told
 
 
@@ -39,9 +40,7 @@ class Named:
 
 def tempered(gain: Array | float) -> Array:
     """By what gains are divided, so that a rival that lacks a small share of `gain` is not told."""
-    return np.maximum(
-        Options().small * np.asarray(gain) / BEHIND, 1.0
-    )  # never enlarged
+    return np.maximum(Options.small * np.asarray(gain) / BEHIND, 1.0)  # never enlarged
 
 
 def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:

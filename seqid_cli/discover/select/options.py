@@ -1,17 +1,6 @@
 """What the selection decides by."""
 
-from dataclasses import dataclass, field
-
-from seqid_cli.discover.settings import DiscoverSettings
-from seqid_cli.settings_in_force import in_force
-
-
-def _min_log_evidence() -> float:
-    return in_force(DiscoverSettings).evidence.min_log_evidence
-
-
-def _negligible_share() -> float:
-    return in_force(DiscoverSettings).evidence.negligible_share
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -26,10 +15,9 @@ class Options:
     """
 
     doubt: float = 0.025  # probability over drawn blocks that a term gains nothing
-    small: float = field(default_factory=_negligible_share)
+    small: float = 0.04
     # share of the squared error left out that a term must take away
-    improvement: float = field(default_factory=_negligible_share)
-    # log evidence that the best of all terms has on noise
-    chance: float = field(default_factory=_min_log_evidence)
+    improvement: float = small
+    chance: float = 6.0  # log evidence that the best of all terms has on noise
     apart: float = 0.5
     most: int = 8  # terms

@@ -21,7 +21,7 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.changes import MOST_ERRORS, value_changes
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
-from seqid_cli.discover.select.naming import probable_names, reality
+from seqid_cli.discover.select.naming import TOLD, probable_names, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import (
@@ -36,11 +36,9 @@ from seqid_cli.discover.select.rows import Part, scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import Tried, Tuner
-from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.typing import Array
 
 
@@ -244,17 +242,14 @@ class Selection:
             model.settle()
         return gone
 
-    def told(self, least: float | None = None) -> Selected:
+    def told(self, least: float = TOLD) -> Selected:
         """What was taken, each term with its rivals.
 
-        Without what is less likely than `least` to be there; the settings say how
-        likely, if it is left out. What may be the error of another term's law stays in
-        the model, for that term's sake, and is not told. A simpler rival that does as
-        well takes a term's place. A change of the file's values stands for what hides
-        it.
+        Without what is less likely than `least` to be there. What may be the error of
+        another term's law stays in the model, for that term's sake, and is not told. A
+        simpler rival that does as well takes a term's place. A change of the file's
+        values stands for what hides it.
         """
-        if least is None:
-            least = in_force(DiscoverSettings).evidence.min_confidence
         tried = _ranked(self.model.linear, self._tried)
         told = self._with_value_changes(self._all_taken(least), least)
         hidden = {

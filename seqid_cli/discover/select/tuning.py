@@ -112,10 +112,10 @@ class Tuner:
     def _usual(self, tried: Tried, setting: Setting) -> Tried:
         """The same with a usual value of a setting, or none, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
-        least = (1.0 - Options().small) * tried.evidence
+        least = (1.0 - Options.small) * tried.evidence
         near = [one for one in every if one and one.evidence > least]
         bare = None if setting.asked else self._moved(tried, setting.name)
-        if bare is not None and bare.evidence > tried.evidence - Options().chance:
+        if bare is not None and bare.evidence > tried.evidence - Options.chance:
             return bare
         return max(near, key=lambda one: one.evidence, default=tried)
 

@@ -21,12 +21,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robust import PER_MEDIAN
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.typing import Array, Index, Mask
 
 OVERLAP = 4  # windows that cover each moment
@@ -140,10 +138,14 @@ def _means(values: Array, low: Index, high: Index, fewest: float) -> Array:
 
 
 LENGTHS_S = (0.15, 0.3, 0.6)
+GATE = 5.2  # robust sigmas that an event must reach
 # robust sigmas within its class from which a window is compared with like ones
 LOOKED_AT = 3.0
 MOST_REFERENCES = 3000
 EDGE_SHARE = 0.4  # of an event's peak, down to which it reaches
+# share of a log (or LONGEST_S, whichever is more) that events may fill
+MOST_TIME = 0.05
+LONGEST_S = 2.0  # of one event
 NEIGHBOURS = 24
 SPEEDS = 4  # classes of speed
 FEWEST = 8  # windows that a class must have to be one
@@ -164,8 +166,7 @@ class Interval:
     @property
     def certainty(self) -> float:
         """How sure it is that no noise made it, by its score alone: a half at the gate."""
-        gate = in_force(DiscoverSettings).events.min_sigma
-        return float(1.0 - 0.5 ** (self.score / gate) ** 2)
+        return float(1.0 - 0.5 ** (self.score / GATE) ** 2)
 
     def inside(self, scene: Scene, margin: float = 0.0) -> Mask:
         """Samples (N,) between its start and its end, and so many seconds more."""
@@ -187,7 +188,6 @@ class Interval:
 
 def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
     """Find what stands out in joints' scaled residuals (M_j,), unless it fills much of a log."""
-    limits = in_force(DiscoverSettings).events
     tracks, found = tracks_of(rows, left_out), list[Interval]()
     every = [windows_of(tracks, length) for length in LENGTHS_S]
     scored = [(windows, scores(windows)) for windows in every]
@@ -197,9 +197,7 @@ def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
             w.length_s * np.count_nonzero(w.scene == number) / OVERLAP for w in every
         )
         taken = sum(end - start for start, end in _occasions(events))
-        # One event may fill a short log.
-        most_s = max(limits.max_time * length, limits.longest)
-        found += events if taken <= most_s else []
+        found += events if taken <= max(MOST_TIME * length, LONGEST_S) else []
     return found
 
 
@@ -328,23 +326,19 @@ def places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interva
 
 def _joined(number: int, length_s: float, z: Array, centre: Array) -> list[Interval]:
     """Peaks above the gate with the windows around that reach a share of their height."""
-    limits = in_force(DiscoverSettings).events
     score, found, margin = combined(z), list[Interval](), 0.25 * length_s
-    while len(score) and float(np.max(score)) > limits.min_sigma:
+    while len(score) and float(np.max(score)) > GATE:
         peak = int(np.argmax(score))
         top = float(score[peak])
-        near = np.abs(centre - centre[peak]) < limits.longest
-        along = score * near > EDGE_SHARE * top
+        along = score * (np.abs(centre - centre[peak]) < LONGEST_S) > EDGE_SHARE * top
         first, stop = next((a, b) for a, b in runs(along, len(along)) if a <= peak < b)
         weight = np.abs(z[first:stop]).max(axis=0)
-        joints = np.flatnonzero(
-            weight > 0.5 * max(limits.min_sigma, weight.max())
-        ).tolist()
+        joints = np.flatnonzero(weight > 0.5 * max(GATE, weight.max())).tolist()
         start, end = (
             max(float(centre[first]) - margin, 0.0),
             float(centre[stop - 1]) + margin,
         )
-        if end - start <= limits.longest:
+        if end - start <= LONGEST_S:
             joints = joints or [int(np.argmax(weight))]
             found.append(Interval(number, start, end, tuple(joints), top))
         score[max(first - 2, 0) : stop + 2] = 0.0
@@ -353,7 +347,6 @@ def _joined(number: int, length_s: float, z: Array, centre: Array) -> list[Inter
 
 def _merged(found: Sequence[Interval]) -> list[Interval]:
     """Join what overlaps, to the interval of the higher score, and what nearly touches."""
-    longest_s = in_force(DiscoverSettings).events.longest
     kept: list[Interval] = []
     for event in sorted(found, key=lambda e: -e.score):
         apart = [max(event.start - e.end, e.start - event.end) for e in kept]
@@ -363,7 +356,7 @@ def _merged(found: Sequence[Interval]) -> list[Interval]:
             continue
         old, start, end = kept[k], kept[k].start, kept[k].end
         wide = min(start, event.start), max(end, event.end)
-        if apart[k] >= 0.0 and wide[1] - wide[0] <= longest_s:
+        if apart[k] >= 0.0 and wide[1] - wide[0] <= LONGEST_S:
             start, end = wide
         joints = tuple(sorted({*old.joints, *event.joints}))
         kept[k] = Interval(event.scene, start, end, joints, old.score)

@@ -9,11 +9,9 @@ from scipy.ndimage import median_filter
 from seqid_cli.inspect.channels.values import equal_runs, held, lattice, missing
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Robot
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.typing import Index
 
 ALONE = 0.3  # of a jump, that the samples before and after may move
@@ -58,10 +56,9 @@ def position_findings(
 
 
 def position_quality(
-    data: LogData, broken: Container[str]
+    data: LogData, broken: Container[str], *, max_ratio: float = 2.0
 ) -> Iterator[InspectionFinding]:
     """Check how well positions are measured, but for the joints named in `broken`."""
-    max_speed = in_force(InspectSettings).channels.max_speed
     for j, joint in enumerate(data.robot.joints):
         column = data.joints.channels["position"][:, j]
         q = column[np.isfinite(column)]
@@ -83,7 +80,7 @@ def position_quality(
             text = f"the position repeats each value {size} times"
             yield found("channel_held", text, joint.name, "position")
         top, limit = top_speed(data, j), joint.velocity_limit
-        if limit is not None and top > max_speed * limit:
+        if limit is not None and top > max_ratio * limit:
             text = f"reaches {top:.3g}, velocity_limit is {limit:.3g}"
             yield found("speed_limit", text, joint.name, "position")
 

@@ -16,10 +16,8 @@ from seqid_cli.inspect.dynamics.echo import WARNING, echoes
 from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.shares import percent
 from seqid_cli.typing import Index, Mask
 
@@ -79,7 +77,7 @@ def _of_channel(
             )
 
 
-def _spikes(values: Array) -> Index:
+def _spikes(values: Array, *, min_ratio: float = 10.0, min_share: float = 1.0) -> Index:
     """One sample or two far from both sides; what lasts longer may be a hard acceleration."""
     max_spikes = 16
     if len(values) <= 4 * max_spikes:
@@ -87,9 +85,7 @@ def _spikes(values: Array) -> Index:
     off = np.abs(values - median_filter(values, 5, mode="nearest"))
     usual = float(np.partition(off, len(off) - max_spikes)[-max_spikes - 1])
     span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
-    limits = in_force(InspectSettings).channels
-    least = max(limits.min_spike_ratio * usual, limits.min_spike_share * span)
-    rows: Index = np.flatnonzero(off > least)
+    rows: Index = np.flatnonzero(off > max(min_ratio * usual, min_share * span))
     return rows if len(rows) <= max_spikes else rows[:0]
 
 

@@ -5,12 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from seqid_cli.inspect.findings import found
-from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.shares import percent
 
 
@@ -75,13 +73,15 @@ def lattice(values: Array) -> float:
     return step
 
 
-def missing(values: Array, joint: str, channel: str) -> Iterator[InspectionFinding]:
+def missing(
+    values: Array, joint: str, channel: str, *, max_missing: float = 0.01
+) -> Iterator[InspectionFinding]:
     """Find values of a channel (M,) that are missing at uneven distances, as of no slower one."""
     present = np.flatnonzero(np.isfinite(values))
     if len(present) < 2:
         return
     usual = int(np.bincount(np.diff(present)).argmax())
     share = 1.0 - (len(present) - 1) * usual / float(present[-1] - present[0])
-    if share > in_force(InspectSettings).channels.max_missing:
+    if share > max_missing:
         text = f"{percent(share)} of the values are missing"
         yield found("values_missing", text, joint, channel)

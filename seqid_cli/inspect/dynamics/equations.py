@@ -20,12 +20,10 @@ from scipy.optimize import minimize, minimize_scalar
 from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.shares import percent
 from seqid_cli.typing import Mask
 
@@ -176,12 +174,13 @@ def _structural(
     data: LogData,
     sample: Sample,
     *,
+    suspicious: float = 0.1,
     poor: float = 0.6,
     min_steps: int = 10,
 ) -> Iterator[InspectionFinding]:
     thin = sample.thinned()
     error = _structural_error(thin)
-    if error < in_force(InspectSettings).dynamics.max_left:
+    if error < suspicious:
         yield from _nearly_right(thin, error)
         return
     mended = _mending(

@@ -8,17 +8,16 @@ import numpy as np
 from seqid_cli.inspect.channels.values import clipped, equal_runs, missing
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.segmentation import standing
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Imu, Robot
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.shares import percent
 
 STANDARD_GRAVITY = 9.80665
+WRONG = 0.05  # of gravity
 
 
 def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
@@ -139,14 +138,9 @@ def _force(
     norm, odd = force_of(imu, rest), odd_channel(imu, rest, gravity)
     if odd is not None:
         yield odd
-    elif abs(norm / gravity - 1.0) > _max_gravity_error():
+    elif abs(norm / gravity - 1.0) > WRONG:
         text = f"reads {norm:.4g} m/s^2 at rest, gravity is {gravity:.4g}"
         yield found("imu_gravity", text, imu.name)
-
-
-def _max_gravity_error() -> float:
-    """Return the share of gravity by which readings at rest may differ from it."""
-    return in_force(InspectSettings).imus.max_gravity_error
 
 
 def odd_channel(
@@ -155,7 +149,7 @@ def odd_channel(
     """Find the one change with which readings (R, K) m/s^2 at rest agree on gravity (Eq. 29)."""
     every = np.arange(rest.shape[1])
     error = _disagreement(rest, imu.axes)
-    if len(every) <= 3 or np.sqrt(error) < _max_gravity_error() * gravity:
+    if len(every) <= 3 or np.sqrt(error) < WRONG * gravity:
         return None
     changed: list[tuple[float, str, tuple[int, ...]]] = []
     without = changed.copy()

@@ -33,11 +33,11 @@ from seqid_cli.plan.moves.strokes import (
     top_speed,
 )
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.settings import PlanSettings
 from seqid_cli.plan.stages.goal import Goal, Planned
 from seqid_cli.plan.stages.search import check_torque, draw_pool, within_limits
 from seqid_cli.robot.types import Robot
-from seqid_cli.settings_in_force import in_force
+
+ENOUGH = 0.9  # power from which a plan is good
 
 
 def plan_discriminate(
@@ -77,7 +77,7 @@ def plan_discriminate(
     notes = [
         f"if it is {one.name}, these moves may leave it open: record {one.separate_by}"
         for one, power in zip(effects, separation.powers, strict=True)
-        if power < in_force(PlanSettings).discrimination.min_power
+        if power < ENOUGH
     ]
     return Planned(moves, PlannedStage(separation=separation, notes=notes))
 

@@ -21,11 +21,9 @@ import numpy as np
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.plan.limits import Limits
-from seqid_cli.plan.settings import PlanSettings
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import Geometry, LinkPoints, frame_points, shape_points
-from seqid_cli.settings_in_force import in_force
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Index, Mask
 
@@ -123,7 +121,7 @@ def floor_of(
     postures: Array,
     geometry: Geometry | None = None,
     *,
-    clearance_m: float | None = None,
+    clearance_m: float = 0.02,
     still_m: float = 1e-3,
 ) -> Floor | None:
     """Build the floor of an arm; None where gravity has no direction or lifts nothing.
@@ -139,8 +137,7 @@ def floor_of(
         Collision shapes, where the URDF has them.
     clearance_m : float
         Height that is kept above the plane [m]: between the samples that are checked a
-        point may be lower by a millimetre or two, and a controller overshoots. The
-        settings say how high, if it is left out.
+        point may be lower by a millimetre or two, and a controller overshoots.
     still_m : float
         Points whose height changes by less are lifted by no joint [m].
 
@@ -149,8 +146,6 @@ def floor_of(
     ConfigError
         The arm, or one of its links, hangs below the base plane whatever its joints do.
     """
-    if clearance_m is None:
-        clearance_m = in_force(PlanSettings).margins.floor_clearance
     size = float(np.linalg.norm(robot.gravity))
     if size == 0.0:
         return None

@@ -14,20 +14,17 @@ import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.logs.read import read_recording
 from seqid_cli.params.io import read_parameters
 from seqid_cli.robot.file import load_robot
-from seqid_cli.settings import entries, overridden
-from seqid_cli.settings_in_force import put_in_force
 from tests import ROOT
 from tests.studies.outside.cases import prepared, told
 from tests.studies.outside.plan import drawn
@@ -42,18 +39,13 @@ FACTORS = (0.7, 1.3)
 
 def numbers() -> dict[str, tuple[str, str]]:
     """Name and file of every number in the page's table of discovery that can be
-    changed; the settings of discovery are in none.
+    changed.
     """
     part = PAGE.read_text(encoding="utf-8").split("## Discovery\n")[1].split("<!-- ")[0]
     rows = [
         line.split("|")[1:5] for line in part.splitlines() if line.startswith("| `")
     ]
-    settings = {
-        f"`{entry.name}`": (entry.name, "")
-        for entry in entries(DiscoverSettings())
-        if not entry.name.startswith("judging.")
-    }
-    return settings | {
+    return {
         name.strip(): (name.strip().strip("`"), where.strip(" `"))
         for name, default, _, where in rows
         if re.fullmatch(r"`[\w.]+`( of `\w+`)?", name.strip()) and "," not in default
@@ -62,12 +54,6 @@ def numbers() -> dict[str, tuple[str, str]]:
 
 @contextmanager
 def changed(name: str, where: str, factor: float) -> Iterator[None]:
-    if not where:
-        defaults = {entry.name: entry.default for entry in entries(DiscoverSettings())}
-        given = f"{name}={factor * defaults[name]!r}"
-        with put_in_force(overridden(DiscoverSettings(), [given])):
-            yield
-        return
     module = importlib.import_module(
         f"seqid_cli.{where.removesuffix('.py').replace('/', '.')}"
     )
@@ -89,13 +75,14 @@ def changed(name: str, where: str, factor: float) -> Iterator[None]:
                 function, "__kwdefaults__", known | {argument: known[argument] * factor}
             )
         elif name.startswith("Options."):
-            key = name.removeprefix("Options.")
-            value = getattr(Options, key)
-            put(Options, key, value * factor)
-            place = [field.name for field in fields(Options)].index(key)
-            defaults = list(Options.__init__.__defaults__)
-            defaults[place] = value * factor
-            put(Options.__init__, "__defaults__", tuple(defaults))
+            value = getattr(Options, name.removeprefix("Options."))
+            same = [
+                key for key in Options.__annotations__ if getattr(Options, key) == value
+            ]
+            for key in same:
+                put(Options, key, value * factor)
+            defaults = tuple(getattr(Options, key) for key in Options.__annotations__)
+            put(Options.__init__, "__defaults__", defaults)
         else:
             value = getattr(module, name)
             own = [x for key, x in sys.modules.items() if key.startswith("seqid_cli")]

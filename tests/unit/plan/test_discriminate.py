@@ -85,7 +85,7 @@ def question_of(options: PlanOptions, scenes: Sequence[Scene]) -> Question:
 
 def test_power_is_what_the_diagnosis_asks() -> None:
     gain = 4000.0
-    asked_for = Options().small * gain
+    asked_for = Options.small * gain
     lacking = np.array([[asked_for], [2.0 * asked_for], [0.5 * asked_for]])
     told = Told(np.full((3, 1), gain), 2.0 * lacking)
     assert told.power == pytest.approx([0.5, 1.0, 0.0], abs=1e-3)

@@ -79,7 +79,7 @@ def test_what_no_effect_explains_is_a_smooth_function() -> None:
     assert (one.term.smooth, one.term.joint) == (True, 0)
     with_it, without = found.model.linear.left_out[0], one.left[0]
     assert (
-        Options().improvement
+        Options.improvement
         < one.share
         <= 1.0 - np.sum(with_it**2) / np.sum(without**2) + 1e-9
     )

@@ -11,8 +11,8 @@ import pytest
 from seqid_cli.discover import investigate
 from seqid_cli.discover.investigate import of_law
 from seqid_cli.discover.select.model import Model
-from seqid_cli.discover.settings import EventSettings, EvidenceSettings
-from seqid_cli.discover.survey.events import Interval, find_events
+from seqid_cli.discover.select.naming import TOLD
+from seqid_cli.discover.survey.events import GATE, Interval, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
 from tests import Array
@@ -26,9 +26,6 @@ from tests.unit.discover.arms import (
 )
 
 Extra = Callable[[int, Scene], Array]  # in units of the noise's RMS
-
-GATE = EventSettings().min_sigma
-TOLD = EvidenceSettings().min_confidence
 
 
 def found(rows: Rows, seed: int, *extra: Extra) -> list[Interval]:

@@ -1,27 +1,45 @@
-"""`seqid completion`: scripts, made from the parsers, that complete without starting Python."""
+"""`seqid completion`: scripts, made from the commands, that complete without Python."""
 
 import re
 import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperOption
 
-from seqid_cli.commands.options import command
+from seqid_cli.commands.options import (
+    DebugOption,
+    JsonOption,
+    NoColorOption,
+    QuietOption,
+    VerboseOption,
+    command_app,
+    examples,
+)
+
+app = command_app()
 
 
-@command(
-    "shell",
-    "seqid completion bash > ~/.local/share/bash-completion/completions/seqid",
-    "seqid completion fish > ~/.config/fish/completions/seqid.fish",
+@app.command(
+    "completion",
+    epilog=examples(
+        "seqid completion bash > ~/.local/share/bash-completion/completions/seqid",
+        "seqid completion fish > ~/.config/fish/completions/seqid.fish",
+    ),
 )
 def completion(
-    context: typer.Context,
-    shell: Literal["bash", "zsh", "fish"] = typer.Argument(
-        ..., metavar="bash|zsh|fish", help="Which shell."
-    ),
+    shell: Annotated[
+        Literal["bash", "zsh", "fish"],
+        typer.Argument(metavar="bash|zsh|fish", help="Which shell."),
+    ],
+    *,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
     """Print the completion script of a shell."""
     sys.stdout.write(script(shell, all_words()))
@@ -29,7 +47,7 @@ def completion(
 
 
 def all_words() -> dict[str, dict[str, Any]]:
-    """Return what every command offers, asked of its parser.
+    """Return what every command offers.
 
     For each command its help, its flags (spellings, help, whether they take a value,
     and which: any file where there are no choices), and the choices of its first
@@ -38,30 +56,40 @@ def all_words() -> dict[str, dict[str, Any]]:
     from seqid_cli.commands.app import COMMANDS, load_command
 
     words = {}
-    for name, (_, text) in COMMANDS.items():
-        flags, firsts = [], []
+    for name, entry in COMMANDS.items():
+        flags = []
+        choices_of_arguments = []
         for param in load_command(name).params:
             choices = tuple(getattr(param.type, "choices", ()))
             if isinstance(param, TyperOption):
-                flags.append(
-                    _flag(param.opts, param.help or "", not param.is_flag, choices)
+                flag = _flag(
+                    param.opts,
+                    param.help or "",
+                    takes_value=not param.is_flag,
+                    choices=choices,
                 )
+                flags.append(flag)
             else:
-                firsts.append(choices)
+                choices_of_arguments.append(choices)
         flags.append(_flag(["-h", "--help"], "Show the help."))
-        words[name] = {"help": text, "flags": flags, "choices": firsts[0]}
+        words[name] = {
+            "help": entry.summary,
+            "flags": flags,
+            "choices": choices_of_arguments[0],
+        }
     return words
 
 
 def _flag(
     spellings: Sequence[str],
-    text: str,
+    help_text: str,
+    *,
     takes_value: bool = False,
     choices: Sequence[str] = (),
 ) -> dict[str, Any]:
     return {
         "spellings": spellings,
-        "help": text,
+        "help": help_text,
         "takes_value": takes_value,
         "choices": choices,
     }
@@ -71,11 +99,14 @@ def script(shell: str, words: Mapping[str, Mapping[str, Any]]) -> str:
     """Return a script for a shell, of what every command offers."""
     from seqid_cli.templates import filled
 
-    flags = [
-        flag for own in words.values() for flag in own["flags"] if flag["takes_value"]
-    ]
-    unique = {tuple(flag["spellings"]): flag for flag in flags}
-    content = {"commands": words, "valued": list(unique.values())}
+    # Options of several commands that are spelled alike take the same values.
+    flags_with_values = {}
+    for offered in words.values():
+        for flag in offered["flags"]:
+            if flag["takes_value"]:
+                flags_with_values[tuple(flag["spellings"])] = flag
+
+    content = {"commands": words, "valued": list(flags_with_values.values())}
     filters = {
         "quoted": lambda text: "'" + text.replace("'", "'\\''") + "'",
         "zsh_text": partial(re.sub, r"([\[\]:\\])", r"\\\1"),

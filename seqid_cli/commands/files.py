@@ -1,61 +1,107 @@
 """The commands that read results alone: report, export, compare and trend."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import typer
 
-from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED, called
-from seqid_cli.commands.options import OUTPUT, SIX, command, only, option
-from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.commands.command_run import EXIT_DONE, EXIT_UNTRUSTED, CommandRun
+from seqid_cli.commands.options import (
+    SIX,
+    DebugOption,
+    JsonOption,
+    NoColorOption,
+    OutputOption,
+    QuietOption,
+    RobotOption,
+    StrictOption,
+    VerboseOption,
+    command_app,
+    examples,
+    number_check,
+)
+from seqid_cli.commands.robot_file import found_robot
+from seqid_cli.commands.screen.render import Screen, number, percent, screen_for
 from seqid_cli.errors import UsageError
 from seqid_cli.export.formats import BY_TARGET, BY_TITLE, FORMATS
 from seqid_cli.params.files import By
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.comparison import ComparisonFile, Difference
-from seqid_cli.params.results.export import ExportFile
+from seqid_cli.params.results.export import ExportedLink, ExportFile
 from seqid_cli.params.results.report import TITLES
-from seqid_cli.params.results.trend import ChangeEntry
+from seqid_cli.params.results.trend import ChangeEntry, TrendFile
 
-# Identified base parameters that no body has within so many standard errors are not
-# noise.
+# A base parameter that the nearest bodies miss by more standard errors than this is
+# not missed by noise: the robot file is wrong somewhere.
 MAX_STD_ERRORS = 4.0
-_SHOWN = 8  # unchanged numbers that the screen shows without -v
+_SHOWN_UNCHANGED = 8  # numbers that the screen shows without -v
+_SHOWN_STD_ERRORS = 0.01  # deviations below this are rounding
 _TWO = "sample_logs/two_joint"
 _SUFFIXES = ", ".join(
     dict.fromkeys(f"{suffix} {name}" for suffix, name in FORMATS.items())
 )
-_limit = only("a number from 0 on", lambda x: x >= 0.0)
-_share = only("between 0 and 1", lambda x: 0.0 < x < 1.0)
+_limit_check = number_check(lambda x: x >= 0.0, "a number from 0 on")
+_share_check = number_check(lambda x: 0.0 < x < 1.0, "between 0 and 1")
+
+app = command_app()
 
 
-@command(
-    "files output torques title by strict",
-    "seqid report inertia.json prediction.json diagnosis.json -o report.html",
-    "seqid report cell_*/inertia.json cell_*/prediction.json --by folder -o fleet.html",
-    "seqid report refined.json prediction.json --torques torques.parquet -o report.html"
-    " --json",
+@app.command(
+    "report",
+    epilog=examples(
+        "seqid report inertia.json prediction.json diagnosis.json -o report.html",
+        "seqid report cell_*/inertia.json cell_*/prediction.json --by folder -o"
+        " fleet.html",
+        "seqid report refined.json prediction.json --torques torques.parquet -o"
+        " report.html --json",
+    ),
 )
 def report(
-    context: typer.Context,
-    files: list[Path] = typer.Argument(
-        ...,
-        metavar="FILE...",
-        help="JSON files that seqid wrote, and the torques of seqid predict.",
-    ),
-    output: Path = option(..., "-o --output FILE", "Where the page goes, as HTML."),
-    torques: Path | None = option(
-        None,
-        "--torques FILE",
-        "What seqid predict wrote with --torques; found beside the prediction if left"
-        " out.",
-    ),
-    title: str = option("", "--title TEXT", "Title, instead of the robot's name."),
-    by: By | None = option(
-        None,
-        "--by",
-        "A page about many robots, told apart by their names or by folders.",
-    ),
+    *,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="JSON files that seqid wrote, and the torques of seqid predict.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", metavar="FILE", help="Where the page goes, as HTML."
+        ),
+    ],
+    torques: Annotated[
+        Path | None,
+        typer.Option(
+            "--torques",
+            metavar="FILE",
+            help=(
+                "What seqid predict wrote with --torques; found beside the prediction"
+                " if left out."
+            ),
+        ),
+    ] = None,
+    title: Annotated[
+        str,
+        typer.Option(
+            "--title", metavar="TEXT", help="Title, instead of the robot's name."
+        ),
+    ] = "",
+    by: Annotated[
+        By | None,
+        typer.Option(
+            "--by",
+            help="A page about many robots, told apart by their names or by folders.",
+        ),
+    ] = None,
+    strict: StrictOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
     """Write one self-contained HTML page about a robot's model: the verdict first.
 
@@ -65,82 +111,159 @@ def report(
     It opens offline and loads nothing. With --strict the exit code is 1 unless the
     verdict is good.
     """
-    told, made = called(context, "report.report")
-    screen = told.screen
-    screen.result(f"{TITLES[made.verdict]}. {made.sentence}")
-    for point in made.points:
+    from seqid_cli.report import report as write_report
+
+    screen = screen_for(
+        "report", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    with CommandRun(screen) as run:
+        file = write_report(files, output, torques=torques, title=title, by=by)
+    screen.document(file)
+    screen.result(f"{TITLES[file.verdict]}. {file.sentence}")
+    for point in file.points:
         screen.result(f"- {point.text}")
-    if lacking := [section.id for section in made.sections if not section.complete]:
+    incomplete = [section.id for section in file.sections if not section.complete]
+    if incomplete:
         screen.note(
-            f"sections that say which command gives their data: {', '.join(lacking)}"
+            f"sections that say which command gives their data: {', '.join(incomplete)}"
         )
-    screen.note(f"written: {made.output}")
-    return told.ended(untrusted=made.verdict != "good")
+    screen.note(f"written: {file.output}")
+    return run.exit_code(strict=strict, is_untrusted=file.verdict != "good")
 
 
-@command(
-    "parameters robot output target replay no_replay strict",
-    "seqid export inertia.json -r sample_logs/six_joint/robot.toml -o six_joint.urdf",
-    f"seqid export inertia.json -r {_TWO}/robot.toml -o two_joint.xml",
-    f"seqid export refined.json -r {_TWO}/robot.toml -o two_joint.h --strict",
-    f"seqid export refined.json -r {SIX}/robot.toml --target ur-friction -o"
-    " friction.json",
+@app.command(
+    "export",
+    epilog=examples(
+        "seqid export inertia.json -r sample_logs/six_joint/robot.toml -o"
+        " six_joint.urdf",
+        f"seqid export inertia.json -r {_TWO}/robot.toml -o two_joint.xml",
+        f"seqid export refined.json -r {_TWO}/robot.toml -o two_joint.h --strict",
+        f"seqid export refined.json -r {SIX}/robot.toml --target ur-friction -o"
+        " friction.json",
+    ),
 )
 def export(
-    context: typer.Context,
-    parameters: list[Path] = typer.Argument(
-        ..., metavar="FILE...", help="Parameter file; several are joined."
-    ),
-    output: Path = option(
-        ..., "-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}."
-    ),
-    target: str | None = option(
-        None, "--target NAME", f"The form, whatever the suffix: {', '.join(BY_TARGET)}."
-    ),
-    replay: list[Path] = option(
-        [],
-        "--replay LOG",
-        "Log to run what was written over, once per file, folder or glob; by default"
-        " the held-out ones of the file.",
-    ),
-    no_replay: bool = option(
-        False, "--no-replay", "Do not run what was written over logs."
-    ),
+    *,
+    parameters: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Parameter file; several are joined."),
+    ],
+    robot: RobotOption = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help=f"Where it goes; by suffix: {_SUFFIXES}.",
+        ),
+    ],
+    target: Annotated[
+        str | None,
+        typer.Option(
+            "--target",
+            metavar="NAME",
+            help=f"The form, whatever the suffix: {', '.join(BY_TARGET)}.",
+        ),
+    ] = None,
+    replay: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--replay",
+            metavar="LOG",
+            help=(
+                "Log to run what was written over, once per file, folder or glob; by"
+                " default the held-out ones of the file."
+            ),
+        ),
+    ] = None,
+    no_replay: Annotated[
+        bool,
+        typer.Option("--no-replay", help="Do not run what was written over logs."),
+    ] = False,
+    strict: StrictOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
-    """Write an identified arm as URDF, MJCF, ROS 2 parameters, C, or what a controller takes.
+    """Write an identified arm as URDF, MJCF, ROS 2 parameters, C, or \
+what a controller takes.
 
     Links get inertial parameters that a body can have, with the identified torque, as
     near as possible to those of the URDF. A form that cannot hold the whole model gets
     the links and the Coulomb and viscous friction that lose least of its torque, and
     says how much that is. What was written is run over held-out logs: exits with 1
     where it is worse than it states.
-    """
+    """  # noqa: D205
+    from seqid_cli.export import export as write_export
+
+    screen = screen_for(
+        "export", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    robot = robot or found_robot(screen, [])
     if replay and no_replay:
         raise UsageError(
             "--replay and --no-replay exclude each other", hint="Give one of them."
         )
-    told, file = called(context, "export.export")
-    if not file.joints:
-        _show_end(told.screen, file, output)
-        return told.ended()
-    screen, rows = told.screen, []
-    for name, link in file.joints.items():
-        center, fit = " ".join(number(x) for x in link.center_of_mass), link.friction
-        friction: tuple[float | None, ...] = (None, None, None)
-        if fit is not None:
-            share = fit.rms_misfit / fit.rms if fit.rms > 0.0 else 0.0
-            friction = (fit.coulomb, fit.viscous, share)
-        loss = (file.loss.get(name),) if file.loss else ()
-        rows.append((name, link.mass, center, link.armature, *friction, *loss))
+    with CommandRun(screen) as run:
+        file = write_export(
+            parameters,
+            robot,
+            output,
+            target=target,
+            replay=replay or (),
+            no_replay=no_replay,
+        )
+    screen.document(file)
+    has_failed = False
+    if file.joints:
+        _show_links(screen, file)
+        _show_fidelity(screen, file)
+        has_failed = _show_replay(screen, file)
+    for note in file.notes:
+        screen.note(f"note: {note}")
+    screen.note(f"written: {output} ({file.format})")
+
+    is_far = bool(file.joints) and file.largest_deviation > MAX_STD_ERRORS
+    code = run.exit_code(strict=strict, is_untrusted=is_far)
+    return EXIT_UNTRUSTED if has_failed else code
+
+
+def _show_links(screen: Screen, file: ExportFile) -> None:
+    """Print a row per joint: its link, its friction, and the torque that is lost."""
     titles = (
         "joint | mass [kg] | centre of mass [m] | armature | Coulomb | viscous | misfit"
     )
     kinds = "text number4 text number number number share"
     if file.loss:
-        titles, kinds = f"{titles} | loss [N m]", f"{kinds} number"
+        titles = f"{titles} | loss [N m]"
+        kinds = f"{kinds} number"
+
+    rows = []
+    for name, link in file.joints.items():
+        center = " ".join(number(x) for x in link.center_of_mass)
+        row = [name, link.mass, center, link.armature, *_friction_cells(link)]
+        if file.loss:
+            row.append(file.loss.get(name))
+        rows.append(row)
     screen.values(tables.values(titles, kinds, rows))
     if file.loss:
         screen.note("loss: RMS of the file's torque that this form does not have")
+
+
+def _friction_cells(link: ExportedLink) -> list[float | None]:
+    """Return Coulomb and viscous friction, and the share that they do not describe."""
+    fit = link.friction
+    if fit is None:
+        return [None, None, None]
+    misfit_share = fit.rms_misfit / fit.rms if fit.rms > 0.0 else 0.0
+    return [fit.coulomb, fit.viscous, misfit_share]
+
+
+def _show_fidelity(screen: Screen, file: ExportFile) -> None:
+    """Say how near what is written is to what was identified."""
     if BY_TITLE[file.format].extent == "whole":
         screen.result(
             "the torque is exactly that of the file, with or without bodies that"
@@ -152,47 +275,14 @@ def export(
         )
     else:
         _show_deviations(screen, file)
-    failed = _show_replay(screen, file)
-    _show_end(screen, file, output)
-    code = told.ended(untrusted=file.largest_deviation > MAX_STD_ERRORS)
-    return EXIT_UNTRUSTED if failed else code
-
-
-def _show_end(screen: Screen, file: ExportFile, output: Path) -> None:
-    for note in file.notes:
-        screen.note(f"note: {note}")
-    screen.note(f"written: {output} ({file.format})")
-
-
-def _show_replay(screen: Screen, file: ExportFile) -> bool:
-    """Show what the written file makes of logs; return whether it is worse than it states."""
-    if file.replay is None:
-        return False
-    rows = [
-        (name, joint.file_rmse, joint.export_rmse, joint.loss, joint.samples)
-        for name, joint in file.replay.joints.items()
-    ]
-    if rows:
-        count = len(file.replay.logs)
-        screen.result(
-            f"replayed over {count} log{'s' if count > 1 else ''}, RMS errors in N m:"
-        )
-        titles = "joint | parameter file | written file | loss there | samples"
-        screen.values(tables.values(titles, "text number number number count", rows))
-    for text in file.replay.failures:
-        screen.warn(text)
-    if file.replay.failures:
-        screen.note(
-            "do: export again and do not edit what was written; where a form loses too"
-            " much for its use, export to C or numpy, which hold the whole model"
-        )
-    return not file.replay.passed
 
 
 def _show_deviations(screen: Screen, file: ExportFile) -> None:
-    far = [d for d in file.base_parameters if abs(d.std_errors or 0.0) >= 0.01]
+    """Print the base parameters that the nearest bodies do not have."""
     rows = [
-        (d.name, d.identified, d.exported, f"{d.std_errors:+.2f}", d.unit) for d in far
+        (x.name, x.identified, x.exported, f"{x.std_errors:+.2f}", x.unit)
+        for x in file.base_parameters
+        if abs(x.std_errors or 0.0) >= _SHOWN_STD_ERRORS
     ]
     screen.result(
         "no body has the identified base parameters; the nearest ones are exported:"
@@ -207,80 +297,148 @@ def _show_deviations(screen: Screen, file: ExportFile) -> None:
         )
 
 
-@command(
-    "first second rtol sigma form",
-    f"seqid compare {_TWO}/golden.json inertia.json",
-    f"seqid compare {_TWO}/golden.json inertia.json --sigma 3 --rtol 0.02 --json",
-    f"seqid compare {_TWO}/golden.json inertia.json --format github",
+def _show_replay(screen: Screen, file: ExportFile) -> bool:
+    """Show the replay of the written file; return whether it is worse than stated."""
+    if file.replay is None:
+        return False
+    rows = [
+        (name, joint.file_rmse, joint.export_rmse, joint.loss, joint.samples)
+        for name, joint in file.replay.joints.items()
+    ]
+    if rows:
+        count = len(file.replay.logs)
+        logs = "1 log" if count == 1 else f"{count} logs"
+        screen.result(f"replayed over {logs}, RMS errors in N m:")
+        titles = "joint | parameter file | written file | loss there | samples"
+        screen.values(tables.values(titles, "text number number number count", rows))
+    for text in file.replay.failures:
+        screen.warn(text)
+    if file.replay.failures:
+        screen.note(
+            "do: export again and do not edit what was written; where a form loses too"
+            " much for its use, export to C or numpy, which hold the whole model"
+        )
+    return not file.replay.passed
+
+
+@app.command(
+    "compare",
+    epilog=examples(
+        f"seqid compare {_TWO}/golden.json inertia.json",
+        f"seqid compare {_TWO}/golden.json inertia.json --sigma 3 --rtol 0.02 --json",
+        f"seqid compare {_TWO}/golden.json inertia.json --format github",
+    ),
 )
 def compare(
-    context: typer.Context,
-    first: Path = typer.Argument(
-        ..., metavar="A.json", help="What was, or what should be."
-    ),
-    second: Path = typer.Argument(..., metavar="B.json", help="What is now."),
-    rtol: float | None = option(
-        None,
-        "--rtol X",
-        "Share of a number's size beyond which it has changed; alone it decides.",
-        _limit,
-    ),
-    sigma: float | None = option(
-        None,
-        "--sigma S",
-        "Combined standard errors beyond which it has changed; alone it decides.",
-        _limit,
-    ),
-    form: Literal["text", "json", "github"] = option(
-        "text", "--format", "A table, JSON, or annotations of GitHub Actions."
-    ),
+    *,
+    first: Annotated[
+        Path, typer.Argument(metavar="A.json", help="What was, or what should be.")
+    ],
+    second: Annotated[Path, typer.Argument(metavar="B.json", help="What is now.")],
+    rtol: Annotated[
+        float | None,
+        typer.Option(
+            "--rtol",
+            metavar="X",
+            callback=_limit_check,
+            help=(
+                "Share of a number's size beyond which it has changed; alone it"
+                " decides."
+            ),
+        ),
+    ] = None,
+    sigma: Annotated[
+        float | None,
+        typer.Option(
+            "--sigma",
+            metavar="S",
+            callback=_limit_check,
+            help=(
+                "Combined standard errors beyond which it has changed; alone it"
+                " decides."
+            ),
+        ),
+    ] = None,
+    form: Annotated[
+        Literal["text", "json", "github"],
+        typer.Option(
+            "--format", help="A table, JSON, or annotations of GitHub Actions."
+        ),
+    ] = "text",
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
     """Compare two parameter, prediction or diagnosis files of one robot.
 
     A number has changed when it moved by more than --sigma combined standard errors (4)
     and by more than the share --rtol of its size (0.01). Exits with 1 when any has.
     """
-    context.params["json"] |= form == "json"
-    told, found = called(context, "compare.compare")
-    limit = (
-        "" if found.rule.sigma is None else f"{found.rule.sigma:g} standard errors and "
+    from seqid_cli.compare import compare as compare_files
+
+    screen = screen_for(
+        "compare",
+        quiet=quiet,
+        verbose=verbose,
+        json=json or form == "json",
+        no_color=no_color,
     )
-    limit += f"{100.0 * found.rule.rtol:g} % of its size"
-    summary = (
-        f"{found.changed} of {found.compared} numbers changed (by more than {limit})"
-    )
+    with CommandRun(screen):
+        file = compare_files(first, second, rtol=rtol, sigma=sigma)
+    screen.document(file)
+    summary = _summary(file)
     if form == "github":
-        for item in found.differences:
+        for item in file.differences:
             if item.different:
-                told.screen.result(_annotation(item, found.b))
-        told.screen.result(f"::notice title=seqid compare::{_escaped(summary)}")
+                screen.result(_annotation(item, file.b))
+        screen.result(f"::notice title=seqid compare::{_escaped(summary)}")
     else:
-        _show_comparison(told.screen, found)
-        told.screen.result(summary)
-    for note in found.notes:
-        told.screen.note(f"note: {note}")
-    return EXIT_UNTRUSTED if found.changed else EXIT_DONE
+        _show_comparison(screen, file)
+        screen.result(summary)
+    for note in file.notes:
+        screen.note(f"note: {note}")
+    return EXIT_UNTRUSTED if file.changed else EXIT_DONE
 
 
-def _show_comparison(screen: Screen, found: ComparisonFile) -> None:
-    changed, rest = (
-        [x for x in found.differences if x.different == y] for y in (True, False)
-    )
-    rest.sort(key=lambda item: -(item.relative or 0.0))
-    shown = rest if screen.verbose else rest[:_SHOWN]
+def _summary(file: ComparisonFile) -> str:
+    """Return how many numbers changed, and by which rule, in one line."""
+    limit = f"{100.0 * file.rule.rtol:g} % of its size"
+    if file.rule.sigma is not None:
+        limit = f"{file.rule.sigma:g} standard errors and {limit}"
+    return f"{file.changed} of {file.compared} numbers changed (by more than {limit})"
+
+
+def _show_comparison(screen: Screen, file: ComparisonFile) -> None:
+    """Print the changed numbers, and the most different of the unchanged ones."""
+    changed = [item for item in file.differences if item.different]
+    unchanged = [item for item in file.differences if not item.different]
+    unchanged.sort(key=lambda item: -(item.relative or 0.0))
+    shown = unchanged if screen.verbose else unchanged[:_SHOWN_UNCHANGED]
+
     rows = []
-    for x in (*changed, *shown):
-        remark = f": {x.remark}" if x.remark else ""
-        verdict = f"changed{remark}" if x.different else "same"
-        rows.append(
-            (x.stage, x.name, x.joint or None, x.a, x.b, x.sigmas, x.relative, verdict)
+    for item in (*changed, *shown):
+        verdict = "changed" if item.different else "same"
+        if item.different and item.remark:
+            verdict = f"changed: {item.remark}"
+        row = (
+            item.stage,
+            item.name,
+            item.joint or None,
+            item.a,
+            item.b,
+            item.sigmas,
+            item.relative,
+            verdict,
         )
+        rows.append(row)
     titles = "stage | number | joint | first | second | std errors | relative | verdict"
-    screen.values(
-        tables.values(titles, "text text text number5 number5 number share text", rows)
-    )
-    if len(shown) < len(rest):
-        screen.note(f"{len(rest) - len(shown)} more are unchanged (-v shows them)")
+    kinds = "text text text number5 number5 number share text"
+    screen.values(tables.values(titles, kinds, rows))
+    hidden_count = len(unchanged) - len(shown)
+    if hidden_count:
+        screen.note(f"{hidden_count} more are unchanged (-v shows them)")
 
 
 def _annotation(item: Difference, path: str) -> str:
@@ -290,48 +448,75 @@ def _annotation(item: Difference, path: str) -> str:
     text = item.remark
     if item.a is not None and item.b is not None:
         text = f"{item.a:.6g} became {item.b:.6g} {item.unit}".rstrip()
-        text += "" if item.sigmas is None else f", {item.sigmas:.1f} standard errors"
+        if item.sigmas is not None:
+            text += f", {item.sigmas:.1f} standard errors"
         text += f", {percent(item.relative)} of its size"
-        text += f" ({item.remark})" if item.remark else ""
-    return (
-        "::error"
-        f" file={_escaped(path, ':,')},title={_escaped(title, ':,')}::{_escaped(text)}"
-    )
+        if item.remark:
+            text += f" ({item.remark})"
+    file = _escaped(path, ":,")
+    return f"::error file={file},title={_escaped(title, ':,')}::{_escaped(text)}"
 
 
-def _escaped(text: str, more: str = "") -> str:
-    for sign in f"%\r\n{more}":
+def _escaped(text: str, further_signs: str = "") -> str:
+    """Return a text for a workflow command, in which these signs would end a part."""
+    # The percent sign comes first: the others become codes that begin with it.
+    for sign in f"%\r\n{further_signs}":
         text = text.replace(sign, f"%{ord(sign):02X}")
     return text
 
 
-@command(
-    "parameters output table by alpha rtol",
-    f"seqid trend {_TWO}/golden.json inertia.json -o trend.json",
-    "seqid trend sample_logs/*_joint/golden.json cell_*/*.json --by folder --table"
-    " trend.parquet",
+@app.command(
+    "trend",
+    epilog=examples(
+        f"seqid trend {_TWO}/golden.json inertia.json -o trend.json",
+        "seqid trend sample_logs/*_joint/golden.json cell_*/*.json --by folder --table"
+        " trend.parquet",
+    ),
 )
 def trend(
-    context: typer.Context,
-    parameters: list[Path] = typer.Argument(
-        ..., metavar="PARAMS.json...", help="Parameter files of several dates."
-    ),
-    output: Path | None = OUTPUT,
-    table: Path | None = option(
-        None, "--table FILE", "Where all values go, as Parquet."
-    ),
-    by: By = option(
-        "name", "--by", "What tells robots apart: the name in their files, or folders."
-    ),
-    alpha: float = option(
-        0.01,
-        "--alpha P",
-        "Probability that anything of healthy robots is said to change.",
-        _share,
-    ),
-    rtol: float = option(
-        0.01, "--rtol X", "Least change of a quantity, as a share of its size.", _share
-    ),
+    *,
+    parameters: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="PARAMS.json...", help="Parameter files of several dates."
+        ),
+    ],
+    output: OutputOption = None,
+    table: Annotated[
+        Path | None,
+        typer.Option(
+            "--table", metavar="FILE", help="Where all values go, as Parquet."
+        ),
+    ] = None,
+    by: Annotated[
+        By,
+        typer.Option(
+            "--by", help="What tells robots apart: the name in their files, or folders."
+        ),
+    ] = "name",
+    alpha: Annotated[
+        float,
+        typer.Option(
+            "--alpha",
+            metavar="P",
+            callback=_share_check,
+            help="Probability that anything of healthy robots is said to change.",
+        ),
+    ] = 0.01,
+    rtol: Annotated[
+        float,
+        typer.Option(
+            "--rtol",
+            metavar="X",
+            callback=_share_check,
+            help="Least change of a quantity, as a share of its size.",
+        ),
+    ] = 0.01,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
     """Find out what changed on one or more robots over time, beyond its error.
 
@@ -339,25 +524,45 @@ def trend(
     and effects are named with robot, joint and date. Exits with 1 when anything
     changed.
     """
-    told, found = called(context, "trend.trend")
-    screen = told.screen
-    # of each robot, joint and stage
-    clearest: dict[tuple[str, str, str], ChangeEntry] = {}
-    for entry in found.changes:  # the clearest first
-        name = entry.name if entry.stage == "effects" else ""
-        clearest.setdefault((entry.robot, entry.joint, entry.stage + name), entry)
-    shown = found.changes if screen.verbose else list(clearest.values())
-    screen.values(tables.changes(shown))
-    if hidden := len(found.changes) - len(shown):
-        screen.note(f"{hidden} more of the same joint and stage (-v shows them)")
-    robots = ", ".join(dict.fromkeys(entry.robot for entry in found.changes))
-    screen.result(
-        f"{f'changed: {robots}' if robots else 'nothing changed'} ({len(found.files)}"
-        f" files of {len(found.robots)} robots, {len(found.series)} series; limit"
-        f" {found.limit:.3g} standard errors)"
+    from seqid_cli.trend import TrendOptions
+    from seqid_cli.trend import trend as find_changes
+
+    screen = screen_for(
+        "trend", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
-    screen.remark(*found.notes)
+    options = TrendOptions(alpha=alpha, rtol=rtol, by=by)
+    with CommandRun(screen):
+        file = find_changes(parameters, options, output=output, table=table)
+    screen.document(file)
+    _show_trend(screen, file)
     for path in (output, table):
         if path is not None:
             screen.note(f"written: {path}")
-    return EXIT_UNTRUSTED if found.alarm else EXIT_DONE
+    return EXIT_UNTRUSTED if file.alarm else EXIT_DONE
+
+
+def _show_trend(screen: Screen, file: TrendFile) -> None:
+    """Print the changes, of each joint and stage the clearest, and the robots."""
+    shown = file.changes if screen.verbose else _clearest(file.changes)
+    screen.values(tables.changes(shown))
+    hidden_count = len(file.changes) - len(shown)
+    if hidden_count:
+        screen.note(f"{hidden_count} more of the same joint and stage (-v shows them)")
+
+    robots = ", ".join(dict.fromkeys(change.robot for change in file.changes))
+    what_changed = f"changed: {robots}" if robots else "nothing changed"
+    screen.result(
+        f"{what_changed} ({len(file.files)} files of {len(file.robots)} robots,"
+        f" {len(file.series)} series; limit {file.limit:.3g} standard errors)"
+    )
+    screen.remark(*file.notes)
+
+
+def _clearest(changes: Sequence[ChangeEntry]) -> list[ChangeEntry]:
+    """Return one change of each robot, joint and stage, and of each effect."""
+    clearest: dict[tuple[str, str, str], ChangeEntry] = {}
+    for change in changes:  # the clearest first
+        effect = change.name if change.stage == "effects" else ""
+        place = (change.robot, change.joint, change.stage + effect)
+        clearest.setdefault(place, change)
+    return list(clearest.values())

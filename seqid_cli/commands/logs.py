@@ -3,159 +3,294 @@
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED, called
-from seqid_cli.commands.options import LOGS, OUTPUT, SIX, command, found_robot, option
-from seqid_cli.commands.screen.render import screen_of
+from seqid_cli.commands.command_run import (
+    EXIT_DONE,
+    EXIT_PARTIAL,
+    EXIT_UNTRUSTED,
+    CommandRun,
+)
+from seqid_cli.commands.options import (
+    SIX,
+    DebugOption,
+    JsonOption,
+    LogsArgument,
+    NoColorOption,
+    OutputOption,
+    QuietOption,
+    TimeOption,
+    VerboseOption,
+    command_app,
+    examples,
+)
+from seqid_cli.commands.robot_file import found_robot_if_any
+from seqid_cli.commands.screen.render import Screen, screen_for
 from seqid_cli.commands.screen.show_inspection import show_inspection
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
+from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.robot.urdf import read_urdf_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from seqid_cli.inspect.propose import Proposal
 
 EXIT_UNREADABLE = 2
 
+app = command_app()
 
-@command(
-    "logs robot plan output time_source strict",
-    f"seqid inspect {SIX}/friction -r {SIX}/robot.toml",
-    "seqid inspect sample_logs/two_joint/imu --json",
+
+@app.command(
+    "inspect",
+    epilog=examples(
+        f"seqid inspect {SIX}/friction -r {SIX}/robot.toml",
+        "seqid inspect sample_logs/two_joint/imu --json",
+    ),
 )
 def inspect(
-    context: typer.Context,
-    robot: Path | None = option(
-        None,
-        "-r --robot FILE",
-        "Robot file; ./robot.toml or one beside the logs when left out, else joints are"
-        " guessed.",
-    ),
-    plan: Path | None = option(
-        None, "--plan FILE", "A plan: say which of its moves these logs hold."
-    ),
-    output: Path | None = OUTPUT,
-    strict: bool = option(
-        False, "--strict", "Exit with 1 on warnings and unrecorded moves as well."
-    ),
+    *,
+    logs: LogsArgument,
+    robot: Annotated[
+        Path | None,
+        typer.Option(
+            "-r",
+            "--robot",
+            metavar="FILE",
+            help=(
+                "Robot file; ./robot.toml or one beside the logs when left out, else"
+                " joints are guessed."
+            ),
+        ),
+    ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(
+            "--plan",
+            metavar="FILE",
+            help="A plan: say which of its moves these logs hold.",
+        ),
+    ] = None,
+    output: OutputOption = None,
+    time_source: TimeOption = "header",
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict", help="Exit with 1 on warnings and unrecorded moves as well."
+        ),
+    ] = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
-    """Look through logs: channels, rates, clocks, units, joints that move, and what is wrong.
+    """Look through logs: channels, rates, clocks, units, joints that move, \
+and what is wrong.
 
     With a robot file, torque and IMUs are compared with its geometry as well. The exit
     code is 1 when an error is found, 2 when a log cannot be read, 3 when one was read
     in part.
-    """
-    if robot is None:
-        screen, logs = screen_of(context), context.params["logs"]
-        context.params["robot"] = found_robot(screen, logs, required=False)
-    told, report = called(context, "inspect.inspect")
-    show_inspection(told.screen, report)
+    """  # noqa: D205
+    from seqid_cli.inspect import inspect as inspect_logs
+
+    screen = screen_for(
+        "inspect", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    robot = robot or found_robot_if_any(screen, logs)
+    with CommandRun(screen) as run:
+        file = inspect_logs(
+            logs,
+            robot,
+            time_source=time_source,
+            plan=plan,
+            output=output,
+            on_progress=run.on_progress,
+        )
+    screen.document(file)
+    show_inspection(screen, file)
     if output is not None:
-        told.screen.note(f"written: {output}")
-    for finding in report.findings:
+        screen.note(f"written: {output}")
+    return _exit_code(screen, file, strict=strict)
+
+
+def _exit_code(screen: Screen, file: InspectionFile, *, strict: bool) -> int:
+    """Return the exit code of an inspection; a log that cannot be read is an error."""
+    for finding in file.findings:
         if finding.code == "unreadable":
-            told.screen.error(f"{finding.log}: {finding.message}", hint=finding.remedy)
+            screen.error(f"{finding.log}: {finding.message}", hint=finding.remedy)
             return EXIT_UNREADABLE
+
     grave = ("error", "warning") if strict else ("error",)
-    lacking = strict and any(part.status != "recorded" for part in report.planned)
-    if lacking or any(finding.severity in grave for finding in report.findings):
+    if any(finding.severity in grave for finding in file.findings):
         return EXIT_UNTRUSTED
-    return EXIT_PARTIAL if any(log.partial for log in report.logs) else EXIT_DONE
+    if strict and any(move.status != "recorded" for move in file.planned):
+        return EXIT_UNTRUSTED
+    return EXIT_PARTIAL if any(log.partial for log in file.logs) else EXIT_DONE
 
 
-@command(
-    "logs urdf output name torque_constant gear_ratio force",
-    f"seqid init {SIX}/friction --urdf {SIX}/six_joint.urdf -o robot.toml",
-    "seqid init sample_logs/two_joint/imu/joint_2.mcap --name two_joint",
+@app.command(
+    "init",
+    epilog=examples(
+        f"seqid init {SIX}/friction --urdf {SIX}/six_joint.urdf -o robot.toml",
+        "seqid init sample_logs/two_joint/imu/joint_2.mcap --name two_joint",
+    ),
 )
 def init(
-    context: typer.Context,
-    logs: list[str] = LOGS,
-    urdf: Path | None = option(
-        None, "--urdf FILE", "URDF of the robot; without it a DH stub is made."
-    ),
-    output: Path | None = option(
-        None, "-o --output FILE", "Where the robot file goes; else printed."
-    ),
-    name: str | None = option(
-        None, "--name NAME", "The robot's name; else the URDF's."
-    ),
-    torque_constant: str | None = option(
-        None,
-        "--torque-constant K[,K...]",
-        "N m/A, motor side: one for all joints, or one for each.",
-    ),
-    gear_ratio: str | None = option(
-        None,
-        "--gear-ratio N[,N...]",
-        "Motor turns per joint turn: one for all joints, or one for each.",
-    ),
-    force: bool = option(False, "--force", "Overwrite a robot file that exists."),
+    *,
+    logs: LogsArgument,
+    urdf: Annotated[
+        Path | None,
+        typer.Option(
+            "--urdf",
+            metavar="FILE",
+            help="URDF of the robot; without it a DH stub is made.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Where the robot file goes; else printed.",
+        ),
+    ] = None,
+    name: Annotated[
+        str | None,
+        typer.Option(
+            "--name", metavar="NAME", help="The robot's name; else the URDF's."
+        ),
+    ] = None,
+    torque_constant: Annotated[
+        str | None,
+        typer.Option(
+            "--torque-constant",
+            metavar="K[,K...]",
+            help="N m/A, motor side: one for all joints, or one for each.",
+        ),
+    ] = None,
+    gear_ratio: Annotated[
+        str | None,
+        typer.Option(
+            "--gear-ratio",
+            metavar="N[,N...]",
+            help="Motor turns per joint turn: one for all joints, or one for each.",
+        ),
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite a robot file that exists.")
+    ] = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
-    """Write a commented robot file: joints, limits, encoder steps, channels, IMUs as far as known.
+    """Write a commented robot file: joints, limits, encoder steps, channels, \
+IMUs as far as known.
 
     What nobody can read off a log stands in it as a TODO.
-    """
-    screen = screen_of(context)
-    given = {"torque_constant": torque_constant, "gear_ratio": gear_ratio}
-    drives = {key: _numbers(key, text) for key, text in given.items() if text}
-    # the first decides on channels
-    files = [*dict.fromkeys([*expand(logs[:1]), *expand(logs)])]
+    """  # noqa: D205
+    screen = screen_for(
+        "init", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    drives = {}
+    if torque_constant:
+        drives["torque_constant"] = _numbers("--torque-constant", torque_constant)
+    if gear_ratio:
+        drives["gear_ratio"] = _numbers("--gear-ratio", gear_ratio)
+
+    # The first log decides on the channels, so it stays the first.
+    files = list(dict.fromkeys([*expand(logs[:1]), *expand(logs)]))
     for file in files:
         check_log(file)
-    text = read_urdf_text(urdf) if urdf is not None else None
+    urdf_text = read_urdf_text(urdf) if urdf is not None else None
     if output is not None:
-        check_output(output, [*files, *([urdf] if urdf else [])])
+        check_output(output, files if urdf is None else [*files, urdf])
         if output.exists() and not force:
-            hint = "Give another name, or --force."
-            raise UsageError("exists already", where=str(output), hint=hint)
+            raise UsageError(
+                "exists already",
+                where=str(output),
+                hint="Give another name, or --force.",
+            )
 
-    from seqid_cli.inspect.propose import propose, with_gravity
+    from seqid_cli.inspect.propose import propose
     from seqid_cli.robot.template import robot_toml
 
+    urdf_name = urdf_text.root.get("name") if urdf_text else None
     proposal = propose(
         files,
-        urdf=text,
-        urdf_path=_beside(urdf, output),
+        urdf=urdf_text,
+        urdf_path=_path_from_robot_file(urdf, output),
         drives=drives,
-        name=name or (text.root.get("name") if text else "") or "robot",
+        name=name or urdf_name or "robot",
     )
     content = robot_toml(proposal.template)
     if output is not None:
-        write_text_atomic(output, content, inputs=files)
-        mounted = with_gravity(content, output, files)
-        if mounted != content:
-            content = mounted
-            write_text_atomic(output, content, inputs=files)
-            screen.note("the logs tell the mounting: look at gravity in the file")
-    names = [joint.name for joint in proposal.template.joints]
-    made = {"output": str(output) if output else None, "joints": names}
-    screen.document({**made, "todo": list(proposal.todo), "robot_toml": content})
+        content = _write_robot_file(screen, content, output, files)
+    _show_proposal(screen, proposal, content, output)
+    if output is not None:
+        screen.note(f"written: {output}")
+        screen.note(f"next: seqid inspect {logs[0]} -r {output}")
+    return EXIT_DONE
+
+
+def _write_robot_file(
+    screen: Screen, content: str, output: Path, files: "Sequence[Path]"
+) -> str:
+    """Write a robot file, and again with gravity where logs show it; return its text.
+
+    Gravity is looked for with the robot file as it is read, so it has to exist first.
+    """
+    from seqid_cli.inspect.propose import with_gravity
+
+    write_text_atomic(output, content, inputs=files)
+    mounted = with_gravity(content, output, files)
+    if mounted != content:
+        write_text_atomic(output, mounted, inputs=files)
+        screen.note("the logs tell the mounting: look at gravity in the file")
+    return mounted
+
+
+def _show_proposal(
+    screen: Screen, proposal: "Proposal", content: str, output: Path | None
+) -> None:
+    """Show a robot file that is not written to a file, and what is to be completed."""
+    document = {
+        "output": str(output) if output else None,
+        "joints": [joint.name for joint in proposal.template.joints],
+        "todo": list(proposal.todo),
+        "robot_toml": content,
+    }
+    screen.document(document)
     if output is None and not screen.json:
         sys.stdout.write(content)
     for line in proposal.todo:
         screen.note(f"to do: {line}")
-    if output is not None:
-        screen.note(f"written: {output}")
-        screen.note(f"next: seqid inspect {logs[0]} -r {output}")
-    return 0
 
 
-def _numbers(name: str, text: str) -> list[float]:
-    """Read numbers between commas."""
+def _numbers(option: str, text: str) -> list[float]:
+    """Return the numbers between commas that an option was given."""
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        message = f"--{name.replace('_', '-')} {text!r} holds no numbers"
-        hint = "Give one number for all joints, or one for each: 0.12,0.12,0.09."
-        raise UsageError(message, hint=hint) from None
+        raise UsageError(
+            f"{option} {text!r} holds no numbers",
+            hint="Give one number for all joints, or one for each: 0.12,0.12,0.09.",
+        ) from None
 
 
-def _beside(urdf: Path | None, output: Path | None) -> str | None:
-    """Return the URDF's path as seen from the robot file."""
+def _path_from_robot_file(urdf: Path | None, output: Path | None) -> str | None:
+    """Return the URDF's path as seen from the folder of the robot file."""
     if urdf is None:
         return None
+    folder = output.parent if output else Path()
     try:
-        return Path(os.path.relpath(urdf, output.parent if output else ".")).as_posix()
+        return Path(os.path.relpath(urdf, folder)).as_posix()
     except ValueError:  # on another drive
         return str(urdf.resolve())

@@ -1,12 +1,41 @@
 """The commands that judge a model by logs: predict, diagnose, refine, and payload."""
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import called
-from seqid_cli.commands.options import MODEL, ROBOT, SIX, command, only, option
-from seqid_cli.commands.screen.render import number
+from seqid_cli import discover, identify
+from seqid_cli import payload as payloads
+from seqid_cli.commands.command_run import CommandRun, log_readers
+from seqid_cli.commands.options import (
+    SIX,
+    CutoffOption,
+    DebugOption,
+    EngineOption,
+    JobsOption,
+    JsonOption,
+    LogsArgument,
+    MotionOption,
+    NoColorOption,
+    OutputOption,
+    ParametersOption,
+    QuietOption,
+    RobotOption,
+    SchedulerOption,
+    SetOption,
+    ShowSettingsOption,
+    SkipFailedOption,
+    StrictOption,
+    TimeOption,
+    VerboseOption,
+    command_app,
+    examples,
+    is_positive,
+    number_check,
+)
+from seqid_cli.commands.robot_file import found_robot
+from seqid_cli.commands.screen.render import Screen, number, screen_for
 from seqid_cli.commands.screen.show import (
     show_motion,
     show_poor,
@@ -16,33 +45,65 @@ from seqid_cli.commands.screen.show import (
 from seqid_cli.commands.screen.show_diagnosis import show_diagnosis, show_refinement
 from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.errors import UsageError
-from seqid_cli.identify.settings import PredictSettings
 from seqid_cli.params.results import tables
+from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.payload import PayloadFile
+from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.payload.settings import PayloadSettings
+from seqid_cli.settings import overridden
 
 _VALIDATION = f"{SIX}/validation -r {SIX}/robot.toml -p inertia.json"
+_HELD_OUT = (
+    f"--holdout {SIX}/changed/held_out.parquet -r {SIX}/robot.toml -p inertia.json"
+)
+
+app = command_app()
 
 
-@command(
-    "logs robot parameters output torques source"
-    " cutoff_hz time_source jobs engine scheduler skip_failed strict with_unexplained",
-    f"seqid predict {_VALIDATION} -o prediction.json",
-    f"seqid predict {_VALIDATION} --torques torques.parquet --json",
-    f"seqid predict {_VALIDATION} --torques torques.mcap",
-    settings=PredictSettings(),
+@app.command(
+    "predict",
+    epilog=examples(
+        f"seqid predict {_VALIDATION} -o prediction.json",
+        f"seqid predict {_VALIDATION} --torques torques.parquet --json",
+        f"seqid predict {_VALIDATION} --torques torques.mcap",
+    ),
 )
 def predict(
-    context: typer.Context,
-    torques: Path | None = option(
-        None,
-        "--torques FILE",
-        "Where the torques go: as MCAP if it ends so, else Parquet.",
-    ),
-    with_unexplained: bool = option(
-        False,
-        "--with-unexplained",
-        "Add the smooth terms that no known effect explains.",
-    ),
+    *,
+    logs: LogsArgument,
+    robot: RobotOption = None,
+    parameters: ParametersOption,
+    output: OutputOption = None,
+    torques: Annotated[
+        Path | None,
+        typer.Option(
+            "--torques",
+            metavar="FILE",
+            help="Where the torques go: as MCAP if it ends so, else Parquet.",
+        ),
+    ] = None,
+    source: MotionOption = "auto",
+    cutoff_hz: CutoffOption = None,
+    time_source: TimeOption = "header",
+    jobs: JobsOption = None,
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = None,
+    skip_failed: SkipFailedOption = False,
+    strict: StrictOption = False,
+    with_unexplained: Annotated[
+        bool,
+        typer.Option(
+            "--with-unexplained",
+            help="Add the smooth terms that no known effect explains.",
+        ),
+    ] = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
     """Predict the joint torques of any logs and compare them with the measured ones.
 
@@ -52,150 +113,310 @@ def predict(
     friction is an interval, and the error is the distance to it. `in 90 %` says how
     many sliding samples the 90 % band holds.
     """
-    told, file = called(context, "identify.predict")
-    screen = told.screen
-    screen.values(tables.prediction_errors(file, verdict_text))
-    notes = [
-        *file.notes,
-        *(f"{log.path}: {note}" for log in file.logs for note in log.notes),
-    ]
-    show_verdicts(screen, file.verdicts, "prediction", notes, shown=file.joints)
-    show_motion(
-        screen, [log.motion for log in file.logs if log.motion is not None], file.robot
+    screen = screen_for(
+        "predict", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
-    used = sorted({number(log.cutoff_hz) for log in file.logs})
+    robot = robot or found_robot(screen, logs)
+    options = identify.PredictOptions(
+        cutoff_hz=cutoff_hz,
+        time_source=time_source,
+        skip_failed=skip_failed,
+        source=source,
+        with_unexplained=with_unexplained,
+    )
+    settings = overridden(identify.PredictSettings(), set_values or ())
+    with (
+        CommandRun(screen) as run,
+        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
+    ):
+        file = identify.predict(
+            logs,
+            robot,
+            parameters,
+            options,
+            torques=torques,
+            settings=settings,
+            output=output,
+            executor=executor,
+            on_progress=run.on_progress,
+        )
+    _show_prediction(screen, file)
+    if torques is not None:
+        screen.note(f"written: {torques}")
+    run.show_output(output)
+    return run.exit_code(file.verdicts, strict=strict)
+
+
+def _show_prediction(screen: Screen, file: PredictionFile) -> None:
+    """Show the errors and the verdict of each joint, and the cut-offs in use."""
+    screen.document(file)
+    screen.values(tables.prediction_errors(file, verdict_text))
+    notes = list(file.notes)
+    for log in file.logs:
+        notes += [f"{log.path}: {note}" for note in log.notes]
+    show_verdicts(screen, file.verdicts, "prediction", notes, shown=file.joints)
+    motion_uses = [log.motion for log in file.logs if log.motion is not None]
+    show_motion(screen, motion_uses, file.robot)
+
+    cutoffs_hz = sorted({number(log.cutoff_hz) for log in file.logs})
     screen.note(
-        f"cut-off: {', '.join(used)} Hz, {file.cutoff_origin} (--cutoff overrides)"
+        f"cut-off: {', '.join(cutoffs_hz)} Hz, {file.cutoff_origin} (--cutoff"
+        " overrides)"
     )
     for log in file.logs:
         screen.detail(f"{log.path}: cut-off {number(log.cutoff_hz)} Hz")
-    if torques is not None:
-        screen.note(f"written: {torques}")
-    told.tell_output()
-    return told.ended(file.verdicts)
 
 
-@command(
-    "logs robot parameters output source cutoff_hz time_source strict explain",
-    f"seqid diagnose {_VALIDATION} -o diagnosis.json",
-    f"seqid diagnose {SIX}/changed -r {SIX}/robot.toml -p inertia.json --strict --json",
-    settings=DiscoverSettings(),
+@app.command(
+    "diagnose",
+    epilog=examples(
+        f"seqid diagnose {_VALIDATION} -o diagnosis.json",
+        f"seqid diagnose {SIX}/changed -r {SIX}/robot.toml -p inertia.json --strict"
+        " --json",
+    ),
 )
 def diagnose(
-    context: typer.Context,
-    robot: Path = ROBOT,
-    parameters: list[Path] = MODEL,
-    explain: str | None = option(
-        None,
-        "--explain JOINT",
-        "Tell of one joint what was tried there, what was taken and what was not, and"
-        " why.",
-    ),
+    *,
+    logs: LogsArgument,
+    robot: RobotOption = None,
+    parameters: ParametersOption,
+    output: OutputOption = None,
+    source: MotionOption = "auto",
+    cutoff_hz: CutoffOption = None,
+    time_source: TimeOption = "header",
+    strict: StrictOption = False,
+    explain: Annotated[
+        str | None,
+        typer.Option(
+            "--explain",
+            metavar="JOINT",
+            help=(
+                "Tell of one joint what was tried there, what was taken and what was"
+                " not, and why."
+            ),
+        ),
+    ] = None,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
-    """Find out which physical effects a model lacks; any logs will do, nothing is changed.
+    """Find out which physical effects a model lacks; any logs will do, \
+nothing is changed.
 
     With --strict the exit code is 1 unless nothing is missing.
-    """
+    """  # noqa: D205
+    screen = screen_for(
+        "diagnose", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    robot = robot or found_robot(screen, logs)
     if explain is not None:
-        from seqid_cli.robot.file import load_robot
+        _check_joint(explain, robot)
+    options = discover.DiagnoseOptions(
+        cutoff_hz=cutoff_hz, time_source=time_source, source=source
+    )
+    settings = overridden(DiscoverSettings(), set_values or ())
+    with CommandRun(screen) as run:
+        file = discover.diagnose(
+            logs,
+            robot,
+            parameters,
+            options,
+            settings=settings,
+            output=output,
+            on_progress=run.on_progress,
+        )
+    screen.document(file)
+    show_diagnosis(screen, file, explain)
+    show_motion(screen, file.motion, file.robot)
+    run.show_output(output)
+    if advice := _next_after_diagnosis(file, robot, parameters):
+        screen.note(f"next: {advice}")
+    is_incomplete = file.verdict != "nothing_missing"
+    return run.exit_code(file.verdicts, strict=strict, is_untrusted=is_incomplete)
 
-        names = load_robot(robot).joint_names
-        if explain not in names:
-            message = f"--explain names no joint of this robot: {explain!r}"
-            raise UsageError(
-                message, where=str(robot), hint=f"Its joints are {', '.join(names)}."
-            )
-    told, file = called(context, "discover.diagnose")
-    show_diagnosis(told.screen, file, explain)
-    show_motion(told.screen, file.motion, file.robot)
-    told.tell_output()
+
+def _check_joint(name: str, robot: Path) -> None:
+    """Refuse a joint that the robot does not have, before logs are read."""
+    from seqid_cli.robot.file import load_robot
+
+    joint_names = load_robot(robot).joint_names
+    if name not in joint_names:
+        raise UsageError(
+            f"--explain names no joint of this robot: {name!r}",
+            where=str(robot),
+            hint=f"Its joints are {', '.join(joint_names)}.",
+        )
+
+
+def _next_after_diagnosis(
+    file: DiagnosisFile, robot: Path, parameters: list[Path]
+) -> str:
+    """Return what to do after a diagnosis; nothing where the model lacks nothing."""
+    if file.verdict == "nothing_missing":
+        return ""
     if file.verdict == "values_changed":
-        told.screen.note(
-            "next: identify again, with logs that move the arm as these do"
+        return "identify again, with logs that move the arm as these do"
+    if file.verdict in ("too_short", "nothing_seen"):
+        return (
+            "record longer logs in which all joints move and rest, then diagnose again"
         )
-    elif file.verdict in ("too_short", "nothing_seen"):
-        more = "longer logs in which all joints move and rest"
-        told.screen.note(f"next: record {more}, then diagnose again")
-    elif file.verdict != "nothing_missing":
-        smooth = "" if file.findings else " --with-unexplained"
-        given = " ".join(f"-p {path}" for path in parameters) + smooth
-        refine = (
-            f"seqid refine LOG... --holdout LOG... -r {robot} {given} -o refined.json"
-        )
-        told.screen.note(f"next: {refine}")
-    return told.ended(file.verdicts, untrusted=file.verdict != "nothing_missing")
+    models = " ".join(f"-p {path}" for path in parameters)
+    # Without a known effect only a smooth term is left to add.
+    smooth = "" if file.findings else " --with-unexplained"
+    return (
+        f"seqid refine LOG... --holdout LOG... -r {robot} {models}{smooth}"
+        " -o refined.json"
+    )
 
 
-_HELD_OUT = (
-    f"--holdout {SIX}/changed/held_out.parquet -r {SIX}/robot.toml -p inertia.json"
-)
-
-
-@command(
-    "logs holdout robot parameters output rounds with_unexplained keep_unconfirmed"
-    " source cutoff_hz time_source strict",
-    f"seqid refine {SIX}/changed/fourier.parquet {_HELD_OUT} -o refined.json",
-    f"seqid refine {SIX}/changed/fourier.parquet {SIX}/changed/trapezoids.parquet"
-    f" {_HELD_OUT} --rounds 2 --json",
-    settings=DiscoverSettings(),
+@app.command(
+    "refine",
+    epilog=examples(
+        f"seqid refine {SIX}/changed/fourier.parquet {_HELD_OUT} -o refined.json",
+        f"seqid refine {SIX}/changed/fourier.parquet {SIX}/changed/trapezoids.parquet"
+        f" {_HELD_OUT} --rounds 2 --json",
+    ),
 )
 def refine(
-    context: typer.Context,
-    holdout: list[str] = option(
-        ...,
-        "--holdout LOG",
-        "Log, folder or glob that is opened after the last decision, and confirms what"
-        " was added; repeat it for several.",
-    ),
-    rounds: int | None = option(
-        None,
-        "--rounds N",
-        "At most this many rounds, each of one effect, at one joint or at several; no"
-        " limit if left out.",
-        min=1,
-        max=100,
-    ),
-    with_unexplained: bool = option(
-        False, "--with-unexplained", "Add a smooth term where no known effect explains."
-    ),
-    keep_unconfirmed: bool = option(
-        False,
-        "--keep-unconfirmed",
-        "Leave effects in the model that the held-out logs do not confirm.",
-    ),
+    *,
+    logs: LogsArgument,
+    holdout: Annotated[
+        list[str],
+        typer.Option(
+            "--holdout",
+            metavar="LOG",
+            help=(
+                "Log, folder or glob that is opened after the last decision, and"
+                " confirms what was added; repeat it for several."
+            ),
+        ),
+    ],
+    robot: RobotOption = None,
+    parameters: ParametersOption,
+    output: OutputOption = None,
+    rounds: Annotated[
+        int | None,
+        typer.Option(
+            "--rounds",
+            metavar="N",
+            min=1,
+            max=100,
+            help=(
+                "At most this many rounds, each of one effect, at one joint or at"
+                " several; no limit if left out."
+            ),
+        ),
+    ] = None,
+    with_unexplained: Annotated[
+        bool,
+        typer.Option(
+            "--with-unexplained",
+            help="Add a smooth term where no known effect explains.",
+        ),
+    ] = False,
+    keep_unconfirmed: Annotated[
+        bool,
+        typer.Option(
+            "--keep-unconfirmed",
+            help="Leave effects in the model that the held-out logs do not confirm.",
+        ),
+    ] = False,
+    source: MotionOption = "auto",
+    cutoff_hz: CutoffOption = None,
+    time_source: TimeOption = "header",
+    strict: StrictOption = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
-    """Add the effects that a model lacks, as long as left-out blocks are predicted better.
+    """Add the effects that a model lacks, as long as left-out blocks are \
+predicted better.
 
     The held-out logs choose nothing: they are opened last. What they do not confirm is
     taken out and listed; the rest is fitted again without it. With --strict the exit
     code is 1 if nothing stays, or if something stays that they do not confirm.
-    """
-    told, file = called(context, "discover.refine")
-    loop = file.closed_loop
-    show_refinement(told.screen, loop, file)
-    show_motion(told.screen, loop.motion, file.robot)
-    told.tell_output("seqid predict LOG... -r {robot} -p {output} -o prediction.json")
-    return told.ended(
-        loop.verdicts, untrusted=loop.verdict == "poor" or not loop.rounds
+    """  # noqa: D205
+    screen = screen_for(
+        "refine", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
+    robot = robot or found_robot(screen, logs)
+    options = discover.RefineOptions(
+        cutoff_hz=cutoff_hz,
+        time_source=time_source,
+        source=source,
+        rounds=rounds,
+        with_unexplained=with_unexplained,
+        keep_unconfirmed=keep_unconfirmed,
+    )
+    settings = overridden(DiscoverSettings(), set_values or ())
+    with CommandRun(screen) as run:
+        file = discover.refine(
+            logs,
+            holdout,
+            robot,
+            parameters,
+            options,
+            settings=settings,
+            output=output,
+            on_progress=run.on_progress,
+        )
+    screen.document(file)
+    loop = file.closed_loop
+    assert loop is not None  # what a refinement writes
+    show_refinement(screen, loop, file)
+    show_motion(screen, loop.motion, file.robot)
+    run.show_output(
+        output, f"seqid predict LOG... -r {robot} -p {output} -o prediction.json"
+    )
+    is_untrusted = loop.verdict == "poor" or not loop.rounds
+    return run.exit_code(loop.verdicts, strict=strict, is_untrusted=is_untrusted)
 
 
-@command(
-    "logs robot parameters output friction_change source cutoff_hz time_source"
-    " skip_failed strict",
-    f"seqid payload {_VALIDATION} -o payload.json",
-    f"seqid payload {_VALIDATION} --friction-change 0.1 --json",
-    settings=PayloadSettings(),
+@app.command(
+    "payload",
+    epilog=examples(
+        f"seqid payload {_VALIDATION} -o payload.json",
+        f"seqid payload {_VALIDATION} --friction-change 0.1 --json",
+    ),
 )
 def payload(
-    context: typer.Context,
-    friction_change: float = option(
-        0.2,
-        "--friction-change SHARE",
-        "Standard deviation by which friction may differ from the model's, as a share"
-        " of it.",
-        only("a positive number"),
-    ),
+    *,
+    logs: LogsArgument,
+    robot: RobotOption = None,
+    parameters: ParametersOption,
+    output: OutputOption = None,
+    friction_change: Annotated[
+        float,
+        typer.Option(
+            "--friction-change",
+            metavar="SHARE",
+            callback=number_check(is_positive, "a positive number"),
+            help=(
+                "Standard deviation by which friction may differ from the model's, as"
+                " a share of it."
+            ),
+        ),
+    ] = 0.2,
+    source: MotionOption = "auto",
+    cutoff_hz: CutoffOption = None,
+    time_source: TimeOption = "header",
+    skip_failed: SkipFailedOption = False,
+    strict: StrictOption = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
     """Identify the mass, centre of mass and inertia of what the flange carries.
 
@@ -203,21 +424,46 @@ def payload(
     without it. Moves of all joints, some of them slow, tell most. The result is in the
     frame of the last joint.
     """
-    told, file = called(context, "payload.payload")
-    screen = told.screen
-    rows = [(name, x.value, x.std_error, x.unit) for name, x in file.payload.numbers()]
-    titles, frame = (
-        "payload, frame {frame} | value | std error | unit",
-        file.payload.frame,
+    screen = screen_for(
+        "payload", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
-    screen.values(tables.values(titles, "text number4 number2 text", rows, frame=frame))
+    robot = robot or found_robot(screen, logs)
+    options = payloads.PayloadOptions(
+        cutoff_hz=cutoff_hz,
+        time_source=time_source,
+        skip_failed=skip_failed,
+        source=source,
+        friction_change=friction_change,
+    )
+    settings = overridden(PayloadSettings(), set_values or ())
+    with CommandRun(screen) as run:
+        file = payloads.payload(
+            logs,
+            robot,
+            parameters,
+            options,
+            settings=settings,
+            output=output,
+            on_progress=run.on_progress,
+        )
+    _show_payload(screen, file)
+    run.show_output(output)
+    return run.exit_code(file.verdicts, strict=strict)
+
+
+def _show_payload(screen: Screen, file: PayloadFile) -> None:
+    """Show the body, what is left at each joint, and the verdict."""
+    screen.document(file)
+    rows = [(name, x.value, x.std_error, x.unit) for name, x in file.payload.numbers()]
+    titles = "payload, frame {frame} | value | std error | unit"
+    body = tables.values(
+        titles, "text number4 number2 text", rows, frame=file.payload.frame
+    )
+    screen.values(body)
     screen.values(tables.payload_joints(file))
     for where, text in file.settings.items():
         screen.result(f"{where}: {text}")
-    show_poor(
-        screen, [verdict for verdict in file.verdicts if verdict.joint], "payload"
-    )
+    of_joints = [verdict for verdict in file.verdicts if verdict.joint]
+    show_poor(screen, of_joints, "payload")
     screen.result(f"payload: {verdict_text(file.verdicts, '')}")
     screen.remark(*file.notes)
-    told.tell_output()
-    return told.ended(file.verdicts)

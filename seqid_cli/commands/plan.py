@@ -2,134 +2,258 @@
 
 from math import isfinite
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import any_poor, called
-from seqid_cli.commands.options import OUTPUT, SIX, command, only, option
-from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.commands.command_run import CommandRun, any_poor
+from seqid_cli.commands.options import (
+    SIX,
+    DebugOption,
+    JsonOption,
+    NoColorOption,
+    OutputOption,
+    QuietOption,
+    RobotOption,
+    StrictOption,
+    VerboseOption,
+    command_app,
+    examples,
+    is_positive,
+    number_check,
+)
+from seqid_cli.commands.robot_file import found_robot
+from seqid_cli.commands.screen.render import Screen, number, percent, screen_for
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile, PlannedStage
 from seqid_cli.params.schema import RobotId
-from seqid_cli.plan.options import PlanOptions, What
+from seqid_cli.plan import PlanOptions
+from seqid_cli.plan import plan as plan_moves
+from seqid_cli.plan.options import What
 
-_seconds = only("a positive time")
-_share = only("above 0 and at most 1", lambda x: 0.0 < x <= 1.0)
+app = command_app()
+
+_seconds_check = number_check(is_positive, "a positive time")
+_share_check = number_check(lambda x: 0.0 < x <= 1.0, "above 0 and at most 1")
 
 
-@command(
-    "what robot parameters have output trajectories duration_s move_s together ramp_s"
-    " share locked speed_scale between joint load_kg keep_out workspace floor seed"
-    " strict",
-    f"seqid plan all -r {SIX}/robot.toml -o plan.json --trajectories moves",
-    f"seqid plan inertia -r {SIX}/robot.toml -p gravity.json -o plan.json",
-    "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
-    " --trajectories moves",
-    f"seqid plan discriminate -r {SIX}/robot.toml -p inertia.json --joint elbow"
-    " --between load_dependent_friction,gear_efficiency",
+@app.command(
+    "plan",
+    epilog=examples(
+        f"seqid plan all -r {SIX}/robot.toml -o plan.json --trajectories moves",
+        f"seqid plan inertia -r {SIX}/robot.toml -p gravity.json -o plan.json",
+        "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration"
+        " 60 --trajectories moves",
+        f"seqid plan discriminate -r {SIX}/robot.toml -p inertia.json --joint elbow"
+        " --between load_dependent_friction,gear_efficiency",
+    ),
 )
 def plan(
-    context: typer.Context,
-    what: What = typer.Argument(
-        ...,
-        help="The stage to record for, a whole session, or two effects to tell apart.",
-    ),
-    parameters: list[Path] | None = option(
-        None,
-        "-p --parameters FILE",
-        "What is identified already: torque and noise are taken from it; repeat it to"
-        " join.",
-    ),
-    have: list[str] | None = option(
-        None,
-        "--have LOG",
-        "Logs that inertia or the diagnosis gets as well; repeat it per path, folder or"
-        " glob.",
-    ),
-    output: Path | None = OUTPUT,
-    trajectories: Path | None = option(
-        None, "--trajectories FOLDER", "Where the moves go as CSV, ROS 2 and UR files."
-    ),
-    duration_s: float = option(
-        PlanOptions.duration_s,
-        "--duration S",
-        "Time that the inertia moves may take.",
-        _seconds,
-    ),
-    move_s: float | None = option(
-        None,
-        "--move-duration S",
-        "Length of each of these moves; 20 ramps by default.",
-        _seconds,
-    ),
-    together: bool = option(
-        False, "--together", "Move all joints at once instead of two at a time."
-    ),
-    ramp_s: float = option(
-        PlanOptions.ramp_s,
-        "--ramp S",
-        "Time from rest to the largest speed: what limits the acceleration.",
-        _seconds,
-    ),
-    share: float = option(
-        PlanOptions.share, "--share X", "Share of all limits to use.", _share
-    ),
-    locked: list[str] | None = option(
-        None, "--lock JOINT", "Keep a joint still; repeat it for several."
-    ),
-    speed_scale: float = option(
-        PlanOptions.speed_scale,
-        "--speed-scale X",
-        "Slow the files down, for the first run on the robot.",
-        _share,
-    ),
-    between: str | None = option(
-        None,
-        "--between EFFECT,EFFECT",
-        "Of discriminate: the two effects to tell apart.",
-    ),
-    joint: str | None = option(
-        None, "--joint JOINT", "Of discriminate: where they are."
-    ),
-    load_kg: float = option(
-        PlanOptions.load_kg,
-        "--load KG",
-        "Of payload: the heaviest, for the torque limits.",
-        min=0.0,
-    ),
-    keep_out: list[str] | None = option(
-        None, "--keep-out BOX", "Box that no link enters: x,y,z,x,y,z in m; repeat it."
-    ),
-    workspace: str | None = option(
-        None, "--workspace BOX", "Box that no link leaves: x,y,z,x,y,z in m."
-    ),
-    floor: bool = option(
-        True,
-        "--floor/--no-floor",
-        "Keep every point of the arm above the base plane, across gravity.",
-    ),
-    seed: int = option(0, "--seed N", "Of the moves that are drawn.", min=0),
+    *,
+    what: Annotated[
+        What,
+        typer.Argument(
+            help=(
+                "The stage to record for, a whole session, or two effects to tell"
+                " apart."
+            ),
+        ),
+    ],
+    robot: RobotOption = None,
+    parameters: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "-p",
+            "--parameters",
+            metavar="FILE",
+            help=(
+                "What is identified already: torque and noise are taken from it;"
+                " repeat it to join."
+            ),
+        ),
+    ] = None,
+    have: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--have",
+            metavar="LOG",
+            help=(
+                "Logs that inertia or the diagnosis gets as well; repeat it per path,"
+                " folder or glob."
+            ),
+        ),
+    ] = None,
+    output: OutputOption = None,
+    trajectories: Annotated[
+        Path | None,
+        typer.Option(
+            "--trajectories",
+            metavar="FOLDER",
+            help="Where the moves go as CSV, ROS 2 and UR files.",
+        ),
+    ] = None,
+    duration_s: Annotated[
+        float,
+        typer.Option(
+            "--duration",
+            metavar="S",
+            callback=_seconds_check,
+            help="Time that the inertia moves may take.",
+        ),
+    ] = PlanOptions.duration_s,
+    move_s: Annotated[
+        float | None,
+        typer.Option(
+            "--move-duration",
+            metavar="S",
+            callback=_seconds_check,
+            help="Length of each of these moves; 20 ramps by default.",
+        ),
+    ] = None,
+    together: Annotated[
+        bool,
+        typer.Option(
+            "--together", help="Move all joints at once instead of two at a time."
+        ),
+    ] = False,
+    ramp_s: Annotated[
+        float,
+        typer.Option(
+            "--ramp",
+            metavar="S",
+            callback=_seconds_check,
+            help=("Time from rest to the largest speed: what limits the acceleration."),
+        ),
+    ] = PlanOptions.ramp_s,
+    share: Annotated[
+        float,
+        typer.Option(
+            "--share",
+            metavar="X",
+            callback=_share_check,
+            help="Share of all limits to use.",
+        ),
+    ] = PlanOptions.share,
+    locked: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--lock",
+            metavar="JOINT",
+            help="Keep a joint still; repeat it for several.",
+        ),
+    ] = None,
+    speed_scale: Annotated[
+        float,
+        typer.Option(
+            "--speed-scale",
+            metavar="X",
+            callback=_share_check,
+            help="Slow the files down, for the first run on the robot.",
+        ),
+    ] = PlanOptions.speed_scale,
+    between: Annotated[
+        str | None,
+        typer.Option(
+            "--between",
+            metavar="EFFECT,EFFECT",
+            help="Of discriminate: the two effects to tell apart.",
+        ),
+    ] = None,
+    joint: Annotated[
+        str | None,
+        typer.Option(
+            "--joint", metavar="JOINT", help="Of discriminate: where they are."
+        ),
+    ] = None,
+    load_kg: Annotated[
+        float,
+        typer.Option(
+            "--load",
+            metavar="KG",
+            min=0.0,
+            help="Of payload: the heaviest, for the torque limits.",
+        ),
+    ] = PlanOptions.load_kg,
+    keep_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--keep-out",
+            metavar="BOX",
+            help="Box that no link enters: x,y,z,x,y,z in m; repeat it.",
+        ),
+    ] = None,
+    workspace: Annotated[
+        str | None,
+        typer.Option(
+            "--workspace",
+            metavar="BOX",
+            help="Box that no link leaves: x,y,z,x,y,z in m.",
+        ),
+    ] = None,
+    floor: Annotated[
+        bool,
+        typer.Option(
+            "--floor/--no-floor",
+            help="Keep every point of the arm above the base plane, across gravity.",
+        ),
+    ] = True,
+    seed: Annotated[
+        int,
+        typer.Option("--seed", metavar="N", min=0, help="Of the moves that are drawn."),
+    ] = 0,
+    strict: StrictOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
-    """Plan the moves to record next, within the limits, and the standard errors they will give.
+    """Plan the moves to record next, within the limits, and the \
+standard errors they will give.
 
     Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a
     robot.
-    """
-    context.params |= {
-        "locked": tuple(locked or ()),
-        "between": tuple(between.split(",")) if between else (),
-        "keep_out": tuple(_box(text) for text in keep_out or ()),
-        "workspace": None if workspace is None else _box(workspace),
-    }
-    told, file = called(context, "plan.plan")
-    _show(told.screen, file)
+    """  # noqa: D205
+    screen = screen_for(
+        "plan", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    robot = robot or found_robot(screen, [])
+    options = PlanOptions(
+        duration_s=duration_s,
+        move_s=move_s,
+        together=together,
+        seed=seed,
+        ramp_s=ramp_s,
+        share=share,
+        locked=tuple(locked or ()),
+        speed_scale=speed_scale,
+        between=tuple(between.split(",")) if between else (),
+        joint=joint,
+        load_kg=load_kg,
+        keep_out=tuple(_box(text) for text in keep_out or ()),
+        workspace=None if workspace is None else _box(workspace),
+        floor=floor,
+    )
+    with CommandRun(screen) as run:
+        file = plan_moves(
+            what,
+            robot,
+            parameters or (),
+            options,
+            have=have or (),
+            output=output,
+            trajectories=trajectories,
+        )
+    screen.document(file)
+    _show(screen, file)
     for path in (trajectories, output):
         if path is not None:
-            told.screen.note(f"written: {path}")
-    return told.ended(untrusted=any_poor(file.verdicts))
+            screen.note(f"written: {path}")
+    return run.exit_code(strict=strict, is_untrusted=any_poor(file.verdicts))
 
 
 def _box(text: str) -> tuple[float, ...]:
+    """Return x, y, z of two corners of a box [m], from six numbers between commas."""
     try:
         corners = tuple(float(word) for word in text.split(","))
     except ValueError:
@@ -140,26 +264,14 @@ def _box(text: str) -> tuple[float, ...]:
 
 
 def _show(screen: Screen, plan: PlanFile) -> None:
+    """Show the moves, and what each stage will know after them."""
     screen.values(tables.moves(plan.moves))
     for name, stage in plan.stages.items():
         screen.remark(*stage.notes)
         if stage.separation:
             _show_separation(screen, stage.separation, plan.robot)
-        if stage.rank is None:
-            continue
-        screen.values(tables.planned_errors(stage))
-        errors = ", ".join(
-            f"{joint} {number(x)}" for joint, x in stage.torque_error.items()
-        )
-        unit = plan.robot.unit("N m", *stage.torque_error)
-        tail = f"; torque error by the parameters, {unit}: {errors}" if errors else ""
-        screen.result(
-            f"{name}: rank {stage.rank} of {stage.structural_rank}, condition"
-            f" {number(stage.condition)}{tail}"
-        )
-        _show_criterion(screen, name, stage)
-        if stage.not_excited:
-            screen.remark(f"not excited: {'; '.join(stage.not_excited)}")
+        if stage.rank is not None:
+            _show_stage(screen, name, stage, plan.robot)
     for verdict in plan.verdicts:
         if not verdict.good:
             screen.warn(verdict.reason)
@@ -171,11 +283,32 @@ def _show(screen: Screen, plan: PlanFile) -> None:
     )
 
 
+def _show_stage(screen: Screen, name: str, stage: PlannedStage, robot: RobotId) -> None:
+    """Show the errors that a stage will have, its rank and what was minimised."""
+    screen.values(tables.planned_errors(stage))
+
+    torque_errors = ""
+    if stage.torque_error:
+        unit = robot.unit("N m", *stage.torque_error)
+        errors = ", ".join(
+            f"{joint} {number(error)}" for joint, error in stage.torque_error.items()
+        )
+        torque_errors = f"; torque error by the parameters, {unit}: {errors}"
+    screen.result(
+        f"{name}: rank {stage.rank} of {stage.structural_rank}, condition"
+        f" {number(stage.condition)}{torque_errors}"
+    )
+
+    _show_criterion(screen, name, stage)
+    if stage.not_excited:
+        screen.remark(f"not excited: {'; '.join(stage.not_excited)}")
+
+
 def _show_criterion(screen: Screen, name: str, stage: PlannedStage) -> None:
     """Say what the search minimised, its value, and both conditions of Eq. 20."""
     if stage.criterion is not None:
-        minimised, value = stage.criterion.minimised, number(stage.criterion.value)
-        screen.result(f"{name}: minimised was {minimised}: {value}")
+        value = number(stage.criterion.value)
+        screen.result(f"{name}: minimised was {stage.criterion.minimised}: {value}")
     if stage.plain_condition is not None:
         screen.result(
             f"{name}: cond(Phi(H_g)) of Eq. 20 is {number(stage.plain_condition)},"
@@ -183,16 +316,19 @@ def _show_criterion(screen: Screen, name: str, stage: PlannedStage) -> None:
         )
 
 
-def _show_separation(screen: Screen, told: EffectSeparation, robot: RobotId) -> None:
-    first, second = told.between
-    needed = told.seconds_needed
-    length = (
-        "no length of them is enough"
-        if needed is None
-        else f"{number(needed)} s are enough"
-    )
-    unit = robot.unit("N m", *([told.joint] if told.joint else robot.joints))
+def _show_separation(
+    screen: Screen, separation: EffectSeparation, robot: RobotId
+) -> None:
+    """Say how surely a diagnosis of the moves tells two effects apart."""
+    if separation.seconds_needed is None:
+        length = "no length of them is enough"
+    else:
+        length = f"{number(separation.seconds_needed)} s are enough"
+    first, second = separation.between
+    joints = [separation.joint] if separation.joint else robot.joints
+    unit = robot.unit("N m", *joints)
     screen.result(
-        f"{first} or {second}, of {number(told.size)} {unit} RMS: the diagnosis tells"
-        f" them apart with probability {percent(told.power)}; for 95 % {length}"
+        f"{first} or {second}, of {number(separation.size)} {unit} RMS: the diagnosis"
+        f" tells them apart with probability {percent(separation.power)}; for 95 %"
+        f" {length}"
     )

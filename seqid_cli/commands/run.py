@@ -5,27 +5,44 @@ import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
-from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED
-from seqid_cli.commands.options import JOBS, command, found_robot, option
+from seqid_cli.commands.command_run import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED
+from seqid_cli.commands.options import (
+    DebugOption,
+    JobsOption,
+    JsonOption,
+    NoColorOption,
+    QuietOption,
+    SetOption,
+    ShowSettingsOption,
+    VerboseOption,
+    command_app,
+    examples,
+)
+from seqid_cli.commands.robot_file import found_robot
 from seqid_cli.commands.run_logs import NAMED_FOLDERS, STAGES, RunLogs, logs_of_run
 from seqid_cli.commands.run_record import Record
-from seqid_cli.commands.screen.render import Screen, screen_of
+from seqid_cli.commands.screen.render import Screen, screen_for
+from seqid_cli.commands.settings import RunSettings, words_for_step
 from seqid_cli.errors import UsageError
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import LEVELS, Level, ParameterFile, Verdict
+from seqid_cli.settings import overridden
+
+app = command_app()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One command of a run: what it reads and writes, the result first, and its options.
+    """One command of a run, with the files that it reads and writes.
 
-    `words` are the options and arguments that decide the result, `neutral_words` those
-    that do not, such as the number of processes.
+    The result is the first file that it writes. `words` are the options and arguments
+    that decide the result, `neutral_words` those that do not, such as the number of
+    processes.
     """
 
     command: str
@@ -40,9 +57,14 @@ class Step:
         return self.writes[0]
 
     @property
-    def command_line(self) -> list[str]:
-        """What decides the result, as it is typed."""
+    def deciding_line(self) -> list[str]:
+        """The command line as far as it decides the result."""
         return [self.command, *map(str, self.words)]
+
+    @property
+    def command_line(self) -> list[str]:
+        """The whole command line, as it is run."""
+        return [self.command, *map(str, self.neutral_words), *map(str, self.words)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,57 +72,119 @@ class Outcome:
     """What came of a step.
 
     `level` is the verdict, None where nothing is judged; `shown` is what a table says
-    of it, and `reasons` why it is no better. `kept` and `partial` say that nothing had
-    changed, and that logs were read in part.
+    of it, and `reasons` why it is no better. `is_kept` says that nothing had changed,
+    so that an earlier run's result stays; `is_partial` that logs were read in part.
     """
 
     step: Step
     level: Level | None
     shown: str
     reasons: Sequence[str]
-    kept: bool
-    partial: bool
+    is_kept: bool
+    is_partial: bool
 
 
-@command(
-    "folder robot urdf output refine jobs keep_going force strict",
-    "seqid run sample_logs/two_joint -r sample_logs/two_joint/robot.toml -o"
-    " out/two_joint",
-    "seqid run sample_logs/one_joint -o out --no-refine --strict",
+@dataclass(frozen=True, kw_only=True)
+class StepRunner:
+    """Runs the command lines of steps, which show themselves as the run does."""
+
+    screen: Screen
+    no_color: bool
+
+    def run(self, command_line: Sequence[str]) -> int:
+        """Run a command line and return its exit code.
+
+        With --json the run prints one document of its own: that of a step is in its
+        file alone.
+        """
+        from seqid_cli.commands.app import invoke
+
+        flags = []
+        if self.screen.quiet or self.screen.json:
+            flags.append("--quiet")
+        if self.screen.verbose:
+            flags.append("--verbose")
+        if self.no_color:
+            flags.append("--no-color")
+        if self.screen.json:
+            flags.append("--json")
+
+        command, *words = command_line
+        if not self.screen.json:
+            return invoke([command, *flags, *words])
+        with contextlib.redirect_stdout(io.StringIO()):
+            return invoke([command, *flags, *words])
+
+
+@app.command(
+    "run",
+    epilog=examples(
+        "seqid run sample_logs/two_joint -r sample_logs/two_joint/robot.toml -o"
+        " out/two_joint",
+        "seqid run sample_logs/one_joint -o out --no-refine --strict",
+    ),
 )
 def run(
-    context: typer.Context,
-    folder: Path = typer.Argument(
-        ...,
-        metavar="FOLDER",
-        help=f"Folder of logs: with {NAMED_FOLDERS} in it, or unsorted.",
-    ),
-    robot: Path | None = option(
-        None,
-        "-r --robot FILE",
-        "Robot file; ./robot.toml or one in FOLDER when left out.",
-    ),
-    urdf: Path | None = option(
-        None,
-        "--urdf FILE",
-        "URDF, of which a robot file is made in the folder of the results.",
-    ),
-    output: Path = option(..., "-o --output FOLDER", "Folder where all results go."),
-    refine: bool = option(
-        True,
-        "--refine/--no-refine",
-        "Add the effects that the model lacks, in the end.",
-    ),
-    jobs: int | None = JOBS,
-    keep_going: bool = option(
-        False, "--keep-going", "Go on after a stage whose verdict is poor."
-    ),
-    force: bool = option(
-        False, "--force", "Do everything anew, also what has not changed."
-    ),
-    strict: bool = option(
-        False, "--strict", "Exit with 1 when the worst verdict is not good."
-    ),
+    *,
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help=f"Folder of logs: with {NAMED_FOLDERS} in it, or unsorted.",
+        ),
+    ],
+    robot: Annotated[
+        Path | None,
+        typer.Option(
+            "-r",
+            "--robot",
+            metavar="FILE",
+            help="Robot file; ./robot.toml or one in FOLDER when left out.",
+        ),
+    ] = None,
+    urdf: Annotated[
+        Path | None,
+        typer.Option(
+            "--urdf",
+            metavar="FILE",
+            help="URDF, of which a robot file is made in the folder of the results.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--output", metavar="FOLDER", help="Folder where all results go."
+        ),
+    ],
+    refine: Annotated[
+        bool,
+        typer.Option(
+            "--refine/--no-refine",
+            help="Add the effects that the model lacks, in the end.",
+        ),
+    ] = True,
+    jobs: JobsOption = None,
+    keep_going: Annotated[
+        bool,
+        typer.Option("--keep-going", help="Go on after a stage whose verdict is poor."),
+    ] = False,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Do everything anew, also what has not changed."),
+    ] = False,
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict", help="Exit with 1 when the worst verdict is not good."
+        ),
+    ] = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
     """Run every stage on a folder of logs, then predict, diagnose, refine and report.
 
@@ -108,29 +192,34 @@ def run(
     its logs, the options and the version are the same, so that a run goes on where it
     stopped. A folder that is not sorted is sorted by what inspect finds. The run stops
     at the first stage whose verdict is poor, with what to do. It ends with the worst
-    verdict; the exit code is 1 where that is poor.
+    verdict; the exit code is 1 where that is poor. A setting goes to every stage that
+    has it.
     """
     from seqid_cli.robot.file import load_robot
 
-    screen = screen_of(context)
-    robot_file = _robot_file(screen, context, folder, robot, urdf, output)
+    screen = screen_for(
+        "run", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    settings = list(set_values or ())
+    overridden(RunSettings(), settings)  # refuses what no stage has, before any runs
+    runner = StepRunner(screen=screen, no_color=no_color)
+    robot_file = _robot_file(runner, folder, robot, urdf, output)
     arm = load_robot(robot_file)
     logs = logs_of_run(folder, output, arm, screen.note)
-    steps = [*_steps(logs, robot_file, output, jobs, refine=refine)]
+    steps = list(_steps(logs, robot_file, output, jobs, settings, refine=refine))
     _make_folder(output)
 
     record = Record(output)
     outcomes: list[Outcome] = []
     for step in steps:
-        outcome = _outcome(step, record, screen, context, force=force)
+        outcome = _outcome(step, record, runner, force=force)
         outcomes.append(outcome)
         if outcome.level == "poor" and step.command in STAGES and not keep_going:
-            text = (
+            screen.note(
                 f"stopped at {step.command}: its verdict is poor (--keep-going goes on)"
             )
-            screen.note(text)
             break
-    return _told(screen, outcomes, strict=strict)
+    return _show_outcomes(screen, outcomes, strict=strict)
 
 
 def _make_folder(output: Path) -> None:
@@ -143,14 +232,13 @@ def _make_folder(output: Path) -> None:
 
 
 def _robot_file(
-    screen: Screen,
-    context: typer.Context,
+    runner: StepRunner,
     folder: Path,
     robot: Path | None,
     urdf: Path | None,
     output: Path,
 ) -> Path:
-    """Return the robot file that is given, made of a URDF, or found.
+    """Return the robot file that is named, made of a URDF, or found.
 
     One that an earlier run made stays: what nobody can read off logs has been written
     into it.
@@ -161,75 +249,110 @@ def _robot_file(
     if robot is not None:
         return robot
     if urdf is None:
-        return found_robot(screen, [str(folder)])
+        return found_robot(runner.screen, [str(folder)])
+
     made = output / "robot.toml"
     if made.is_file():
-        screen.note(f"robot file: {made}, made by an earlier run, kept")
+        runner.screen.note(f"robot file: {made}, made by an earlier run, kept")
         return made
     _make_folder(output)
-    screen.note("--- init")
-    _code(["init", "--urdf", str(urdf), "-o", str(made), "--", str(folder)], context)
+    runner.screen.note("--- init")
+    runner.run(["init", "--urdf", str(urdf), "-o", str(made), "--", str(folder)])
     return made
 
 
 def _steps(
     logs: RunLogs,
     robot_file: Path,
-    out: Path,
+    output: Path,
     jobs: int | None,
+    settings: Sequence[str],
     *,
     refine: bool,
 ) -> Iterator[Step]:
-    """Yield the commands for the logs that are there, each with the results before it."""
-    processes = () if jobs is None else ("--jobs", jobs)
-    of_robot = [robot_file, *_urdf_of(robot_file)]
-    model: list[Path] = []
+    """Yield the commands for the logs at hand, each with the results before it.
+
+    `settings` are what --set was given; a command gets those that it has.
+    """
+    processes = [] if jobs is None else ["--jobs", jobs]
+    robot_files = [robot_file, *_urdf_of(robot_file)]
+    # What has been identified so far; the last file holds it all.
+    models: list[Path] = []
 
     def step(
-        name: str,
-        paths: Sequence[Path],
+        command: str,
+        log_paths: Sequence[Path],
         writes: Sequence[Path],
         *options: object,
         neutral_words: Sequence[object] = (),
-        also_reads: Sequence[Path] = (),
+        held_out: Sequence[Path] = (),
     ) -> Step:
-        given = ["-p", model[-1]] if model else []
-        words = ["-r", robot_file, *given, "-o", writes[0], *options, "--", *paths]
+        model = models[-1:]
+        model_words = ["-p", *model] if model else []
         return Step(
-            command=name,
-            reads=[*paths, *also_reads, *of_robot, *model[-1:]],
+            command=command,
+            reads=[*log_paths, *held_out, *robot_files, *model],
             writes=writes,
-            words=words,
+            words=[
+                "-r",
+                robot_file,
+                *model_words,
+                "-o",
+                writes[0],
+                *options,
+                *words_for_step(command, settings),
+                "--",
+                *log_paths,
+            ],
             neutral_words=neutral_words,
         )
 
-    for name, stage in STAGES.items():
-        if name in logs.of_command:
-            result = out / f"{stage}.json"
-            yield step(name, logs.of_command[name], [result], neutral_words=processes)
-            model.append(result)
-
-    files, tables = [*model], []
-    if logs.held_out and "inertia" in logs.of_command:
-        prediction, diagnosis = out / "prediction.json", out / "diagnosis.json"
-        torques = out / "torques.parquet"
-        tables = ["--torques", torques]
-        results = [prediction, torques]
-        yield step("predict", logs.held_out, results, *tables, neutral_words=processes)
-        yield step("diagnose", logs.held_out, [diagnosis])
-        files += [prediction, diagnosis]
-        if refine:
-            refined = out / "refined.json"
-            held_out = [word for path in logs.held_out for word in ("--holdout", path)]
-            training = logs.of_command["inertia"]
+    for command, stage in STAGES.items():
+        if command in logs.of_command:
+            result = output / f"{stage}.json"
             yield step(
-                "refine", training, [refined], *held_out, also_reads=logs.held_out
+                command, logs.of_command[command], [result], neutral_words=processes
             )
-            files.append(refined)
-    page = out / "report.html"
-    words = ["-o", page, *tables, "--", *files]
-    shown = [*files, *map(Path, map(str, tables[1:]))]
-    yield Step(command="report", reads=shown, writes=[page], words=words)
+            models.append(result)
+
+    reported = list(models)
+    torque_words: list[object] = []
+    torques = output / "torques.parquet"
+    if logs.held_out and "inertia" in logs.of_command:
+        prediction = output / "prediction.json"
+        diagnosis = output / "diagnosis.json"
+        torque_words = ["--torques", torques]
+        yield step(
+            "predict",
+            logs.held_out,
+            [prediction, torques],
+            *torque_words,
+            neutral_words=processes,
+        )
+        yield step("diagnose", logs.held_out, [diagnosis])
+        reported += [prediction, diagnosis]
+
+        if refine:
+            refined = output / "refined.json"
+            held_out_words: list[object] = []
+            for path in logs.held_out:
+                held_out_words += ["--holdout", path]
+            yield step(
+                "refine",
+                logs.of_command["inertia"],
+                [refined],
+                *held_out_words,
+                held_out=logs.held_out,
+            )
+            reported.append(refined)
+
+    page = output / "report.html"
+    yield Step(
+        command="report",
+        reads=[*reported, torques] if torque_words else reported,
+        writes=[page],
+        words=["-o", page, *torque_words, "--", *reported],
+    )
 
 
 def _urdf_of(robot_file: Path) -> list[Path]:
@@ -240,113 +363,117 @@ def _urdf_of(robot_file: Path) -> list[Path]:
     return [] if name is None else [robot_file.parent / name]
 
 
-def _outcome(
-    step: Step, record: Record, screen: Screen, context: typer.Context, *, force: bool
-) -> Outcome:
-    """Run a step, or keep its result where nothing of what it is made of has changed."""
-    known = None if force else record.kept(step.command_line, step.reads, step.writes)
-    if known is None:
+def _outcome(step: Step, record: Record, runner: StepRunner, *, force: bool) -> Outcome:
+    """Run a step, or keep its result where no file and no option has changed."""
+    screen = runner.screen
+    earlier = None
+    if not force:
+        earlier = record.kept(step.deciding_line, step.reads, step.writes)
+
+    if earlier is None:
         screen.note(f"--- {step.command}")
-        line = [step.command, *map(str, step.neutral_words), *map(str, step.words)]
-        partial = _code(line, context) == EXIT_PARTIAL
-        record.add(step.command_line, step.reads, step.writes, partial=partial)
+        is_partial = runner.run(step.command_line) == EXIT_PARTIAL
+        record.add(step.deciding_line, step.reads, step.writes, partial=is_partial)
     else:
-        partial = known.partial
+        is_partial = earlier.partial
         screen.note(
             f"{step.command}: {step.result} is of the same logs and options, kept"
         )
-    level, shown, reasons = judged(step.result)
-    if known is not None:
-        for reason in reasons:
-            screen.note(f"{step.command}: {level}: {reason}")
+
+    judgement = judged(step.result)
+    if earlier is not None:  # a step that runs says so itself
+        for reason in judgement.reasons:
+            screen.note(f"{step.command}: {judgement.level}: {reason}")
     return Outcome(
         step=step,
-        level=level,
-        shown=shown,
-        reasons=reasons,
-        kept=known is not None,
-        partial=partial,
+        level=judgement.level,
+        shown=judgement.shown,
+        reasons=judgement.reasons,
+        is_kept=earlier is not None,
+        is_partial=is_partial,
     )
 
 
-def _code(line: Sequence[str], context: typer.Context) -> int:
-    """Run a command line; with --json its own result is in its file alone."""
-    from seqid_cli.commands.app import invoke
+@dataclass(frozen=True)
+class Judgement:
+    """The verdict of a result, what a table shows of it, and why it is no better."""
 
-    names = [
-        name
-        for name in ("quiet", "verbose", "no_color", "json")
-        if context.params[name]
-    ]
-    flags = [f"--{name.replace('_', '-')}" for name in names]
-    if not context.params["json"]:
-        return invoke([line[0], *flags, *line[1:]])
-    with contextlib.redirect_stdout(io.StringIO()):
-        return invoke([line[0], *flags, "--quiet", *line[1:]])
+    level: Level | None
+    shown: str
+    reasons: Sequence[str] = ()
 
 
-def judged(path: Path) -> tuple[Level | None, str, list[str]]:
-    """Return the verdict of a result, what to show of it, and why it is no better than it is.
+def judged(path: Path) -> Judgement:
+    """Return the judgement of a result's file.
 
     Of a parameter file the newest part counts, after which it is named; what a
     diagnosis says is no verdict on the model's use.
     """
     if path.suffix != ".json":
-        return None, "-", []
+        return Judgement(None, "-")
     from seqid_cli.params.io import read_any
 
     (source,) = read_any([path])
     document: Any = source.content
     if isinstance(document, DiagnosisFile):
-        return None, document.verdict, []
-    verdicts: list[Verdict] = []
+        return Judgement(None, document.verdict)
+
+    verdicts: list[Verdict]
     level: Level | None = None
     if isinstance(document, ParameterFile) and document.closed_loop is not None:
-        verdicts, level = document.closed_loop.verdicts, document.closed_loop.verdict
+        verdicts = document.closed_loop.verdicts
+        level = document.closed_loop.verdict
     elif isinstance(document, ParameterFile):
         verdicts = getattr(document.stages, path.stem).verdicts
     else:
         verdicts = document.verdicts
     level = _worst([level, worst_level(verdicts)])
-    reasons = [
-        ": ".join(filter(None, (verdict.joint, verdict.reason)))
-        for verdict in verdicts
-        if verdict.level != "good"
-    ]
-    return level, level or "-", reasons
+
+    reasons = []
+    for verdict in verdicts:
+        if verdict.level != "good":
+            place = f"{verdict.joint}: " if verdict.joint else ""
+            reasons.append(f"{place}{verdict.reason}")
+    return Judgement(level, level or "-", reasons)
 
 
 def _worst(levels: Sequence[Level | None]) -> Level | None:
     """Return the worst of some levels, None without any."""
-    known = [level for level in levels if level is not None]
-    return max(known, key=LEVELS.index, default=None)
+    of_judged = [level for level in levels if level is not None]
+    return max(of_judged, key=LEVELS.index, default=None)
 
 
-def _told(screen: Screen, outcomes: Sequence[Outcome], *, strict: bool) -> int:
-    """Print what came of each step and the worst verdict last; return the exit code."""
+def _show_outcomes(screen: Screen, outcomes: Sequence[Outcome], *, strict: bool) -> int:
+    """Print what came of each step, the worst verdict last; return the exit code."""
     worst = _worst([outcome.level for outcome in outcomes])
-    rows = [
-        (x.step.command, x.shown, str(x.step.result), "kept" if x.kept else "made")
-        for x in outcomes
-    ]
+    rows = []
+    steps = []
+    for outcome in outcomes:
+        command = outcome.step.command
+        result = str(outcome.step.result)
+        rows.append(
+            (command, outcome.shown, result, "kept" if outcome.is_kept else "made")
+        )
+        steps.append(
+            {
+                "command": command,
+                "output": result,
+                "verdict": outcome.shown,
+                "good": outcome.level in (None, "good"),
+                "kept": outcome.is_kept,
+                "partial": outcome.is_partial,
+            }
+        )
     screen.table(("step", "verdict", "file", ""), rows)
-    steps = [
-        {
-            "command": outcome.step.command,
-            "output": str(outcome.step.result),
-            "verdict": outcome.shown,
-            "good": outcome.level in (None, "good"),
-            "kept": outcome.kept,
-            "partial": outcome.partial,
-        }
-        for outcome in outcomes
-    ]
     screen.document({"verdict": worst, "steps": steps})
 
     line = f"run: {worst or 'nothing was judged'}"
     if worst not in (None, "good"):
-        line += f": {', '.join(x.step.command for x in outcomes if x.level == worst)}"
+        commands = [x.step.command for x in outcomes if x.level == worst]
+        line += f": {', '.join(commands)}"
     screen.result(line)
+
     if worst == "poor" or (strict and worst != "good"):
         return EXIT_UNTRUSTED
-    return EXIT_PARTIAL if any(outcome.partial for outcome in outcomes) else EXIT_DONE
+    is_partial = any(outcome.is_partial for outcome in outcomes)
+    return EXIT_PARTIAL if is_partial else EXIT_DONE

@@ -32,7 +32,7 @@ NAMED_FOLDERS = ", ".join(f"{name}/" for name in FOLDERS)
 
 @dataclass(frozen=True, kw_only=True)
 class RunLogs:
-    """Logs, as files or folders, by the command that they are for, and those held out."""
+    """Logs of a run, as files or folders, by command, and those that are held out."""
 
     of_command: Mapping[str, Sequence[Path]]
     held_out: Sequence[Path]
@@ -63,36 +63,42 @@ def logs_of_run(
         raise InputError(
             "is no folder", hint="Name the folder of the logs.", where=str(folder)
         )
-    there = {name: folder / name for name in FOLDERS if (folder / name).is_dir()}
-    logs = (
-        _sorted_by_folders(there)
-        if there
-        else _sorted_by_inspection(folder, output, robot, say)
-    )
+    stage_folders = {
+        name: folder / name for name in FOLDERS if (folder / name).is_dir()
+    }
+    if stage_folders:
+        logs = _sorted_by_folders(stage_folders)
+    else:
+        logs = _sorted_by_inspection(folder, output, robot, say)
+
     if not logs.of_command.get("friction"):
-        has = "has no folder friction/" if there else "has no log of friction trials"
+        lacking = "has no log of friction trials"
+        if stage_folders:
+            lacking = "has no folder friction/"
         hint = (
             f"Sort the logs into {NAMED_FOLDERS}; without trials of single joints use"
             " seqid simultaneous."
         )
         raise InputError(
-            f"{has}; a run starts with friction trials", hint=hint, where=str(folder)
+            f"{lacking}; a run starts with friction trials",
+            hint=hint,
+            where=str(folder),
         )
-    if not robot.imus:
-        without_imus = {
-            x: own for x, own in logs.of_command.items() if x != "imu-calib"
-        }
-        return RunLogs(of_command=without_imus, held_out=logs.held_out)
-    return logs
+
+    if robot.imus:
+        return logs
+    without_imus = dict(logs.of_command)
+    without_imus.pop("imu-calib", None)
+    return RunLogs(of_command=without_imus, held_out=logs.held_out)
 
 
-def _sorted_by_folders(there: Mapping[str, Path]) -> RunLogs:
-    """Return the folders that are there, by the commands that they are for."""
-    of_stage = {
-        command: [there[stage]] if stage in there else []
-        for command, stage in STAGES.items()
-    }
-    held_out = [there[VALIDATION]] if VALIDATION in there else []
+def _sorted_by_folders(stage_folders: Mapping[str, Path]) -> RunLogs:
+    """Return the folders of the stages by the commands that they are for."""
+    of_stage: dict[str, list[Path]] = {command: [] for command in STAGES}
+    for command, stage in STAGES.items():
+        if stage in stage_folders:
+            of_stage[command].append(stage_folders[stage])
+    held_out = [stage_folders[VALIDATION]] if VALIDATION in stage_folders else []
     return RunLogs(of_command=_with_friction_for_gravity(of_stage), held_out=held_out)
 
 
@@ -117,18 +123,21 @@ def _sorted_by_inspection(
     """Return the logs of a folder by what each of them serves, and say so."""
     from seqid_cli.inspect import inspect
 
+    results = output.resolve()
     paths = [
         path
         for path in expand([str(folder)])
-        if not path.resolve().is_relative_to(output.resolve())
+        if not path.resolve().is_relative_to(results)
     ]
     inspected = inspect([str(path) for path in paths], robot).logs
     held_out = held_out_of(inspected)
-    staying = [log for log in inspected if log not in held_out]
-    of_stage = {
-        command: [Path(log.path) for log in staying if command in log.serves]
-        for command in STAGES
-    }
+
+    of_stage: dict[str, list[Path]] = {command: [] for command in STAGES}
+    for log in inspected:
+        if log not in held_out:
+            for command in STAGES:
+                if command in log.serves:
+                    of_stage[command].append(Path(log.path))
     of_command = _with_friction_for_gravity(of_stage)
 
     say(
@@ -137,9 +146,9 @@ def _sorted_by_inspection(
     )
     for command, logs in of_command.items():
         say(f"{command}: {_listed(logs)}")
+    held_out_paths = [Path(log.path) for log in held_out]
     if held_out:
-        paths = [Path(log.path) for log in held_out]
-        say(f"held out, for predict, diagnose and refine: {_listed(paths)}")
+        say(f"held out, for predict, diagnose and refine: {_listed(held_out_paths)}")
     else:
         say(
             "nothing is held out: without each log of several joints, joints that move"
@@ -148,7 +157,7 @@ def _sorted_by_inspection(
     useless = [Path(log.path) for log in inspected if not log.serves]
     if useless:
         say(f"serve no stage: {_listed(useless)} (seqid inspect says why)")
-    return RunLogs(of_command=of_command, held_out=[Path(log.path) for log in held_out])
+    return RunLogs(of_command=of_command, held_out=held_out_paths)
 
 
 def held_out_of(logs: Sequence[InspectedLog]) -> list[InspectedLog]:
@@ -164,19 +173,23 @@ def held_out_of(logs: Sequence[InspectedLog]) -> list[InspectedLog]:
         for log in logs
         if "inertia" in log.serves and not {"friction", "gravity"} & set(log.serves)
     ]
-    # One at least, where there is another to identify from.
-    most = max(len(for_inertia) // 4, 1) if len(for_inertia) > 1 else 0
+    if len(for_inertia) < 2:  # there is no other to identify from
+        return []
+    largest_count = max(len(for_inertia) // 4, 1)
+
     in_order = sorted(
         enumerate(for_inertia),
         key=lambda item: (-len(item[1].moving_together), -item[0]),
     )
     held_out: list[InspectedLog] = []
     for _, log in in_order:
-        if len(held_out) == most:
+        if len(held_out) == largest_count:
             break
         staying = [x for x in for_inertia if x is not log and x not in held_out]
-        covered = {pair for x in staying for pair in _pairs(x)}
-        if staying and covered.issuperset(_pairs(log)):
+        pairs_that_stay: set[tuple[str, str]] = set()
+        for other in staying:
+            pairs_that_stay.update(_pairs(other))
+        if staying and pairs_that_stay.issuperset(_pairs(log)):
             held_out.append(log)
     return held_out
 
@@ -186,9 +199,9 @@ def _pairs(log: InspectedLog) -> Iterator[tuple[str, str]]:
     return combinations(log.moving_together, 2)
 
 
-def _listed(paths: Sequence[Path], *, most: int = 6) -> str:
+def _listed(paths: Sequence[Path], *, shown_count: int = 6) -> str:
     """Return paths with commas between them; of many the first and how many more."""
-    shown = [str(path) for path in paths[:most]]
-    if len(paths) > most:
-        shown.append(f"{len(paths) - most} more")
-    return ", ".join(shown)
+    words = [str(path) for path in paths[:shown_count]]
+    if len(paths) > shown_count:
+        words.append(f"{len(paths) - shown_count} more")
+    return ", ".join(words)

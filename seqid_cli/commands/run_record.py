@@ -1,4 +1,4 @@
-"""What each step of a run was made of: it is kept as long as nothing of that has changed.
+"""The record of a run: a result is kept as long as what it was made of stays.
 
 Beside the results of a run stands `.run.json`; the dot keeps it out of `*.json`. For
 each result it says from which files it was made, by path, size and SHA-256, with which
@@ -20,7 +20,7 @@ RECORD = ".run.json"
 
 
 class Record:
-    """The record of one output folder, read when it is made and written after every step."""
+    """The record of a folder of results, written anew after every step."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / RECORD
@@ -40,7 +40,7 @@ class Record:
         inputs: Iterable[Path],
         outputs: Iterable[Path],
     ) -> StepRecord | None:
-        """Return how a step's results were made, if they were made so and from the same.
+        """Return the record of a step whose results are made of the same, or None.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class Record:
         *,
         partial: bool,
     ) -> None:
-        """Write down how a step's results were made, which it has just written."""
+        """Record how the results that a step has just written were made."""
         outputs = list(outputs)
         made = self._of(command_line, inputs, outputs)
         made.partial = partial
@@ -95,7 +95,7 @@ class Record:
         )
 
     def _content(self, path: Path) -> FileContent:
-        """Return what a file holds now; logs that several steps read are hashed once."""
+        """Return what a file holds now; a log of several steps is hashed once."""
         state = path.stat()
         key = path, state.st_size, state.st_mtime_ns
         if key not in self._hashes:
@@ -107,9 +107,10 @@ def _files_of(path: Path) -> list[Path]:
     """Return a file, or all files of a folder but hidden ones."""
     if not path.is_dir():
         return [path] if path.is_file() else []
-    return [
-        file
-        for file in path.rglob("*")
-        if file.is_file()
-        and not any(part.startswith(".") for part in file.relative_to(path).parts)
-    ]
+    files = []
+    for file in path.rglob("*"):
+        parts = file.relative_to(path).parts
+        is_hidden = any(part.startswith(".") for part in parts)
+        if file.is_file() and not is_hidden:
+            files.append(file)
+    return files

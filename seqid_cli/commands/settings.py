@@ -1,61 +1,124 @@
-"""`--show-settings`: the settings of a command, which needs nothing else to show them."""
+"""`--show-settings` and `--set`: which settings each command has, and their table."""
 
-from typing import cast
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 
-import typer
-from typer._click import Context
 from typer.core import TyperCommand
 
-from seqid_cli.commands.screen.render import Screen, screen_of
+from seqid_cli.commands.screen.render import Screen, screen_for
+from seqid_cli.discover.settings import DiscoverSettings
+from seqid_cli.identify.settings import (
+    AgreementSettings,
+    CutoffCheckSettings,
+    CutoffSettings,
+    FrictionSettings,
+    GravityFitSettings,
+    GravitySettings,
+    HuntingSettings,
+    ImuCalibSettings,
+    InertiaSettings,
+    JudgingSettings,
+    MountingSettings,
+    PredictionErrorSettings,
+    PredictSettings,
+    ResidualSettings,
+    ReversalSettings,
+    RotorSettings,
+    SimultaneousSettings,
+    SurfaceSettings,
+    TrialSettings,
+)
+from seqid_cli.payload.settings import PayloadSettings
 from seqid_cli.settings import Entry, Settings, entries, overridden
 
 
-def command_with(settings: Settings) -> type[TyperCommand]:
-    """Return the class of a command with these settings, given by their defaults."""
+@dataclass(frozen=True, kw_only=True)
+class RunSettings(Settings):
+    """The settings of `run`: those of the commands that it runs, each group once.
 
-    class SettingsCommand(TyperCommand):
-        """A command that shows its settings before it asks for its arguments."""
+    Commands of a run that have a group of one name have the same group.
+    """
 
-        def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
-            given, _, _ = self.make_parser(ctx).parse_args(args=list(args))
-            if not given.get("show_settings"):
-                return super().parse_args(ctx, args)
-
-            flags = ("show_settings", "quiet", "verbose", "json", "no_color")
-            ctx.params = {name: bool(given.get(name)) for name in flags}
-            ctx.params["set_values"] = given.get("set_values") or ()
-            return []
-
-        def invoke(self, ctx: Context) -> object:
-            if not ctx.params["show_settings"]:
-                return super().invoke(ctx)
-
-            effective = overridden(settings, ctx.params["set_values"])
-            screen = screen_of(cast("typer.Context", ctx))
-            show_settings(screen, list(entries(effective)))
-            return 0
-
-    return SettingsCommand
+    judging: JudgingSettings = JudgingSettings()
+    surface: SurfaceSettings = SurfaceSettings()
+    trials: TrialSettings = TrialSettings()
+    hunting: HuntingSettings = HuntingSettings()
+    fit: GravityFitSettings = GravityFitSettings()
+    mounting: MountingSettings = MountingSettings()
+    residual: ResidualSettings = ResidualSettings()
+    reversals: ReversalSettings = ReversalSettings()
+    cutoff: CutoffSettings = CutoffSettings()
+    cutoff_check: CutoffCheckSettings = CutoffCheckSettings()
+    rotors: RotorSettings = RotorSettings()
+    agreement: AgreementSettings = AgreementSettings()
+    errors: PredictionErrorSettings = PredictionErrorSettings()
 
 
-def show_settings(screen: Screen, shown: list[Entry]) -> None:
-    """Print settings as a table, or as one JSON document."""
-    screen.document(
-        {
-            "settings": [
-                {
-                    "name": entry.name,
-                    "value": entry.value,
-                    "default": entry.default,
-                    "unit": entry.unit,
-                    "low": entry.low,
-                    "high": entry.high,
-                    "reason": entry.reason,
-                }
-                for entry in shown
-            ]
-        }
+SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {
+    "run": RunSettings(),
+    "friction": FrictionSettings(),
+    "gravity": GravitySettings(),
+    "imu-calib": ImuCalibSettings(),
+    "inertia": InertiaSettings(),
+    "predict": PredictSettings(),
+    "diagnose": DiscoverSettings(),
+    "refine": DiscoverSettings(),
+    "simultaneous": SimultaneousSettings(),
+    "payload": PayloadSettings(),
+}
+
+
+def words_for_step(command: str, set_values: Sequence[str]) -> list[str]:
+    """Return the --set options of a run that one of its commands takes.
+
+    `set_values` have been checked against the settings of the run.
+    """
+    if command not in SETTINGS_OF_COMMANDS:
+        return []
+    groups = {group.name for group in fields(SETTINGS_OF_COMMANDS[command])}
+    words = []
+    for text in set_values:
+        group_name = text.partition(".")[0].strip()
+        if group_name in groups:
+            words += ["--set", text]
+    return words
+
+
+def show_settings(command: TyperCommand, name: str, words: Sequence[str]) -> int:
+    """Show the settings of a command as the words behind it would make them.
+
+    The words need not hold what the command asks for otherwise, such as logs: they are
+    read as for completion, which misses nothing.
+    """
+    with command.make_context(name, list(words), resilient_parsing=True) as context:
+        given = context.params
+    screen = screen_for(
+        name,
+        quiet=given["quiet"],
+        verbose=given["verbose"],
+        json=given["json"],
+        no_color=given["no_color"],
     )
+    effective = overridden(SETTINGS_OF_COMMANDS[name], given["set_values"] or ())
+    _show(screen, list(entries(effective)))
+    return 0
+
+
+def _show(screen: Screen, shown: Sequence[Entry]) -> None:
+    """Print settings as a table, or as one JSON document."""
+    document = [
+        {
+            "name": entry.name,
+            "value": entry.value,
+            "default": entry.default,
+            "unit": entry.unit,
+            "low": entry.low,
+            "high": entry.high,
+            "reason": entry.reason,
+        }
+        for entry in shown
+    ]
+    screen.document({"settings": document})
     rows = [
         (entry.name, value_text(entry), entry.unit, entry.reason) for entry in shown
     ]

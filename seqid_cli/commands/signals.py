@@ -1,4 +1,7 @@
-"""Signals that end a run; imported before everything else, so that they end the imports as well."""
+"""Signals that end a run.
+
+This is imported before everything else, so that signals end the imports as well.
+"""
 
 import signal
 import sys
@@ -23,7 +26,10 @@ class Interrupted(KeyboardInterrupt):
 
 
 def answer_signals() -> None:
-    """Let the signals that end a run raise `Interrupted`; those the caller ignores stay ignored."""
+    """Let the signals that end a run raise `Interrupted`.
+
+    Those that the caller ignores stay ignored.
+    """
     for name in ENDING:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
@@ -37,7 +43,7 @@ def _interrupt(number: int, frame: "FrameType | None") -> "NoReturn":
 
 
 def _swallowed(found: "sys.UnraisableHookArgs") -> None:
-    """Raise an interrupt again that came during a finalizer, out of which no exception gets."""
+    """Raise an interrupt again that came in a finalizer, where exceptions end."""
     if isinstance(found.exc_value, Interrupted) and hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, _interrupt)
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)

@@ -1,148 +1,435 @@
-"""The commands that identify a stage: friction, gravity, IMUs, inertia, or all at once."""
+"""The commands that identify: friction, gravity, IMUs, inertia, or all at once."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import called
-from seqid_cli.commands.options import ADDED_TO, SIX, command, option
-from seqid_cli.commands.screen.show import show_stages
-from seqid_cli.identify.settings import (
-    FrictionSettings,
-    GravitySettings,
-    ImuCalibSettings,
-    InertiaSettings,
-    SimultaneousSettings,
+from seqid_cli import identify
+from seqid_cli.commands.command_run import CommandRun, log_readers
+from seqid_cli.commands.options import (
+    SIX,
+    AddedToOption,
+    ConsistentOption,
+    CutoffOption,
+    DebugOption,
+    EngineOption,
+    JobsOption,
+    JsonOption,
+    LogsArgument,
+    MotionOption,
+    NoColorOption,
+    OutputOption,
+    ParametersOption,
+    QuietOption,
+    RobotOption,
+    SchedulerOption,
+    SetOption,
+    ShowSettingsOption,
+    SkipFailedOption,
+    StrictOption,
+    TimeOption,
+    VerboseOption,
+    command_app,
+    examples,
 )
+from seqid_cli.commands.robot_file import found_robot
+from seqid_cli.commands.screen.render import screen_for
+from seqid_cli.commands.screen.show import show_stages
 from seqid_cli.params.document import worst_level
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import ParameterFile, Stages, Verdict
+from seqid_cli.settings import overridden
 
-_SHARED = "cutoff_hz time_source jobs engine scheduler skip_failed"
-_NEXT_INERTIA = "seqid inertia LOG... -r {robot} -p {output} -o inertia.json"
-_NEXT_DIAGNOSE = "seqid diagnose LOG... -r {robot} -p {output} -o diagnosis.json"
-_NEXT_PREDICT = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
+app = command_app()
 
 
-@command(
-    f"logs robot output position_order velocity_order beta {_SHARED} strict",
-    f"seqid friction {SIX}/friction -r {SIX}/robot.toml -o friction.json",
-    f"seqid friction '{SIX}/friction/*' -r {SIX}/robot.toml --position-order 4"
-    " --velocity-order 5 --json",
-    settings=FrictionSettings(),
+@app.command(
+    "friction",
+    epilog=examples(
+        f"seqid friction {SIX}/friction -r {SIX}/robot.toml -o friction.json",
+        f"seqid friction '{SIX}/friction/*' -r {SIX}/robot.toml --position-order 4"
+        " --velocity-order 5 --json",
+    ),
 )
 def friction(
-    context: typer.Context,
-    position_order: int | None = option(
-        None,
-        "--position-order N",
-        "Order in position; found when left out.",
-        min=0,
-        max=30,
-    ),
-    velocity_order: int | None = option(
-        None,
-        "--velocity-order N",
-        "Order in velocity; found when left out.",
-        min=0,
-        max=30,
-    ),
-    beta: float | None = option(
-        None,
-        "--beta SHARE",
-        "Take the fewest orders at which Eq. 11 holds with this threshold, if any do.",
-        min=0.0,
-        max=1.0,
-    ),
+    *,
+    logs: LogsArgument,
+    robot: RobotOption = None,
+    output: OutputOption = None,
+    position_order: Annotated[
+        int | None,
+        typer.Option(
+            "--position-order",
+            metavar="N",
+            min=0,
+            max=30,
+            help="Order in position; found when left out.",
+        ),
+    ] = None,
+    velocity_order: Annotated[
+        int | None,
+        typer.Option(
+            "--velocity-order",
+            metavar="N",
+            min=0,
+            max=30,
+            help="Order in velocity; found when left out.",
+        ),
+    ] = None,
+    beta: Annotated[
+        float | None,
+        typer.Option(
+            "--beta",
+            metavar="SHARE",
+            min=0.0,
+            max=1.0,
+            help=(
+                "Take the fewest orders at which Eq. 11 holds with this threshold, if"
+                " any do."
+            ),
+        ),
+    ] = None,
+    cutoff_hz: CutoffOption = None,
+    time_source: TimeOption = "header",
+    jobs: JobsOption = None,
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = None,
+    skip_failed: SkipFailedOption = False,
+    strict: StrictOption = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
     """Identify joint friction over position and velocity.
 
     The logs hold moves of one joint at a time at constant velocity, forward and
     backward, at several speeds.
     """
-    following = "seqid gravity LOG... -r {robot} -p {output} -o gravity.json"
-    return _stage(context, ["friction"], following)
+    screen = screen_for(
+        "friction", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    robot = robot or found_robot(screen, logs)
+    options = identify.FrictionOptions(
+        cutoff_hz=cutoff_hz,
+        time_source=time_source,
+        skip_failed=skip_failed,
+        position_order=position_order,
+        velocity_order=velocity_order,
+        beta=beta,
+    )
+    settings = overridden(identify.FrictionSettings(), set_values or ())
+    with (
+        CommandRun(screen) as run,
+        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
+    ):
+        file = identify.friction(
+            logs,
+            robot,
+            options,
+            settings=settings,
+            output=output,
+            executor=executor,
+            on_progress=run.on_progress,
+        )
+    verdicts = _show_result(run, file, ["friction"])
+    following = f"seqid gravity LOG... -r {robot} -p {output} -o gravity.json"
+    run.show_output(output, _proposed(verdicts, following, robot, output))
+    return run.exit_code(verdicts, strict=strict)
 
 
-@command(
-    f"logs robot parameters output {_SHARED} strict",
-    f"seqid gravity {SIX}/gravity {SIX}/friction -r {SIX}/robot.toml -p friction.json"
-    " -o gravity.json",
-    f"seqid gravity {SIX}/gravity -r {SIX}/robot.toml -p friction.json --strict",
-    settings=GravitySettings(),
+@app.command(
+    "gravity",
+    epilog=examples(
+        f"seqid gravity {SIX}/gravity {SIX}/friction -r {SIX}/robot.toml"
+        " -p friction.json -o gravity.json",
+        f"seqid gravity {SIX}/gravity -r {SIX}/robot.toml -p friction.json --strict",
+    ),
 )
-def gravity(context: typer.Context) -> int:
+def gravity(
+    *,
+    logs: LogsArgument,
+    robot: RobotOption = None,
+    parameters: ParametersOption,
+    output: OutputOption = None,
+    cutoff_hz: CutoffOption = None,
+    time_source: TimeOption = "header",
+    jobs: JobsOption = None,
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = None,
+    skip_failed: SkipFailedOption = False,
+    strict: StrictOption = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
+) -> int:
     """Identify the gravity parameters, given the friction.
 
     The logs hold moves of one joint at a time at constant velocity, with the other
     joints locked in several configurations.
     """
-    following = f"{_NEXT_INERTIA}  (with accelerometers: seqid imu-calib first)"
-    return _stage(context, ["gravity"], following)
+    screen = screen_for(
+        "gravity", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    robot = robot or found_robot(screen, logs)
+    options = identify.LogOptions(
+        cutoff_hz=cutoff_hz, time_source=time_source, skip_failed=skip_failed
+    )
+    settings = overridden(identify.GravitySettings(), set_values or ())
+    with (
+        CommandRun(screen) as run,
+        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
+    ):
+        file = identify.gravity(
+            logs,
+            robot,
+            parameters,
+            options,
+            settings=settings,
+            output=output,
+            executor=executor,
+            on_progress=run.on_progress,
+        )
+    verdicts = _show_result(run, file, ["gravity"])
+    inertia_command = _inertia_command(robot, output)
+    following = f"{inertia_command}  (with accelerometers: seqid imu-calib first)"
+    run.show_output(output, _proposed(verdicts, following, robot, output))
+    return run.exit_code(verdicts, strict=strict)
 
 
-@command(
-    f"logs robot parameters output {_SHARED} strict",
-    f"seqid imu-calib {SIX}/imu -r {SIX}/robot.toml -p gravity.json -o imu.json",
-    f"seqid imu-calib {SIX}/imu -r {SIX}/robot.toml --json",
-    settings=ImuCalibSettings(),
+@app.command(
+    "imu-calib",
+    epilog=examples(
+        f"seqid imu-calib {SIX}/imu -r {SIX}/robot.toml -p gravity.json -o imu.json",
+        f"seqid imu-calib {SIX}/imu -r {SIX}/robot.toml --json",
+    ),
 )
-def imu_calib(context: typer.Context, parameters: list[Path] | None = ADDED_TO) -> int:
-    """Find how accelerometers and IMUs are mounted on the links, and what they are like.
+def imu_calib(
+    *,
+    logs: LogsArgument,
+    robot: RobotOption = None,
+    parameters: AddedToOption = None,
+    output: OutputOption = None,
+    cutoff_hz: CutoffOption = None,
+    time_source: TimeOption = "header",
+    jobs: JobsOption = None,
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = None,
+    skip_failed: SkipFailedOption = False,
+    strict: StrictOption = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
+) -> int:
+    """Find how accelerometers and IMUs are mounted on the links, and \
+what they are like.
 
     The logs hold rotations of the first joint with the other joints locked in several
     configurations. Mounting, place, biases, scales, axes and clock offset are found
     together.
-    """
-    return _stage(context, ["imu"], _NEXT_INERTIA)
+    """  # noqa: D205
+    screen = screen_for(
+        "imu-calib", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    robot = robot or found_robot(screen, logs)
+    options = identify.LogOptions(
+        cutoff_hz=cutoff_hz, time_source=time_source, skip_failed=skip_failed
+    )
+    settings = overridden(identify.ImuCalibSettings(), set_values or ())
+    with (
+        CommandRun(screen) as run,
+        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
+    ):
+        file = identify.imu_calib(
+            logs,
+            robot,
+            parameters or (),
+            options,
+            settings=settings,
+            output=output,
+            executor=executor,
+            on_progress=run.on_progress,
+        )
+    verdicts = _show_result(run, file, ["imu"])
+    following = _inertia_command(robot, output)
+    run.show_output(output, _proposed(verdicts, following, robot, output))
+    return run.exit_code(verdicts, strict=strict)
 
 
-@command(
-    f"logs robot parameters output source {_SHARED} consistent strict",
-    f"seqid inertia {SIX}/inertia -r {SIX}/robot.toml -p imu.json -o inertia.json",
-    f"seqid inertia {SIX}/inertia -r {SIX}/robot.toml -p gravity.json --motion encoder"
-    " --strict",
-    settings=InertiaSettings(),
+@app.command(
+    "inertia",
+    epilog=examples(
+        f"seqid inertia {SIX}/inertia -r {SIX}/robot.toml -p imu.json -o inertia.json",
+        f"seqid inertia {SIX}/inertia -r {SIX}/robot.toml -p gravity.json --motion"
+        " encoder --strict",
+    ),
 )
-def inertia(context: typer.Context) -> int:
+def inertia(
+    *,
+    logs: LogsArgument,
+    robot: RobotOption = None,
+    parameters: ParametersOption,
+    output: OutputOption = None,
+    source: MotionOption = "auto",
+    cutoff_hz: CutoffOption = None,
+    time_source: TimeOption = "header",
+    jobs: JobsOption = None,
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = None,
+    skip_failed: SkipFailedOption = False,
+    consistent: ConsistentOption = False,
+    strict: StrictOption = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
+) -> int:
     """Identify the inertia parameters, given friction and gravity.
 
     The logs hold moves of two joints (or more) at a time.
     """
-    return _stage(context, ["inertia"], _NEXT_PREDICT)
+    screen = screen_for(
+        "inertia", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    robot = robot or found_robot(screen, logs)
+    options = identify.RigidOptions(
+        cutoff_hz=cutoff_hz,
+        time_source=time_source,
+        skip_failed=skip_failed,
+        source=source,
+        consistent=consistent,
+    )
+    settings = overridden(identify.InertiaSettings(), set_values or ())
+    with (
+        CommandRun(screen) as run,
+        log_readers(logs, jobs=jobs, engine=engine, scheduler=scheduler) as executor,
+    ):
+        file = identify.inertia(
+            logs,
+            robot,
+            parameters,
+            options,
+            settings=settings,
+            output=output,
+            executor=executor,
+            on_progress=run.on_progress,
+        )
+    verdicts = _show_result(run, file, ["inertia"])
+    following = _predict_command(robot, output)
+    run.show_output(output, _proposed(verdicts, following, robot, output))
+    return run.exit_code(verdicts, strict=strict)
 
 
-@command(
-    "logs robot parameters output offset source cutoff_hz time_source consistent"
-    " strict",
-    f"seqid simultaneous {SIX}/inertia -r {SIX}/robot.toml -o simultaneous.json",
-    f"seqid simultaneous {SIX}/friction {SIX}/inertia -r {SIX}/robot.toml --json",
-    settings=SimultaneousSettings(),
+@app.command(
+    "simultaneous",
+    epilog=examples(
+        f"seqid simultaneous {SIX}/inertia -r {SIX}/robot.toml -o simultaneous.json",
+        f"seqid simultaneous {SIX}/friction {SIX}/inertia -r {SIX}/robot.toml --json",
+    ),
 )
 def simultaneous(
-    context: typer.Context,
-    parameters: list[Path] | None = ADDED_TO,
-    offset: bool = option(
-        True,
-        "--offset/--no-offset",
-        "Give each joint a constant torque besides friction.",
-    ),
+    *,
+    logs: LogsArgument,
+    robot: RobotOption = None,
+    parameters: AddedToOption = None,
+    output: OutputOption = None,
+    offset: Annotated[
+        bool,
+        typer.Option(
+            "--offset/--no-offset",
+            help="Give each joint a constant torque besides friction.",
+        ),
+    ] = True,
+    source: MotionOption = "auto",
+    cutoff_hz: CutoffOption = None,
+    time_source: TimeOption = "header",
+    consistent: ConsistentOption = False,
+    strict: StrictOption = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    no_color: NoColorOption = False,
+    debug: DebugOption = False,
 ) -> int:
     """Identify all parameters at once, with Coulomb and viscous friction (Eq. 5-6).
 
     Any logs will do. For comparison, and for data without moves of single joints. With
     the file of seqid imu-calib (-p) accelerometers are used as well.
     """
-    return _stage(context, ["friction", "inertia"], _NEXT_PREDICT)
+    screen = screen_for(
+        "simultaneous", quiet=quiet, verbose=verbose, json=json, no_color=no_color
+    )
+    robot = robot or found_robot(screen, logs)
+    options = identify.SimultaneousOptions(
+        cutoff_hz=cutoff_hz,
+        time_source=time_source,
+        source=source,
+        consistent=consistent,
+        offset=offset,
+    )
+    settings = overridden(identify.SimultaneousSettings(), set_values or ())
+    with CommandRun(screen) as run:
+        file = identify.simultaneous(
+            logs,
+            robot,
+            parameters or (),
+            options,
+            settings=settings,
+            output=output,
+            on_progress=run.on_progress,
+        )
+    verdicts = _show_result(run, file, ["friction", "inertia"])
+    following = _predict_command(robot, output)
+    run.show_output(output, _proposed(verdicts, following, robot, output))
+    return run.exit_code(verdicts, strict=strict)
 
 
-def _stage(context: typer.Context, names: Sequence[str], following: str) -> int:
-    """Identify and show stages; `following` is proposed unless a verdict is poor."""
-    told, file = called(context, f"identify.{context.info_name}".replace("-", "_"))
-    stages = Stages(**{name: getattr(file.stages, name) for name in names})
-    show_stages(told.screen, stages, file.robot)
-    verdicts = [verdict for name in names for verdict in getattr(stages, name).verdicts]
+def _show_result(
+    run: CommandRun, file: ParameterFile, stage_names: Sequence[str]
+) -> list[Verdict]:
+    """Show the stages that were identified, and return their verdicts."""
+    run.screen.document(file)
+    stages = Stages(**{name: getattr(file.stages, name) for name in stage_names})
+    show_stages(run.screen, stages, file.robot)
+
+    verdicts = []
+    for name in stage_names:
+        verdicts += getattr(stages, name).verdicts
+    return verdicts
+
+
+def _proposed(
+    verdicts: Sequence[Verdict], following: str, robot: Path, output: Path | None
+) -> str:
+    """Return the command to type next: none after a poor verdict."""
     level = worst_level(verdicts)
-    proposed = {"good": following, "usable": _NEXT_DIAGNOSE, "poor": ""}
-    told.tell_output(proposed[level] if level else following)
-    return told.ended(verdicts)
+    if level == "poor":
+        return ""
+    if level == "usable":
+        return f"seqid diagnose LOG... -r {robot} -p {output} -o diagnosis.json"
+    return following
+
+
+def _inertia_command(robot: Path, output: Path | None) -> str:
+    return f"seqid inertia LOG... -r {robot} -p {output} -o inertia.json"
+
+
+def _predict_command(robot: Path, output: Path | None) -> str:
+    return f"seqid predict LOG... -r {robot} -p {output} -o prediction.json"

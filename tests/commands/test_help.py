@@ -2,7 +2,6 @@
 its time.
 """
 
-import importlib
 import json
 import re
 import shlex
@@ -39,11 +38,9 @@ def test_every_command_has_the_common_flags_and_two_examples(
     text = rig.run(name, "--help").out
     for flag in ("-q, --quiet", "-v, --verbose", "--json", "--no-color", "--debug"):
         assert flag in text
-    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name][0]}")
-    examples = getattr(module, name.replace("-", "_")).examples
+    examples = re.findall(r"^ +(seqid .*)$", text.partition("Examples:\n")[2], re.M)
     assert len(examples) >= 2
     for example in examples:
-        assert f"  {example}\n" in text
         words = shlex.split(example.partition(" > ")[0])
         assert words[:2] == ["seqid", name]
         with load_command(name).make_context(name, words[2:]) as context:

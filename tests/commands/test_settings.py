@@ -1,9 +1,12 @@
 """`--show-settings` and `--set` as a user meets them."""
 
 import json
+from dataclasses import fields
 
 import pytest
 
+from seqid_cli.commands.run_logs import STAGES
+from seqid_cli.commands.settings import SETTINGS_OF_COMMANDS, words_for_step
 from tests.commands.conftest import ONE_JOINT, Rig
 from tests.unit.docs import settings as page
 
@@ -54,6 +57,51 @@ def test_settings_decide_and_stand_in_the_result(rig: Rig) -> None:
     joints = [stage["joints"]["joint_1"] for stage in found]
     assert joints[1]["sign_width"] == pytest.approx(joints[0]["sign_width"] / 2.0)
     assert not changed["verdicts"][0]["good"]
+
+
+def test_a_run_has_the_settings_of_its_steps() -> None:
+    """Of each group one, so that a name means the same in all of them."""
+    steps = (*STAGES, "predict", "diagnose", "refine")
+    of_steps = {
+        group.name: getattr(SETTINGS_OF_COMMANDS[step], group.name)
+        for step in steps
+        for group in fields(SETTINGS_OF_COMMANDS[step])
+    }
+    of_run = SETTINGS_OF_COMMANDS["run"]
+    assert {group.name: getattr(of_run, group.name) for group in fields(of_run)} == (
+        of_steps
+    )
+    for step in steps:
+        for group in fields(SETTINGS_OF_COMMANDS[step]):
+            assert (
+                getattr(SETTINGS_OF_COMMANDS[step], group.name)
+                == (of_steps[group.name])
+            )
+
+
+def test_a_run_passes_settings_on_to_the_steps_that_have_them(rig: Rig) -> None:
+    given = ["judging.clear_sigma=3", "surface.max_error=0.001"]
+    both = ["--set", given[0], "--set", given[1]]
+    assert words_for_step("friction", given) == both
+    assert words_for_step("gravity", given) == both[:2]
+    assert words_for_step("report", given) == []
+    words = [word for text in given for word in ("--set", text)]
+    robot = ("-r", str(ONE_JOINT / "robot.toml"))
+    done = rig.run("run", str(ONE_JOINT), *robot, "-o", "out", *words)
+    assert done.code == 1, done.err
+    assert "stopped at friction: its verdict is poor" in done.err
+    made = json.loads((rig.folder / "out" / "friction.json").read_text())
+    assert made["stages"]["friction"]["settings"]["changed"] == {
+        "judging.clear_sigma": 3.0,
+        "surface.max_error": 0.001,
+    }
+    shown = rig.run("run", "--show-settings", *words)
+    assert shown.code == 0, shown.err
+    assert "0.001 (default 0.15)" in shown.out
+    wrong = rig.run("run", str(ONE_JOINT), *robot, "-o", "no", "--set", "max_error=1")
+    assert wrong.code == 2
+    assert "Did you mean" in wrong.err
+    assert not (rig.folder / "no").exists()
 
 
 def test_the_page_of_the_settings_is_as_the_classes_are() -> None:

@@ -41,7 +41,7 @@ WITHOUT = {"completion", "init", "run"}
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - WITHOUT))
 def test_functions_take_what_commands_take(name: str) -> None:
     python_name = name.replace("-", "_")
-    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name][0]}")
+    module = importlib.import_module(COMMANDS[name].module)
     packages = [getattr(seqid_cli, package) for package in seqid_cli.PACKAGES]
     found = [getattr(package, python_name, None) for package in packages]
     command, function = getattr(module, python_name), next(filter(callable, found))

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from seqid_cli.commands.app import COMMANDS, command_function
+from seqid_cli.commands.settings import SETTINGS_OF_COMMANDS as ALL
 from seqid_cli.errors import UsageError
 from seqid_cli.identify.judging import friction_verdicts, inertia_verdicts, judged
 from seqid_cli.identify.prediction.verdicts import joint_verdicts
@@ -31,15 +31,10 @@ from seqid_cli.params.schema import Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from seqid_cli.settings import Settings, entries, overridden
+from seqid_cli.settings import entries, overridden
 from tests import ROOT
 
 ONE_JOINT = ROOT / "sample_logs" / "one_joint"
-ALL: dict[str, Settings] = {
-    name: command_function(name).settings
-    for name in COMMANDS
-    if command_function(name).settings is not None
-}
 
 
 @pytest.mark.parametrize("name", sorted(ALL))

@@ -1,1 +1,1 @@
-"""What the commands print: tables, charts, progress, and text that no terminal can mistake."""
+"""What commands print: tables, charts, progress, text that steers no terminal."""

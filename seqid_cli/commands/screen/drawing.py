@@ -107,7 +107,7 @@ def table_text(
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with its unit or percent sign, or the dash for none."""
+    """Return whether a cell is a number, maybe with its unit, or the dash for none."""
     digits = cell.rstrip(" %").replace(".", "", 1).lstrip("+-<> ")
     return cell == "-" or digits[:1].isdigit()
 

@@ -18,7 +18,7 @@ NAME_WIDTH = 30  # characters: with bar and times the line fits 80 columns
 
 @dataclass(frozen=True)
 class Step:
-    """How many parts of how many are done, and what comes next; of 0 where nobody knows."""
+    """Parts that are done of a total, 0 where nobody knows it, and the next part."""
 
     done: int
     total: int

@@ -4,8 +4,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import typer
-
 from seqid_cli import shares
 from seqid_cli.commands.screen import layout
 from seqid_cli.commands.screen.messages import write_error, write_warning
@@ -36,9 +34,12 @@ class Screen:
             return
         from seqid_cli.commands.screen.drawing import table_text
 
+        visible_rows = []
+        for row in rows:
+            visible_rows.append([layout.visible_cell(cell) for cell in row])
         text = table_text(
             [layout.visible_cell(head) for head in columns],
-            [[layout.visible_cell(cell) for cell in row] for row in rows],
+            visible_rows,
             width=layout.width_of(sys.stdout),
             whole_words=not sys.stdout.isatty(),
             color=self.color,
@@ -91,15 +92,16 @@ class Screen:
             sys.stderr.write(f"{layout.visible(message)}\n")
 
 
-def screen_of(context: typer.Context) -> Screen:
-    """Return the screen that the command line and the environment ask for."""
-    options = context.params
-    colorful = not options["no_color"]
+def screen_for(
+    command: str, *, quiet: bool, verbose: bool, json: bool, no_color: bool
+) -> Screen:
+    """Return the screen that a command's flags and the environment ask for."""
+    colorful = not no_color
     return Screen(
-        command=context.info_name or "",
-        quiet=options["quiet"],
-        verbose=options["verbose"],
-        json=options["json"],
+        command=command,
+        quiet=quiet,
+        verbose=verbose,
+        json=json,
         color=colorful and layout.can_be_steered(sys.stdout),
         color_messages=colorful and layout.can_be_steered(sys.stderr),
     )

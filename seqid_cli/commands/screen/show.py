@@ -1,4 +1,4 @@
-"""Stages as tables: numbers with their units, a verdict per joint, and why it is poor."""
+"""Stages as tables: numbers with units, a verdict per joint, and its reason."""
 
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -23,7 +23,7 @@ def show_stages(screen: Screen, stages: schema.Stages, robot: schema.RobotId) ->
 
 
 def verdict_text(verdicts: Sequence[schema.Verdict], joint: str) -> str:
-    """Return the worst verdict on a joint, and why it is no better; a dash without any."""
+    """Return the worst verdict on a joint and its reason; a dash without any."""
     level = worst_level(verdict for verdict in verdicts if verdict.joint == joint)
     if level is None:
         return "-"
@@ -129,7 +129,7 @@ def _imu(screen: Screen, stage: schema.ImuStage) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _AccelerationErrors:
-    """Standard errors of one joint's acceleration: by the chosen source, and by another.
+    """Standard errors of a joint's acceleration, by the chosen source and another.
 
     In rad/s^2, or in m/s^2 of a joint that slides.
     """

@@ -1,6 +1,6 @@
-"""A diagnosis and a refinement on the screen: the verdict first, then evidence and what is open."""
+"""A diagnosis and a refinement on the screen: the verdict first, then the evidence."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
@@ -18,37 +18,57 @@ from seqid_cli.params.schema import (
 )
 
 _EVENTS_SHOWN = 10
-_COLUMNS, _ROWS = 56, 7  # of a chart
+_CHART_COLUMNS = 56
+_CHART_ROWS = 7
 
 
 def show_diagnosis(
     screen: Screen, file: diagnosis.DiagnosisFile, joint: str | None = None
 ) -> None:
-    """Print a diagnosis, or what it says of one joint, with the evidence and all that was tried."""
-    why = joint is not None
-    findings = [
-        item for item in file.findings if not joint or joint in _places(item, file)
-    ]
-    parts = [part for part in file.unexplained if part.joint == (joint or part.joint)]
-    joints = {joint: file.joints[joint]} if joint else file.joints
+    """Print a diagnosis, or what it says of one joint, with all that was tried there.
+
+    Parameters
+    ----------
+    screen : Screen
+    file : DiagnosisFile
+    joint : str, optional
+        Show this joint alone, and why its findings were taken.
+    """
+    explains = joint is not None
+    findings = file.findings
+    parts = file.unexplained
+    changed = file.changed
+    events = file.events
+    hidden = file.hidden
+    joints = file.joints
+    if joint is not None:
+        findings = [
+            finding for finding in findings if joint in _joints_of(finding, file)
+        ]
+        parts = [part for part in parts if part.joint == joint]
+        changed = [change for change in changed if change.joint == joint]
+        events = [event for event in events if joint in event.joints]
+        # An effect of the whole arm has no joint.
+        hidden = [effect for effect in hidden if effect.joint in (joint, None)]
+        joints = {joint: joints[joint]}
+
     if joint is None:
         screen.result(verdict_sentence(file))
     elif not findings and not parts:
         screen.result(nothing_found_at(file, joint))
     show_poor(screen, file.verdicts, "diagnosis")
-    _findings(screen, findings, file.robot, why=why)
-    _unexplained(screen, parts, file.robot, why=why)
-    changed = [one for one in file.changed if one.joint == (joint or one.joint)]
+    _show_findings(screen, findings, file.robot, explains=explains)
+    _show_unexplained(screen, parts, file.robot, explains=explains)
     screen.values(tables.changed_values(changed, file.robot))
     screen.values(tables.joint_residuals(joints, file.robot))
     if joint is not None:
         screen.values(tables.rivals(joints[joint].tried, "tried beside that"))
-    events = [event for event in file.events if not joint or joint in event.joints]
-    shown = events if screen.verbose else events[:_EVENTS_SHOWN]
-    screen.values(tables.events(shown))
-    if len(shown) < len(events):
-        screen.note(f"{len(events) - len(shown)} more such events: -v shows them all.")
-    hidden = [item for item in file.hidden if not joint or item.joint in (joint, None)]
+
+    shown_events = events if screen.verbose else events[:_EVENTS_SHOWN]
+    screen.values(tables.events(shown_events))
+    further_events = len(events) - len(shown_events)
+    if further_events:
+        screen.note(f"{further_events} more such events: -v shows them all.")
     if screen.verbose:
         screen.values(tables.hidden(hidden))
     elif hidden:
@@ -56,18 +76,20 @@ def show_diagnosis(
     screen.remark(*file.notes)
 
 
-def _places(
-    item: diagnosis.FindingEntry, file: diagnosis.DiagnosisFile
-) -> Collection[str]:
-    """Joints that a finding is of: there, or shown there; all of one of the whole arm."""
-    if item.effect == "external_contact":
-        return {name for event in file.events for name in event.joints}
-    if item.joint is None:
+def _joints_of(
+    finding: diagnosis.FindingEntry, file: diagnosis.DiagnosisFile
+) -> Collection[str | None]:
+    """Return the joints at which a finding is, or at which its evidence shows it."""
+    if finding.effect == "external_contact":
+        joints: set[str | None] = set()
+        for event in file.events:
+            joints.update(event.joints)
+        return joints
+    if finding.joint is None:  # an effect of the whole arm
         return list(file.joints)
-    return {
-        item.joint,
-        *((item.evidence.joint, item.evidence.of) if item.evidence else ()),
-    }
+    if finding.evidence is None:
+        return {finding.joint}
+    return {finding.joint, finding.evidence.joint, finding.evidence.of}
 
 
 def verdict_sentence(file: diagnosis.DiagnosisFile) -> str:
@@ -76,24 +98,31 @@ def verdict_sentence(file: diagnosis.DiagnosisFile) -> str:
         return diagnosis.nothing_found(file)
     if file.verdict == "values_changed":
         return diagnosis.values_sentence(file)
-    rest = "; ".join(
+
+    unexplained = "; ".join(
         f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained
     )
     if file.verdict == "unexplained":
-        where = f" ({rest})" if rest else ""
+        where = f" ({unexplained})" if unexplained else ""
         return f"Something is missing that no known effect explains{where}."
-    found = ", ".join(effect_at(item.effect, item.joint) for item in file.findings)
-    more = f"; a part stays unexplained ({rest})" if rest else ""
-    changed = ", ".join(one.joint for one in file.changed)
-    values = f"; its values do not hold at {changed}" if changed else ""
-    return f"The model lacks {found}{more}{values}."
+
+    effects = ", ".join(
+        effect_at(finding.effect, finding.joint) for finding in file.findings
+    )
+    sentence = f"The model lacks {effects}"
+    if unexplained:
+        sentence += f"; a part stays unexplained ({unexplained})"
+    if file.changed:
+        joints = ", ".join(change.joint for change in file.changed)
+        sentence += f"; its values do not hold at {joints}"
+    return f"{sentence}."
 
 
 def nothing_found_at(file: diagnosis.DiagnosisFile, joint: str) -> str:
     """Return the sentence of a joint at which no effect was found."""
-    changed = [one for one in file.changed if one.joint == joint]
-    if changed:
-        return diagnosis.values_at(changed[0])
+    for change in file.changed:
+        if change.joint == joint:
+            return diagnosis.values_at(change)
     if file.joints[joint].samples == 0:
         return f"{joint}: no sample could be looked at."
     return f"{joint}: nothing was found."
@@ -104,61 +133,90 @@ def effect_at(effect: str, joint: str | None) -> str:
     return f"{effect} at {joint}" if joint else effect
 
 
-def _findings(
+def _show_findings(
     screen: Screen,
     findings: Sequence[diagnosis.FindingEntry],
     robot: RobotId,
     *,
-    why: bool,
+    explains: bool,
 ) -> None:
+    """Print the effects that were found, then what else each of them could be."""
     rows = [
-        (x.effect, x.joint or "whole arm", x.confidence, x.explains, parameters_text(x))
-        for x in findings
+        (
+            finding.effect,
+            finding.joint or "whole arm",
+            finding.confidence,
+            finding.explains,
+            parameters_text(finding),
+        )
+        for finding in findings
     ]
     titles = "effect | joint | confidence | explains | parameters"
     screen.values(values(titles, "text text share share text", rows))
-    for item in findings:
-        name = effect_at(item.effect, item.joint)
-        if item.confusable_with:
-            others, sure = " or ".join(item.confusable_with), item.name_confidence
-            alone = "" if sure is None else f" ({percent(sure)} by this name)"
-            screen.result(f"{name}{alone}: could also be {others}")
-        if item.separate_by and (item.confusable_with or why):
-            aim = "tell them apart" if item.confusable_with else "make sure"
-            screen.result(f"  to {aim}, record: {item.separate_by}")
-        if item.note:
-            screen.note(f"note: {name}: {item.note}")
-        if why:
-            nats = "" if item.log_gain is None else f" ({item.log_gain:.0f} nats)"
-            share = f"{percent(item.gain)} of the squared error on blocks left out"
-            screen.result(f"{name}: takes away {share}{nats}")
-            _shown(screen, item.evidence, robot)
-            screen.values(tables.rivals(item.rivals, f"tried for {name}"))
+    for finding in findings:
+        _show_doubts(screen, finding, explains=explains)
+        if explains:
+            _show_reasons(screen, finding, robot)
 
 
-def parameters_text(item: diagnosis.FindingEntry | EffectOfJoint) -> str:
+def _show_doubts(
+    screen: Screen, finding: diagnosis.FindingEntry, *, explains: bool
+) -> None:
+    """Say what else a finding could be, and what to record to know."""
+    name = effect_at(finding.effect, finding.joint)
+    if finding.confusable_with:
+        others = " or ".join(finding.confusable_with)
+        by_itself = ""
+        if finding.name_confidence is not None:
+            by_itself = f" ({percent(finding.name_confidence)} by this name)"
+        screen.result(f"{name}{by_itself}: could also be {others}")
+    if finding.separate_by and (finding.confusable_with or explains):
+        aim = "tell them apart" if finding.confusable_with else "make sure"
+        screen.result(f"  to {aim}, record: {finding.separate_by}")
+    if finding.note:
+        screen.note(f"note: {name}: {finding.note}")
+
+
+def _show_reasons(
+    screen: Screen, finding: diagnosis.FindingEntry, robot: RobotId
+) -> None:
+    """Say why a finding was taken: its gain, its residual, and its rivals."""
+    name = effect_at(finding.effect, finding.joint)
+    nats = "" if finding.log_gain is None else f" ({finding.log_gain:.0f} nats)"
+    share = f"{percent(finding.gain)} of the squared error on blocks left out"
+    screen.result(f"{name}: takes away {share}{nats}")
+    _show_evidence(screen, finding.evidence, robot)
+    screen.values(tables.rivals(finding.rivals, f"tried for {name}"))
+
+
+def parameters_text(effect: diagnosis.FindingEntry | EffectOfJoint) -> str:
     """Return the parameters of an effect with their errors, and its settings."""
-    # help of commands needs none
+    # Imported here: the help of commands needs no effects.
     from seqid_cli.model.effects.registry import setting_units
 
-    if not item.parameters:
+    if not effect.parameters:
         return "not determined by these logs"
-    if item.effect == UNEXPLAINED:
-        return smooth_in_words(item.parameters, item.settings)
-    told = [
-        x for x in item.parameters if x.std_error is not None and x.std_error < UNTOLD
-    ]
-    texts = [
-        f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}"
-        for x in told
-    ]
-    named, units = {x.name for x in item.parameters}, setting_units(item.effect)
-    for name, value in item.settings.items():
-        if name not in named:
-            text = value if isinstance(value, str) else number(value)
+    if effect.effect == UNEXPLAINED:
+        return smooth_in_words(effect.parameters, effect.settings)
+
+    texts = []
+    undetermined = []
+    for parameter in effect.parameters:
+        std_error = parameter.std_error
+        if std_error is None or std_error >= UNTOLD:
+            undetermined.append(parameter.name)
+            continue
+        value = f"{number(parameter.value)} +- {number(std_error, 2)}"
+        texts.append(f"{parameter.name} {value}{_unit(parameter.unit)}")
+
+    parameter_names = {parameter.name for parameter in effect.parameters}
+    units = setting_units(effect.effect)
+    for name, setting in effect.settings.items():
+        if name not in parameter_names:
+            text = setting if isinstance(setting, str) else number(setting)
             texts.append(f"{name} {text}{_unit(units.get(name, ''))}")
-    untold = [x.name for x in item.parameters if x not in told]
-    texts += [f"not determined: {', '.join(untold)}"] if untold else []
+    if undetermined:
+        texts.append(f"not determined: {', '.join(undetermined)}")
     return ", ".join(texts)
 
 
@@ -166,41 +224,47 @@ def _unit(unit: str) -> str:
     return "" if unit in ("", "1") else f" {unit}"
 
 
-def _unexplained(
+def _show_unexplained(
     screen: Screen,
     parts: Sequence[diagnosis.UnexplainedPart],
     robot: RobotId,
     *,
-    why: bool,
+    explains: bool,
 ) -> None:
+    """Print what no effect explains, and on what it depends."""
     rows = []
     for part in parts:
-        near = part.closest
-        closest = f"{near.effect}, {percent(near.share)}" if near else "none"
+        closest = "none"
+        if part.closest:
+            closest = f"{part.closest.effect}, {percent(part.closest.share)}"
         rows.append((part.joint, _quantities(part.depends_on), part.share, closest))
     titles = (
         "joint | unexplained, depends on | share | closest effect, share of its gain"
     )
     screen.values(values(titles, "text text share text", rows))
     for part in parts:
-        _shown(screen, part.evidence, robot)
-        if why:
+        _show_evidence(screen, part.evidence, robot)
+        if explains:
             screen.values(tables.rivals(part.rivals, "tried for what is unexplained"))
 
 
-def _shown(screen: Screen, shown: EvidenceEntry | None, robot: RobotId) -> None:
-    """Draw the residual over what an effect goes with, before and after that is taken off."""
-    if shown is None:
+def _show_evidence(
+    screen: Screen, evidence: EvidenceEntry | None, robot: RobotId
+) -> None:
+    """Draw the residual over what an effect goes with, with the effect and without."""
+    if evidence is None:
         return
-    sided = " times direction" if shown.sided else ""
-    marks = ": * before, o after" if shown.after else ""
-    force = robot.unit("N m", shown.joint)
-    label, over = (
-        f"residual of {shown.joint}{sided} {force}{marks}",
-        diagnosis.over_words(shown),
+    direction = " times direction" if evidence.sided else ""
+    marks = ": * before, o after" if evidence.after else ""
+    torque_unit = robot.unit("N m", evidence.joint)
+    lines = text_chart(
+        evidence.x,
+        evidence.before,
+        evidence.after,
+        over=f"{diagnosis.over_words(evidence)}{_unit(evidence.unit)}",
+        label=f"residual of {evidence.joint}{direction} {torque_unit}{marks}",
     )
-    over += _unit(shown.unit)
-    for line in text_chart(shown.x, shown.before, shown.after, over=over, label=label):
+    for line in lines:
         screen.result(line)
 
 
@@ -209,12 +273,10 @@ def _quantities(names: Sequence[str]) -> str:
 
 
 def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> None:
-    """Print the rounds, the errors before and after, and the effects of the refined model."""
-    added = (
-        f"Added: {_named(loop.rounds)}"
-        if loop.rounds
-        else diagnosis.nothing_added(loop)
-    )
+    """Print what was added, the errors before and after, and the refined effects."""
+    added = diagnosis.nothing_added(loop)
+    if loop.rounds:
+        added = f"Added: {_named(loop.rounds)}"
     screen.result(f"{added}.")
     if loop.unconfirmed:
         screen.result(
@@ -230,6 +292,7 @@ def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> No
     elif loop.rounds and not loop.verdicts:
         screen.result("Verdict good: the held-out logs confirm what was added.")
     show_poor(screen, loop.verdicts, "refinement")
+
     screen.values(tables.rounds(loop))
     screen.values(tables.loop_errors(loop, file.robot))
     if loop.evaluated_on:
@@ -238,32 +301,32 @@ def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> No
             " positions and speeds at which friction was identified:"
             f" {', '.join(loop.evaluated_on)}"
         )
-    effects = file.stages.effects or []
     rows = [
-        (item.effect, item.joint or "whole arm", parameters_text(item))
-        for item in effects
+        (effect.effect, effect.joint or "whole arm", parameters_text(effect))
+        for effect in file.stages.effects or []
     ]
     screen.values(values("effect | joint | parameters", "text text text", rows))
     screen.remark(*loop.notes)
 
 
 def stopped_sentence(stopped: StoppedAt) -> str:
-    """Return at which limit of rounds a refinement stopped, and what it has not tried."""
+    """Return at which limit a refinement stopped, and what it has not tried."""
     limit = f"the limit of rounds (--rounds {stopped.rounds})"
     return f"stopped at {limit}; found and not tried: {_named(stopped.untried)}"
 
 
-def _named(rounds: Sequence[RefinementRound | EffectOfPlace]) -> str:
+def _named(effects: Sequence[RefinementRound | EffectOfPlace]) -> str:
     """Return effects with their places, an effect at several joints once."""
+    # An effect of the whole arm stays apart from the same one at a joint.
     joints: dict[tuple[str, bool], list[str]] = {}
-    for item in rounds:
-        of_effect = joints.setdefault((item.effect, item.joint is None), [])
-        if item.joint is not None:
-            of_effect.append(item.joint)
-    named = (
-        effect_at(effect, ", ".join(places)) for (effect, _), places in joints.items()
-    )
-    return "; ".join(named) if max(map(len, joints.values())) > 1 else ", ".join(named)
+    for effect in effects:
+        places = joints.setdefault((effect.effect, effect.joint is None), [])
+        if effect.joint is not None:
+            places.append(effect.joint)
+
+    texts = [effect_at(name, ", ".join(places)) for (name, _), places in joints.items()]
+    has_commas = any(len(places) > 1 for places in joints.values())
+    return ("; " if has_commas else ", ").join(texts)
 
 
 def text_chart(
@@ -274,40 +337,73 @@ def text_chart(
     over: str,
     label: str,
 ) -> list[str]:
-    """Draw y (`*`) and what it is `after` something (`o`) over x, with the ranges at the axes.
+    """Draw values over x in characters, with the ranges at the axes.
 
-    Nothing below two points. Those in one column are averaged; x need not be even or
-    sorted.
+    Parameters
+    ----------
+    x : sequence of float, N
+        Need not be even or sorted. Values that fall into one column are averaged.
+    y : sequence of float, N
+        Drawn as `*`, above what is drawn as `o`.
+    after : sequence of float, N or none
+        The same after something was taken off, drawn as `o`.
+    over, label : str
+        What x and y are.
+
+    Returns
+    -------
+    list of str
+        The lines; none below two points.
     """
     if len(x) < 2 or min(x) == max(x):
         return []
-    curves = [("o", _column_means(x, after))] if after else []
-    curves.append(("*", _column_means(x, y)))
-    every = [value for _, means in curves for value in means.values()]
-    low, high = min(every), max(every)
-    rows = [[" "] * _COLUMNS for _ in range(_ROWS)]
+    curves = [("*", _column_means(x, y))]
+    if after:
+        curves.insert(0, ("o", _column_means(x, after)))
+    heights: list[float] = []
+    for _, means in curves:
+        heights += means.values()
+    low = min(heights)
+    high = max(heights)
+
+    canvas = [[" "] * _CHART_COLUMNS for _ in range(_CHART_ROWS)]
+    last_row = _CHART_ROWS - 1
     for mark, means in curves:
         for column, value in means.items():
             share = (value - low) / (high - low) if high > low else 0.5
-            rows[_ROWS - 1 - round(share * (_ROWS - 1))][column] = mark
-    labels = [number(high), *[""] * (_ROWS - 2), number(low)]
-    width = max(map(len, labels))
-    drawn = (
-        f"{y.rjust(width)} |{''.join(row)}" for y, row in zip(labels, rows, strict=True)
-    )
-    left, right = number(min(x)), number(max(x))
+            canvas[last_row - round(share * last_row)][column] = mark
+    return _framed(canvas, (min(x), max(x)), (low, high), over=over, label=label)
+
+
+def _framed(
+    canvas: Sequence[Sequence[str]],
+    x_range: tuple[float, float],
+    y_range: tuple[float, float],
+    *,
+    over: str,
+    label: str,
+) -> list[str]:
+    """Return the lines of a chart with its axes, their ends, and what they are."""
+    low, high = (number(end) for end in y_range)
+    left, right = (number(end) for end in x_range)
+    ends = [high, *[""] * (len(canvas) - 2), low]
+    width = max(map(len, ends))
     margin = " " * (width + 2)
-    return [
-        f"{margin}{label}",
-        *map(str.rstrip, drawn),
-        f"{' ' * width} +{'-' * _COLUMNS}",
-        f"{margin}{left}{right.rjust(_COLUMNS - len(left))}  {over}",
-    ]
+
+    lines = [f"{margin}{label}"]
+    for end, row in zip(ends, canvas, strict=True):
+        lines.append(f"{end.rjust(width)} |{''.join(row)}".rstrip())
+    lines.append(f"{' ' * width} +{'-' * _CHART_COLUMNS}")
+    lines.append(f"{margin}{left}{right.rjust(_CHART_COLUMNS - len(left))}  {over}")
+    return lines
 
 
-def _column_means(x: Sequence[float], y: Sequence[float]) -> dict[int, float]:
-    left, span = min(x), max(x) - min(x)
+def _column_means(x: Sequence[float], y: Sequence[float]) -> Mapping[int, float]:
+    """Return the mean of y in each column of the chart that has any, by its number."""
+    left = min(x)
+    span = max(x) - left
     columns: dict[int, list[float]] = {}
-    for at, value in zip(x, y, strict=True):
-        columns.setdefault(round((at - left) / span * (_COLUMNS - 1)), []).append(value)
-    return {column: sum(values) / len(values) for column, values in columns.items()}
+    for position, value in zip(x, y, strict=True):
+        column = round((position - left) / span * (_CHART_COLUMNS - 1))
+        columns.setdefault(column, []).append(value)
+    return {column: sum(inside) / len(inside) for column, inside in columns.items()}

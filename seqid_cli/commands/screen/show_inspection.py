@@ -1,4 +1,4 @@
-"""An inspection on the screen: the verdict first, then logs, joints, moves, findings."""
+"""An inspection on the screen: its verdict, then logs, findings, joints, moves."""
 
 import os
 import re
@@ -70,13 +70,13 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
     uneven = any(log.gaps or log.jitter >= SHOWN_JITTER for log in logs)
     # Names tell the format; where they share it, jitter and gaps have the room.
     with_format = not uneven or len({log.format for log in logs}) > 1
-    titles, kinds = "log | verdict", "text text"
+    kind_of_column = {"log": "text", "verdict": "text"}
     if with_format:
-        titles, kinds = f"{titles} | format", f"{kinds} text"
-    titles, kinds = f"{titles} | s | Hz", f"{kinds} number4 text"
+        kind_of_column["format"] = "text"
+    kind_of_column |= {"s": "number4", "Hz": "text"}
     if uneven:
-        titles, kinds = f"{titles} | jitter | gaps", f"{kinds} share count"
-    titles, kinds = f"{titles} | moving | serves", f"{kinds} text text"
+        kind_of_column |= {"jitter": "share", "gaps": "count"}
+    kind_of_column |= {"moving": "text", "serves": "text"}
 
     rows = []
     for group in groups.values():
@@ -94,6 +94,8 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
         row.append(_moving_joints(first))
         row.append(", ".join(first.serves) or None)
         rows.append(row)
+    titles = " | ".join(kind_of_column)
+    kinds = " ".join(kind_of_column.values())
     screen.values(values(titles, kinds, rows))
 
 
@@ -135,7 +137,7 @@ def _common_folder(paths: Sequence[str]) -> str:
 
 
 def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
-    """Print findings, the gravest first; what several logs or joints share comes once."""
+    """Print findings, the gravest first, and once where logs or joints share them."""
     shared: dict[tuple[str, str], list[InspectionFinding]] = {}
     for finding in sorted(findings, key=lambda x: _GRAVEST_FIRST.index(x.severity)):
         if screen.verbose:

@@ -41,16 +41,18 @@ def prepare_streams() -> None:
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
-            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
+            nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+            setattr(sys, name, nowhere)
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
     if isinstance(sys.stderr, io.TextIOWrapper):
-        encoding, buffer = sys.stderr.encoding, sys.stderr.detach()
+        encoding = sys.stderr.encoding  # which the detached stream has no more
+        buffer = sys.stderr.detach()
         sys.stderr = Messages(buffer, encoding, "backslashreplace", line_buffering=True)
 
 
 def cannot_be_written(error: OSError) -> bool:
-    """Whether it is a stream that failed, of which no file is told, or whose reader has left."""
+    """Return whether a stream failed: its reader has left, or no file is named."""
     return isinstance(error, BrokenPipeError) or (
         error.filename is None and error.errno in FULL
     )

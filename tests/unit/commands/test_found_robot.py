@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from seqid_cli.commands.options import found_robot
+from seqid_cli.commands.robot_file import found_robot, found_robot_if_any
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.errors import UsageError
 
@@ -55,4 +55,4 @@ def test_without_one_it_is_an_error_or_none(lab: Path) -> None:
     (lab / "left" / "robot.toml").unlink()
     with pytest.raises(UsageError, match=r"no robot\.toml here or beside the logs"):
         found_robot(SCREEN, ["../left/friction", "s3://bucket/left"])
-    assert found_robot(SCREEN, ["../left/friction"], required=False) is None
+    assert found_robot_if_any(SCREEN, ["../left/friction"]) is None

@@ -8,8 +8,8 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 
-from seqid_cli.commands.app import COMMANDS, command_function
-from seqid_cli.settings import Group, Settings
+from seqid_cli.commands.settings import SETTINGS_OF_COMMANDS
+from seqid_cli.settings import Group
 from tests import ROOT
 
 PAGE = ROOT / "docs" / "reference" / "settings.md"
@@ -17,12 +17,6 @@ TABLES = re.compile(r"(?s)<!-- settings -->\n.*?<!-- /settings -->")
 _ROW = re.compile(r"\| `(\w+\.\w+)` \|.*\| ([^|]*) \|$")
 _HEADING = re.compile(r"### \w+: `([\w-]+)`")
 HEAD = "| setting | default | unit | from | to | what it guards | what moving it does |"
-
-
-def settings_of_commands() -> dict[str, Settings]:
-    """Return the settings of every command that has any."""
-    found = {name: command_function(name).settings for name in COMMANDS}
-    return {name: own for name, own in found.items() if own is not None}
 
 
 def rewritten(text: str) -> str:
@@ -34,7 +28,9 @@ def rewritten(text: str) -> str:
 
 def _tables(before: str) -> Iterator[str]:
     commands: dict[tuple[str, type[Group]], list[str]] = {}
-    for command, settings in settings_of_commands().items():
+    for command, settings in SETTINGS_OF_COMMANDS.items():
+        if command == "run":  # it has the settings of its stages
+            continue
         for each in fields(settings):
             kind = type(getattr(settings, each.name))
             commands.setdefault((each.name, kind), []).append(command)

@@ -65,9 +65,7 @@ def main() -> int:
                 told = f"{len(tally.outcomes)}, {len(tally.finds)} finds"
                 sys.stderr.write(f"{target.name}: {told}\n")
             done += ROUND
-    show(
-        "evidence/damage.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write
-    )
+    show("evidence/damage.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write)
     return 1 if _kept(tallies, chosen.keep) else 0
 
 

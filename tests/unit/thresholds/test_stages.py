@@ -72,7 +72,7 @@ from seqid_cli.params.schema import (
     Stages,
     Verdict,
 )
-from seqid_cli.payload.result import _verdicts as payload_verdicts
+from seqid_cli.payload.result import _joint_verdicts, _mass_verdict
 from seqid_cli.payload.settings import PayloadFitSettings
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
@@ -796,14 +796,11 @@ def bad_payload(
     entry: Any = SimpleNamespace(
         mass=SimpleNamespace(value=1e-3 * mass_sigma, std_error=1e-3), distance=distance
     )
-    fit: Any = SimpleNamespace(
-        samples=[100],
-        before=[1.0],
-        after=[left],
-        measured=[1.0],
-        friction_change=[0.0],
-    )
-    verdicts = payload_verdicts(fit, entry, ("elbow",), 10.0, settings)
+    joint: Any = SimpleNamespace(relative=left)
+    verdicts = [
+        _mass_verdict(entry, 10.0, settings),
+        *_joint_verdicts(entry, {"elbow": joint}, settings),
+    ]
     return " ".join(verdict.reason for verdict in verdicts)
 
 

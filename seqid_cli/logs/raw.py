@@ -1,7 +1,8 @@
 """What a reader hands over: samples as they were logged.
 
-Each stream has its own stamps: what one message or one row says at one time. Stamps are integer nanoseconds, so sums and differences are exact. M is the number of
-samples of a stream, w the number of columns of one quantity, n the number of joints.
+Each stream has its own stamps: what one message or one row says at one time. Stamps
+are integer nanoseconds, so sums and differences are exact. M is the number of samples
+of a stream, w the number of columns of one quantity, n the number of joints.
 """
 
 from collections.abc import Iterator, Sequence

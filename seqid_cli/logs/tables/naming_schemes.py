@@ -40,8 +40,8 @@ class _Words:
     """Words for one quantity, in the order in which they are tried.
 
     `named` and `numbered` stand beside a joint's name or number in columns that are
-    read as they are. `proposed` ones are too common to be read unasked; they count where
-    a robot file is proposed, which a person looks at.
+    read as they are. `proposed` ones are too common to be read unasked. They count
+    where a robot file is proposed, which a person looks at.
     """
 
     named: str = ""
@@ -86,14 +86,13 @@ _WORDS = {
     ),
 }
 # Words beside a quantity that tell what was commanded or measured, and are no joint.
-COMMANDED = frozenset({
-    "target", "desired", "des", "cmd", "command", "commanded", "ref", "goal", "setpoint",
-    "soll", "d", "err", "error",
-})  # fmt: skip
-MEASURED = frozenset({
-    "joint", "joints", "j", "a", "m", "axis", "achse", "gelenk", "state", "states", "actual",
-    "measured", "meas", "act", "ist", "motor", "servo", "robot", "observation",
-})  # fmt: skip
+COMMANDED = frozenset(
+    "target desired des cmd command commanded ref goal setpoint soll d err error".split()
+)
+MEASURED = frozenset(
+    "joint joints j a m axis achse gelenk state states actual measured meas act ist"
+    " motor servo robot observation".split()
+)
 
 
 def _guessed_words() -> dict[str, frozenset[str]]:
@@ -132,7 +131,7 @@ Scheme = Mapping[str, tuple[str, ...]]
 
 
 def _scheme(form: str, words: Mapping[str, str]) -> Scheme:
-    """Make a scheme of a form of names, in which `*` stands for each word of a quantity."""
+    """Make a scheme of a form of names; `*` stands for each word of a quantity."""
     return {
         quantity: tuple(form.replace("*", word) for word in listed.split())
         for quantity, listed in words.items()
@@ -222,9 +221,9 @@ def find_scheme(
 def find_quantities(
     joints: Sequence[str], known: Collection[str]
 ) -> dict[str, list[str | None]]:
-    """Find the columns of all quantities but the position, which the robot file declares.
+    """Find the columns of all quantities but the position.
 
-    A quantity is found by the first scheme that has it for all joints, else by the
+    The robot file declares the position. Another quantity is found by the first scheme that has it for all joints, else by the
     default names of some joints.
     """
     placed_joints = [(joint, place) for place, joint in enumerate(joints)]
@@ -259,7 +258,7 @@ def _columns(
     *,
     of_all: bool,
 ) -> list[str | None] | None:
-    """Return the columns of the first pattern that gives one for all joints, or for some."""
+    """Return the columns of the first pattern that has them for all joints, or some."""
     for pattern in scheme.get(quantity, ()):
         filled = [column_name(pattern, joint, place) for joint, place in placed_joints]
         names = [name if name in known else None for name in filled]
@@ -309,7 +308,10 @@ def joints_by_scheme(names: Sequence[str], separators: str) -> NamedJoints | Non
 
 
 def _names_in(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Return what stands for `{name}` in the columns of a pattern, commanded ones left out."""
+    """Return what stands for `{name}` in the columns of a pattern.
+
+    Commanded quantities are left out: `target.position` is no joint.
+    """
     before, after = pattern.split("{name}")
     form = re.compile(f"{re.escape(before)}([^./]+){re.escape(after)}")
     matches = (form.fullmatch(name) for name in names)

@@ -193,7 +193,7 @@ def _unit(
 def _from_counts(
     where: str, table: pa.Table, name: str, ns_per_unit: int
 ) -> tuple[Stamps, Mask]:
-    """Return exact stamps [ns] (M,) by integer counts of a unit, and the usable ones."""
+    """Return exact stamps [ns] (M,) by counts of a unit, and which are usable."""
     with _explained(where, name):
         values = column(table, name)
         is_missing = pc.is_null(values).to_numpy()
@@ -208,7 +208,7 @@ def _from_counts(
 
 
 def _from_values(values: Array, ns_per_unit: int) -> tuple[Stamps, Mask]:
-    """Return stamps [ns] (M,) by floating-point values, and the usable ones.
+    """Return stamps [ns] (M,) by floating-point values, and which are usable.
 
     Whole units and the fraction are converted apart, so that no digit of an epoch time
     is lost.

@@ -60,7 +60,7 @@ def separate(stamps: Stamps, rows: Rows, episode: Array, name: str) -> Stretches
 
 
 def _mean_interval(stamps: Stamps, runs: list[Rows]) -> float:
-    """Return the mean interval [ns] in episodes, gaps left out; one second without any."""
+    """Return the mean interval [ns] in episodes without gaps; one second if none."""
     steps = np.concatenate([np.diff(stamps[run]) for run in runs])
     steps = steps[steps > 0]
     if not len(steps):

@@ -87,11 +87,44 @@ _WORDS = {
 }
 # Words beside a quantity that tell what was commanded or measured, and are no joint.
 COMMANDED = frozenset(
-    "target desired des cmd command commanded ref goal setpoint soll d err error".split()
+    {
+        "target",
+        "desired",
+        "des",
+        "cmd",
+        "command",
+        "commanded",
+        "ref",
+        "goal",
+        "setpoint",
+        "soll",
+        "d",
+        "err",
+        "error",
+    }
 )
 MEASURED = frozenset(
-    "joint joints j a m axis achse gelenk state states actual measured meas act ist"
-    " motor servo robot observation".split()
+    {
+        "joint",
+        "joints",
+        "j",
+        "a",
+        "m",
+        "axis",
+        "achse",
+        "gelenk",
+        "state",
+        "states",
+        "actual",
+        "measured",
+        "meas",
+        "act",
+        "ist",
+        "motor",
+        "servo",
+        "robot",
+        "observation",
+    }
 )
 
 
@@ -223,8 +256,8 @@ def find_quantities(
 ) -> dict[str, list[str | None]]:
     """Find the columns of all quantities but the position.
 
-    The robot file declares the position. Another quantity is found by the first scheme that has it for all joints, else by the
-    default names of some joints.
+    The robot file declares the position. Another quantity is found by the first scheme
+    that has it for all joints, else by the default names of some joints.
     """
     placed_joints = [(joint, place) for place, joint in enumerate(joints)]
     columns: dict[str, list[str | None]] = {}

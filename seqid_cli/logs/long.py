@@ -32,7 +32,7 @@ from seqid_cli.logs.raw import (
 )
 from seqid_cli.logs.read import ABSURD, with_torque
 from seqid_cli.logs.storage import files
-from seqid_cli.logs.storage.remote import Spool
+from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.thinned import Thinned as Thinned  # as others import it
@@ -322,7 +322,7 @@ def _rows(
             continue
 
         # Which joints have what torque can be taken from must be the same all along.
-        sources = {
+        sources: dict[str, list[bool]] = {
             name: np.isfinite(joints.channels[name]).any(axis=0).tolist()
             for name in ("current", "torque")
             if name in joints.channels

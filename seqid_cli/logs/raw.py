@@ -108,7 +108,7 @@ def joined(parts: Sequence[Stream]) -> Stream:
 
 
 def partly_logged(
-    imu: Imu, missing: Sequence[str], where: str, there: str = ""
+    imu: Imu, missing: Sequence[str], where: str, content: str = ""
 ) -> InputError:
     """Make the error for an IMU of which a log has only some channels.
 
@@ -120,7 +120,7 @@ def partly_logged(
         Names of the columns or topics that the log lacks.
     where : str
         The log, for the message.
-    there : str
+    content : str
         What the log holds instead, in words; added to the hint.
     """
     hint = f"The robot file gives it {len(imu.positions)} accelerometers"
@@ -129,7 +129,7 @@ def partly_logged(
     hint += ": log them all, or correct the robot file."
     return InputError(
         f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}",
-        hint=f"{hint} {there}".strip(),
+        hint=f"{hint} {content}".strip(),
         where=where,
     )
 

@@ -117,7 +117,7 @@ class _Run(NamedTuple):
 
     byte: int  # of the first, in a message with its pad
     column: int  # of the first, in the row of numbers
-    count: int
+    n_numbers: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,11 +176,11 @@ class Layout:
             rows = rows[fits]
 
         values = np.empty((len(rows), self.width))
-        if sum(run.count for run in self.runs) < self.width:
+        if sum(run.n_numbers for run in self.runs) < self.width:
             values.fill(np.nan)
-        for byte, column, count in self.runs:
-            numbers = rows[:, byte : byte + WORD * count].view(f"{self.order}f8")
-            values[:, column : column + count] = numbers
+        for byte, column, n_numbers in self.runs:
+            numbers = rows[:, byte : byte + WORD * n_numbers]
+            values[:, column : column + n_numbers] = numbers.view(f"{self.order}f8")
 
         header = rows[:, self.pad + _ENCAPSULATION :]
         seconds = header[:, :4].view(f"{self.order}i4")[:, 0]

@@ -35,7 +35,11 @@ _FORMS = (
 
 
 def imu_columns(
-    where: str, robot: Robot, imu: Imu, known: Collection[str], warnings: list[str]
+    where: str,
+    robot: Robot,
+    imu: Imu,
+    log_columns: Collection[str],
+    warnings: list[str],
 ) -> ImuColumns | None:
     """Find the accelerometer and gyro columns of an IMU.
 
@@ -43,7 +47,7 @@ def imu_columns(
     ----------
     where : str
         The log, for messages.
-    known : collection of str
+    log_columns : collection of str
         Its columns.
     warnings : list of str
         A note on another source of the readings is added to it.
@@ -59,9 +63,9 @@ def imu_columns(
         The log has some of them only.
     """
     for form in _FORMS:
-        columns = _filled(form, imu, known)
+        columns = _filled(form, imu, log_columns)
         names = columns.accelerometers + columns.gyro
-        missing = [name for name in names if name not in known]
+        missing = [name for name in names if name not in log_columns]
         if not missing:
             return columns
         if len(missing) < len(names):
@@ -71,19 +75,19 @@ def imu_columns(
     names = [f"actual_tool_accelerometer_{axis}" for axis in range(3)]
     is_on_last_link = imu.after_joint == robot.n - 1
     is_triad = len(imu.positions) == 3 and not imu.gyro
-    if not (is_on_last_link and is_triad and set(names) <= set(known)):
+    if not (is_on_last_link and is_triad and set(names) <= set(log_columns)):
         return None
     warnings.append(f"IMU {imu.name!r} is read from {names[0]} ... {names[-1]}")
     return ImuColumns(names, [])
 
 
-def _filled(form: _Form, imu: Imu, known: Collection[str]) -> ImuColumns:
+def _filled(form: _Form, imu: Imu, log_columns: Collection[str]) -> ImuColumns:
     """Fill a form for an IMU; three accelerometers without numbers are axes."""
     count = len(imu.positions)
     accelerometers = [
         form.accelerometer.format(imu=imu.name, of=k + 1) for k in range(count)
     ]
-    if count == 3 and not set(known).intersection(accelerometers):
+    if count == 3 and not set(log_columns).intersection(accelerometers):
         accelerometers = [
             form.accelerometer.format(imu=imu.name, of=axis) for axis in "xyz"
         ]

@@ -1,4 +1,4 @@
-"""How well-known loggers name the columns of a table: standard library only.
+"""How well-log_columns loggers name the columns of a table: standard library only.
 
 A scheme gives the pattern of each quantity; `{name}` is the joint's name in the robot
 file, `{index0}` and `{index}` its place in the chain from 0 or 1, `column[k]` an
@@ -217,7 +217,7 @@ def column_name(pattern: "Columns", joint: str, index0: int) -> str:
 
 def find_scheme(
     joints: Sequence[str],
-    known: Collection[str],
+    log_columns: Collection[str],
     entries: Mapping[str, int] | None = None,
 ) -> Match | None:
     """Find the scheme by which a log names the positions of all joints.
@@ -226,7 +226,7 @@ def find_scheme(
     ----------
     joints : sequence of str
         Names of the robot file, in chain order.
-    known : collection of str
+    log_columns : collection of str
         Columns of the log.
     entries : mapping of str to int, optional
         Place of each joint in the log's lists, where it names them; else a joint's
@@ -242,7 +242,11 @@ def find_scheme(
         columns: dict[str, list[str | None]] = {}
         for quantity in _ALL:
             names = _columns(
-                scheme, quantity, placed_joints, known, of_all=quantity == "position"
+                scheme,
+                quantity,
+                placed_joints,
+                log_columns,
+                of_all=quantity == "position",
             )
             if names is not None:
                 columns[quantity] = names
@@ -252,7 +256,7 @@ def find_scheme(
 
 
 def find_quantities(
-    joints: Sequence[str], known: Collection[str]
+    joints: Sequence[str], log_columns: Collection[str]
 ) -> dict[str, list[str | None]]:
     """Find the columns of all quantities but the position.
 
@@ -263,23 +267,27 @@ def find_quantities(
     columns: dict[str, list[str | None]] = {}
     for quantity in _ALL[1:]:
         for scheme in SCHEMES:
-            names = _columns(scheme, quantity, placed_joints, known, of_all=True)
+            names = _columns(scheme, quantity, placed_joints, log_columns, of_all=True)
             if names is not None:
                 break
         else:
-            names = _columns(DEFAULT, quantity, placed_joints, known, of_all=False)
+            names = _columns(
+                DEFAULT, quantity, placed_joints, log_columns, of_all=False
+            )
         if names:
             columns[quantity] = names
     return columns
 
 
-def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
+def nearest_scheme(joints: Sequence[str], log_columns: Collection[str]) -> list[str]:
     """List the position columns that a log lacks of the scheme that fits it best."""
     missing_by_pattern = []
     for scheme in SCHEMES:
         for pattern in scheme["position"]:
             names = [column_name(pattern, name, k) for k, name in enumerate(joints)]
-            missing_by_pattern.append([name for name in names if name not in known])
+            missing_by_pattern.append(
+                [name for name in names if name not in log_columns]
+            )
     return min(missing_by_pattern, key=len)
 
 
@@ -287,14 +295,14 @@ def _columns(
     scheme: Scheme,
     quantity: str,
     placed_joints: list[tuple[str, int]],
-    known: Collection[str],
+    log_columns: Collection[str],
     *,
     of_all: bool,
 ) -> list[str | None] | None:
     """Return the columns of the first pattern that has them for all joints, or some."""
     for pattern in scheme.get(quantity, ()):
         filled = [column_name(pattern, joint, place) for joint, place in placed_joints]
-        names = [name if name in known else None for name in filled]
+        names = [name if name in log_columns else None for name in filled]
         if all(names) or (not of_all and any(names)):
             return names
     return None

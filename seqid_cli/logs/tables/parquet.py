@@ -245,10 +245,10 @@ def _entries(joints: Sequence[str], element_names: Sequence[str]) -> dict[str, i
         places.setdefault(name, place)
     entries = {}
     for joint in joints:
-        forms = (joint + ending for ending in _ENDINGS)
-        name = next((form for form in forms if form in places), None)
-        if name is not None:
-            entries[joint] = places[name]
+        for ending in _ENDINGS:
+            if joint + ending in places:
+                entries[joint] = places[joint + ending]
+                break
     return entries
 
 

@@ -172,22 +172,22 @@ def make_plan(file: TableFile, robot: Robot) -> Plan:
     Raises InputError where positions or a declared column are missing, or where time is
     ambiguous.
     """
-    known = set(file.names)
+    log_columns = set(file.names)
     joints = robot.joint_names
-    match = schemes.find_scheme(joints, known, file.entries)
+    match = schemes.find_scheme(joints, log_columns, file.entries)
     if match is None and robot.channels.position is None:
-        nearest = schemes.nearest_scheme(joints, known)
+        nearest = schemes.nearest_scheme(joints, log_columns)
         raise missing_columns(file.where, nearest, file.names)
 
     warnings: list[str] = []
     joint_columns = _joint_columns(file, robot, match)
     imus: dict[str, ImuColumns] = {}
     for imu in robot.imus:
-        columns = imu_columns(file.where, robot, imu, known, warnings)
+        columns = imu_columns(file.where, robot, imu, log_columns, warnings)
         if columns is not None:
             imus[imu.name] = columns
 
-    free = known.difference(*joint_columns.values())
+    free = log_columns.difference(*joint_columns.values())
     return Plan(
         time=_time_column(file, robot.channels, match),
         joints=joint_columns,
@@ -201,10 +201,12 @@ def _joint_columns(
     file: TableFile, robot: Robot, match: schemes.Match | None
 ) -> dict[str, list[str | None]]:
     """Return the columns of the joints by quantity: declared ones before found ones."""
-    known = set(file.names)
+    log_columns = set(file.names)
     joints = robot.joint_names
     columns = (
-        schemes.find_quantities(joints, known) if match is None else dict(match.columns)
+        schemes.find_quantities(joints, log_columns)
+        if match is None
+        else dict(match.columns)
     )
     effort = columns.pop(schemes.EFFORT, None)
     if effort is not None:
@@ -218,7 +220,7 @@ def _joint_columns(
         declared = [
             schemes.column_name(pattern, name, k) for k, name in enumerate(joints)
         ]
-        missing = [name for name in declared if name not in known]
+        missing = [name for name in declared if name not in log_columns]
         if missing:
             raise missing_columns(file.where, missing, file.names)
         columns[quantity] = [*declared]

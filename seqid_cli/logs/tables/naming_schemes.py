@@ -1,4 +1,4 @@
-"""How well-log_columns loggers name the columns of a table: standard library only.
+"""How well-known loggers name the columns of a table: standard library only.
 
 A scheme gives the pattern of each quantity; `{name}` is the joint's name in the robot
 file, `{index0}` and `{index}` its place in the chain from 0 or 1, `column[k]` an

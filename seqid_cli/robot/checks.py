@@ -65,7 +65,7 @@ class Problem(NamedTuple):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Offer the known name nearest to a word in a sentence; empty where none is near."""
+    """Offer the known name nearest to a word, in a sentence; empty if none is near."""
     close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
     return f"Did you mean '{close[0]}'? " if close else ""
 
@@ -103,7 +103,7 @@ def _text(key: str, value: str) -> Iterator[Problem]:
 
 
 def _numbers(key: str, named: str, value: Any) -> Iterator[Problem]:
-    """Yield numbers in a value, each by its full path, that are too large or not finite.
+    """Yield numbers in a value that are too large or not finite, by their full paths.
 
     `named`: the table in words, behind the path.
     """

@@ -81,7 +81,7 @@ def _check_schema(path: Path, schema: object) -> None:
 
 
 def _converted(path: Path, document: dict[str, object]) -> RobotFile:
-    """Convert a document to its types; raises ConfigError where it does not have them."""
+    """Convert a document to its types; raises ConfigError if it does not have them."""
     try:
         return msgspec.convert(document, RobotFile)
     except msgspec.ValidationError as problem:

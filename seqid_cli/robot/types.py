@@ -1,4 +1,4 @@
-"""The robot as every other layer sees it: frozen data, no file formats, no Pinocchio."""
+"""The robot as all other rooms see it: frozen data, no file formats, no Pinocchio."""
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
@@ -46,7 +46,7 @@ class Joint:
         return self.torque_constant * (self.gear_ratio or 1.0)
 
     def unit(self, unit: str) -> str:
-        """Return the joint's own unit for one that is written as for a revolute joint."""
+        """Return the joint's unit for one that is written as for a revolute joint."""
         return unit_of(unit, self.prismatic)
 
 

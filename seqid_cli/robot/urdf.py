@@ -200,7 +200,7 @@ def _joint(element: ElementTree.Element) -> UrdfJoint:
 
 
 def _wrong_numbers(root: ElementTree.Element) -> Iterator[Problem]:
-    """Yield numbers that Pinocchio takes as they are, or refuses without their place."""
+    """Yield numbers that Pinocchio takes as they are, or refuses without a place."""
     for owner in root:
         named = f"{owner.tag} {owner.get('name')!r}"
         is_movable = owner.get("type") in MOVABLE
@@ -250,7 +250,8 @@ def _faults_of_the_tree(
         for which, end in (("parent", joint.parent), ("child", joint.child)):
             if end not in links:
                 yield Problem(
-                    f"joint {joint.name!r}: its {which} link {end!r} is not in the URDF",
+                    f"joint {joint.name!r}: its {which} link {end!r} is not in the"
+                    " URDF",
                     "Add the link, or correct its name.",
                 )
         first = mover_of.setdefault(joint.child, joint.name)

@@ -315,14 +315,14 @@ def _rows(
     for a step of `read.assemble` that looks beyond a block.
     """
     latest = np.zeros(0, np.int64)
-    first_sources: dict[str, list[bool]] = {}
+    first_sources: dict[str, object] = {}
     for raw in READERS[kind](path, replace(robot, imus=()), time_source):
         joints = raw.joints
         if not len(joints):
             continue
 
         # Which joints have what torque can be taken from must be the same all along.
-        sources: dict[str, list[bool]] = {
+        sources: dict[str, object] = {
             name: np.isfinite(joints.channels[name]).any(axis=0).tolist()
             for name in ("current", "torque")
             if name in joints.channels

@@ -58,7 +58,7 @@ class Basis:
 
     @property
     def _n_joints(self) -> int:
-        return self.expression.shape[1] // (PER_LINK + 1)
+        return int(self.expression.shape[1] // (PER_LINK + 1))
 
     def terms(self, k: int) -> dict[str, float]:
         """Return base parameter `k` as factors of standard parameters.

@@ -23,7 +23,7 @@ MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
 class _Numbers(NamedTuple):
     """How many numbers an attribute has, and between which limits."""
 
-    count: int
+    size: int
     low: float = -LARGEST
     high: float = LARGEST
 
@@ -222,12 +222,12 @@ def _wrong_numbers(root: ElementTree.Element) -> Iterator[Problem]:
 
 def _fault_of(values: list[float], wanted: _Numbers) -> str:
     """Say what is wrong with the numbers of an attribute; empty where nothing is."""
-    has_count = len(values) == wanted.count
-    if has_count and wanted.low <= min(values) <= max(values) <= wanted.high:
+    has_size = len(values) == wanted.size
+    if has_size and wanted.low <= min(values) <= max(values) <= wanted.high:
         return ""
-    plural = "s" if wanted.count > 1 else ""
+    plural = "s" if wanted.size > 1 else ""
     return (
-        f"is not {wanted.count} finite number{plural} of {wanted.low:g} to"
+        f"is not {wanted.size} finite number{plural} of {wanted.low:g} to"
         f" {wanted.high:g}"
     )
 

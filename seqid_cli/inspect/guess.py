@@ -10,27 +10,19 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.contents import Survey
-from seqid_cli.logs.tables.naming_schemes import COMMANDED, MEASURED
+from seqid_cli.logs.tables.naming_schemes import (
+    COMMANDED,
+    MEASURED,
+    column_name,
+    joints_by_scheme,
+)
+from seqid_cli.logs.tables.naming_schemes import WORDS as WORDS  # as others import it
 from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.toml import MOST_JOINTS
 from seqid_cli.robot.toml_schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Joint, Robot
 
-# Words for each quantity, joined and in lower case; those of one letter count only
-# beside a number.
-WORDS: Mapping[str, str] = {
-    "position": "position positions pos q angle theta measq winkel",
-    "velocity": "velocity velocities vel qd dq qdot speed geschwindigkeit drehzahl",
-    "current": "current currents cur amps i iq strom",
-    "torque": "torque torques tau effort efforts tauj moment drehmoment",
-    "load": "load",
-    "voltage": "voltage spannung",
-    "pwm": "pwm duty",
-    "temperature": "temperature temperatures temp temperatur",
-}
-_QUANTITY = {
-    word: quantity for quantity, words in WORDS.items() for word in words.split()
-}
+_QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words}
 _BESIDE = COMMANDED | MEASURED
 _SHORT = 2  # letters; such words are too common to stand for a quantity of one joint
 _BRACKET = re.compile(r"[\[(]\s*([^\])0-9{}]*)[\])]")  # a unit behind a name
@@ -76,6 +68,33 @@ def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str,
     joint_2, ...
     """
     names = list(names)
+    patterns, joints = _guess_by_words(names)
+
+    # What is read without being declared is recognised as well, also where a joint is
+    # called like a word that is passed over (`motor_a`, `left_joint_1`). Underscores
+    # part too much to count where words tell anything.
+    read = joints_by_scheme(names, separators="./" if joints else "./_")
+    if read is None or len(read.joints) <= len(joints):
+        return patterns, joints
+    form = read.patterns["position"]
+    if not joints:
+        # `freq_q`: a word of few letters tells a quantity of several joints only.
+        words = _letters(form.replace("{name}", " "))
+        is_short = max(map(len, words)) <= _SHORT
+        if "_" in form and is_short and len(read.joints) == 1:
+            return patterns, joints
+        return dict(read.patterns), read.joints
+    # The words must have seen some of the same joints: a pose has positions as well.
+    columns = {column_name(form, joint, 0) for joint in read.joints}
+    guessed = patterns["position"]
+    seen = {column_name(guessed, joint, k) for k, joint in enumerate(joints)}
+    if seen <= columns:
+        return dict(read.patterns), read.joints
+    return patterns, joints
+
+
+def _guess_by_words(names: list[str]) -> tuple[dict[str, Columns], tuple[str, ...]]:
+    """Guess patterns and joints, as of `guess_channels`, by words for quantities."""
     numbered, named = _numbered(names), _named(names)
     patterns: dict[str, Columns] = {}
     if numbered.get("position"):

@@ -10,6 +10,9 @@ from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.csv_form import read_form
 from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 
+# What LeRobot writes behind the name of a motor: `shoulder_pan.pos`.
+_STATE_ENDING = re.compile("(?:[._]pos(?:ition)?|[.]q)$")
+
 
 @dataclass(frozen=True)
 class Survey:
@@ -24,19 +27,24 @@ class Survey:
 def survey(path: Path) -> Survey:
     """Look through a log; raises InputError if it is none or cannot be read at all."""
     kind = check_log(path)
-    path = storage_file(path)
-    if kind not in ("parquet", "csv"):
-        topics, joints = (reader if kind == "mcap" else rosbags).list_topics(path)
-        return Survey(kind, tuple(each.topic for each in topics), joints)
-    if kind == "parquet":
-        channels, names = parquet.list_columns(path), parquet.open_table(path).names
-    else:
-        channels = names = read_form(path).names
-    count = sum(name.startswith(f"{LEROBOT_STATE}[") for name in names)
-    plain = re.compile("(?:[._]pos(?:ition)?|[.]q)$")  # motors by their names as joints
-    joints = tuple(
-        plain.sub("", name) for name in (parquet.lerobot_names(path) if count else ())
-    )
-    if len(joints) != count:
-        joints = tuple(f"joint_{k + 1}" for k in range(count))
-    return Survey(kind, channels, joints, names)
+    file = storage_file(path)
+    if kind in ("parquet", "csv"):
+        if kind == "parquet":
+            channels = parquet.list_columns(file)
+            columns = parquet.open_table(file).names
+        else:
+            channels = columns = read_form(file).names
+        return Survey(kind, channels, _lerobot_joints(file, columns), columns)
+
+    list_topics = reader.list_topics if kind == "mcap" else rosbags.list_topics
+    topics, joints = list_topics(file)
+    return Survey(kind, tuple(topic.topic for topic in topics), joints)
+
+
+def _lerobot_joints(path: Path, columns: tuple[str, ...]) -> tuple[str, ...]:
+    """Name the joints of a LeRobot state as its data set does, or else by number."""
+    size = sum(name.startswith(f"{LEROBOT_STATE}[") for name in columns)
+    motors = parquet.lerobot_names(path) if size else []
+    if len(motors) != size:
+        return tuple(f"joint_{k + 1}" for k in range(size))
+    return tuple(_STATE_ENDING.sub("", motor) for motor in motors)

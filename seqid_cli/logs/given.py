@@ -1,4 +1,4 @@
-"""What a caller gives as logs: paths, folders, globs, URLs, tables, recordings; one or several."""
+"""What a caller gives as logs: paths, folders, globs, URLs, tables or recordings."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, cast
 
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.logs.storage.files import expand
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class ArrowTable(Protocol):
-    """A table in memory: a `pyarrow.Table`, a `pandas.DataFrame` or any other Arrow table."""
+    """A table in memory: `pyarrow.Table`, `pandas.DataFrame` or another Arrow table."""
 
     def __arrow_c_stream__(self, requested_schema: Any = None) -> Any:
         """Give the table away as an Arrow stream."""
@@ -30,35 +30,54 @@ Log: TypeAlias = "PathLike | Recording | ArrowTable"
 Logs: TypeAlias = "Log | Sequence[Log]"
 
 
-def listed(given: Any) -> list[Any]:
-    """One thing or several, as a list; a table is one thing."""
-    return list(given) if isinstance(given, list | tuple) else [given]
+def listed(argument: Any) -> list[Any]:
+    """Return an argument, one thing or several, as a list; a table is one thing."""
+    if isinstance(argument, list | tuple):
+        return list(argument)
+    return [argument]
 
 
 def optional(path: PathLike | None) -> Path | None:
-    """Return a path as such where there is one."""
+    """Return a path, or None where none is given."""
     return None if path is None else Path(path)
 
 
 def warn(message: str) -> None:
-    """Say what may be wrong, as Python does."""
+    """Warn of what may be wrong, as Python does."""
     warnings.warn(message, SeqidWarning, stacklevel=3)
 
 
-def expanded(given: Sequence[Log], *, stored: bool = False) -> list[Path | Recording]:
-    """Turn files, folders, globs and tables into logs; warns of what is left out; see `expand`."""
-    found: list[Path | Recording] = []
-    for is_path, group in groupby(given, key=is_place):
-        if is_path:
-            found += expand([os.fspath(log) for log in group], warn, stored=stored)  # type: ignore[arg-type]
-        else:
-            for log in group:  # a recording as it is, a table in the place of a path
-                if not (hasattr(log, "health") and hasattr(log, "tau")):
-                    log = TableLog.of(log, f"table_{len(found) + 1}")
-                found.append(log)  # type: ignore[arg-type]
-    return found
+def expanded(logs: Sequence[Log], *, stored: bool = False) -> list[Path | Recording]:
+    """Turn files, folders, globs and tables into logs, in the order in which they come.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+        Consecutive paths are looked up together, see `expand`; a recording stays as it
+        is; a table becomes a file when it is read.
+    stored : bool
+        Whether URLs of object storage are welcome.
+    """
+    expanded_logs: list[Path | Recording] = []
+    for are_places, group in groupby(logs, key=is_place):
+        if are_places:
+            places = [os.fspath(cast("PathLike", log)) for log in group]
+            expanded_logs += expand(places, warn, stored=stored)
+            continue
+        for log in group:
+            if _is_recording(log):
+                expanded_logs.append(cast("Recording", log))
+            else:
+                name = f"table_{len(expanded_logs) + 1}"
+                expanded_logs.append(TableLog.of(log, name))
+    return expanded_logs
 
 
 def is_place(log: Any) -> bool:
-    """Whether a log is given by its place, and not itself."""
+    """Tell whether a log is given by its place, not by its content."""
     return isinstance(log, str | os.PathLike)
+
+
+def _is_recording(log: Any) -> bool:
+    # By its fields: to import the class would import NumPy before a path is checked.
+    return hasattr(log, "health") and hasattr(log, "tau")

@@ -27,7 +27,7 @@ TRAVEL = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """Where a joint that the robot file leaves out is in a log, rad (m)."""
+    """Position in a log of a joint that the robot file leaves out, rad (m)."""
 
     joint: LockedJoint
     log: Path
@@ -37,24 +37,24 @@ class Standing:
 
     @property
     def moves(self) -> bool:
-        """Whether it moves by more than it may be shaken."""
+        """True where it moves by more than it may be shaken."""
         return self.high - self.low > TRAVEL
 
     @property
     def message(self) -> str:
-        """What is to be said of the joint; empty where it stands as it is taken."""
+        """A note on the joint; empty where it stands as it is taken."""
         unit = "m" if self.joint.prismatic else "rad"
-        about = f"lies {self.joint.place} and is not in the robot file; "
+        place = f"lies {self.joint.place} and is not in the robot file"
         if self.moves:
             return (
-                f"{about}it moves in the log, from {self.low:.3g} to {self.high:.3g}"
+                f"{place}; it moves in the log, from {self.low:.3g} to {self.high:.3g}"
                 f" {unit}"
             )
         if abs(self.usual) <= TRAVEL:
             return ""
         return (
-            f"{about}it is taken as locked where it stands in the log, {self.usual:.4g}"
-            f" {unit}"
+            f"{place}; it is taken as locked where it stands in the log,"
+            f" {self.usual:.4g} {unit}"
         )
 
 
@@ -62,15 +62,18 @@ def standing_joints(path: Path, robot: Robot) -> list[Standing]:
     """Look up where joints of the chain that the robot file leaves out are in a log."""
     if not robot.locked:
         return []
-    found = []
+    standing = []
     with local_copy(path) as copy:
         for joint in robot.locked:
             q = np.concatenate([np.zeros(0), *_positions(copy, robot, joint)])
-            if len(q):
-                low, usual, high = map(float, np.quantile(q, (0.005, 0.5, 0.995)))
-                named = {"joint": joint, "log": path}
-                found.append(Standing(**named, low=low, high=high, usual=usual))  # type: ignore[arg-type]
-    return found
+            if not len(q):
+                continue
+            # Quantiles: a few samples may be damaged.
+            low, usual, high = np.quantile(q, (0.005, 0.5, 0.995)).tolist()
+            standing.append(
+                Standing(joint=joint, log=path, low=low, high=high, usual=usual)
+            )
+    return standing
 
 
 def in_logged_posture(robot: Robot, standing: Sequence[Standing]) -> Robot:
@@ -81,23 +84,27 @@ def in_logged_posture(robot: Robot, standing: Sequence[Standing]) -> Robot:
     InputError
         A joint moves, or stands elsewhere in another log.
     """
-    first: dict[str, Standing] = {}
-    for one in standing:
-        log = str(one.log)
-        if one.moves:
+    first_by_joint: dict[str, Standing] = {}
+    for joint in standing:
+        log = str(joint.log)
+        name = joint.joint.name
+        if joint.moves:
+            raise InputError(f"joint {name!r} {joint.message}", hint=REMEDY, where=log)
+
+        first = first_by_joint.setdefault(name, joint)
+        if abs(joint.usual - first.usual) > TRAVEL:
             raise InputError(
-                f"joint {one.joint.name!r} {one.message}", hint=REMEDY, where=log
+                f"joint {name!r} lies {joint.joint.place} and is not in the robot file;"
+                f" it stands at {joint.usual:.4g}, and at {first.usual:.4g} in"
+                f" {first.log}",
+                hint=REMEDY,
+                where=log,
             )
-        other = first.setdefault(one.joint.name, one)
-        if abs(one.usual - other.usual) > TRAVEL:
-            text = (
-                f"joint {one.joint.name!r} lies {one.joint.place} and is not in the"
-                f" robot file; it stands at {one.usual:.4g}, and at {other.usual:.4g}"
-                f" in {other.log}"
-            )
-            raise InputError(text, hint=REMEDY, where=log)
+
     positions = {
-        name: one.usual for name, one in first.items() if abs(one.usual) > TRAVEL
+        name: joint.usual
+        for name, joint in first_by_joint.items()
+        if abs(joint.usual) > TRAVEL
     }
     if not positions:
         return robot
@@ -108,13 +115,13 @@ def _positions(path: Path, robot: Robot, joint: LockedJoint) -> Iterator[Array]:
     """Read the positions of a joint, if the log has them by its name."""
     # A log's other channels are those of the joints in the robot file: columns by
     # number are theirs, and a unit holds for all.
-    names = robot.channels.position
-    known: Columns | None = (
-        names if isinstance(names, str) and "{name}" in names else None
-    )
+    pattern: Columns | None = None
+    declared = robot.channels.position
+    if isinstance(declared, str) and "{name}" in declared:
+        pattern = declared
     channels = Channels(
         time=robot.channels.time,
-        position=known,
+        position=pattern,
         unit=robot.channels.unit,
         length_unit=robot.channels.length_unit,
     )

@@ -5,6 +5,8 @@ samples as `read_recording`, from a temporary file where there is room for one (
 `Spool`), without ever holding more than some blocks. That works for logs whose stamps
 increase and whose rows hold every joint, but not where samples come in bursts or
 `lost_samples` finds some.
+
+M is the number of rows of a block, n the number of joints.
 """
 
 from collections.abc import Callable, Iterator
@@ -15,76 +17,47 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs import raw as raw_log
+from seqid_cli.logs.first_pass import FirstPass, UnevenError
 from seqid_cli.logs.lost_samples import mended
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.mcap.records import read_summary
 from seqid_cli.logs.publishers import second_publisher
-from seqid_cli.logs.raw import BlockReader, RawLog, Stamps, Stream, TimeSource
+from seqid_cli.logs.raw import (
+    BlockReader,
+    RawLog,
+    Stamps,
+    Stream,
+    TimeSource,
+    joined,
+)
 from seqid_cli.logs.read import ABSURD, with_torque
 from seqid_cli.logs.storage import files
-from seqid_cli.logs.storage.remote import Spool
+from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
-from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM, Base, resample
+from seqid_cli.logs.thinned import Thinned as Thinned  # as others import it
+from seqid_cli.logs.timebase import Base, resample
+from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
-MOST = 262_144
-
-
-class Thinned:
-    """Keeps every row until there are more than `most`, then every second one, fourth and so on.
-
-    What is kept, at least half of `most`, depends on the rows alone, not on how they
-    came.
-    """
-
-    def __init__(self, most: int = MOST) -> None:
-        self._most = most
-        self._parts: list[Array] = []
-        self._every, self._seen, self._kept = 1, 0, 0
-
-    def push(self, rows: Array) -> None:
-        """Take the next rows (M, ...)."""
-        self._parts.append(
-            rows[-self._seen % self._every :: self._every].copy(order="K")
-        )
-        self._seen += len(rows)
-        self._kept += len(self._parts[-1])
-        while self._kept > self._most:
-            self._parts = [np.concatenate(self._parts)[::2].copy(order="K")]
-            self._every *= 2
-            self._kept = len(self._parts[0])
-
-    @property
-    def rows(self) -> Array:
-        """What is kept."""
-        return np.concatenate(self._parts) if self._parts else np.zeros(0)
-
-
 MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
-GROUP = 256  # rows whose distance from the base is remembered by its extremes
-_ALL = "position and torque"
 READERS: dict[str, BlockReader] = {
     "parquet": parquet.read_blocks,
     "mcap": reader.read_blocks,
 }
 Watch = Callable[[float, Array], None]
-
-
-class UnevenError(Exception):
-    """The log has to be read as a whole."""
+_ALL = "position and torque"  # one channel (M, 2 n) of both, resampled at once
 
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive samples from `start` on: `q` (M, n) rad, `tau` (M, n) N m, `valid` (M,)."""
+    """Consecutive samples of a long log."""
 
-    start: int
-    q: Array
-    tau: Array
-    valid: Mask
+    start: int  # number of the first
+    q: Array  # (M, n) rad
+    tau: Array  # (M, n) N m
+    valid: Mask  # (M,)
 
     PER_SAMPLE = ("q", "tau", "valid")
 
@@ -94,36 +67,35 @@ class Block:
         return len(self.q)
 
     def part(self, where: slice) -> "Block":
-        """Some samples, counted from the first of these."""
-        return Block(
-            self.start + where.start, self.q[where], self.tau[where], self.valid[where]
-        )
+        """Select samples, counted from the first of these."""
+        start = self.start + where.start
+        return Block(start, self.q[where], self.tau[where], self.valid[where])
 
 
 @dataclass(frozen=True)
 class Bridge:
-    """Damaged samples [start, stop) of a joint's position, and the values around them."""
+    """Damaged samples of a joint's position, and the values around them."""
 
     joint: int
-    start: int
-    stop: int
-    before: float
-    after: float
+    start: int  # the first damaged sample
+    stop: int  # the first sound one behind it
+    before: float  # rad
+    after: float  # rad
     valid: bool  # whether a straight line stands in for them
 
     def laid(self, block: Block) -> None:
         """Write the bridge into a block's own arrays, where it has a part of it."""
-        rows = np.arange(
-            max(self.start, block.start), min(self.stop, block.start + len(block.q))
-        )
-        share = (rows - self.start + 1) / (self.stop - self.start + 1)
-        block.q[rows - block.start, self.joint] = self.before + share * (
-            self.after - self.before
-        )
-        block.valid[rows - block.start] &= self.valid
+        first = max(self.start, block.start)
+        stop = min(self.stop, block.start + len(block.q))
+        samples = np.arange(first, stop)
+        rows = samples - block.start
+
+        share = (samples - self.start + 1) / (self.stop - self.start + 1)
+        block.q[rows, self.joint] = self.before + share * (self.after - self.before)
+        block.valid[rows] &= self.valid
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LongLog:
     """A log that can be passed over again and again; see the module's text."""
 
@@ -151,177 +123,112 @@ class LongLog:
 
     @property
     def sha256(self) -> str:
-        """Digest of the file.
-
-        Raises InputError: it has changed since the first pass.
-        """
+        """Digest of the file; raises InputError if it changed since the first pass."""
         with files.unchanged(self.file, self.state):
             return files.sha256_of(self.file)
 
     def blocks(self) -> Iterator[Block]:
-        """Pass over the samples; raises InputError if the file has changed since the first pass."""
-        rows = (
-            self._decoded()
-            if self.spool is None
-            else starmap(_as_stream, self.spool.parts())
-        )
-        for block in self._as_logged(rows) if self.exact else self._resampled(rows):
+        """Pass over the samples, in their order.
+
+        Raises InputError if the file has changed since the first pass.
+        """
+        rows = self._logged_rows()
+        blocks = self._as_logged(rows) if self.exact else self._resampled(rows)
+
+        for block in blocks:
+            # Bridges are written into copies: a block may be a view of read-only rows.
             if self.bridges:
                 block = replace(block, q=block.q.copy(), valid=block.valid.copy())
             for bridge in self.bridges:
                 bridge.laid(block)
             yield block
 
-    def _decoded(self) -> Iterator[Stream]:
+    def _logged_rows(self) -> Iterator[Stream]:
+        """Yield the rows from the temporary file, or else by decoding them again."""
+        if self.spool is not None:
+            yield from starmap(_as_stream, self.spool.parts())
+            return
         with files.unchanged(self.file, self.state):
             for _, rows in _rows(self.file, self.format, self.robot, self.time_source):
                 yield rows
 
     def _as_logged(self, rows: Iterator[Stream]) -> Iterator[Block]:
-        start, n = 0, self.robot.n
+        """Yield rows that lie on the base as they are."""
+        n = self.robot.n
+        start = 0
         for part in rows:
-            kept = part.channels[_ALL][: self.samples - start]
-            yield Block(start, kept[:, :n], kept[:, n:], np.ones(len(kept), np.bool_))
-            start += len(kept)
+            values = part.channels[_ALL][: self.samples - start]
+            valid = np.ones(len(values), np.bool_)
+            yield Block(start, values[:, :n], values[:, n:], valid)
+            start += len(values)
 
     def _resampled(self, rows: Iterator[Stream]) -> Iterator[Block]:
-        pending, start = _as_stream(np.zeros(0, np.int64), np.zeros((0, 0))), 0
+        """Yield samples of the base as soon as the rows around them have come."""
+        pending = _as_stream(np.zeros(0, np.int64), np.zeros((0, 0)))
+        start = 0
         for part in rows:
-            pending = raw_log.joined([pending, part])
+            pending = joined([pending, part])
             if len(pending) > 4 * MARGIN:
-                sure = int(pending.stamp_ns[-MARGIN]) - self.start_ns
-                stop = min(self.samples, int(sure * 1e-9 / self.step_s))
+                # Behind this stamp the next rows could still change the spline.
+                settled_ns = int(pending.stamp_ns[-MARGIN]) - self.start_ns
+                stop = min(self.samples, int(settled_ns * 1e-9 / self.step_s))
                 yield from self._between(pending, start, stop)
                 start = max(start, stop)
-                pending = self._around(pending, start)
+                pending = pending.take(slice(self._first_row(pending, start), None))
         yield from self._between(pending, start, self.samples)
 
-    def _around(self, rows: Stream, first: int, last: int | None = None) -> Stream:
-        """Rows from a little before a sample on, to a little after another."""
-        ends = [
-            self.start_ns + int(k * self.step_s * 1e9) for k in (first, last or first)
-        ]
-        low = max(0, int(np.searchsorted(rows.stamp_ns, ends[0])) - MARGIN)
-        high = int(np.searchsorted(rows.stamp_ns, ends[1], side="right")) + MARGIN
-        return rows.take(slice(low, None if last is None else high))
+    def _stamp_of(self, sample: int) -> int:
+        return self.start_ns + int(sample * self.step_s * 1e9)
+
+    def _first_row(self, rows: Stream, sample: int) -> int:
+        """Return the first row that matters to a sample: a little before it."""
+        row = int(np.searchsorted(rows.stamp_ns, self._stamp_of(sample)))
+        return max(0, row - MARGIN)
 
     def _between(self, rows: Stream, start: int, stop: int) -> Iterator[Block]:
-        for low in range(start, stop, parquet.BLOCK_ROWS):
-            count = min(parquet.BLOCK_ROWS, stop - low)
+        """Resample rows to the samples [start, stop) of the base."""
+        n = self.robot.n
+        for first in range(start, stop, parquet.BLOCK_ROWS):
+            count = min(parquet.BLOCK_ROWS, stop - first)
             window = Base(
-                self.start_ns, self.step_s, count, self.jitter, False, (), first=low
+                self.start_ns,
+                self.step_s,
+                count,
+                jitter=self.jitter,
+                exact=False,
+                gaps=(),
+                first=first,
             )
             # Only the rows around the window: a hole may be much longer than a block.
-            both, valid, _ = resample(
-                self._around(rows, low, low + count), _ALL, window
-            )
-            yield Block(low, both[:, : self.robot.n], both[:, self.robot.n :], valid)
+            end_ns = self._stamp_of(first + count)
+            stop_row = int(np.searchsorted(rows.stamp_ns, end_ns, side="right"))
+            around = slice(self._first_row(rows, first), stop_row + MARGIN)
+            resampled = resample(rows.take(around), _ALL, window)
+            q = resampled.values[:, :n]
+            tau = resampled.values[:, n:]
+            yield Block(first, q, tau, resampled.valid)
 
 
 def _as_stream(stamps: Stamps, values: Array) -> Stream:
-    """Rows of a log: `values` (M, 2 n), position and torque."""
+    """Make a stream of rows: `values` (M, 2 n) are position and torque."""
     return Stream("joints", stamps, {_ALL: values})
 
 
-@dataclass
-class Scan:
-    """What the first pass remembers of the stamps."""
-
-    count: int = 0
-    first: int = 0
-    last: int = 0
-    usual: float = 0.0  # ns, the median step of the first block
-    # of steps below the least gap
-    sums: Array = field(default_factory=lambda: np.zeros(2))
-    beyond: list[Array] = field(default_factory=list)  # steps above it
-    surplus: float = 0.0  # samples missing in longer steps
-    steps: Thinned = field(default_factory=Thinned)
-    # (groups, 3): row, least and most distance
-    off: list[Array] = field(default_factory=list)
-    partial: str = ""
-    warnings: list[str] = field(default_factory=list)
-
-    def push(self, stamps: Stamps, raw: RawLog, *, most_gaps: int = 100000) -> None:
-        """Take the stamps of the next rows, and what was said of them."""
-        self.partial = raw.partial or self.partial
-        self.warnings += [note for note in raw.warnings if note not in self.warnings]
-        steps = np.diff(stamps, prepend=np.full(int(self.count > 0), self.last)).astype(
-            np.float64
-        )
-        if not self.count:
-            if not len(steps):
-                raise UnevenError
-            self.first, self.usual = int(stamps[0]), float(np.median(steps))
-        self.steps.push(steps)
-        far = steps > raw_log.GAP_LEAST_S * 1e9
-        near = steps[~far] if far.any() else steps
-        self.beyond.append(steps[far])
-        if sum(map(len, self.beyond)) > most_gaps:
-            raise UnevenError
-        self.sums += (near.sum(), np.square(near - self.usual).sum())
-        longer = near[near > 1.5 * self.usual]
-        self.surplus += float((np.rint(longer / self.usual) - 1).sum())
-        index = self.count + np.arange(len(stamps))
-        off = (stamps - self.first) - index * self.usual
-        starts = np.arange(0, len(off), GROUP)
-        least, most = (
-            extreme.reduceat(off, starts) for extreme in (np.minimum, np.maximum)
-        )
-        self.off.append(np.stack([index[starts], least, most], axis=1))
-        self.count += len(stamps)
-        self.last = int(stamps[-1])
-
-    def base(
-        self, *, stretch: float = 20.0
-    ) -> tuple[int, float, int, float, bool, int]:
-        """Lay the base as `timebase.make_base` does: start, step, samples, jitter, exact, gaps."""
-        if self.count < 2:
-            raise UnevenError
-        beyond = np.concatenate(self.beyond)
-        median = float(np.median(self.steps.rows))
-        gap = beyond > max(raw_log.GAP_INTERVALS * median, raw_log.GAP_LEAST_S * 1e9)
-        if abs(median / self.usual - 1) > 0.02 or gap.sum() > raw_log.BURSTS * (
-            self.count - 1
-        ):
-            raise UnevenError
-        regular = beyond[~gap]
-        number = self.count - 1 - int(gap.sum())
-        total = self.sums[0] + regular.sum()
-        mean = total / number - self.usual
-        spread = (
-            self.sums[1] + np.square(regular - self.usual).sum()
-        ) / number - mean**2
-        jitter = float(np.sqrt(max(spread, 0.0)) / median)
-        if jitter > JITTER_LIMIT:
-            raise UnevenError
-        intervals = (
-            number + self.surplus + float((np.rint(regular / median) - 1).clip(0).sum())
-        )
-        step = total / round(intervals) * 1e-9
-        span = (self.last - self.first) * 1e-9
-        if span / step > stretch * self.count:
-            raise UnevenError
-        samples = int(np.floor(span / step + 1e-6)) + 1
-        row, least, most = np.concatenate(self.off).T
-        drift = step * 1e9 - self.usual
-        reach = np.maximum(np.abs(least - row * drift), np.abs(most - row * drift))
-        on_base = bool(reach.max() + GROUP * abs(drift) <= UNIFORM * step * 1e9)
-        exact = samples == self.count and on_base
-        return self.first, step, samples, jitter, exact, int(gap.sum())
-
-
 def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
-    """Rows that a log is likely to hold, without reading it; 0 where the format does not tell."""
-    kind, path = files.check_log(path), files.storage_file(path)
+    """Estimate the rows of a log without reading it; 0 where nothing tells it."""
+    kind = files.check_log(path)
+    path = files.storage_file(path)
     try:
         if kind == "parquet":
-            with opened_table(path) as file:
-                return int(file.metadata.num_rows)
+            with opened_table(path) as table:
+                return int(table.metadata.num_rows)
         if kind == "mcap":
             size = path.stat().st_size
             with path.open("rb") as file:
-                told = read_summary(file, size).statistics
-            return int(told.message_count) if told else size // bytes_per_row
+                statistics = read_summary(file, size).statistics
+            if statistics:
+                return int(statistics.message_count)
+            return size // bytes_per_row
     except ARROW_ERRORS as error:
         raise parquet.damaged(path, error) from error
     except OSError as error:
@@ -336,46 +243,90 @@ def open_long(
     time_source: TimeSource = "header",
     watch: Watch | None = None,
 ) -> LongLog | None:
-    """Pass over a log once and lay its time base; None where it can only be read as a whole.
+    """Pass over a log once and lay its time base.
 
-    `watch`: shown the rate [Hz] that the first rows have, and positions (M, n) as
-    logged: the samples of the base if the log is `exact`.
+    Parameters
+    ----------
+    path : Path
+        A file, or the folder of a ROS 2 bag.
+    robot : Robot
+        Names of joints and channels; drive data that turn current into torque.
+    time_source : {"header", "log"}
+        MCAP only: the stamps in the messages, or the times of logging.
+    watch : callable, optional
+        Shown the rate [Hz] that the first rows have, and positions (M, n) as logged:
+        the samples of the base if the log is `exact`.
+
+    Returns
+    -------
+    LongLog or None
+        None where the log can only be read as a whole.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, lacks a channel or changes.
     """
-    kind, file = files.check_log(path), files.storage_file(path)
+    kind = files.check_log(path)
+    file = files.storage_file(path)
     if kind not in READERS:
         return None
-    scan, spool = Scan(), Spool()
+    first_pass = FirstPass()
+    spool = Spool()
     try:
         state = files.state_of(file)
         with files.unchanged(file, state):
             for raw, rows in _rows(file, kind, robot, time_source):
-                scan.push(rows.stamp_ns, raw)
-                spool.push(rows.stamp_ns, rows.channels[_ALL])
+                values = rows.channels[_ALL]
+                first_pass.push(rows.stamp_ns, raw)
+                spool.push(rows.stamp_ns, values)
                 if watch is not None:
-                    watch(1e9 / scan.usual, rows.channels[_ALL][:, : robot.n])
-        base = scan.base()
+                    watch(1e9 / first_pass.usual_step, values[:, : robot.n])
+        base = first_pass.base()
     except UnevenError:
         return None
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    told = scan.partial, tuple(scan.warnings), spool if spool.complete else None
-    return LongLog(path, file, kind, robot, time_source, *base, *told, state=state)
+    return LongLog(
+        path=path,
+        file=file,
+        format=kind,
+        robot=robot,
+        time_source=time_source,
+        start_ns=base.start_ns,
+        step_s=base.step_s,
+        samples=base.samples,
+        jitter=base.jitter,
+        exact=base.exact,
+        gaps=base.gaps,
+        partial=first_pass.partial,
+        warnings=tuple(first_pass.warnings),
+        spool=spool if spool.complete else None,
+        state=state,
+    )
 
 
 def _rows(
     path: Path, kind: str, robot: Robot, time_source: TimeSource
 ) -> Iterator[tuple[RawLog, Stream]]:
-    """Decode a log block by block; raises UnevenError where one is to be put right as a whole."""
-    latest, first_sources = np.zeros(0, np.int64), None
+    """Decode a log block by block; yields each block and its position and torque.
+
+    Raises UnevenError where the log is to be put right as a whole: each check stands
+    for a step of `read.assemble` that looks beyond a block.
+    """
+    latest = np.zeros(0, np.int64)
+    first_sources: dict[str, object] = {}
     for raw in READERS[kind](path, replace(robot, imus=()), time_source):
         joints = raw.joints
         if not len(joints):
             continue
+
         # Which joints have what torque can be taken from must be the same all along.
-        there = [name for name in ("current", "torque") if name in joints.channels]
-        sources = [
-            (k, np.isfinite(joints.channels[k]).any(axis=0).tolist()) for k in there
-        ]
+        sources: dict[str, object] = {
+            name: np.isfinite(joints.channels[name]).any(axis=0).tolist()
+            for name in ("current", "torque")
+            if name in joints.channels
+        }
         first_sources = first_sources or sources
         if sources and sources == first_sources:
             joints = with_torque(joints, robot, raw.prefer_current, str(path), [])
@@ -383,14 +334,20 @@ def _rows(
             raise UnevenError
         if second_publisher(raw.joints, str(path)) is not None:
             raise UnevenError
+
         values = np.concatenate(
             [joints.channels["position"].T, joints.channels["tau"].T]
         )
-        stamps = np.concatenate([latest, joints.stamp_ns])
-        sound = values.min() >= -ABSURD and values.max() <= ABSURD  # not with NaN
-        if not sound or (np.diff(stamps) <= 0).any() or len(mended(joints).losses.rows):
+        # A comparison with NaN is false: a missing value fails as well.
+        is_sound = values.min() >= -ABSURD and values.max() <= ABSURD
+        steps = np.diff(np.concatenate([latest, joints.stamp_ns]))
+        if not is_sound or (steps <= 0).any():
             raise UnevenError
-        if raw_log.in_turns(joints, robot)[0] is not joints:
+        if len(mended(joints).losses.rows):
             raise UnevenError
+        unwrapped, _ = in_turns(joints, robot)
+        if unwrapped is not joints:
+            raise UnevenError
+
         latest = joints.stamp_ns[-1:]
         yield raw, _as_stream(joints.stamp_ns, values.T)

@@ -38,7 +38,7 @@ def without_second_publisher(stream: Stream, where: str, warnings: list[str]) ->
     where : str
         The log, for messages.
     warnings : list of str
-        What is to be said is added to it.
+        A note on a second publisher is added to it.
 
     Returns
     -------
@@ -54,93 +54,111 @@ def without_second_publisher(stream: Stream, where: str, warnings: list[str]) ->
     if strangers is None:
         return stream
     count = int(np.count_nonzero(strangers.rows))
-    text = (
-        f"a second publisher: {count} of {len(stream)} messages ({strangers.marks})"
-        " contradict "
-    )
     warnings.append(
-        f"{stream.name}: {text}the positions of the others and are left out"
+        f"{stream.name}: a second publisher: {count} of {len(stream)} messages"
+        f" ({strangers.marks}) contradict the positions of the others and are left out"
     )
     return stream.take(~strangers.rows)
 
 
 def second_publisher(stream: Stream, where: str) -> Strangers | None:
-    """Return the messages of a second publisher; see `without_second_publisher`."""
+    """Find the messages of a second publisher; None where there is one publisher.
+
+    Raises InputError where both publishers look like the robot.
+    """
     position = stream.channels["position"]
-    logged = np.isfinite(position).any(axis=0)
-    whole: Mask = np.asarray(np.isfinite(position[:, logged]).all(axis=1))
-    if np.count_nonzero(whole) < 4 * FEWEST or not logged.any():
+    is_logged = np.isfinite(position).any(axis=0)
+    # Messages with all joints: those of a gripper alone are another matter.
+    complete: Mask = np.asarray(np.isfinite(position[:, is_logged]).all(axis=1))
+    if np.count_nonzero(complete) < 4 * FEWEST or not is_logged.any():
         return None
+
     # Each way to tell two publishers apart is tried, the surest first.
     effort = _effort(stream)
-    silent: Mask = np.asarray(whole & ~np.isfinite(effort).any(axis=1))
-    if _contradicts(stream, whole & ~silent, silent):
-        return Strangers(
-            rows=silent, marks=", ".join([*_posture(position[silent]), "no effort"])
-        )
-    if not _takes_turns(position[whole][:, logged]):
+    silent: Mask = np.asarray(complete & ~np.isfinite(effort).any(axis=1))
+    if _contradicts(stream, complete & ~silent, silent):
+        marks = ", ".join([*_posture(position[silent]), "no effort"])
+        return Strangers(rows=silent, marks=marks)
+
+    q = position[complete][:, is_logged]
+    if not _takes_turns(q):
         return None
     idle: Mask = np.zeros(len(stream), dtype=np.bool_)
     if effort.shape[1]:
-        idle = whole & _constant(effort, whole)
-    constant: Mask = whole & _constant(position, whole)
-    tracked: Mask = np.zeros(len(stream), dtype=np.bool_)
-    tracked[whole] = _other_track(position[whole][:, logged])
-    for rows in (idle, constant, tracked):
-        rest = position[whole & ~rows][:, logged]
-        alone = len(rest) > 2 and not _takes_turns(rest)
-        if alone and _contradicts(stream, whole & ~rows, rows):
-            return _strangers(stream, whole, rows, where)
+        idle = complete & _constant(effort, complete)
+    constant: Mask = complete & _constant(position, complete)
+    on_other_track: Mask = np.zeros(len(stream), dtype=np.bool_)
+    on_other_track[complete] = _other_track(q)
+    for rows in (idle, constant, on_other_track):
+        # Without the stranger's messages one smooth motion must remain.
+        remaining = complete & ~rows
+        remaining_q = position[remaining][:, is_logged]
+        is_one_motion = len(remaining_q) > 2 and not _takes_turns(remaining_q)
+        if is_one_motion and _contradicts(stream, remaining, rows):
+            return _strangers(stream, remaining, rows, where)
     return None
 
 
 def _effort(stream: Stream) -> Array:
     """Return all torques and currents of a stream side by side (M, k), k may be 0."""
-    given = [stream.channels[k] for k in ("torque", "current") if k in stream.channels]
-    return np.hstack([np.zeros((len(stream), 0)), *given])
+    efforts = [
+        stream.channels[name]
+        for name in ("torque", "current")
+        if name in stream.channels
+    ]
+    return np.hstack([np.zeros((len(stream), 0)), *efforts])
 
 
-def _strangers(stream: Stream, whole: Mask, rows: Mask, where: str) -> Strangers:
-    """Decide which of two publishers is the robot: the one whose effort, or position, varies."""
-    position, effort = stream.channels["position"], _effort(stream)
-    first, second = whole & ~rows, rows
+def _strangers(stream: Stream, first: Mask, second: Mask, where: str) -> Strangers:
+    """Decide which of two publishers is the robot: whose effort, or position, varies.
+
+    Parameters
+    ----------
+    first, second : ndarray of bool, (M,)
+        The messages of both.
+    where : str
+        The log, for the InputError where neither or both vary.
+    """
+    position = stream.channels["position"]
+    effort = _effort(stream)
     for values in (effort, position):
-        varies = [_varies(values[own]) for own in (first, second)]
-        if varies[0] != varies[1]:
-            others = second if varies[0] else first
-            marks = _posture(position[others])
-            if values is effort:
-                marks.append("an effort that never changes")
-            text = ", ".join(marks) or "positions of their own"
-            return Strangers(rows=others, marks=text)
-    counts = [int(np.count_nonzero(own)) for own in (first, second)]
-    message = (
-        f"{stream.name}: two publishers take turns, with {counts[0]} and {counts[1]}"
+        first_varies = _varies(values[first])
+        if first_varies == _varies(values[second]):
+            continue
+        strangers = second if first_varies else first
+        marks = _posture(position[strangers])
+        if values is effort:
+            marks.append("an effort that never changes")
+        return Strangers(
+            rows=strangers, marks=", ".join(marks) or "positions of their own"
+        )
+
+    n_first = int(np.count_nonzero(first))
+    n_second = int(np.count_nonzero(second))
+    raise InputError(
+        f"{stream.name}: two publishers take turns, with {n_first} and {n_second}"
         " messages whose positions contradict each other; which of them is the robot"
-        " cannot be told"
+        " cannot be told",
+        hint=REMEDY,
+        where=where,
     )
-    raise InputError(message, hint=REMEDY, where=where)
 
 
 def _varies(values: Array) -> bool:
     """Tell whether any column (M, k) takes more than one value."""
-    finite = values[:, np.isfinite(values).any(axis=0)]
-    if not finite.size:
+    logged = values[:, np.isfinite(values).any(axis=0)]
+    if not logged.size:
         return False
-    return bool((np.nanmax(finite, axis=0) > np.nanmin(finite, axis=0)).any())
+    return bool((np.nanmax(logged, axis=0) > np.nanmin(logged, axis=0)).any())
 
 
 def _posture(position: Array) -> list[str]:
-    """Say where a publisher's positions (M, n) stand, if they never change."""
+    """Describe where a publisher's positions (M, n) stand, if they never change."""
     if _varies(position):
         return []
-    return [
-        (
-            "positions all zero"
-            if not np.nan_to_num(position).any()
-            else "positions constant"
-        )
-    ]
+    if np.nan_to_num(position).any():
+        return ["positions constant"]
+    return ["positions all zero"]
 
 
 def _contradicts(
@@ -152,7 +170,7 @@ def _contradicts(
     steps: float = 3.0,
     range_share: float = 0.01,
 ) -> bool:
-    """Tell whether the positions of some messages cannot be of the motion that others show.
+    """Tell whether positions of some messages cannot be of the motion that others show.
 
     Parameters
     ----------
@@ -171,72 +189,96 @@ def _contradicts(
     """
     if min(np.count_nonzero(first), np.count_nonzero(second)) < FEWEST:
         return False
+    start_ns = stream.stamp_ns[0]
     order = np.argsort(stream.stamp_ns[first], kind="stable")
-    t = (stream.stamp_ns[first][order] - stream.stamp_ns[0]) * 1e-9
-    at = (stream.stamp_ns[second] - stream.stamp_ns[0]) * 1e-9
-    inside = (at >= t[0]) & (at <= t[-1])
-    behind = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
-    off = np.zeros(len(at), dtype=np.bool_)
+    t = (stream.stamp_ns[first][order] - start_ns) * 1e-9
+    t_second = (stream.stamp_ns[second] - start_ns) * 1e-9
+    is_inside = (t_second >= t[0]) & (t_second <= t[-1])
+    row = np.clip(np.searchsorted(t, t_second), 1, len(t) - 1)
+
+    is_off = np.zeros(len(t_second), dtype=np.bool_)
     for column in stream.channels["position"].T:
         q = column[first][order]
         if not np.isfinite(q).all():
             continue
-        step = np.abs(q[behind] - q[behind - 1])
+        step = np.abs(q[row] - q[row - 1])
         allowed = steps * step + range_share * float(np.ptp(q))
-        off |= np.abs(column[second] - np.interp(at, t, q)) > allowed
-    count = int(np.count_nonzero(off & inside))
-    return count >= max(FEWEST, min_share * len(at))
+        is_off |= np.abs(column[second] - np.interp(t_second, t, q)) > allowed
+    n_off = int(np.count_nonzero(is_off & is_inside))
+    return n_off >= max(FEWEST, min_share * len(t_second))
 
 
 def _takes_turns(position: Array, *, far: float = 10.0, least: float = 1e-3) -> bool:
     """Tell whether positions (M, n) go to and fro by more than they move otherwise.
 
-    `far`: times the usual change from one message to the next or the next but one, of
-    which two publishers that alternate leave the second small. `least`: change, rad
-    (m), that is looked at.
+    Parameters
+    ----------
+    far : float
+        Times the usual change. It is the smaller of the changes from one message to the
+        next and to the next but one: of two publishers that alternate the latter is
+        small.
+    least : float
+        Change that is looked at, rad (m).
     """
-    one, two = (np.abs(position[k:] - position[:-k]).max(axis=1) for k in (1, 2))
-    usual = min(float(np.median(one)), float(np.median(two)))
-    return int(np.count_nonzero(one > max(far * usual, least))) >= 2 * FEWEST
+    change = np.abs(position[1:] - position[:-1]).max(axis=1)
+    change_over_two = np.abs(position[2:] - position[:-2]).max(axis=1)
+    usual = min(float(np.median(change)), float(np.median(change_over_two)))
+    n_far = int(np.count_nonzero(change > max(far * usual, least)))
+    return n_far >= 2 * FEWEST
 
 
-def _constant(given: Array, whole: Mask) -> Mask:
-    """Where (M,) values (M, k) are the very same as most often next to a large change."""
-    values = np.nan_to_num(given)
-    rows = np.flatnonzero(whole)
-    size = np.abs(np.diff(values[rows], axis=0)).max(axis=1)
-    large = np.flatnonzero(size >= 0.5 * np.quantile(size, 0.99))
-    beside = values[rows[np.unique(np.concatenate([large, large + 1]))]]
-    different, counts = np.unique(beside, axis=0, return_counts=True)
-    return np.asarray((values == different[np.argmax(counts)]).all(axis=1))
+def _constant(values: Array, rows: Mask) -> Mask:
+    """Find the messages (M,) with the values most frequent beside large changes.
+
+    Parameters
+    ----------
+    values : ndarray, (M, k)
+        Efforts or positions, of which one publisher may always send the same.
+    rows : ndarray of bool, (M,)
+        Messages that count.
+    """
+    values = np.nan_to_num(values)
+    counted = np.flatnonzero(rows)
+    change = np.abs(np.diff(values[counted], axis=0)).max(axis=1)
+    large = np.flatnonzero(change >= 0.5 * np.quantile(change, 0.99))
+    beside = values[counted[np.unique(np.concatenate([large, large + 1]))]]
+    candidates, counts = np.unique(beside, axis=0, return_counts=True)
+    return np.asarray((values == candidates[np.argmax(counts)]).all(axis=1))
 
 
 def _other_track(position: Array, *, near: float = 0.2) -> Mask:
-    """Part positions (M, n) into two motions that take turns; true (M,) for the rarer one.
+    """Part positions (M, n) into two motions that take turns; true (M,) for the rarer.
 
     Each message goes on with the motion that it is nearer to, forwards and backwards
     from the largest change. Two motions are there only where changes from one to the
     other are large: `near` is the share of them that nine in ten changes within a
     motion must stay below.
     """
-    size = np.abs(np.diff(position, axis=0)).max(axis=1)
-    begin = int(np.argmax(size)) + 1
-    other = np.zeros(len(position), dtype=np.bool_)
-    other[begin] = True
+    none: Mask = np.zeros(len(position), dtype=np.bool_)
+    change = np.abs(np.diff(position, axis=0)).max(axis=1)
+    begin = int(np.argmax(change)) + 1
+    on_second = none.copy()
+    on_second[begin] = True
+
     within: list[float] = []
     between: list[float] = []
-    last_rows = [begin - 1, begin]
     for rows in (range(begin + 1, len(position)), range(begin - 2, -1, -1)):
-        last = [position[k] for k in last_rows]
-        before = other[rows.start - rows.step] if len(rows) else False
+        # The latest position of each motion, and the motion of the latest message.
+        latest = [position[begin - 1], position[begin]]
+        previous = int(on_second[rows.start - rows.step]) if len(rows) else 0
         for k in rows:
-            distances = [float(np.abs(position[k] - place).max()) for place in last]
-            nearer = int(np.argmin(distances))
-            if nearer != before:
-                between.append(distances[1 - nearer])
-            within.append(distances[nearer])
-            last[nearer], other[k], before = position[k], bool(nearer), bool(nearer)
-    apart = len(between) >= 2 * FEWEST
-    if not apart or np.quantile(within, 0.9) > near * float(np.median(between)):
-        return np.zeros(len(position), dtype=np.bool_)
-    return other if np.count_nonzero(other) <= len(other) // 2 else ~other
+            distances = [float(np.abs(position[k] - q).max()) for q in latest]
+            motion = int(np.argmin(distances))
+            if motion != previous:
+                between.append(distances[1 - motion])
+            within.append(distances[motion])
+            latest[motion] = position[k]
+            on_second[k] = bool(motion)
+            previous = motion
+
+    if len(between) < 2 * FEWEST:
+        return none
+    if np.quantile(within, 0.9) > near * float(np.median(between)):
+        return none
+    is_rarer = np.count_nonzero(on_second) <= len(on_second) // 2
+    return on_second if is_rarer else ~on_second

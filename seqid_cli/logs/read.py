@@ -1,22 +1,35 @@
-"""From a log file to a `Recording`."""
+"""From a log file to a `Recording`.
+
+A reader gives what was logged, each stream with its own stamps (`RawLog`). It is put
+right here, step by step: values that no sensor reads, a second publisher, torque from
+current, stamps, lost samples. Then everything is brought to one time base.
+"""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.logs import raw as raw_log
+from seqid_cli.logs.clock import tidy
 from seqid_cli.logs.lost_samples import Mended, mended, with_losses
 from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.publishers import without_second_publisher
-from seqid_cli.logs.raw import BlockReader, RawLog, Stream, TimeSource
+from seqid_cli.logs.raw import (
+    ACCELEROMETERS,
+    GYRO,
+    BlockReader,
+    RawLog,
+    Stream,
+    TimeSource,
+)
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.files import check_log, sha256_of, storage_file, unchanged
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.timebase import Base, make_base, overlap, resample
+from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
@@ -34,10 +47,12 @@ ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 def read_recording(
     path: Path, robot: Robot, *, time_source: TimeSource = "header"
 ) -> Recording:
-    """Read one log on a uniform time base: a file told by its content, or a ROS 2 bag's folder.
+    """Read one log on a uniform time base.
 
     Parameters
     ----------
+    path : Path
+        A file, whose content tells its format, or the folder of a ROS 2 bag.
     robot : Robot
         Names of joints, channels and IMUs; drive data that turn current into torque.
     time_source : {"header", "log"}
@@ -57,44 +72,54 @@ def read_recording(
     UsageError
         `time_source` is not known.
     """
-    return read_both(path, robot, time_source=time_source)[0]
+    recording, _ = read_both(path, robot, time_source=time_source)
+    return recording
 
 
 def read_both(
     path: Path, robot: Robot, *, time_source: TimeSource = "header"
 ) -> tuple[Recording, RawLog]:
-    """Read one log as a recording and as it was logged; see `read_recording` and `assemble`."""
+    """Read one log as a recording and as it was logged.
+
+    The parameters and errors are those of `read_recording`, the results of `assemble`.
+    """
     if time_source not in ("header", "log"):
         raise UsageError(
             f"time source {time_source!r} is not known", hint="Use header or log."
         )
     with local_copy(path) as copy:
-        kind, file = check_log(copy), storage_file(copy)
+        kind = check_log(copy)
+        file = storage_file(copy)
         with unchanged(file):
             raw = read_whole(file, kind, robot, time_source)
             digest = sha256_of(file)
         recording, raw = assemble(file, kind, digest, raw, robot)
-    return (replace(recording, path=path) if copy is not path else recording), raw
+
+    # A copy is gone by now: the recording names the log that it is of.
+    if copy is not path:
+        recording = replace(recording, path=path)
+    return recording, raw
 
 
 def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
-    """Read a file of a format as one block; see `BlockReader`."""
+    """Read a file of a format as one block, positions that wrap made to run on."""
     (raw,) = READERS[kind](path, robot, time_source, rows=None)
-    joints, found = raw_log.in_turns(raw.joints, robot)
-    text = "position wraps by whole turns {} times; it is made to run on"
-    said = [f"{name}: {text.format(count)}" for name, count in found.items()]
-    return replace(raw, joints=joints, warnings=(*raw.warnings, *said))
+    joints, wraps_by_joint = in_turns(raw.joints, robot)
+    notes = [
+        f"{name}: position wraps by whole turns {count} times; it is made to run on"
+        for name, count in wraps_by_joint.items()
+    ]
+    return replace(raw, joints=joints, warnings=(*raw.warnings, *notes))
 
 
 class TorqueLackingError(InputError):
     """`joints` have neither torque nor current, and others of the robot do."""
 
     def __init__(self, joints: Sequence[str], where: str) -> None:
-        message = (
-            f"neither torque nor current of joint {', '.join(joints)}, but of others"
-        )
         super().__init__(
-            message, hint="Log it for every joint of the robot file.", where=where
+            f"neither torque nor current of joint {', '.join(joints)}, but of others",
+            hint="Log it for every joint of the robot file.",
+            where=where,
         )
         self.joints = tuple(joints)
 
@@ -102,53 +127,80 @@ class TorqueLackingError(InputError):
 def assemble(
     path: Path, kind: str, digest: str, raw: RawLog, robot: Robot
 ) -> tuple[Recording, RawLog]:
-    """Lay what was logged on one time base, mended; see `read_recording`.
+    """Lay what was logged on one time base, mended.
 
-    Returns: the recording; what was logged, without what no sensor reads, its joint
-    samples in the order of time, with `tau` [N m at the joint] beside their channels.
+    Parameters
+    ----------
+    path : Path
+        The log, as the recording and messages name it.
+    kind, digest : str
+        Its format and SHA-256.
+    raw : RawLog
+        What was logged, each stream with its own stamps.
+    robot : Robot
+        Names of joints and IMUs; drive data that turn current into torque.
+
+    Returns
+    -------
+    Recording
+        N samples on one uniform time base; see `read_recording`.
+    RawLog
+        What was logged, without what no sensor reads: its M joint samples in the order
+        of time, with `tau` (M, n) [N m at the joint] beside their channels.
+
+    Raises
+    ------
+    InputError
+        A joint has no position, some joints have no torque, two publishers cannot be
+        told apart, or the log is too short.
     """
     where = str(path)
     warnings = list(raw.warnings)
+
+    # What was logged, without what cannot be the robot's, in the order of time.
     joints = without_absurd(raw.joints, warnings)
     joints = without_second_publisher(joints, where, warnings)
-    present = np.isfinite(joints.channels["position"]).any(axis=0)
-    if missing := [robot.joint_names[j] for j in np.flatnonzero(~present)]:
-        text = (
-            f"no position of joint {', '.join(missing)}: {len(joints)} samples, all"
-            " without it"
-        )
-        hint = "Log all joints of the robot file, by the names that it gives them."
-        raise InputError(text, hint=hint, where=where)
+    _check_positions(joints, robot, where)
     joints = with_torque(joints, robot, raw.prefer_current, where, warnings)
-    ordered, backwards, duplicates, of_clock = raw_log.tidy(joints)
-    repair = mended(ordered)
+    tidied = tidy(joints)
+    repair = mended(tidied.stream)
     logged = repair.stream
+
+    # Position and torque must be measured for a sample to be valid.
     base = make_base(logged, where)
-    q, valid, holes = resample(logged, "position", base)
-    gaps, tau = {*holes, *base.gaps}, None
+    position = resample(logged, "position", base)
+    valid = position.valid
+    gaps = {*position.gaps, *base.gaps}
+    tau = None
     if "tau" in logged.channels:
-        tau, measured, holes = resample(logged, "tau", base)
-        valid, gaps = valid & measured, gaps.union(holes)
-    names = ("velocity", "load", "link_position")
-    dq, load, link = (_of_all_joints(logged, name, base, warnings) for name in names)
-    warnings += [*of_clock, *repair.warnings]
-    accelerometers, gyros, measured = _read_imus(raw, robot, base, repair, warnings)
-    heat = None
+        torque = resample(logged, "tau", base)
+        tau = torque.values
+        valid = valid & torque.valid
+        gaps.update(torque.gaps)
+
+    # Other channels count where they are whole.
+    dq = _of_all_joints(logged, "velocity", base, warnings)
+    load = _of_all_joints(logged, "load", base, warnings)
+    link_position = _of_all_joints(logged, "link_position", base, warnings)
+    temperature = None
     if np.isfinite(logged.channels.get("temperature", np.nan)).any():
-        heat, *_ = resample(logged, "temperature", base)
+        temperature = resample(logged, "temperature", base).values
+
+    warnings += [*tidied.warnings, *repair.warnings]
+    imus = _read_imus(raw, robot, base, repair, warnings)
     recording = Recording(
         path=path,
         sha256=digest,
         format=kind,
         t=base.t,
-        q=q,
-        valid=valid & measured,
+        q=position.values,
+        valid=valid & imus.valid,
         health=Health(
             rate_hz=1.0 / base.step_s,
             jitter=base.jitter,
             gaps=tuple(sorted(gaps)),
-            non_monotonic=backwards,
-            duplicates=duplicates,
+            non_monotonic=tidied.steps_back,
+            duplicates=tidied.duplicates,
             resampled=not base.exact,
             log_minus_header_s=raw.log_minus_header_s,
             warnings=tuple(dict.fromkeys(warnings)),
@@ -156,11 +208,11 @@ def assemble(
         ),
         dq=dq,
         tau=tau,
-        temperature=heat,
+        temperature=temperature,
         load=load,
-        link_position=link,
-        accelerometers=accelerometers,
-        gyros=gyros,
+        link_position=link_position,
+        accelerometers=imus.accelerometers,
+        gyros=imus.gyros,
         start=base.start_ns * 1e-9,
         partial=raw.partial,
         bridged=_bridged(repair, base),
@@ -168,115 +220,196 @@ def assemble(
     return recording, replace(raw, joints=logged)
 
 
+def _check_positions(joints: Stream, robot: Robot, where: str) -> None:
+    """Raise InputError where a joint of the robot has no position at all."""
+    has_position = np.isfinite(joints.channels["position"]).any(axis=0)
+    missing = [robot.joint_names[j] for j in np.flatnonzero(~has_position)]
+    if missing:
+        raise InputError(
+            f"no position of joint {', '.join(missing)}: {len(joints)} samples, all"
+            " without it",
+            hint="Log all joints of the robot file, by the names that it gives them.",
+            where=where,
+        )
+
+
 def _bridged(repair: Mended, base: Base) -> Mask | None:
-    """Samples (N,) of the base that lie nearest to some that were not measured."""
+    """Return the samples (N,) of the base that lie nearest to some not measured."""
     if not repair.bridged.any():
         return None
     seconds = (repair.stream.stamp_ns - base.start_ns) * 1e-9
-    edges = 0.5 * (seconds[1:] + seconds[:-1])
-    return np.asarray(repair.bridged[np.searchsorted(edges, base.t)])
+    midpoints = 0.5 * (seconds[1:] + seconds[:-1])
+    nearest = np.searchsorted(midpoints, base.t)
+    return np.asarray(repair.bridged[nearest])
 
 
 def without_absurd(
     stream: Stream, warnings: list[str], *, most: float = ABSURD
 ) -> Stream:
     """Treat values that are infinite or larger than `most` as missing, and say so."""
-    channels, count = {}, 0
+    channels: dict[str, Array] = {}
+    n_absurd = 0
     for name, values in stream.channels.items():
-        wrong = np.abs(values) > most
-        count += int(np.count_nonzero(wrong))
-        channels[name] = np.where(wrong, np.nan, values) if wrong.any() else values
-    if not count:
+        is_absurd = np.abs(values) > most
+        n_absurd += int(np.count_nonzero(is_absurd))
+        channels[name] = values
+        if is_absurd.any():
+            channels[name] = np.where(is_absurd, np.nan, values)
+
+    if not n_absurd:
         return stream
-    text = f"{count} values are infinite or beyond {most:g}; taken as missing"
-    warnings.append(f"{stream.name}: {text}")
+    warnings.append(
+        f"{stream.name}: {n_absurd} values are infinite or beyond {most:g}; taken as"
+        " missing"
+    )
     return replace(stream, channels=channels)
 
 
 def with_torque(
     joints: Stream, robot: Robot, prefer_current: bool, where: str, warnings: list[str]
 ) -> Stream:
-    """Add `tau`: the logged torque, else current times torque constant and gear ratio."""
-    none = np.full((len(joints), robot.n), np.nan)
-    torque, current = (
-        joints.channels.get(name, none) for name in ("torque", "current")
+    """Add the torque `tau`: the logged one, else by current and drive data.
+
+    Parameters
+    ----------
+    joints : Stream
+        Joint samples with `torque` (M, n) [N m] or `current` (M, n) [A], or neither.
+    robot : Robot
+        Torque constants [N m / A] and gear ratios.
+    prefer_current : bool
+        Whether a current counts more than a torque of the same joint.
+    where : str
+        The log, for messages.
+    warnings : list of str
+        A current that cannot be turned into torque is added to it.
+
+    Returns
+    -------
+    Stream
+        With `tau` (M, n) [N m at the joint] where every joint has it, else as it was.
+
+    Raises
+    ------
+    TorqueLackingError
+        Some joints have neither, and others have one.
+    """
+    missing = np.full((len(joints), robot.n), np.nan)
+    torque = joints.channels.get("torque", missing)
+    current = joints.channels.get("current", missing)
+    torque_per_ampere = np.array(
+        [joint.torque_per_ampere for joint in robot.joints], np.float64
     )
-    factors = np.array([joint.torque_per_ampere for joint in robot.joints], np.float64)
-    by_current = current * factors  # NaN where the robot file has none
-    first, second = (by_current, torque) if prefer_current else (torque, by_current)
-    tau = np.where(np.isfinite(first).any(axis=0), first, second)
-    present: Mask = np.asarray(np.isfinite(tau).any(axis=0))
+    torque_by_current = current * torque_per_ampere  # NaN without drive data
+
+    preferred, fallback = torque, torque_by_current
+    if prefer_current:
+        preferred, fallback = torque_by_current, torque
+    tau = np.where(np.isfinite(preferred).any(axis=0), preferred, fallback)
+
+    has_torque: Mask = np.asarray(np.isfinite(tau).any(axis=0))
+    has_current: Mask = np.asarray(np.isfinite(current).any(axis=0))
     names = np.array(robot.joint_names)
-    if len(
-        without_drive := names[np.asarray(np.isfinite(current).any(axis=0)) & ~present]
-    ):
-        text = (
-            f"the current of {', '.join(without_drive)} cannot be turned into torque:"
-            " give "
+    without_drive_data = names[has_current & ~has_torque]
+    if len(without_drive_data):
+        warnings.append(
+            f"the current of {', '.join(without_drive_data)} cannot be turned into"
+            " torque: give torque_constant and gear_ratio in the robot file"
         )
-        warnings.append(f"{text}torque_constant and gear_ratio in the robot file")
-    elif present.all():
+        return joints
+    if has_torque.all():
         return replace(joints, channels={**joints.channels, "tau": tau})
-    elif present.any():
-        raise TorqueLackingError(names[~present].tolist(), where)
+    if has_torque.any():
+        raise TorqueLackingError(names[~has_torque].tolist(), where)
     return joints
 
 
 def _of_all_joints(
     stream: Stream, quantity: str, base: Base, warnings: list[str]
 ) -> Array | None:
-    """Resample an optional channel; None, with a warning, where only some joints have it."""
+    """Resample an optional channel to (N, n); None where not every joint has it."""
     if quantity not in stream.channels:
         return None
-    values, *_ = resample(stream, quantity, base)
-    there = np.isfinite(values)
-    if there.any() and not there.all():
+    values = resample(stream, quantity, base).values
+    is_logged = np.isfinite(values)
+    if is_logged.all():
+        return values
+    if is_logged.any():
         warnings.append(f"{quantity} is logged for some joints only; it is left out")
-    return values if there.all() else None
+    return None
+
+
+@dataclass(frozen=True)
+class _ImuReadings:
+    """Readings of all IMUs on the time base."""
+
+    accelerometers: dict[str, Array]  # (N, K) m/s^2 by IMU
+    gyros: dict[str, Array]  # (N, 3) rad/s by IMU
+    valid: Mask  # (N,) where all of them are measured
 
 
 def _read_imus(
     raw: RawLog, robot: Robot, base: Base, repair: Mended, warnings: list[str]
-) -> tuple[dict[str, Array], dict[str, Array], Mask]:
-    """Accelerometers (N, K) and gyros (N, 3) by IMU, and where (N,) all of them are measured."""
-    found: dict[str, dict[str, Array]] = {raw_log.ACCELEROMETERS: {}, raw_log.GYRO: {}}
+) -> _ImuReadings:
+    """Bring the IMUs of the robot to the base; one that cannot be used is left out."""
+    by_quantity: dict[str, dict[str, Array]] = {ACCELEROMETERS: {}, GYRO: {}}
     valid = np.ones(base.count, np.bool_)
     for imu in robot.imus:
-        given = raw.imus.get(imu.name, ())
-        tidied = [raw_log.tidy(without_absurd(each, warnings)) for each in given]
-        streams = [stream for stream, *_ in tidied]
-        for k, each in enumerate(streams):
-            if np.array_equal(each.stamp_ns, repair.stamps):  # those of the joints
-                streams[k], _ = with_losses(each, repair.losses)
-        if not streams or not _usable(imu.name, streams, base, warnings):
+        streams: list[Stream] = []
+        clock_warnings: list[str] = []
+        for stream in raw.imus.get(imu.name, ()):
+            tidied = tidy(without_absurd(stream, warnings))
+            clock_warnings += tidied.warnings
+            streams.append(_with_losses_of_joints(tidied.stream, repair))
+        if not streams or not _is_usable(imu.name, streams, base, warnings):
             continue
-        for quantity, target in found.items():
-            those = [stream for stream in streams if quantity in stream.channels]
-            if parts := [resample(stream, quantity, base) for stream in those]:
-                target[imu.name] = np.hstack([values for values, *_ in parts])
-                valid &= np.all([measured for _, measured, _ in parts], axis=0)
-        warnings += [warning for *_, own in tidied for warning in own]
-    return found[raw_log.ACCELEROMETERS], found[raw_log.GYRO], valid
+
+        for quantity, values_by_imu in by_quantity.items():
+            parts = [
+                resample(stream, quantity, base)
+                for stream in streams
+                if quantity in stream.channels
+            ]
+            if parts:
+                values_by_imu[imu.name] = np.hstack([part.values for part in parts])
+                valid &= np.all([part.valid for part in parts], axis=0)
+        warnings += clock_warnings
+    return _ImuReadings(by_quantity[ACCELEROMETERS], by_quantity[GYRO], valid)
 
 
-def _usable(name: str, streams: list[Stream], base: Base, warnings: list[str]) -> bool:
-    """Tell whether an IMU can be used on the base; otherwise it is left out with a warning."""
+def _with_losses_of_joints(stream: Stream, repair: Mended) -> Stream:
+    """Mend an IMU's stream as the joints were, where it has their stamps."""
+    if not np.array_equal(stream.stamp_ns, repair.stamps):
+        return stream
+    mended_stream, _ = with_losses(stream, repair.losses)
+    return mended_stream
+
+
+def _is_usable(
+    name: str, streams: list[Stream], base: Base, warnings: list[str]
+) -> bool:
+    """Tell whether an IMU can be used on the base; a warning says why it cannot."""
     for stream in streams:
-        covered, wrong = overlap(stream, base), ""
+        covered_share = overlap(stream, base)
+        fault = ""
         empty = [
-            q
-            for q, v in stream.channels.items()
-            if not np.isfinite(v).any(axis=0).all()
+            quantity
+            for quantity, values in stream.channels.items()
+            if not np.isfinite(values).any(axis=0).all()
         ]
         if empty:
-            wrong = f"{stream.name} has no {empty[0]} values"
-        elif covered <= 0.0:
-            wrong = f"the stamps of {stream.name} do not overlap those of the joints; "
-            wrong += "let both use one clock, or use the times of logging"
-        if wrong:
-            warnings.append(f"IMU {name!r} is left out: {wrong}")
+            fault = f"{stream.name} has no {empty[0]} values"
+        elif covered_share <= 0.0:
+            fault = (
+                f"the stamps of {stream.name} do not overlap those of the joints; let"
+                " both use one clock, or use the times of logging"
+            )
+        if fault:
+            warnings.append(f"IMU {name!r} is left out: {fault}")
             return False
-        if covered < 0.99:
-            text = f"{stream.name} covers {percent(covered, 0)} of the joints' time"
-            warnings.append(f"{text}; samples outside it are not valid")
+
+        if covered_share < 0.99:
+            warnings.append(
+                f"{stream.name} covers {percent(covered_share, 0)} of the joints' time;"
+                " samples outside it are not valid"
+            )
     return True

@@ -1,6 +1,10 @@
-"""What a log holds once it is read: uniform in time, SI units, joints in the robot's order."""
+"""What a log holds once it is read: uniform in time, in SI units.
 
-from dataclasses import dataclass, field
+Joints are in the order of the robot file. N is the number of samples, n the number of
+joints, K the number of accelerometers of an IMU.
+"""
+
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
 from seqid_cli.errors import InputError
@@ -13,9 +17,10 @@ class Health:
 
     rate_hz: float
     jitter: float  # standard deviation of the sample interval over its median
+    _: KW_ONLY
     gaps: tuple[tuple[float, float], ...] = ()  # (start, end) s since the first sample
-    non_monotonic: int = 0
-    duplicates: int = 0
+    non_monotonic: int = 0  # steps back in time
+    duplicates: int = 0  # samples that repeat a stamp
     resampled: bool = False
     log_minus_header_s: float | None = None
     warnings: tuple[str, ...] = ()
@@ -24,16 +29,16 @@ class Health:
 
 @dataclass(frozen=True)
 class Whole:
-    """The log that a recording is a piece of: its digest, start [s, its own clock], length [s]."""
+    """The log that a recording is a piece of."""
 
     sha256: str
-    start: float
-    length: float
+    start: float  # s, its first sample on its own clock
+    length: float  # s
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Recording:
-    """One log, or a piece of one, on one uniform time base; None for channels that it lacks."""
+    """One log, or a piece of one, on one time base; None for channels that it lacks."""
 
     path: Path
     sha256: str
@@ -67,15 +72,24 @@ class Recording:
 
 
 def torque_of(recording: Recording) -> Array:
-    """Measured torque (N, n) N m of a log; raises InputError if it carries none, nor current."""
+    """Return the measured torque of a log.
+
+    Returns
+    -------
+    ndarray, (N, n)
+        Torque at the joints [N m].
+
+    Raises
+    ------
+    InputError
+        The log carries neither torque nor a current that gives it.
+    """
     if recording.tau is None:
-        text = (
+        raise InputError(
             "the log has neither joint torque nor motor current that can be turned into"
-            " torque"
+            " torque",
+            hint="record either; current needs torque_constant and gear_ratio in the"
+            " robot file",
+            where=str(recording.path),
         )
-        hint = (
-            "record either; current needs torque_constant and gear_ratio in the robot"
-            " file"
-        )
-        raise InputError(text, hint=hint, where=str(recording.path))
     return recording.tau

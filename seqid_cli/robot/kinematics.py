@@ -1,10 +1,11 @@
-"""Kinematics of a serial chain, batched over samples; chains of DH parameters or of a file.
+"""Kinematics of a serial chain, batched over samples.
 
 Symbols: R_AB rotates from B to A; `R`, `p`, `z` of `forward` are seen from the base.
 `w` and `dw` are a link's angular velocity and acceleration, `a` the linear acceleration
 of its frame's origin minus gravity, all three in the link's own frame. A link is called
-by the joint that moves it, from 0; the base is -1. Inside, samples are the last axis
-(contiguous); at the boundary the first.
+by the joint that moves it, from 0; the base is -1. n is the number of joints, N the
+number of samples. Inside, samples are the last axis (contiguous); at the boundary the
+first.
 """
 
 from collections.abc import Collection, Sequence
@@ -24,19 +25,25 @@ def skew(v: Array) -> Array:
 
 
 def rotation_about(axis: Array, angle: float) -> Array:
-    """Rotate by `angle` [rad] about the unit vector `axis` (3,): matrix (3, 3) (Rodrigues)."""
+    """Return the matrix (3, 3) that turns by `angle` [rad] about a unit axis (3,).
+
+    By the formula of Rodrigues.
+    """
     K = skew(axis)
     return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
 
 
 def tidy_rotation(R: Array) -> Array:
-    """Make entries of a rotation (3, 3) within `ANGLE_NOISE` of 0 and +-1 exact."""
-    # Rounded quarter turns would otherwise count as geometry: axes parallel but for
-    # 4e-6 rad give base parameters that no experiment can see.
+    """Make entries of a rotation (3, 3) within `ANGLE_NOISE` of 0 and +-1 exact.
+
+    Rounded quarter turns would otherwise count as geometry: axes parallel but for 4e-6
+    rad give base parameters that no experiment can see.
+    """
     nearest = np.round(R)
     snapped = np.where(np.abs(R - nearest) < ANGLE_NOISE, nearest, R)
     if np.array_equal(snapped, nearest):
         return np.asarray(snapped + 0.0)
+    # What is no quarter turn is made orthogonal again.
     U, _, Vt = np.linalg.svd(snapped)
     R = U @ Vt
     return np.asarray(np.where(np.abs(R) < 1e-15, 0.0, R))
@@ -57,31 +64,37 @@ def tidy_axis(axis: Array) -> Array:
 def chain_from_dh(
     rows: Sequence[Sequence[float]], sliding: Collection[int] = ()
 ) -> Chain:
-    """Build the chain of a modified DH table; joint axes are z of their frames (Eq. 27).
+    """Build the chain of a modified DH table (Eq. 27).
 
-    `rows`: alpha, a, d and theta0 of each joint, rad and m: RotX(alpha) TransX(a)
-    RotZ(theta0 + q) TransZ(d). Joints in `sliding` (0-based) keep their angle theta0
-    and move by q along z.
+    Parameters
+    ----------
+    rows : sequence of (float, float, float, float)
+        alpha, a, d and theta0 of each joint [rad, m]: RotX(alpha) TransX(a)
+        RotZ(theta0 + q) TransZ(d). Joint axes are z of their frames.
+    sliding : collection of int
+        Joints (0-based) that keep their angle theta0 and move by q along z.
     """
     x, z = np.eye(3)[[0, 2]]
-    rotations, positions = [], []
+    rotations = []
+    positions = []
     for alpha, a, d, theta0 in rows:
         tilt = rotation_about(x, alpha)
         rotations.append(tidy_rotation(tilt @ rotation_about(z, theta0)))
         positions.append(tidy_position(a * x + d * tidy_rotation(tilt)[:, 2]))
-    axes, prismatic = (
-        np.tile(z, (len(rows), 1)),
-        np.isin(np.arange(len(rows)), list(sliding)),
+    return Chain(
+        rotation=np.array(rotations),
+        position=np.array(positions),
+        axis=np.tile(z, (len(rows), 1)),
+        prismatic=np.isin(np.arange(len(rows)), list(sliding)),
     )
-    return Chain(np.array(rotations), np.array(positions), axes, prismatic)
 
 
 class Frames(NamedTuple):
-    """Link frames: `R` (N, n, 3, 3) base from link, origins `p` (N, n, 3) m, axes `z` (N, n, 3)."""
+    """Frames of all links, seen from the base."""
 
-    R: Array
-    p: Array
-    z: Array
+    R: Array  # (N, n, 3, 3) base from link
+    p: Array  # (N, n, 3) m, origins
+    z: Array  # (N, n, 3) joint axes
 
 
 class LinkMotion(NamedTuple):
@@ -98,53 +111,86 @@ class LinkMotion(NamedTuple):
 
 def cross(u: Array, v: Array) -> Array:
     """Take the cross product along the first axis (3, ...), with broadcasting."""
-    x, y = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2]
-    return np.stack((x, y, u[0] * v[1] - u[1] * v[0]))
+    x = u[1] * v[2] - u[2] * v[1]
+    y = u[2] * v[0] - u[0] * v[2]
+    z = u[0] * v[1] - u[1] * v[0]
+    return np.stack((x, y, z))
 
 
 def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
-    """Place each joint's frame in its parent's: R (n, 3, 3, N) and p (n, 3, N) [m], Eq. 27.
+    """Place each joint's frame in its parent's (Eq. 27).
 
-    `q` (n, N) [rad; m where prismatic].
+    Parameters
+    ----------
+    q : ndarray, (n, N)
+        Joint positions [rad; m where prismatic].
+
+    Returns
+    -------
+    R : ndarray, (n, 3, 3, N)
+        Parent from joint.
+    p : ndarray, (n, 3, N)
+        Origins in the parent's frame [m].
     """
-    turning = np.where(chain.prismatic, 0.0, 1.0)[:, None, None]
+    # Rodrigues' formula with the axis e, R = C (e e' + cos q (1 - e e') + sin q [e x]),
+    # as one product of constant matrices with 1, cos q and sin q. R is C if it slides.
+    turns = np.where(chain.prismatic, 0.0, 1.0)[:, None, None]
     along = chain.axis[:, :, None] * chain.axis[:, None, :]
-    still = chain.rotation @ (turning * along + (1.0 - turning) * np.eye(3))
-    cosine = chain.rotation @ (turning * (np.eye(3) - along))
-    sine = chain.rotation @ (turning * np.stack([skew(axis) for axis in chain.axis]))
-    parts = np.stack((still, cosine, sine), axis=-1).reshape(chain.n, 9, 3)
-    turns = np.stack((np.ones_like(q), np.cos(q), np.sin(q)), axis=1)
-    R = (parts @ turns).reshape(chain.n, 3, 3, -1)
-    slide = (1.0 - turning[:, 0]) * np.einsum("nab,nb->na", chain.rotation, chain.axis)
-    return R, chain.position[:, :, None] + slide[:, :, None] * q[:, None, :]
+    skews = np.stack([skew(axis) for axis in chain.axis])
+    constant = chain.rotation @ (turns * along + (1.0 - turns) * np.eye(3))
+    cosine = chain.rotation @ (turns * (np.eye(3) - along))
+    sine = chain.rotation @ (turns * skews)
+    matrices = np.stack((constant, cosine, sine), axis=-1).reshape(chain.n, 9, 3)
+    factors = np.stack((np.ones_like(q), np.cos(q), np.sin(q)), axis=1)
+    R = (matrices @ factors).reshape(chain.n, 3, 3, -1)
+
+    axis_in_parent = np.einsum("nab,nb->na", chain.rotation, chain.axis)
+    slides = (1.0 - turns[:, 0]) * axis_in_parent
+    p = chain.position[:, :, None] + slides[:, :, None] * q[:, None, :]
+    return R, p
 
 
 def link_motion(
     chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array
 ) -> LinkMotion:
-    """Propagate motion to all links, base at rest; q, dq, ddq (n, N), `gravity` (3,) [m/s^2]."""
+    """Propagate motion from the base, which is at rest, to all links.
+
+    Parameters
+    ----------
+    gravity : ndarray, (3,)
+        In the base frame [m/s^2].
+    q, dq, ddq : ndarray, (n, N)
+        Joint positions, velocities, accelerations [rad; m where prismatic].
+    """
     R, p = joint_transforms(chain, q)
-    w, dw, a = (np.empty_like(p) for _ in range(3))
+    w = np.empty_like(p)
+    dw = np.empty_like(p)
+    a = np.empty_like(p)
     H = np.empty(R.shape)
     for i in range(chain.n):
-        # w, dw, a of the base, then of the link before
+        # w, dw, a of the parent, the base or the link before, at the joint's origin.
         parent = np.zeros((3, *p[i].shape))
         if i:
-            parent[0], parent[1] = w[i - 1], dw[i - 1]
+            parent[0] = w[i - 1]
+            parent[1] = dw[i - 1]
             np.einsum("abn,bn->an", H[i - 1], p[i], out=parent[2])
             parent[2] += a[i - 1]
         else:
             parent[2] -= gravity[:, None]
-        turned_back = parent[:, 0, None] * R[i, 0]
-        turned_back += parent[:, 1, None] * R[i, 1]
-        turned_back += parent[:, 2, None] * R[i, 2]
-        w[i], dw[i], a[i] = turned_back
+
+        # The same in the link's frame: R transposed times each.
+        in_link = parent[:, 0, None] * R[i, 0]
+        in_link += parent[:, 1, None] * R[i, 1]
+        in_link += parent[:, 2, None] * R[i, 2]
+        w[i], dw[i], a[i] = in_link
+
+        # What the joint itself adds.
         axis = chain.axis[i][:, None]
-        turned = (-skew(chain.axis[i]) @ w[i]) * dq[i]  # w x axis dq
+        w_cross_axis_dq = (-skew(chain.axis[i]) @ w[i]) * dq[i]
         if chain.prismatic[i]:
-            a[i] += axis * ddq[i] + 2.0 * turned
+            a[i] += axis * ddq[i] + 2.0 * w_cross_axis_dq
         else:
-            dw[i] += axis * ddq[i] + turned
+            dw[i] += axis * ddq[i] + w_cross_axis_dq
             w[i] += axis * dq[i]
         fill_motion_matrix(H[i], w[i], dw[i])
     return LinkMotion(R=R, p=p, w=w, dw=dw, a=a, H=H)
@@ -153,7 +199,9 @@ def link_motion(
 def fill_motion_matrix(H: Array, w: Array, dw: Array) -> None:
     """Fill H (3, 3, N) with skew(dw) + skew(w) skew(w)."""
     xx, yy, zz = w * w
-    H[0, 0], H[1, 1], H[2, 2] = -(yy + zz), -(xx + zz), -(xx + yy)
+    H[0, 0] = -(yy + zz)
+    H[1, 1] = -(xx + zz)
+    H[2, 2] = -(xx + yy)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         product = w[i] * w[j]
         np.subtract(product, dw[k], out=H[i, j])
@@ -161,10 +209,15 @@ def fill_motion_matrix(H: Array, w: Array, dw: Array) -> None:
 
 
 def forward(chain: Chain, q: Array) -> Frames:
-    """Compute the frames of all links seen from the base, at q (N, n) [rad; m where prismatic]."""
+    """Compute the frames of all links seen from the base.
+
+    `q` (N, n): joint positions [rad; m where prismatic].
+    """
     R_local, p_local = (np.moveaxis(x, -1, 0) for x in joint_transforms(chain, q.T))
-    R, p = np.empty(R_local.shape), np.empty(p_local.shape)
-    R[:, 0], p[:, 0] = R_local[:, 0], p_local[:, 0]
+    R = np.empty(R_local.shape)
+    p = np.empty(p_local.shape)
+    R[:, 0] = R_local[:, 0]
+    p[:, 0] = p_local[:, 0]
     for i in range(1, chain.n):
         R[:, i] = R[:, i - 1] @ R_local[:, i]
         p[:, i] = p[:, i - 1] + np.einsum("nab,nb->na", R[:, i - 1], p_local[:, i])
@@ -172,32 +225,49 @@ def forward(chain: Chain, q: Array) -> Frames:
 
 
 def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
-    """Vector a (K, 2) m/s^2 of Eq. 13 at positions q (K,) of one joint, the others locked.
+    """Compute the columns of Eq. 13: gravity of one joint, the others locked.
 
-    `configuration` (n,): positions of the joints before it [rad]. (K, 1) for a
-    prismatic joint, whose gravity force is mass times gravity along the axis; (K, 0)
-    where none is across the axis.
+    Parameters
+    ----------
+    joint : int
+        The joint that moves, from 0.
+    configuration : ndarray, (n,)
+        Positions of the joints before it [rad].
+    q : ndarray, (K,)
+        Positions of the joint [rad].
+
+    Returns
+    -------
+    ndarray, (K, 2)
+        Vectors a [m/s^2]. (K, 1) for a prismatic joint, whose gravity force is mass
+        times gravity along the axis; (K, 0) where no gravity is across the axis.
     """
-    zero = configuration.copy()
-    zero[joint] = 0.0
-    g = forward(robot.chain, zero[None]).R[0, joint].T @ robot.gravity
+    at_zero = configuration.copy()
+    at_zero[joint] = 0.0
+    g = forward(robot.chain, at_zero[None]).R[0, joint].T @ robot.gravity
     axis = robot.chain.axis[joint]
     if robot.chain.prismatic[joint]:
-        column = np.full((len(q), 1), -float(g @ axis))
-        return column if abs(g @ axis) > 1e-6 else column[:, :0]
+        along_axis = float(g @ axis)
+        if abs(along_axis) <= 1e-6:
+            return np.empty((len(q), 0))
+        return np.full((len(q), 1), -along_axis)
+
     e_x, e_y = plane_across(axis)
-    g_x, g_y = float(g @ e_x), float(g @ e_y)
+    g_x = float(g @ e_x)
+    g_y = float(g @ e_y)
     if np.hypot(g_x, g_y) < 1e-6:
         return np.empty((len(q), 0))
-    sin, cos = np.sin(q), np.cos(q)
+    sin = np.sin(q)
+    cos = np.cos(q)
     return np.column_stack([g_x * sin - g_y * cos, g_x * cos + g_y * sin])
 
 
 def plane_across(axis: Array) -> tuple[Array, Array]:
-    """Two unit vectors across a joint axis; x and y of the frame where the axis is z."""
-    start = (
-        np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    )
+    """Return two unit vectors across a joint axis: x and y where the axis is z."""
+    # From a coordinate axis that is not nearly the joint's.
+    start = np.array([1.0, 0.0, 0.0])
+    if abs(axis[0]) >= 0.9:
+        start = np.array([0.0, 1.0, 0.0])
     e_x = start - axis * (axis @ start)
     e_x /= np.linalg.norm(e_x)
     return e_x, np.cross(axis, e_x)
@@ -206,6 +276,19 @@ def plane_across(axis: Array) -> tuple[Array, Array]:
 def link_angular_motion(
     chain: Chain, q: Array, dq: Array, ddq: Array, link: int
 ) -> tuple[Array, Array]:
-    """Compute w, dw (N, 3) [rad/s, rad/s^2] of `link` in its frame (Eq. 39); q, dq, ddq (N, n)."""
+    """Compute the angular motion of a link in its own frame (Eq. 39).
+
+    Parameters
+    ----------
+    q, dq, ddq : ndarray, (N, n)
+        Joint positions, velocities, accelerations.
+    link : int
+        The link, by the joint that moves it, from 0.
+
+    Returns
+    -------
+    w, dw : ndarray, (N, 3)
+        Angular velocity [rad/s] and acceleration [rad/s^2].
+    """
     motion = link_motion(chain, np.zeros(3), q.T, dq.T, ddq.T)
     return motion.w[link].T.copy(), motion.dw[link].T.copy()

@@ -25,7 +25,7 @@ from seqid_cli.robot.kinematics import cross, fill_motion_matrix, link_motion, s
 from seqid_cli.robot.types import Array, Chain
 
 PER_LINK = 10
-Kinds = NDArray[np.intp]
+Kinds = NDArray[np.intp]  # numbers of a link's columns, 0 to 9
 Columns = Sequence[int] | None  # of the regressor; None is all
 Coupling = Literal["diagonal", "gyroscopic"]
 _BLOCK = 4096  # samples at a time: numpy call overhead against cache
@@ -40,19 +40,33 @@ def torque_regressor(
     *,
     columns: Columns = None,
 ) -> Array:
-    """Compute the regressor Y of the rigid-body joint torque: tau = Y phi (Eq. 3, without rotors).
+    """Compute the regressor Y of the rigid-body torque, tau = Y phi (Eq. 3).
 
-    `columns`: the ones to compute of the 10 n, ascending. Returns (N, n, 10 n or
-    len(columns)): link-major, in Pinocchio's order, N m (N where prismatic) per unit.
+    Rotors are left out.
+
+    Parameters
+    ----------
+    gravity : ndarray, (3,)
+        In the base frame [m/s^2].
+    q, dq, ddq : ndarray, (N, n)
+        Joint positions, velocities, accelerations [rad; m where prismatic].
+    columns : sequence of int, optional
+        The ones to compute of the 10 n, ascending.
+
+    Returns
+    -------
+    ndarray, (N, n, 10 n or len(columns))
+        Link-major, in Pinocchio's order, N m (N where prismatic) per unit.
     """
-    kept = columns_by_link(chain.n, columns)
-    Y = np.empty((chain.n, sum(len(kinds) for kinds in kept), len(q)))
-    stop = 0
-    for i, kinds in enumerate(kept):
-        start, stop = stop, stop + len(kinds)
+    kinds_by_link = columns_by_link(chain.n, columns)
+    Y = np.empty((chain.n, sum(map(len, kinds_by_link)), len(q)))
+    start = 0
+    for i, kinds in enumerate(kinds_by_link):
+        stop = start + len(kinds)
         Y[i + 1 :, start:stop] = 0.0  # joints behind a link do not feel it
-    for _ in link_blocks(chain, gravity, q, dq, ddq, kept, out=Y):
-        pass
+        start = stop
+    for _ in link_blocks(chain, gravity, q, dq, ddq, kinds_by_link, out=Y):
+        pass  # each block is written to Y
     return Y.transpose(2, 0, 1)
 
 
@@ -62,54 +76,82 @@ def link_blocks(
     q: Array,
     dq: Array,
     ddq: Array,
-    kept: Sequence[Kinds],
+    kinds_by_link: Sequence[Kinds],
     *,
     out: Array | None = None,
 ) -> Iterator[tuple[int, slice, Array]]:
     """Compute the regressor of `torque_regressor` piece by piece, to be regrouped.
 
-    `kept`: per link the numbers of its columns to compute, ascending (see
-    `columns_by_link`). `out` (n, p, N): where all columns go, link after link; without
-    it each array is filled anew for the next. Yields: link i, the samples, and the
-    torques of joints 0..i.
+    Parameters
+    ----------
+    q, dq, ddq : ndarray, (N, n)
+        Joint positions, velocities, accelerations [rad; m where prismatic].
+    kinds_by_link : sequence of ndarray of int
+        For each link the numbers of its columns to compute, ascending; see
+        `columns_by_link`.
+    out : ndarray, (n, p, N), optional
+        Where all columns go, link after link.
+
+    Yields
+    ------
+    int
+        The link i.
+    slice
+        The samples, M of them.
+    ndarray, (i + 1, columns of the link, M)
+        Torques of joints 0..i per unit. Without `out` the array is filled anew for the
+        next piece.
     """
-    largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
-    room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
-    starts = np.cumsum([0, *(len(kinds) for kinds in kept)])
-    walk = _Walk(chain, min(_BLOCK, len(q)))
+    block_length = min(_BLOCK, len(q))
+    largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kinds_by_link))
+    buffer = np.empty(largest * block_length if out is None else 0)
+    starts = np.cumsum([0, *map(len, kinds_by_link)])
+    walk = _Walk(chain, block_length)
     for start in range(0, len(q), _BLOCK):
-        rows = slice(start, min(start + _BLOCK, len(q)))
-        state = (np.ascontiguousarray(x[rows].T) for x in (q, dq, ddq))
+        samples = slice(start, min(start + _BLOCK, len(q)))
+        state = (np.ascontiguousarray(x[samples].T) for x in (q, dq, ddq))
         for i, link in enumerate(walk.links(gravity, *state)):
+            kinds = kinds_by_link[i]
             if out is None:
-                shape = (i + 1, len(kept[i]), rows.stop - start)
-                block = room[: int(np.prod(shape))].reshape(shape)
+                shape = (i + 1, len(kinds), samples.stop - start)
+                block = buffer[: int(np.prod(shape))].reshape(shape)
             else:
-                block = out[: i + 1, starts[i] : starts[i + 1], rows]
-            _fill_link(
-                block, kept[i], link, chain.axis[i], prismatic=chain.prismatic[i]
-            )
-            yield i, rows, block
+                block = out[: i + 1, starts[i] : starts[i + 1], samples]
+            _fill_link(block, kinds, link, chain.axis[i], prismatic=chain.prismatic[i])
+            yield i, samples, block
 
 
 def gravity_regressor(chain: Chain, gravity: Array, q: Array) -> Array:
-    """Compute the regressor (N, n, 10 n) of gravity alone (Eq. 18); inertia columns are zero."""
-    still = np.zeros_like(q)
-    return torque_regressor(chain, gravity, q, still, still)
+    """Compute the regressor (N, n, 10 n) of gravity alone (Eq. 18).
+
+    Its inertia columns are zero. `q` is (N, n), `gravity` (3,) [m/s^2].
+    """
+    at_rest = np.zeros_like(q)
+    return torque_regressor(chain, gravity, q, at_rest, at_rest)
 
 
 def rotor_regressor(
     chain: Chain, q: Array, dq: Array, ddq: Array, gear_ratio: Array, coupling: Coupling
 ) -> Array:
-    """Compute the joint torque per unit motor-side rotor inertia [kg m^2] of each joint.
+    """Compute the joint torques per unit of motor-side rotor inertia [kg m^2].
 
-    "diagonal": rotor i loads its own joint only, by N_i^2 ddq_i (Eq. 2). "gyroscopic":
-    rotor i rides on link i-1 and turns about axis i at N_i dq_i relative to it, so that
-    link feels the moment N_i (ddq_i z_i + dq_i w x z_i), and joint i also N_i z_i . dw.
-    Its inertia as a dead mass belongs to the link. Rotors of prismatic joints have the
-    diagonal term only. `gear_ratio` (n,): motor turns per joint turn, signed [rad/m
-    where prismatic]. Returns (N, n, n): torque of joint j per rotor inertia i at [:, j,
-    i].
+    Parameters
+    ----------
+    q, dq, ddq : ndarray, (N, n)
+        Joint positions, velocities, accelerations [rad; m where prismatic].
+    gear_ratio : ndarray, (n,)
+        Motor turns N_i per joint turn, signed [rad/m where prismatic].
+    coupling : {"diagonal", "gyroscopic"}
+        "diagonal": rotor i loads its own joint only, by N_i^2 ddq_i (Eq. 2).
+        "gyroscopic": rotor i rides on link i-1 and turns about axis i at N_i dq_i
+        relative to it, so that link feels the moment N_i (ddq_i z_i + dq_i w x z_i),
+        and joint i also N_i z_i . dw. Its inertia as a dead mass belongs to the link.
+        Rotors of prismatic joints have the diagonal term only.
+
+    Returns
+    -------
+    ndarray, (N, n, n)
+        Torque of joint j per rotor inertia i at [:, j, i].
     """
     n = chain.n
     Y = np.zeros((n, n, len(q)))
@@ -131,109 +173,162 @@ def rotor_regressor(
 def inverse_dynamics(
     chain: Chain, gravity: Array, phi: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
-    """Compute the joint torque (N, n) [N m; N where prismatic] by recursive Newton-Euler.
+    """Compute the joint torque by recursive Newton-Euler.
 
-    `q`, `dq`, `ddq` (N, n), `gravity` (3,): as in the module's head. `phi` (n, 10):
-    standard parameters, physical or not (Pinocchio's order, inertia about the link
-    frame's origin).
+    Parameters
+    ----------
+    gravity : ndarray, (3,)
+        In the base frame [m/s^2].
+    phi : ndarray, (n, 10)
+        Standard parameters, physical or not (Pinocchio's order, inertia about the link
+        frame's origin).
+    q, dq, ddq : ndarray, (N, n)
+        Joint positions, velocities, accelerations [rad; m where prismatic].
+
+    Returns
+    -------
+    ndarray, (N, n)
+        Torques [N m; N where prismatic].
     """
     motion = link_motion(chain, gravity, q.T, dq.T, ddq.T)
     force, moment = np.zeros((2, 3, len(q)))
     tau = np.empty((chain.n, len(q)))
     for i in reversed(range(chain.n)):
-        w, dw, a = motion.w[i], motion.dw[i], motion.a[i]
-        mass, c = phi[i, 0], phi[i, 1:4, None]
+        w = motion.w[i]
+        dw = motion.dw[i]
+        a = motion.a[i]
+        mass = phi[i, 0]
+        c = phi[i, 1:4, None]
         xx, xy, yy, xz, yz, zz = phi[i, 4:]
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+        # What the link needs, and all links behind it.
         force = force + (mass * a + cross(dw, c) + cross(w, cross(w, c)))
         moment = moment + (cross(c, a) + inertia @ dw + cross(w, inertia @ w))
         tau[i] = chain.axis[i] @ (force if chain.prismatic[i] else moment)
+
+        # The same in the frame of the link before, about its origin.
         force = np.einsum("abn,bn->an", motion.R[i], force)
-        moment = np.einsum("abn,bn->an", motion.R[i], moment) + cross(
-            motion.p[i], force
-        )
+        moment = np.einsum("abn,bn->an", motion.R[i], moment)
+        moment = moment + cross(motion.p[i], force)
     return np.ascontiguousarray(tau.T)
 
 
 def columns_by_link(n: int, columns: Columns) -> list[Kinds]:
     """Split columns of the regressor, in ascending order, into those of each link."""
-    every = (
-        np.arange(PER_LINK * n)
-        if columns is None
-        else np.asarray(columns, dtype=np.intp)
-    )
-    return [every[every // PER_LINK == i] % PER_LINK for i in range(n)]
+    numbers = np.arange(PER_LINK * n)
+    if columns is not None:
+        numbers = np.asarray(columns, dtype=np.intp)
+    return [numbers[numbers // PER_LINK == i] % PER_LINK for i in range(n)]
 
 
 class _Link(NamedTuple):
-    """Load of a link, in its frame, samples last; the next link but one uses the arrays again."""
+    """Load of a link, in its frame, samples last.
 
-    w: Array
-    dw: Array
+    The next link but one uses the arrays again.
+    """
+
+    w: Array  # (3, N) rad/s
+    dw: Array  # (3, N) rad/s^2
     # (2, 3, 4, N): m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c)
     load: Array
     screws: Array  # (2, 3, i + 1, N) of joints 0..i: z, then l
+
+
+# Rows of `_Walk.rows`: w and dw lie between both halves of the load, so that they and
+# the second half, (a, H), are one piece (w, dw, a | H).
+_W = slice(12, 15)
+_DW = slice(15, 18)
+_MOTION = slice(12, 30)
 
 
 class _Walk:
     """Walks along a chain, so many samples at a time, in the same arrays every time."""
 
     def __init__(self, chain: Chain, samples: int) -> None:
+        self.chain = chain
         # Matrices (9, 18) that carry (w, dw, a | H), (6, 6) that carry (z, l) to a
         # frame fixed in the link before, turned by C and placed at p.
-        self.chain, self.carriers = chain, list[tuple[Array, Array]]()
+        self.carriers: list[tuple[Array, Array]] = []
         for C, p in zip(chain.rotation, chain.position, strict=True):
-            to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
-            to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
+            to_motion = np.zeros((9, 18))
+            to_motion[:3, :3] = C.T
+            to_motion[3:6, 3:6] = C.T
             # a + H p, from the rows (a, H) of `load`
             point = np.hstack([np.ones(1), p])
             to_motion[6:, 6:] = C.T @ np.kron(np.eye(3), point)
-            to_screws[:3, :3] = to_screws[3:, 3:] = C.T
+            to_screws = np.zeros((6, 6))
+            to_screws[:3, :3] = C.T
+            to_screws[3:, 3:] = C.T
             to_screws[3:, :3] = -C.T @ skew(p)
             self.carriers.append((to_motion, to_screws))
-        # Of this link and the one before: screws, and for one product with a constant
-        # matrix to carry all to the next link, 12 rows of the load's z, w, dw, 12 of
+
+        # Of this link and the one before, in turns. For one product with a constant
+        # matrix to carry all to the next link: 12 rows of the load's z, w, dw, 12 of
         # its l, and 6 unused. Zeros, because mass and own component of the moment in z
         # . (c x a) are never written.
-        self.rows, self.screws = (
-            np.zeros((2, 36, samples)),
-            np.empty((2, 6, chain.n * samples)),
-        )
+        self.rows = np.zeros((2, 36, samples))
+        self.screws = np.empty((2, 6, chain.n * samples))
 
     def links(self, gravity: Array, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
-        """Carry motion and screws from link to link; q, dq, ddq (n, M), M not above N."""
+        """Carry motion and screws from link to link.
+
+        `q`, `dq`, `ddq` are (n, M), M up to the samples of the walk.
+        """
         samples = q.shape[1]
-        rows, screws = self.rows[:, :, :samples], self.screws
-        rows[1, 12:30] = 0.0
+        rows = self.rows[:, :, :samples]
+        screws = self.screws
+        rows[1, _MOTION] = 0.0
         rows[1, 18:30:4] = -gravity[:, None]  # the base, as the link before
         for i, (to_motion, to_screws) in enumerate(self.carriers):
-            axis, new, old = self.chain.axis[i], i % 2, 1 - i % 2
-            motion = (to_motion @ rows[old, 12:30]).reshape(3, 3, samples)
+            axis = self.chain.axis[i]
+            is_prismatic = self.chain.prismatic[i]
+            new = i % 2
+            old = 1 - new
+
+            # Motion and screws of the link before, seen from where this joint is zero.
+            motion = (to_motion @ rows[old, _MOTION]).reshape(3, 3, samples)
             carried = screws[new, :, : i * samples]
             np.matmul(to_screws, screws[old, :, : i * samples], out=carried)
-            before = carried.reshape(2, 3, i, samples)
-            every = screws[new, :, : (i + 1) * samples].reshape(2, 3, i + 1, samples)
-            own = rows[new]
-            load = own.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
-            move = _slide if self.chain.prismatic[i] else _turn
-            move(motion, before, axis, q[i], dq[i], ddq[i])
-            own[12:18] = motion[:2].reshape(6, samples)
-            (turning, moving), a = load, motion[2]
-            np.copyto(moving[:, 0], a)
-            fill_motion_matrix(moving[:, 1:], own[12:15], own[15:18])
-            turning[1, 1], turning[2, 1] = -a[2], a[1]
-            turning[0, 2], turning[2, 2] = a[2], -a[0]
-            turning[0, 3], turning[1, 3] = -a[1], a[0]
-            every[:, :, i] = 0.0
-            every[int(self.chain.prismatic[i]), :, i] = axis[:, None]
-            yield _Link(own[12:15], own[15:18], load, every)
+            screws_before = carried.reshape(2, 3, i, samples)
+
+            # Views of what this link is to have: its rows, its load, all its screws.
+            link_rows = rows[new]
+            load = link_rows.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
+            link_screws = screws[new, :, : (i + 1) * samples]
+            link_screws = link_screws.reshape(2, 3, i + 1, samples)
+
+            move = _slide if is_prismatic else _turn
+            move(motion, screws_before, axis, q[i], dq[i], ddq[i])
+            link_rows[12:18] = motion[:2].reshape(6, samples)
+            _fill_load(load, motion[2], link_rows[_W], link_rows[_DW])
+
+            # The joint's own screw: about its axis, or along it.
+            link_screws[:, :, i] = 0.0
+            link_screws[int(is_prismatic), :, i] = axis[:, None]
+            yield _Link(link_rows[_W], link_rows[_DW], load, link_screws)
+
+
+def _fill_load(load: Array, a: Array, w: Array, dw: Array) -> None:
+    """Fill the load (2, 3, 4, N) of a link for m and c by its a, w, dw (3, N)."""
+    about_axis, along_axis = load
+    np.copyto(along_axis[:, 0], a)
+    fill_motion_matrix(along_axis[:, 1:], w, dw)
+    # -skew(a), for (a x z) . c
+    about_axis[1, 1] = -a[2]
+    about_axis[2, 1] = a[1]
+    about_axis[0, 2] = a[2]
+    about_axis[2, 2] = -a[0]
+    about_axis[0, 3] = -a[1]
+    about_axis[1, 3] = a[0]
 
 
 def _turn(
     motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array
 ) -> None:
-    """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along with a joint that turns."""
-    cosine, sine = np.cos(q), np.sin(q)
+    """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along a joint that turns."""
+    cosine = np.cos(q)
+    sine = np.sin(q)
     _turn_back(motion, axis, cosine, sine)
     _turn_back(screws, axis, cosine, sine)
     w, dw, _ = motion
@@ -244,19 +339,23 @@ def _turn(
 
 
 def _turn_back(vectors: Array, axis: Array, cosine: Array, sine: Array) -> None:
-    """See vectors (g, 3, ..., N) from a frame turned about an axis; most axes are coordinates."""
-    used = np.flatnonzero(axis)
-    if len(used) == 1:
-        u, v = vectors[:, used[0] - 2], vectors[:, used[0] - 1]
-        turned = sine * axis[used[0]]
-        from_u, from_v = turned * u, turned * v
+    """See vectors (g, 3, ..., N) from a frame turned about an axis."""
+    components = np.flatnonzero(axis)
+    # Most axes are coordinates: then two components change, in place.
+    if len(components) == 1:
+        k = components[0]
+        u = vectors[:, k - 2]
+        v = vectors[:, k - 1]
+        signed_sine = sine * axis[k]
+        from_u = signed_sine * u
+        from_v = signed_sine * v
         u *= cosine
         u += from_v
         v *= cosine
         v -= from_u
         return
-    beside = axis.reshape((1, 3) + (1,) * (vectors.ndim - 2))
-    along = np.einsum("a,ga...->g...", axis, vectors)[:, None] * beside
+    axis_column = axis.reshape((1, 3) + (1,) * (vectors.ndim - 2))
+    along = np.einsum("a,ga...->g...", axis, vectors)[:, None] * axis_column
     across = np.einsum("ab,gb...->ga...", skew(axis), vectors)
     vectors[:] = cosine * (vectors - along) + along - sine * across
 
@@ -264,57 +363,93 @@ def _turn_back(vectors: Array, axis: Array, cosine: Array, sine: Array) -> None:
 def _slide(
     motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array
 ) -> None:
-    """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along with a joint that slides."""
+    """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along a joint that slides."""
     w, dw, a = motion
-    from_axis = -skew(axis)  # times x: x cross axis
-    faster = from_axis @ w
+    cross_axis = -skew(axis)  # times x: x cross axis
+    w_cross_axis = cross_axis @ w
     a += (
-        (from_axis @ dw) * q
-        + cross(w, faster * q)
+        (cross_axis @ dw) * q
+        + cross(w, w_cross_axis * q)
         + axis[:, None] * ddq
-        + 2.0 * faster * dq
+        + 2.0 * w_cross_axis * dq
     )
-    screws[1] += np.einsum("ab,bjn->ajn", from_axis, screws[0]) * q
+    screws[1] += np.einsum("ab,bjn->ajn", cross_axis, screws[0]) * q
 
 
 def _fill_link(
     block: Array, kinds: Kinds, link: _Link, axis: Array, *, prismatic: bool
 ) -> None:
-    """Fill the columns `kinds` of a link for its joint and all before: block (j, len(kinds), N)."""
+    """Fill the columns of a link for its joint and all before.
+
+    Parameters
+    ----------
+    block : ndarray, (i + 1, len(kinds), N)
+        Torques of joints 0..i per unit, to be filled.
+    kinds : ndarray of int
+        Numbers of the link's columns.
+    """
     i = len(block) - 1
-    last = int(np.count_nonzero(kinds < 4))
-    if last:
-        load = link.load if last == 4 else link.load[:, :, kinds[:last]]
+    # Mass and first moment by the load.
+    n_load = int(np.count_nonzero(kinds < 4))
+    if n_load:
+        load = link.load if n_load == 4 else link.load[:, :, kinds[:n_load]]
         for j in range(i):  # joint by joint: the sum stays in cache
-            np.einsum("skn,skcn->cn", link.screws[:, :, j], load, out=block[j, :last])
-        _along(axis, load[int(prismatic)], block[i, :last])
-    if last < len(kinds):
+            screw = link.screws[:, :, j]
+            np.einsum("skn,skcn->cn", screw, load, out=block[j, :n_load])
+        _along(axis, load[int(prismatic)], block[i, :n_load])
+
+    # Inertia by the moment alone: a joint that slides does not feel it.
+    if n_load < len(kinds):
         K = _inertia_matrix(link.w, link.load[1, :, 1:])
-        K = K if len(kinds) - last == 6 else K[:, kinds[last:] - 4]
+        if len(kinds) - n_load < 6:
+            K = K[:, kinds[n_load:] - 4]
         for j in range(i):
-            np.einsum("kn,kcn->cn", link.screws[0, :, j], K, out=block[j, last:])
-        _along(0.0 * axis if prismatic else axis, K, block[i, last:])
+            z = link.screws[0, :, j]
+            np.einsum("kn,kcn->cn", z, K, out=block[j, n_load:])
+        _along(0.0 * axis if prismatic else axis, K, block[i, n_load:])
 
 
 def _along(axis: Array, rows: Array, out: Array) -> None:
-    """Sum axis (3,) times rows (3, c, N) into out (c, N); most axes have one component."""
-    used = np.flatnonzero(axis)
-    if not len(used):
+    """Sum axis (3,) times rows (3, c, N) into out (c, N)."""
+    # Most axes have one component.
+    components = np.flatnonzero(axis)
+    if not len(components):
         out[:] = 0.0
         return
-    np.multiply(rows[used[0]], axis[used[0]], out=out)
-    for k in used[1:]:
+    first = components[0]
+    np.multiply(rows[first], axis[first], out=out)
+    for k in components[1:]:
         out += axis[k] * rows[k]
 
 
 def _inertia_matrix(w: Array, H: Array) -> Array:
-    """Build K (3, 6, N) with K (Ixx, ..., Izz) = I dw + w x I w, its entries those of H."""
+    """Build K (3, 6, N) with K (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) = I dw + w x I w.
+
+    Its entries are those of H, and products of w.
+    """
     K = np.empty((3, 6, w.shape[-1]))
-    xy, xz, yz = w[0] * w[1], w[0] * w[2], w[1] * w[2]
-    K[0, 0], K[0, 1], K[0, 2] = H[2, 1] - yz, -H[2, 0], -yz
-    K[0, 3], K[0, 4], K[0, 5] = H[1, 0], H[1, 1] - H[2, 2], yz
-    K[1, 0], K[1, 1], K[1, 2] = xz, H[2, 1], H[0, 2] - xz
-    K[1, 3], K[1, 4], K[1, 5] = H[2, 2] - H[0, 0], -H[0, 1], -xz
-    K[2, 0], K[2, 1], K[2, 2] = -xy, H[0, 0] - H[1, 1], xy
-    K[2, 3], K[2, 4], K[2, 5] = -H[1, 2], H[0, 2], H[1, 0] - xy
+    xy = w[0] * w[1]
+    xz = w[0] * w[2]
+    yz = w[1] * w[2]
+
+    K[0, 0] = H[2, 1] - yz
+    K[0, 1] = -H[2, 0]
+    K[0, 2] = -yz
+    K[0, 3] = H[1, 0]
+    K[0, 4] = H[1, 1] - H[2, 2]
+    K[0, 5] = yz
+
+    K[1, 0] = xz
+    K[1, 1] = H[2, 1]
+    K[1, 2] = H[0, 2] - xz
+    K[1, 3] = H[2, 2] - H[0, 0]
+    K[1, 4] = -H[0, 1]
+    K[1, 5] = -xz
+
+    K[2, 0] = -xy
+    K[2, 1] = H[0, 0] - H[1, 1]
+    K[2, 2] = xy
+    K[2, 3] = -H[1, 2]
+    K[2, 4] = H[0, 2]
+    K[2, 5] = H[1, 0] - xy
     return K

@@ -1,4 +1,4 @@
-"""A commented `robot.toml` from known values, with TODO for values that the user must add."""
+"""A commented `robot.toml` from known values, with TODO for what the user must add."""
 
 import json
 from collections.abc import Mapping
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointTemplate:
-    """Known values of a joint, else None."""
+    """Values of a joint; None where they are not known."""
 
     name: str
-    limits: tuple[float, float] | None = None
-    velocity: float | None = None
-    encoder_step: float | None = None
+    limits: tuple[float, float] | None = None  # rad (m)
+    velocity: float | None = None  # rad/s (m/s), the largest
+    encoder_step: float | None = None  # rad (m)
     moves: bool = True
     remark: str = ""
-    torque_constant: float | None = None
+    torque_constant: float | None = None  # N m/A
     gear_ratio: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RobotTemplate:
     """The content of the file."""
 
@@ -46,9 +46,7 @@ def robot_toml(template: RobotTemplate) -> str:
     filters = {
         "text": json.dumps,
         "number": _number,
-        "comment": lambda text: "".join(
-            char if char.isprintable() else "?" for char in text
-        ),
+        "comment": _comment,
         "pattern": partial(json.dumps, ensure_ascii=False),
     }
     content = {**vars(template), "schema": SCHEMA}
@@ -56,5 +54,11 @@ def robot_toml(template: RobotTemplate) -> str:
 
 
 def _number(value: float, digits: int) -> str:
+    """Write a number as TOML's float: with a point or an exponent."""
     text = f"{value:.{digits}g}"
     return text if "." in text or "e" in text else f"{text}.0"
+
+
+def _comment(text: str) -> str:
+    """Replace what cannot be printed, a line's end above all, in a comment."""
+    return "".join(char if char.isprintable() else "?" for char in text)

@@ -62,7 +62,7 @@ class ImuEntry(Table, frozen=True):
 
 
 class Channels(Table, frozen=True):
-    """`[channels]`: names that a log uses instead of the default ones; None means the default."""
+    """`[channels]`: names that a log uses; None means the default."""
 
     time: str | int | None = None
     position: Columns | None = None
@@ -74,14 +74,14 @@ class Channels(Table, frozen=True):
     voltage: Columns | None = None
     pwm: Columns | None = None
     temperature: Columns | None = None
-    # what it is
+    # what the effort of a JointState is
     effort: Literal["torque", "current", "gravity_compensated"] | None = None
     unit: Literal["rad", "deg"] = "rad"  # of angles
     length_unit: Literal["m", "mm"] = "m"  # of sliding joints' positions
 
 
 class EffectEntry(Table, frozen=True):
-    """One `[[effect]]`: a formula, or the name of an effect that an installed package offers."""
+    """One `[[effect]]`: a formula, or the name of an effect of an installed package."""
 
     name: str
     joint: str | None = None
@@ -90,10 +90,10 @@ class EffectEntry(Table, frozen=True):
 
 
 class GeometryError(Table, frozen=True):
-    """`geometry_error`: standard errors of each joint's place [m] and turn [rad] in the chain."""
+    """`geometry_error`: standard errors of each joint's frame in the chain."""
 
-    position: float = 0.0
-    angle: float = 0.0
+    position: float = 0.0  # m
+    angle: float = 0.0  # rad
 
 
 class RobotFile(Table, frozen=True):

@@ -1,7 +1,7 @@
-"""The robot as every other layer sees it: frozen data, no file formats, no Pinocchio."""
+"""The robot as all other rooms see it: frozen data, no file formats, no Pinocchio."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -20,6 +20,7 @@ class Joint:
     """One actuated joint of the chain (rad and N m; m and N where prismatic)."""
 
     name: str
+    _: KW_ONLY
     prismatic: bool = False
     torque_constant: float | None = None  # N m/A, motor side
     # relative standard error of the joint's torque scale
@@ -30,39 +31,40 @@ class Joint:
     # ohm; as the voltage for logs of voltage or duty cycle
     winding_resistance: float | None = None
     supply_voltage: float | None = None  # V
-    encoder_resolution: float | None = None
-    # of the gear, that the positions are of
+    encoder_resolution: float | None = None  # rad (m) at the joint
+    # side of the gear whose positions the encoder reports
     encoder_side: Literal["motor", "link"] = "motor"
-    position_limits: tuple[float, float] | None = None
-    velocity_limit: float | None = None
+    position_limits: tuple[float, float] | None = None  # rad (m)
+    velocity_limit: float | None = None  # rad/s (m/s)
     urdf: UrdfJoint | None = None  # what the URDF says of the joint
 
     @property
     def torque_per_ampere(self) -> float | None:
-        """Joint torque per motor current, N m/A."""
-        constant = self.torque_constant
-        return None if constant is None else constant * (self.gear_ratio or 1.0)
+        """Joint torque per motor current, N m/A; None without a torque constant."""
+        if self.torque_constant is None:
+            return None
+        return self.torque_constant * (self.gear_ratio or 1.0)
 
     def unit(self, unit: str) -> str:
-        """Return the joint's own unit for one that is written as for a revolute joint."""
+        """Return the joint's unit for one that is written as for a revolute joint."""
         return unit_of(unit, self.prismatic)
 
 
 @dataclass(frozen=True)
 class LockedJoint:
-    """A joint that carries the arm and that the robot file leaves out; it is taken as locked."""
+    """A joint that carries the arm and is not in the robot file: taken as locked."""
 
     joint: Joint
     place: str  # in words: between which joints
 
     @property
     def name(self) -> str:
-        """Its name in the URDF."""
+        """Name of the joint in the URDF."""
         return self.joint.name
 
     @property
     def prismatic(self) -> bool:
-        """Whether it slides."""
+        """True for a joint that slides."""
         return self.joint.prismatic
 
 
@@ -71,7 +73,7 @@ class Imu:
     """An accelerometer array, or an ordinary IMU, riding on the link after a joint."""
 
     name: str
-    after_joint: int
+    after_joint: int  # 0-based: it rides on the link that this joint moves
     positions: Array  # (K, 3) m in the IMU's own frame
     # (K, 3) unit vectors; an ordinary IMU has three orthogonal ones at its origin
     axes: Array
@@ -99,9 +101,9 @@ class OwnEffect:
     """An effect that the robot file adds to the catalogue."""
 
     name: str
-    joint: int | None = None  # where it is looked for; None: everywhere
+    joint: int | None = None  # 0-based, where it is looked for; None: everywhere
     formula: Formula | None = None  # None: an installed package offers it
-    # limits of each
+    # lowest and highest value of each setting that is searched
     settings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -115,6 +117,7 @@ class Robot:
     gravity: Array  # (3,) m/s^2 in the base frame
     sha256: str
     source: Path
+    _: KW_ONLY
     imus: tuple[Imu, ...] = ()
     channels: Channels = field(default_factory=Channels)
     # (n, 10) of the URDF, if it has any, in Pinocchio's order (m, mx, my, mz, Ixx, Ixy,
@@ -145,5 +148,5 @@ class Robot:
         return tuple(joint.name for joint in self.joints)
 
     def name_of(self, joint: int | None) -> str | None:
-        """A joint's name; None for the whole arm."""
+        """Return a joint's name; None for the whole arm."""
         return None if joint is None else self.joints[joint].name

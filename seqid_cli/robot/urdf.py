@@ -9,34 +9,57 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.toml import LARGEST, LEAST_AXIS, URDF_LIMIT, nearest, read_limited
+from seqid_cli.robot.checks import LARGEST, LEAST_AXIS, Problem, nearest
+from seqid_cli.robot.toml import URDF_LIMIT, read_limited
 from seqid_cli.robot.toml_schema import JointEntry
 
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
-_ANY, _SIZED = (-math.inf, math.inf), (-LARGEST, LARGEST)
-# How many numbers an attribute of a link or joint has, and between what they are.
-_VECTORS = (
-    "origin/xyz",
-    "origin/rpy",
-    "inertial/origin/xyz",
-    "inertial/origin/rpy",
-    "axis/xyz",
-)
+
+
+class _Numbers(NamedTuple):
+    """How many numbers an attribute has, and between which limits."""
+
+    size: int
+    low: float = -LARGEST
+    high: float = LARGEST
+
+
+# Numbers of a link or joint, by the path of the element and the attribute.
 _NUMBERS = {
-    **dict.fromkeys(_VECTORS, (3, _SIZED)),
-    **{
-        f"inertial/inertia/i{axes}": (1, _SIZED)
-        for axes in ("xx", "xy", "xz", "yy", "yz", "zz")
-    },
-    "inertial/mass/value": (1, (0.0, LARGEST)),
-    **{f"limit/{key}": (1, _ANY) for key in ("lower", "upper", "velocity", "effort")},
+    **dict.fromkeys(
+        (
+            "origin/xyz",
+            "origin/rpy",
+            "inertial/origin/xyz",
+            "inertial/origin/rpy",
+            "axis/xyz",
+        ),
+        _Numbers(3),
+    ),
+    **dict.fromkeys(
+        (
+            "inertial/inertia/ixx",
+            "inertial/inertia/ixy",
+            "inertial/inertia/ixz",
+            "inertial/inertia/iyy",
+            "inertial/inertia/iyz",
+            "inertial/inertia/izz",
+        ),
+        _Numbers(1),
+    ),
+    "inertial/mass/value": _Numbers(1, low=0.0),
+    **dict.fromkeys(
+        ("limit/lower", "limit/upper", "limit/velocity", "limit/effort"),
+        _Numbers(1, low=-math.inf, high=math.inf),
+    ),
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UrdfJoint:
     """A joint between two links; limits are None where not given."""
 
@@ -51,26 +74,40 @@ class UrdfJoint:
     velocity: float | None  # rad/s (m/s)
     effort: float | None  # N m (N)
 
+    @property
+    def is_driven(self) -> bool:
+        """True for a joint that moves by itself."""
+        return self.kind in MOVABLE and not self.follows
+
 
 @dataclass(frozen=True)
 class UrdfText:
-    """A URDF file that passed its checks: its links hang in one tree by the `joints`, by name."""
+    """A URDF file that passed its checks: its links hang in one tree by the joints."""
 
     path: Path
     raw: bytes
     root: ElementTree.Element
-    joints: dict[str, UrdfJoint]
+    joints: dict[str, UrdfJoint]  # by name, in the order of the file
 
     @property
     def movable(self) -> tuple[str, ...]:
-        """Joints that can move, in the order of the file."""
+        """Names of joints that can move, in the order of the file."""
         return tuple(
             joint.name for joint in self.joints.values() if joint.kind in MOVABLE
         )
 
+    def chain_to(self, link: str) -> list[UrdfJoint]:
+        """Return the joints from the root to a link."""
+        by_child = {joint.child: joint for joint in self.joints.values()}
+        chain = []
+        while link in by_child:
+            chain.append(by_child[link])
+            link = by_child[link].parent
+        return chain[::-1]
+
 
 def read_urdf_text(path: Path) -> UrdfText:
-    """Read a URDF file and check it; raises ConfigError if there is none, and as `parse_urdf`."""
+    """Read a URDF file and check it; raises ConfigError as `parse_urdf` does."""
     return parse_urdf(read_limited(path, "URDF", URDF_LIMIT), path)
 
 
@@ -81,38 +118,46 @@ def parse_urdf(raw: bytes, path: Path) -> UrdfText:
     well-formed XML or no URDF, has numbers that are none, names twice, or links that
     are no tree.
     """
-    text = re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
-    problem, hint = "", ""
+    root = _parsed(raw, path)
+    joints = [_joint(element) for element in root.findall("joint")]
+    for message, hint in (*_wrong_numbers(root), *_faults_of_the_tree(root, joints)):
+        raise ConfigError(message, where=str(path), hint=hint)
+    return UrdfText(path, raw, root, {joint.name: joint for joint in joints})
+
+
+def _parsed(raw: bytes, path: Path) -> ElementTree.Element:
+    """Parse the XML of a URDF; raises ConfigError for anything else."""
+    root: ElementTree.Element | None = None
+    message = ""
+    hint = ""
     try:
         root = ElementTree.fromstring(raw)
     except (ElementTree.ParseError, ValueError, LookupError) as fault:
-        root, problem = ElementTree.Element(""), f"not well-formed XML: {fault}"
-    if path.suffix == ".xacro" or re.search(rb"<\s*xacro:", text):
-        problem = "this is a xacro file, not a URDF"
+        message = f"not well-formed XML: {fault}"
+
+    # What a file is says more than the place where it is no XML.
+    without_comments = re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
+    if path.suffix == ".xacro" or re.search(rb"<\s*xacro:", without_comments):
+        message = "this is a xacro file, not a URDF"
         hint = "Run `xacro robot.urdf.xacro > robot.urdf` and name the result."
     elif re.search(rb"<!\s*(DOCTYPE|ENTITY)", raw, re.IGNORECASE):
-        problem, hint = (
-            "the URDF declares XML entities",
-            "Remove the DOCTYPE declaration.",
-        )
-    elif not problem and root.tag != "robot":
-        problem = f"not a URDF: its outermost element is <{root.tag}>, not <robot>"
+        message = "the URDF declares XML entities"
+        hint = "Remove the DOCTYPE declaration."
+    elif root is not None and root.tag != "robot":
+        message = f"not a URDF: its outermost element is <{root.tag}>, not <robot>"
         hint = "SDF and MJCF files have to be converted to URDF."
-    if problem:
-        raise ConfigError(problem, where=str(path), hint=hint)
-    joints = [_joint(element) for element in root.findall("joint")]
-    for problem, hint in (*_wrong_numbers(root), *_faults_of_the_tree(root, joints)):
-        raise ConfigError(problem, where=str(path), hint=hint)
-    return UrdfText(path, raw, root, {joint.name: joint for joint in joints})
+    if root is None or message:
+        raise ConfigError(message, where=str(path), hint=hint)
+    return root
 
 
 def numbers(text: str) -> list[float]:
     """Return the numbers of an attribute; empty where a word is no finite one."""
     try:
-        found = [float(word) for word in text.split()]
+        values = [float(word) for word in text.split()]
     except ValueError:
         return []
-    return found if all(map(math.isfinite, found)) else []
+    return values if all(map(math.isfinite, values)) else []
 
 
 def link_of(joint: ElementTree.Element, which: str) -> str:
@@ -122,117 +167,139 @@ def link_of(joint: ElementTree.Element, which: str) -> str:
 
 
 def _joint(element: ElementTree.Element) -> UrdfJoint:
-    kind, mimic, limit = (
-        element.get("type", ""),
-        element.find("mimic"),
-        element.find("limit"),
+    """Read a joint; what is wrong with it is found by the checks of its numbers."""
+    kind = element.get("type", "")
+    mimic = element.find("mimic")
+    axis = element.find("axis")
+    axis_text = "" if axis is None else axis.get("xyz", "")
+
+    limit = element.find("limit")
+    limits: dict[str, float] = {}
+    if limit is not None:
+        for key, text in limit.items():
+            values = numbers(text)
+            if len(values) == 1:
+                limits[key] = values[0]
+    has_range = (
+        kind != "continuous"
+        and {"lower", "upper"} <= limits.keys()
+        and limits["lower"] < limits["upper"]
     )
-    along = next(element.iterfind("axis"), element)
-    given = {} if limit is None else {key: numbers(text) for key, text in limit.items()}
-    known = {key: found[0] for key, found in given.items() if len(found) == 1}
-    limited = kind != "continuous" and {"lower", "upper"} <= known.keys()
-    limited = limited and known["lower"] < known["upper"]
     return UrdfJoint(
         name=element.get("name", ""),
         kind=kind,
         parent=link_of(element, "parent"),
         child=link_of(element, "child"),
         follows="" if mimic is None else mimic.get("joint", ""),
-        axis=tuple(numbers(along.get("xyz", ""))) or (1.0, 0.0, 0.0),
-        lower=known["lower"] if limited else None,
-        upper=known["upper"] if limited else None,
-        velocity=max(known.get("velocity", 0.0), 0.0) or None,
-        effort=max(known.get("effort", 0.0), 0.0) or None,
+        axis=tuple(numbers(axis_text)) or (1.0, 0.0, 0.0),
+        lower=limits["lower"] if has_range else None,
+        upper=limits["upper"] if has_range else None,
+        velocity=max(limits.get("velocity", 0.0), 0.0) or None,
+        effort=max(limits.get("effort", 0.0), 0.0) or None,
     )
 
 
-def _wrong_numbers(root: ElementTree.Element) -> Iterator[tuple[str, str]]:
-    """Numbers that Pinocchio takes as they are, or refuses without naming the place."""
+def _wrong_numbers(root: ElementTree.Element) -> Iterator[Problem]:
+    """Yield numbers that Pinocchio takes as they are, or refuses without a place."""
     for owner in root:
-        named, moves = (
-            f"{owner.tag} {owner.get('name')!r}",
-            owner.get("type") in MOVABLE,
-        )
-        for place, (count, (low, high)) in _NUMBERS.items():
+        named = f"{owner.tag} {owner.get('name')!r}"
+        is_movable = owner.get("type") in MOVABLE
+        for place, wanted in _NUMBERS.items():
             path, _, key = place.rpartition("/")
-            for text in (
-                part.attrib[key] for part in owner.iterfind(path) if key in part.attrib
-            ):
-                found, attribute = numbers(text), f"<{path} {key}={text!r}>"
-                if len(found) != count or not low <= min(found) <= max(found) <= high:
-                    wanted = (
-                        f"{count} finite number{'s' * (count > 1)} of {low:g} to"
-                        f" {high:g}"
-                    )
-                    yield (
-                        f"{named}: {attribute} is not {wanted}",
+            for element in owner.iterfind(path):
+                if key not in element.attrib:
+                    continue
+                text = element.attrib[key]
+                fault = _fault_of(numbers(text), wanted)
+                if not fault and path == "axis" and is_movable:
+                    fault = _fault_of_axis(numbers(text))
+                if fault:
+                    yield Problem(
+                        f"{named}: <{path} {key}={text!r}> {fault}",
                         "Correct it in the URDF.",
                     )
-                elif path == "axis" and moves and math.hypot(*found) <= LEAST_AXIS:
-                    yield (
-                        f"{named}: {attribute} has no direction",
-                        "Correct it in the URDF.",
-                    )
+
+
+def _fault_of(values: list[float], wanted: _Numbers) -> str:
+    """Say what is wrong with the numbers of an attribute; empty where nothing is."""
+    has_size = len(values) == wanted.size
+    if has_size and wanted.low <= min(values) <= max(values) <= wanted.high:
+        return ""
+    plural = "s" if wanted.size > 1 else ""
+    return (
+        f"is not {wanted.size} finite number{plural} of {wanted.low:g} to"
+        f" {wanted.high:g}"
+    )
+
+
+def _fault_of_axis(axis: list[float]) -> str:
+    """Say that an axis has no direction; empty where it has one."""
+    return "has no direction" if math.hypot(*axis) <= LEAST_AXIS else ""
 
 
 def _faults_of_the_tree(
     root: ElementTree.Element, joints: list[UrdfJoint]
-) -> Iterator[tuple[str, str]]:
-    """What keeps links and joints from being one tree."""
-    links, names = (
-        [link.get("name", "") for link in root.findall("link")],
-        [j.name for j in joints],
-    )
-    for kind, own in (("joint", names), ("link", links)):
-        for name in dict.fromkeys(name for name in own if own.count(name) > 1):
-            yield f"two {kind}s are named {name!r}", "Rename or remove one of them."
-    moved: dict[str, str] = {}
+) -> Iterator[Problem]:
+    """Yield what keeps links and joints from being one tree."""
+    links = [link.get("name", "") for link in root.findall("link")]
+    yield from _repeated("joint", [joint.name for joint in joints])
+    yield from _repeated("link", links)
+
+    mover_of: dict[str, str] = {}  # the joint of each link that has one
     for joint in joints:
         for which, end in (("parent", joint.parent), ("child", joint.child)):
             if end not in links:
-                text = (
-                    f"joint {joint.name!r}: its {which} link {end!r} is not in the URDF"
+                yield Problem(
+                    f"joint {joint.name!r}: its {which} link {end!r} is not in the"
+                    " URDF",
+                    "Add the link, or correct its name.",
                 )
-                yield text, "Add the link, or correct its name."
-        first = moved.setdefault(joint.child, joint.name)
+        first = mover_of.setdefault(joint.child, joint.name)
         if first != joint.name:
-            text = (
+            yield Problem(
                 f"link {joint.child!r} is the child of two joints, {first!r} and"
-                f" {joint.name!r}"
+                f" {joint.name!r}",
+                "Links must form a tree: cut loops open, and model the closing joint"
+                " apart.",
             )
-            yield (
-                text,
-                (
-                    "Links must form a tree: cut loops open, and model the closing"
-                    " joint apart."
-                ),
-            )
-    roots = [name for name in links if name not in moved]
+
+    roots = [name for name in links if name not in mover_of]
     if len(roots) != 1:
-        found = (
-            f"{len(roots)} root links ({', '.join(roots[:5])})"
-            if roots
-            else "a loop, no root"
+        fault = "a loop, no root"
+        if roots:
+            fault = f"{len(roots)} root links ({', '.join(roots[:5])})"
+        yield Problem(
+            f"it has {fault}", "All links must hang in one tree from one root."
         )
-        yield f"it has {found}", "All links must hang in one tree from one root."
+
+
+def _repeated(kind: str, names: list[str]) -> Iterator[Problem]:
+    for name in dict.fromkeys(names):
+        if names.count(name) > 1:
+            yield Problem(
+                f"two {kind}s are named {name!r}", "Rename or remove one of them."
+            )
 
 
 def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> None:
-    """Check that joints of a robot file move by themselves in the URDF; raises ConfigError."""
+    """Check that the joints of a robot file move by themselves in the URDF.
+
+    Raises ConfigError, which names the key in the robot file `source`.
+    """
     file = urdf.path.name
-    known = f"Movable joints of {file}: {', '.join(urdf.movable) or 'none'}."
+    movable = f"Movable joints of {file}: {', '.join(urdf.movable) or 'none'}."
     for k, entry in enumerate(joints):
-        name, joint = entry.name, urdf.joints.get(entry.name)
+        name = entry.name
+        joint = urdf.joints.get(name)
         key = f"joint[{k}].name {name!r}"
         if joint is None:
-            fault, hint = (
-                f"is no joint of {file}",
-                f"{nearest(name, urdf.movable)}{known}",
-            )
+            fault = f"is no joint of {file}"
+            hint = f"{nearest(name, urdf.movable)}{movable}"
         elif joint.kind not in MOVABLE:
             fault = f"is a {joint.kind or 'typeless'} joint in {file}"
             hint = (
-                f"Only revolute, continuous and prismatic joints can be driven. {known}"
+                "Only revolute, continuous and prismatic joints can be driven."
+                f" {movable}"
             )
         elif joint.follows:
             fault = f"follows joint {joint.follows!r} (mimic) in {file}"
@@ -250,41 +317,34 @@ def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> 
 
 
 def left_out(urdf: UrdfText, names: Sequence[str]) -> list[tuple[UrdfJoint, str]]:
-    """List joints that carry the last of `names` and are none of them, each with its place."""
-    by_child = {joint.child: joint for joint in urdf.joints.values()}
-    chain, link = [], urdf.joints[names[-1]].child
-    while link in by_child:
-        chain.append(by_child[link])
-        link = by_child[link].parent
-    found, before = [], ""
-    for joint in reversed(chain):
+    """List joints that carry the last of `names` and are none of them.
+
+    Each comes with its place in words: between which of `names`.
+    """
+    carrying: list[tuple[UrdfJoint, str]] = []
+    previous = ""  # the last of `names` on the way
+    for joint in urdf.chain_to(urdf.joints[names[-1]].child):
         if joint.name in names:
-            before = joint.name
-        elif joint.kind in MOVABLE and not joint.follows:
-            after = names[names.index(before) + 1] if before else names[0]
-            place = (
-                f"between {before!r} and {after!r}" if before else f"before {after!r}"
-            )
-            found.append((joint, f"{place} in {urdf.path.name}"))
-    return found
+            previous = joint.name
+        elif joint.is_driven:
+            place = f"before {names[0]!r}"
+            if previous:
+                following = names[names.index(previous) + 1]
+                place = f"between {previous!r} and {following!r}"
+            carrying.append((joint, f"{place} in {urdf.path.name}"))
+    return carrying
 
 
 def best_chain(
     urdf: UrdfText, worth: Callable[[UrdfJoint], float] = lambda joint: 1.0
 ) -> tuple[UrdfJoint, ...]:
-    """Driven joints from the root to a tip, of the largest worth; of equals the first, if any."""
-    by_child = {joint.child: joint for joint in urdf.joints.values()}
-    inner = {joint.parent for joint in urdf.joints.values()}
-    chains = []
-    for tip in (link for link in by_child if link not in inner):
-        at, chain = tip, []
-        while at in by_child:
-            chain.append(by_child[at])
-            at = by_child[at].parent
-        driven = (
-            each
-            for each in reversed(chain)
-            if each.kind in MOVABLE and not each.follows
-        )
-        chains.append(tuple(driven))
+    """Return the driven joints from the root to a tip that have the largest worth.
+
+    Of equal chains the first one counts; empty where no joint is driven.
+    """
+    parents = {joint.parent for joint in urdf.joints.values()}
+    tips = [joint.child for joint in urdf.joints.values() if joint.child not in parents]
+    chains = [
+        tuple(joint for joint in urdf.chain_to(tip) if joint.is_driven) for tip in tips
+    ]
     return max(chains, key=lambda chain: sum(map(worth, chain)), default=())

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.logs.messages.batch import Bytes
 
-RECORD = struct.Struct("<BQ")
+RECORD = struct.Struct("<BQ")  # opcode, length
 # first and last time, size, CRC, length of compression's name
 CHUNK = struct.Struct("<QQQII")
 # with the size of the packed data, without the compression's name
@@ -25,11 +25,11 @@ CHUNK_HEAD = CHUNK.size + 8
 MESSAGE_SIZE = 22  # channel, sequence, log time, publish time
 # of a message's record behind the opcode: length; channel, sequence; rest of log time
 _WORDS = 3
-_INDEX = struct.Struct("<HI")
+_INDEX = struct.Struct("<HI")  # channel, bytes of the entries
 _ENTRY = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
 _LIMIT = 1 << 30  # bytes in one unpacked chunk; recorders write about 1 MB
-# bytes that any log may have; of one packed byte beyond them
-SMALL, MOST_TIMES = 16 << 20, 200
+SMALL = 16 << 20  # bytes that any log may have when it is unpacked
+MOST_TIMES = 200  # ... and beyond them, of one packed byte
 _HEAD = RECORD.size + MESSAGE_SIZE
 
 Integers = NDArray[np.int64]
@@ -37,7 +37,10 @@ Words = NDArray[np.uint64]
 
 
 def allowed(packed: int) -> int:
-    """Bytes that so many packed ones of a log may become: no sensor repeats itself like that."""
+    """Return the bytes that so many packed ones of a log may become.
+
+    No sensor repeats itself like data that unpack to more.
+    """
     return SMALL + MOST_TIMES * packed
 
 
@@ -54,47 +57,50 @@ class Record(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """Messages in a piece of a file, its other records, and where the last whole one ends."""
+    """M messages in a piece of a file, and its other records."""
 
-    channels: NDArray[np.uint16]
-    log_ns: Integers
-    starts: Integers
-    lengths: Integers
+    channels: NDArray[np.uint16]  # (M,)
+    log_ns: Integers  # (M,)
+    starts: Integers  # (M,) bytes at which payloads begin
+    lengths: Integers  # (M,) of payloads
     others: list[Record]
-    end: int
+    end: int  # where the last whole record ends
 
 
 class Unpacker:
-    """Unpacks the chunks of one file; keeps the decompressor, which is costly to make."""
+    """Unpacks the chunks of one file by one decompressor, which is costly to make."""
 
     def __init__(self) -> None:
         self._zstd = zstandard.ZstdDecompressor()
-        self._packed = self._unpacked = 0
+        self._n_packed = 0  # bytes so far
+        self._n_unpacked = 0
 
     def unpack(self, content: bytes, complete: bool) -> tuple[bytes, bool]:
-        """Return the records in the content of a chunk record, and whether they are all.
+        """Return the records in a chunk record's content, and whether they are all.
 
         Of a record that is not `complete` what is there is unpacked. Raises
         DamageError.
         """
         if len(content) < CHUNK_HEAD:
             raise DamageError("its head is incomplete")
-        _, _, size, crc, length = CHUNK.unpack_from(content)
-        start = CHUNK_HEAD + length
+        _, _, size, crc, name_length = CHUNK.unpack_from(content)
+        start = CHUNK_HEAD + name_length
         if len(content) < start:
             raise DamageError("its head is incomplete")
-        name = content[CHUNK.size : CHUNK.size + length].decode("ascii", "replace")
-        (packed,) = struct.unpack_from("<Q", content, start - 8)
-        payload = memoryview(content)[start : start + packed]
-        self._packed += len(payload)
-        if self._unpacked + size > allowed(self._packed):
-            raise DamageError(
-                f"it unpacks to {size} bytes, {size // max(len(payload), 1)} times"
-            )
-        self._unpacked += size
-        whole = complete and packed <= len(content) - start
-        data, fault = self._decompress(name, payload, min(size, _LIMIT))
-        if not whole:
+        name_bytes = content[CHUNK.size : CHUNK.size + name_length]
+        compression = name_bytes.decode("ascii", "replace")
+        (n_packed,) = struct.unpack_from("<Q", content, start - 8)
+        payload = memoryview(content)[start : start + n_packed]
+
+        self._n_packed += len(payload)
+        if self._n_unpacked + size > allowed(self._n_packed):
+            times = size // max(len(payload), 1)
+            raise DamageError(f"it unpacks to {size} bytes, {times} times")
+        self._n_unpacked += size
+
+        data, fault = self._decompress(compression, payload, min(size, _LIMIT))
+        is_whole = complete and n_packed <= len(content) - start
+        if not is_whole:
             return data, False
         if fault:
             raise DamageError(fault)
@@ -105,20 +111,18 @@ class Unpacker:
         return data, True
 
     def _decompress(
-        self, name: str, payload: memoryview, size: int
+        self, compression: str, payload: memoryview, size: int
     ) -> tuple[bytes, str]:
-        """Unpack up to a byte more than `size`; returns what there is, and what is wrong."""
-        if name == "":
+        """Unpack up to a byte more than `size`; returns the data, and what is wrong."""
+        if compression == "":
             return bytes(payload), ""
         try:
-            if name == "zstd":
+            if compression == "zstd":
                 with self._zstd.stream_reader(payload) as reader:
                     return reader.read(size + 1), ""
-            if name == "lz4":
-                return (
-                    lz4.frame.LZ4FrameDecompressor().decompress(payload, size + 1),
-                    "",
-                )
+            if compression == "lz4":
+                lz4_decompressor = lz4.frame.LZ4FrameDecompressor()
+                return lz4_decompressor.decompress(payload, size + 1), ""
         except (
             zstandard.ZstdError,
             RuntimeError,
@@ -126,44 +130,50 @@ class Unpacker:
             MemoryError,
             ValueError,
         ) as error:
-            return b"", f"{name} data are damaged ({error})"
-        raise DamageError(f"its compression {name[:20]!r} is unknown")
+            return b"", f"{compression} data are damaged ({error})"
+        raise DamageError(f"its compression {compression[:20]!r} is unknown")
 
 
 def index_offsets(records: bytes) -> Integers:
     """Read the offsets in the MessageIndex records behind a chunk, sorted."""
-    found, at = [np.zeros(0, np.int64)], 0
+    parts = [np.zeros(0, np.int64)]
+    at = 0
     while at + RECORD.size + _INDEX.size <= len(records):
         opcode, length = RECORD.unpack_from(records, at)
         at += RECORD.size
         _, size = _INDEX.unpack_from(records, at)
         entries = records[at + _INDEX.size : at + length]
-        if (
-            opcode == Opcode.MESSAGE_INDEX
-            and size == len(entries)
-            and not size % _ENTRY.itemsize
-        ):
-            found.append(np.frombuffer(entries, _ENTRY)["offset"].astype(np.int64))
+        is_whole = size == len(entries) and size % _ENTRY.itemsize == 0
+        if opcode == Opcode.MESSAGE_INDEX and is_whole:
+            parts.append(np.frombuffer(entries, _ENTRY)["offset"].astype(np.int64))
         at += length
-    return np.sort(np.concatenate(found), kind="stable")
+    return np.sort(np.concatenate(parts), kind="stable")
 
 
 def walk(
     data: Bytes, only: frozenset[int] | None = None, most: int = 100_000
 ) -> Contents:
-    """Find records while they are of a kind, up to `most` that are no messages."""
-    view, unpack, size = data.data, RECORD.unpack_from, RECORD.size
+    """Find the records in data one after the other.
+
+    Parameters
+    ----------
+    only : frozenset of int, optional
+        Opcodes: the walk ends at a record of another kind.
+    most : int
+        Records that are no messages, behind which it ends as well.
+    """
+    # Names of its own: this loop runs for every message of a file without indexes.
+    view = data.data
+    unpack = RECORD.unpack_from
+    size = RECORD.size
     messages: list[int] = []
     others: list[Record] = []
     at = 0
     while at + size <= len(data):
         opcode, length = unpack(view, at)
         after = at + size + length
-        if (
-            after > len(data)
-            or (only is not None and opcode not in only)
-            or len(others) > most
-        ):
+        is_of_kind = only is None or opcode in only
+        if after > len(data) or not is_of_kind or len(others) > most:
             break
         if opcode == Opcode.MESSAGE and length >= MESSAGE_SIZE:
             messages.append(at)
@@ -175,18 +185,20 @@ def walk(
 
 
 def by_index(data: Bytes, offsets: Integers) -> Contents | None:
-    """Find messages at sorted offsets; None unless they follow each other and fill the chunk."""
+    """Find messages at sorted offsets; None unless they fill the chunk seamlessly."""
     if not len(offsets) or offsets[0] != 0 or offsets[-1] > len(data) - _HEAD:
         return None
     heads = _heads(data, offsets)
     lengths = heads[0]
-    sound = (
+    is_message = (
         (data[offsets] == Opcode.MESSAGE)
         & (lengths >= MESSAGE_SIZE)
         & (lengths <= len(data))
     )
+    if not is_message.all():
+        return None
     ends = offsets + lengths.astype(np.int64) + RECORD.size
-    if not sound.all() or ends[-1] != len(data) or (ends[:-1] != offsets[1:]).any():
+    if ends[-1] != len(data) or (ends[:-1] != offsets[1:]).any():
         return None
     return _contents(offsets, [], len(data), heads)
 
@@ -194,19 +206,26 @@ def by_index(data: Bytes, offsets: Integers) -> Contents | None:
 def _contents(
     offsets: Integers, others: list[Record], end: int, heads: Words
 ) -> Contents:
-    lengths = heads[0].astype(np.int64) - MESSAGE_SIZE
+    """Read channel, time and length of messages out of the words of their heads."""
+    # The log time begins in the last two bytes of the second word.
     log_ns = (heads[1] >> np.uint64(48)) | (heads[2] << np.uint64(16))
-    channels = heads[1].astype(np.uint16)  # its lowest 16 bits
     return Contents(
-        channels, log_ns.view(np.int64), offsets + _HEAD, lengths, others, end
+        channels=heads[1].astype(np.uint16),  # its lowest 16 bits
+        log_ns=log_ns.view(np.int64),
+        starts=offsets + _HEAD,
+        lengths=heads[0].astype(np.int64) - MESSAGE_SIZE,
+        others=others,
+        end=end,
     )
 
 
 def _heads(data: Bytes, offsets: Integers) -> Words:
     """Copy the heads of message records without their opcodes, (3, M) words."""
-    size = 8 * _WORDS
     if not len(offsets):
         return np.zeros((_WORDS, 0), np.uint64)
-    every = np.ndarray((len(data) - size + 1,), f"V{size}", data, strides=(1,))
-    words = every[offsets + 1].view("<u8").reshape(len(offsets), _WORDS)
+    # A view of the bytes from every place on, of which those at the offsets are taken.
+    size = 8 * _WORDS
+    n_places = len(data) - size + 1
+    windows = np.ndarray((n_places,), f"V{size}", data, strides=(1,))
+    words = windows[offsets + 1].view("<u8").reshape(len(offsets), _WORDS)
     return words.T.astype(np.uint64, order="C")

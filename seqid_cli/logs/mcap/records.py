@@ -1,4 +1,4 @@
-"""MCAP files, read once from the first record to the last, as far as a damaged one allows.
+"""MCAP files, read once from the first record to the last, as far as damage allows.
 
 Chunks are taken one at a time, so memory does not grow with the file. With a summary,
 which a cut-off recording lacks, chunks that hold nothing wanted are stepped over. What
@@ -44,9 +44,9 @@ _WINDOW = 1 << 22  # bytes of loose messages taken together
 _LOOSE = frozenset((Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL))
 _HELD = _LOOSE | {Opcode.CHUNK}
 _TAIL = chunks.RECORD.size + 20 + len(MAGIC)  # the footer
-_NONE = np.zeros(0, np.int64)
-# Batches and definitions that any file may have, and its bytes for each one beyond.
-PIECES, PIECE_BYTES = 50_000, 50
+_NO_OFFSETS = np.zeros(0, np.int64)
+PIECES = 50_000  # batches and definitions that any file may have
+PIECE_BYTES = 50  # ... and its bytes for each one beyond
 
 
 class Batch(NamedTuple):
@@ -68,7 +68,7 @@ class Scan:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)  # messages per channel
-    losses: Counter[str] = field(default_factory=Counter)
+    losses: Counter[str] = field(default_factory=Counter)  # how often by their texts
     remedy: str = "Copy it again from the source; `mcap doctor FILE` shows the damage."
     summary: Summary = field(default_factory=Summary)
     _unpacker: chunks.Unpacker = field(default_factory=chunks.Unpacker)
@@ -76,107 +76,150 @@ class Scan:
     _pieces: int = 0
 
     def batches(self) -> Iterator[Batch]:
-        """Yield messages in the order of the file; what is damaged is noted in `losses`."""
+        """Yield messages in the order of the file; `losses` counts what is damaged."""
         with self.path.open("rb") as file:
             self._size = file.seek(0, 2)
             self.summary = read_summary(file, self._size)
             self.channels.update(self.summary.channels)
             self.schemas.update(self.summary.schemas)
             at: int | None = len(MAGIC)
-            while at is not None and not self._overdone():
+            while at is not None and not self._costs_too_much():
                 at = yield from self._record(file, at)
 
     def _record(self, file: BinaryIO, at: int) -> Generator[Batch, None, int | None]:
-        """Read the record at a place, or many loose messages; returns where the next one begins.
+        """Read the record at a place, or many loose messages.
 
-        One is damaged unless it ends where another may begin: bytes inside of records
-        make no head.
+        A record is damaged unless it ends where another may begin: bytes inside of
+        records make no head. Returns where the next one begins, None at the end.
         """
-        head = _head(file, at)
-        opcode, length = head or (Opcode.FOOTER, 0)
+        head = _read_head(file, at)
+        if head is None:
+            self._note_missing_end()
+            return None
         start = at + chunks.RECORD.size
-        after = start + length
-        if head is None or (opcode == Opcode.FOOTER and after <= self._size):
-            if not self.losses:
-                self.losses[
-                    "the recording was not closed properly: the file has no end"
-                ] += 1
+        after = start + head.length
+        if head.opcode == Opcode.FOOTER and after <= self._size:
+            self._note_missing_end()
             return None
-        if after > self._size or not (
-            self._begins(file, at) and self._begins(file, after)
-        ):
-            return (yield from self._damaged(file, at, opcode, length))
-        if opcode == Opcode.DATA_END:
+        is_sound = (
+            after <= self._size
+            and self._may_begin(file, at)
+            and self._may_begin(file, after)
+        )
+        if not is_sound:
+            return (yield from self._damaged(file, at, head))
+
+        if head.opcode == Opcode.DATA_END:
             return None
-        if opcode in _LOOSE:
+        if head.opcode in _LOOSE:
             file.seek(at)
             data = np.frombuffer(file.read(max(_WINDOW, after - at)), np.uint8)
             contents = chunks.walk(data, _LOOSE)
             yield from self._contents(data, contents)
             return at + contents.end if contents.end else None
-        chunk = self._indexed.get(at)
-        if opcode == Opcode.CHUNK and not (chunk and self._unneeded(chunk)):
+        index = self._chunk_index_by_start.get(at)
+        is_unneeded = index is not None and self._is_unneeded(index)
+        if head.opcode == Opcode.CHUNK and not is_unneeded:
             file.seek(start)
-            content = file.read(length)
-            indexes = (
-                file.read(min(chunk.message_index_length, LARGEST)) if chunk else b""
-            )
-            yield from self._chunk(content, chunks.index_offsets(indexes))
+            content = file.read(head.length)
+            message_indexes = b""
+            if index is not None:
+                message_indexes = file.read(min(index.message_index_length, LARGEST))
+            yield from self._chunk(content, chunks.index_offsets(message_indexes))
         return after
 
-    def _damaged(
-        self, file: BinaryIO, at: int, opcode: int, length: int
-    ) -> Generator[Batch, None, int | None]:
-        """Read what there is of a damaged chunk; goes on at the next that the summary names."""
-        found = min((start for start in self._indexed if start > at), default=None)
-        # its own checks tell its worth
-        if opcode == Opcode.CHUNK and length <= LARGEST:
-            file.seek(at + chunks.RECORD.size)
-            content = file.read(min(length, (found or self._size) - at))
-            yield from self._chunk(content, _NONE, complete=len(content) == length)
-        what = f"the file breaks off in a record at byte {at} of {self._size}"
-        if found is not None:
-            what = (
-                f"{found - at} damaged bytes at byte {at} of {self._size} were left out"
-            )
-        self.losses[what] += 1
-        return found
+    def _note_missing_end(self) -> None:
+        """Note that the data have no end, unless a loss explains it already."""
+        if not self.losses:
+            self.losses[
+                "the recording was not closed properly: the file has no end"
+            ] += 1
 
-    def _begins(self, file: BinaryIO, at: int) -> bool:
-        """Tell whether a record may begin at a place: garbage is of no kind, or endless."""
-        # without one it is cut here
-        opcode, length = _head(file, at) or (Opcode.FOOTER, 0)
-        return bool(opcode and length <= (LARGEST if opcode in _HELD else self._size))
+    def _damaged(
+        self, file: BinaryIO, at: int, head: "_Head"
+    ) -> Generator[Batch, None, int | None]:
+        """Read what there is of a damaged chunk.
+
+        Returns where the next chunk begins that the summary names, None without any.
+        """
+        later = (start for start in self._chunk_index_by_start if start > at)
+        next_chunk = min(later, default=None)
+        # its own checks tell its worth
+        if head.opcode == Opcode.CHUNK and head.length <= LARGEST:
+            file.seek(at + chunks.RECORD.size)
+            end = next_chunk or self._size
+            content = file.read(min(head.length, end - at))
+            is_complete = len(content) == head.length
+            yield from self._chunk(content, _NO_OFFSETS, complete=is_complete)
+
+        if next_chunk is None:
+            loss = f"the file breaks off in a record at byte {at} of {self._size}"
+        else:
+            loss = (
+                f"{next_chunk - at} damaged bytes at byte {at} of {self._size} were"
+                " left out"
+            )
+        self.losses[loss] += 1
+        return next_chunk
+
+    def _may_begin(self, file: BinaryIO, at: int) -> bool:
+        """Tell whether a record may begin at a place; garbage is of no kind or endless.
+
+        The end of the file counts as well: there it was cut between two records.
+        """
+        head = _read_head(file, at)
+        if head is None:
+            return True
+        longest = LARGEST if head.opcode in _HELD else self._size
+        return bool(head.opcode and head.length <= longest)
 
     @cached_property
-    def _indexed(self) -> dict[int, ChunkIndex]:
-        """The chunks that the summary names, by their places."""
-        return {chunk.chunk_start_offset: chunk for chunk in self.summary.chunk_indexes}
+    def _chunk_index_by_start(self) -> dict[int, ChunkIndex]:
+        return {index.chunk_start_offset: index for index in self.summary.chunk_indexes}
 
-    def _unneeded(self, chunk: ChunkIndex) -> bool:
+    def _is_unneeded(self, index: ChunkIndex) -> bool:
         """Tell whether a chunk has no messages of wanted topics."""
-        numbers = chunk.message_index_offsets
-        known = (self.channels.get(number) for number in numbers)
-        return bool(numbers) and not any(
-            one is None or self.wanted(one.topic) for one in known
-        )
+        numbers = index.message_index_offsets
+        if not numbers:
+            return False
+        for number in numbers:
+            channel = self.channels.get(number)
+            if channel is None or self.wanted(channel.topic):
+                return False
+        return True
 
     def _promised(self) -> dict[int, int] | None:
-        """Messages per channel by the file's own statistics; None where it does not tell."""
-        told = self.summary.statistics
-        return (told.channel_message_counts or None) if told else None
+        """Return the messages per channel by the file's statistics, None without."""
+        statistics = self.summary.statistics
+        if not statistics:
+            return None
+        return statistics.channel_message_counts or None
 
     def tally(self) -> tuple[int, int | None]:
-        """Count the messages of wanted topics: read, and promised by the file's statistics."""
-        other = {i for i, each in self.channels.items() if not self.wanted(each.topic)}
-        met = sum(count for i, count in self.counts.items() if i not in other)
+        """Count the messages of wanted topics.
+
+        Returns
+        -------
+        int
+            Messages that were read.
+        int or None
+            Messages that the file's statistics promise.
+        """
+        unwanted = {
+            number
+            for number, channel in self.channels.items()
+            if not self.wanted(channel.topic)
+        }
+        n_read = sum(n for number, n in self.counts.items() if number not in unwanted)
         promised = self._promised()
         if promised is None:
-            return met, None
-        return met, sum(count for i, count in promised.items() if i not in other)
+            return n_read, None
+        return n_read, sum(
+            n for number, n in promised.items() if number not in unwanted
+        )
 
     def total(self, channel: int) -> int:
-        """Count the messages of a channel: those met, or of a topic not wanted those promised."""
+        """Count the messages of a channel: read, or if it is unwanted promised."""
         promised = self._promised()
         if promised is None or self.wanted(self.channels[channel].topic):
             return self.counts[channel]
@@ -185,45 +228,60 @@ class Scan:
     def _chunk(
         self, content: bytes, offsets: chunks.Integers, *, complete: bool = True
     ) -> Iterator[Batch]:
+        """Unpack the content of a chunk record and yield its messages.
+
+        `offsets` of messages are a guess by its index; they may be wrong or none.
+        """
         try:
-            unpacked, whole = self._unpacker.unpack(content, complete)
+            unpacked, is_whole = self._unpacker.unpack(content, complete)
         except chunks.DamageError as damage:
             self.losses[f"a chunk of {len(content)} bytes was left out: {damage}"] += 1
             return
         data = np.frombuffer(unpacked, np.uint8)
         contents = chunks.by_index(data, offsets) or chunks.walk(data)
         yield from self._contents(data, contents)
-        if whole and (left := len(data) - contents.end):
-            self.losses[f"a chunk breaks off {left} bytes before its end"] += 1
+        n_missing = len(data) - contents.end
+        if is_whole and n_missing:
+            self.losses[f"a chunk breaks off {n_missing} bytes before its end"] += 1
 
     def _contents(self, data: Bytes, contents: chunks.Contents) -> Iterator[Batch]:
+        """Yield the wanted messages in a piece of a file, channel by channel."""
         order = np.argsort(contents.channels, kind="stable")
         turns = np.flatnonzero(np.diff(contents.channels[order])) + 1
         self._pieces += len(contents.others) + len(turns) + 1
-        if self._overdone():
+        if self._costs_too_much():
             self.losses["more channels and definitions than any recording has"] += 1
             return
         for opcode, start, end in contents.others:
             self._definition(opcode, data[start:end].tobytes())
-        batches = np.split(order, turns) if len(order) else []
+
+        rows_by_channel = np.split(order, turns) if len(order) else []
         # in the order of the file
-        for rows in sorted(batches, key=lambda each: int(each[0])):
+        for rows in sorted(rows_by_channel, key=lambda rows: int(rows[0])):
             number = int(contents.channels[rows[0]])
-            if (channel := self.channels.get(number)) is None:
-                what = f"a message belongs to channel {number}, which the file lacks"
-                self.losses[what] += len(rows)
+            channel = self.channels.get(number)
+            if channel is None:
+                self.losses[
+                    f"a message belongs to channel {number}, which the file lacks"
+                ] += len(rows)
                 continue
             self.counts[number] += len(rows)
             if self.wanted(channel.topic):
-                payloads = Payloads(data, contents.starts[rows], contents.lengths[rows])
-                schema = self.schemas.get(channel.schema_id)
-                yield Batch(channel, schema, contents.log_ns[rows], payloads)
+                yield Batch(
+                    channel=channel,
+                    schema=self.schemas.get(channel.schema_id),
+                    log_ns=contents.log_ns[rows],
+                    payloads=Payloads(
+                        data, contents.starts[rows], contents.lengths[rows]
+                    ),
+                )
 
-    def _overdone(self) -> bool:
-        """Whether a few bytes of the file cost more work than any recording's."""
+    def _costs_too_much(self) -> bool:
+        """Tell whether few bytes of the file cost more work than any recording's."""
         return self._pieces > PIECES + self._size // PIECE_BYTES
 
     def _definition(self, opcode: int, content: bytes) -> None:
+        """Take a schema or a channel; the first of its number counts."""
         stream = ReadDataStream(BytesIO(content))
         try:
             if opcode == Opcode.SCHEMA:
@@ -238,15 +296,27 @@ class Scan:
             self.losses[f"a {Opcode(opcode).name.lower()} record is damaged"] += 1
 
 
-def _head(file: BinaryIO, at: int) -> tuple[int, int] | None:
-    """Read the kind and the length of the record at a place; None at the end of the file."""
+class _Head(NamedTuple):
+    """Kind and length of a record."""
+
+    opcode: int
+    length: int
+
+
+def _read_head(file: BinaryIO, at: int) -> _Head | None:
+    """Read the head of the record at a place; None at the end of the file."""
     file.seek(at)
     head = file.read(chunks.RECORD.size)
-    return chunks.RECORD.unpack(head) if len(head) == chunks.RECORD.size else None
+    if len(head) < chunks.RECORD.size:
+        return None
+    return _Head(*chunks.RECORD.unpack(head))
 
 
 def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> Summary:
-    """Read what a file says of itself at its end; nothing if it is damaged or over `most` bytes."""
+    """Read what a file of `size` bytes says of itself at its end.
+
+    Nothing is returned where it is damaged or longer than `most` bytes.
+    """
     end = size - _TAIL
     if end < len(MAGIC):
         return Summary()
@@ -259,6 +329,7 @@ def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> Summary:
         start = footer.summary_start or end
         if not len(MAGIC) <= start <= end or end - start > most:
             return Summary()
+
         file.seek(start)
         to_checksum = chunks.RECORD.size + 16  # in the footer
         content = file.read(end - start + to_checksum)

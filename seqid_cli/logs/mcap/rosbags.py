@@ -1,4 +1,4 @@
-"""ROS bags, version 1 and the SQLite files of version 2, by the optional library rosbags."""
+"""ROS bags by the optional library rosbags: version 1, SQLite files of version 2."""
 
 import bz2
 import importlib
@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import lz4.frame
 import msgspec
@@ -23,25 +23,50 @@ from seqid_cli.logs.mcap.chunks import allowed
 from seqid_cli.logs.mcap.records import Batch, Scan
 from seqid_cli.logs.messages.batch import Payloads
 
-_KEPT = (
+_KEPT_TYPES = (
     "sensor_msgs/msg/JointState",
     "sensor_msgs/msg/Imu",
     "control_msgs/msg/DynamicJointState",
 )
 _ROSBAG1 = b"#ROSBAG V2.0"
-_ZSTD, _LZ4 = b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_LZ4 = b"\x04\x22\x4d\x18"
+_BZIP2 = b"BZh"
 _COMPUTED = re.compile(r"\bAS\s*\(", re.IGNORECASE)  # a generated column
 _MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
 _OVERHEAD = 200  # bytes that a message costs beside its own
 # bytes of one unpacked chunk of a ROS 1 bag; recorders write about 1 MB
 _CHUNK_LIMIT = 1 << 28
-_AGAIN = "or copy it again from the source."
-_REMEDY1 = f"Run `rosbag reindex FILE`, {_AGAIN}"
-_REMEDY2 = f"Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, {_AGAIN}"
-_Message = tuple[int, int, bytes]  # number of its channel, time [ns], CDR
-_Topic = tuple[Channel, Schema, int]  # the last: its messages
-_Bag = tuple[list[_Topic], Callable[[], Iterator[_Message]]]  # an opened bag
+_REMEDY1 = "Run `rosbag reindex FILE`, or copy it again from the source."
+_REMEDY2 = (
+    "Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, or copy it again from the"
+    " source."
+)
 _Wanted = Callable[[str], bool]
+
+
+class _Message(NamedTuple):
+    """One message."""
+
+    channel: int
+    time_ns: int
+    data: bytes  # CDR
+
+
+class _Topic(NamedTuple):
+    """One topic of a bag, as an MCAP file describes it."""
+
+    channel: Channel
+    schema: Schema
+    messages: int
+
+
+@dataclass(frozen=True)
+class _Bag:
+    """An opened bag; `messages` are those of wanted topics and kept types."""
+
+    topics: list[_Topic]
+    messages: Callable[[], Iterator[_Message]]
 
 
 @dataclass
@@ -49,41 +74,60 @@ class BagScan(Scan):
     """One pass over a ROS 1 bag, or the SQLite file of a ROS 2 bag; see `Scan`."""
 
     def batches(self) -> Iterator[Batch]:
-        """Yield the messages up to a fault; those of one topic, some at a time, together."""
+        """Yield the messages up to a fault, some at a time, topic by topic."""
         with self.path.open("rb") as file:
-            first = file.read(len(_ROSBAG1)) == _ROSBAG1
-        self.remedy = _REMEDY1 if first else _REMEDY2
+            is_first = file.read(len(_ROSBAG1)) == _ROSBAG1
+        self.remedy = _REMEDY1 if is_first else _REMEDY2
         self.losses.update(_unmerged(self.path))
         with ExitStack() as stack:
+            open_bag = _rosbag1 if is_first else _rosbag2
             try:
-                opened = (_rosbag1 if first else _rosbag2)(self.path, self.wanted)
-                topics, messages = stack.enter_context(opened)
+                bag = stack.enter_context(open_bag(self.path, self.wanted))
             except InputError:
                 raise
             except Exception as error:  # whatever the library raises on a damaged bag
-                message = f"the bag cannot be read ({_reason(error)})"
                 raise InputError(
-                    message, hint=self.remedy, where=str(self.path)
+                    f"the bag cannot be read ({_reason(error)})",
+                    hint=self.remedy,
+                    where=str(self.path),
                 ) from error
-            counts = {channel.id: count for channel, _, count in topics}
-            total = sum(counts.values())
-            self.summary.statistics = Statistics(
-                0, len(topics), counts, 0, total, 0, 0, 0, 0
-            )
-            self.channels.update({channel.id: channel for channel, *_ in topics})
-            self.schemas.update({schema.id: schema for _, schema, _ in topics})
-            for part in _together(self._sound(messages())):
-                for number in dict.fromkeys(message[0] for message in part):
-                    own = [message for message in part if message[0] == number]
-                    self.counts[number] += len(own)
-                    log_ns = np.array([max(0, message[1]) for message in own], np.int64)
-                    payloads = Payloads.of([message[2] for message in own])
-                    yield Batch(
-                        self.channels[number], self.schemas[number], log_ns, payloads
+            self._describe(bag.topics)
+            for part in _parts(self._up_to_fault(bag.messages())):
+                for number in dict.fromkeys(message.channel for message in part):
+                    yield self._batch(
+                        number, [each for each in part if each.channel == number]
                     )
 
-    def _sound(self, messages: Iterator[_Message]) -> Iterator[_Message]:
-        """Yield messages up to a fault of the bag, of which `losses` is told."""
+    def _describe(self, topics: list[_Topic]) -> None:
+        """Take the topics of the bag as those of an MCAP file's summary."""
+        counts = {topic.channel.id: topic.messages for topic in topics}
+        self.summary.statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(topics),
+            channel_message_counts=counts,
+            chunk_count=0,
+            message_count=sum(counts.values()),
+            message_end_time=0,
+            message_start_time=0,
+            metadata_count=0,
+            schema_count=0,
+        )
+        for topic in topics:
+            self.channels[topic.channel.id] = topic.channel
+            self.schemas[topic.schema.id] = topic.schema
+
+    def _batch(self, number: int, messages: list[_Message]) -> Batch:
+        self.counts[number] += len(messages)
+        times_ns = [max(0, message.time_ns) for message in messages]
+        return Batch(
+            channel=self.channels[number],
+            schema=self.schemas[number],
+            log_ns=np.array(times_ns, np.int64),
+            payloads=Payloads.of([message.data for message in messages]),
+        )
+
+    def _up_to_fault(self, messages: Iterator[_Message]) -> Iterator[_Message]:
+        """Yield messages up to a fault of the bag, which `losses` counts."""
         try:
             yield from messages
         except Exception as error:  # on a damaged page or chunk
@@ -98,87 +142,123 @@ read_blocks = partial(reader.read_blocks, scan=BagScan)
 list_topics = partial(reader.list_topics, scan=BagScan)
 
 
-def _together(
+def _parts(
     messages: Iterator[_Message], *, most: int = 1 << 22
 ) -> Iterator[list[_Message]]:
-    """Some messages at a time, of `most` bytes, about."""
-    held, size = list[_Message](), 0
+    """Put messages together to parts of about `most` bytes; the last may be empty."""
+    part: list[_Message] = []
+    size = 0
     for message in messages:
-        held.append(message)
-        size += _OVERHEAD + len(message[2])
+        part.append(message)
+        size += _OVERHEAD + len(message.data)
         if size > most:
-            yield held
-            held, size = [], 0
-    yield held
+            yield part
+            part = []
+            size = 0
+    yield part
 
 
 @contextmanager
 def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
+    """Open the SQLite file of a ROS 2 bag; raises anything where it is damaged."""
     storage = _module("rosbags.rosbag2.storage_sqlite3", path)
+    _refuse_computed(path)
+    bag = storage.Sqlite3Reader(path.absolute())
+    bag.open()
+    try:
+        topics = [_topic(link, str(link.msgdef.data)) for link in bag.connections]
+        described = [
+            (link.id, link.topic, link.msgtype, link.msgcount)
+            for link in bag.connections
+        ]
+        _as_declared(described, list[tuple[int, str, str, int]])
+        formats = {link.ext.serialization_format for link in bag.connections}
+        other_formats = sorted(formats - {"cdr"})
+        if other_formats:
+            raise ValueError(
+                f"its serialization is {', '.join(other_formats)}, not cdr"
+            )
+
+        links = [
+            link
+            for link in bag.connections
+            if link.msgtype in _KEPT_TYPES and wanted(link.topic)
+        ]
+        yield _Bag(topics, lambda: _unpacked(bag.messages(links)))
+    finally:
+        bag.close()
+
+
+def _refuse_computed(path: Path) -> None:
+    """Raise ValueError for a database that computes what it seems to hold.
+
+    That may cost anything, and recorders do not write it.
+    """
     address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
     with closing(sqlite3.connect(address, uri=True)) as database:
         for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
-            # A database that computes what it seems to hold, at any cost: recorders do
-            # not.
             if kind in ("view", "trigger") or _COMPUTED.search(str(text)):
                 raise ValueError(f"it holds a {kind} that computes values")
-    reader = storage.Sqlite3Reader(path.absolute())
-    reader.open()
-    try:
-        topics = [_topic(c, str(c.msgdef.data)) for c in reader.connections]
-        names = [(c.id, c.topic, c.msgtype, c.msgcount) for c in reader.connections]
-        _as_declared(names, list[tuple[int, str, str, int]])
-        others = {c.ext.serialization_format for c in reader.connections} - {"cdr"}
-        if others:
-            raise ValueError(
-                f"its serialization is {', '.join(sorted(others))}, not cdr"
-            )
-        kept = [c for c in reader.connections if c.msgtype in _KEPT and wanted(c.topic)]
-        yield topics, lambda: _unpacked(reader.messages(kept))
-    finally:
-        reader.close()
 
 
 @contextmanager
 def _rosbag1(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
+    """Open a ROS 1 bag; raises anything where it is damaged."""
     typesys = _module("rosbags.typesys", path)
-    with _module("rosbags.rosbag1", path).Reader(path.absolute()) as reader:
-        for place, one in reader.chunks.items():
-            reader.chunks[place] = one._replace(decompressor=_bounded(one.decompressor))
+    with _module("rosbags.rosbag1", path).Reader(path.absolute()) as bag:
+        for place, chunk in bag.chunks.items():
+            bounded = _bounded(chunk.decompressor)
+            bag.chunks[place] = chunk._replace(decompressor=bounded)
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        topics = [_topic(c, "") for c in reader.connections]
-        kept = [
-            c for c in reader.connections if c.msgtype in _KEPT[:2] and wanted(c.topic)
+        topics = [_topic(link, "") for link in bag.connections]
+        # ROS 1 has no DynamicJointState.
+        links = [
+            link
+            for link in bag.connections
+            if link.msgtype in _KEPT_TYPES[:2] and wanted(link.topic)
         ]
 
         def messages() -> Iterator[_Message]:
-            for connection, time_ns, data in reader.messages(kept):
-                kind = connection.msgtype
-                yield connection.id, time_ns, bytes(store.ros1_to_cdr(data, kind))
+            for link, time_ns, data in bag.messages(links):
+                cdr = store.ros1_to_cdr(data, link.msgtype)
+                yield _Message(link.id, time_ns, bytes(cdr))
 
-        yield topics, messages
+        yield _Bag(topics, messages)
 
 
 def _topic(link: Any, definition: str) -> _Topic:
-    """Describe a topic as an MCAP file does, also its definition where it is in that form."""
+    """Describe a topic as an MCAP file does; `definition` counts in that form only."""
     text = definition if link.msgdef.format.name == "MSG" else ""
-    schema = Schema(link.id, text.encode(), "ros2msg", link.msgtype)
-    return Channel(link.id, link.topic, "cdr", {}, link.id), schema, link.msgcount
+    schema = Schema(
+        id=link.id, data=text.encode(), encoding="ros2msg", name=link.msgtype
+    )
+    channel = Channel(
+        id=link.id,
+        topic=link.topic,
+        message_encoding="cdr",
+        metadata={},
+        schema_id=link.id,
+    )
+    return _Topic(channel, schema, link.msgcount)
 
 
 def _bounded(usual: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
-    """A decompressor of a chunk that stops where no recording would have so much in it."""
+    """Make a decompressor of chunks that stops where no recording has so much in one.
+
+    `usual` decompresses what is neither bzip2 nor lz4.
+    """
 
     def unpack(data: bytes) -> bytes:
         limit = min(allowed(len(data)), _CHUNK_LIMIT)
-        if data[:3] == b"BZh":
-            made: Any = bz2.BZ2Decompressor()
-        elif data[:4] == _LZ4:
-            made = lz4.frame.LZ4FrameDecompressor()
+        decompressor: Any
+        if data.startswith(_BZIP2):
+            decompressor = bz2.BZ2Decompressor()
+        elif data.startswith(_LZ4):
+            decompressor = lz4.frame.LZ4FrameDecompressor()
         else:
             return usual(data)
-        unpacked = bytes(made.decompress(data, limit))
-        if not made.eof:
+        unpacked = bytes(decompressor.decompress(data, limit))
+        if not decompressor.eof:
             raise ValueError(
                 f"a chunk of {len(data)} bytes is cut or unpacks to over {limit}"
             )
@@ -189,41 +269,40 @@ def _bounded(usual: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
 
 def _unpacked(messages: Iterator[tuple[Any, int, bytes]]) -> Iterator[_Message]:
     """Unpack messages that were compressed one by one."""
-    unpacker = zstandard.ZstdDecompressor()
-    for connection, time_ns, data in messages:
-        _as_declared((connection.id, time_ns, data), _Message)
+    zstd = zstandard.ZstdDecompressor()
+    for link, time_ns, data in messages:
+        _as_declared((link.id, time_ns, data), tuple[int, int, bytes])
         if data[:4] == _ZSTD:
-            data = unpacker.decompress(data, max_output_size=_MESSAGE_LIMIT)
-        yield connection.id, time_ns, data
+            data = zstd.decompress(data, max_output_size=_MESSAGE_LIMIT)
+        yield _Message(link.id, time_ns, data)
 
 
 def _as_declared(values: object, kind: Any) -> None:
-    """Raise where SQLite, whose columns hold values of any type, holds one of another type."""
+    """Raise where SQLite, whose columns hold any type, holds another than declared."""
     msgspec.convert(values, kind, builtin_types=(bytes,))
 
 
 def _unmerged(path: Path) -> list[str]:
-    """Tell of a journal beside an SQLite file: the recorder was killed before it was merged."""
+    """Describe a journal beside an SQLite file: the recorder was killed."""
     journal = path.with_name(path.name + "-wal")
     size = journal.stat().st_size if journal.is_file() else 0
-    text = (
+    if not size:
+        return []
+    return [
         f"the bag was not closed: {size} bytes in {journal.name} are not read (merge"
-        " them: "
-    )
-    return (
-        [f"{text}`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`)"]
-        if size
-        else []
-    )
+        f" them: `sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`)"
+    ]
 
 
 def _module(name: str, path: Path) -> Any:
+    """Import a module of rosbags; raises InputError where it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        text = (
+        raise InputError(
             "is a ROS bag; reading it needs the package rosbags, which is not installed"
-        )
-        hint = 'Install it: pip install "seqid[bags]"; or convert the bag to MCAP with '
-        hint += "`ros2 bag convert`."
-        raise InputError(f"{text} ({error})", hint=hint, where=str(path)) from error
+            f" ({error})",
+            hint='Install it: pip install "seqid[bags]"; or convert the bag to MCAP'
+            " with `ros2 bag convert`.",
+            where=str(path),
+        ) from error

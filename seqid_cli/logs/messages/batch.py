@@ -1,4 +1,4 @@
-"""Batches of messages: payloads that lie in one buffer, and the rows of numbers made of them.
+"""Batches of messages: payloads in one buffer, and the rows of numbers made of them.
 
 A message is what its parser makes of it: dictionaries of JSON, objects of protobuf, and
 of CDR the places of its numbers. Joint states have the fields of sensor_msgs'
@@ -21,7 +21,9 @@ Decode = Callable[["Payloads"], "Decoded"]
 
 JOINT_QUANTITIES = ("position", "velocity", "effort")
 IMU_FIELDS = tuple(
-    (k, axis) for k in ("linear_acceleration", "angular_velocity") for axis in "xyz"
+    (name, axis)
+    for name in ("linear_acceleration", "angular_velocity")
+    for axis in "xyz"
 )
 _PLAIN = frozenset((float, int, str))
 FRONT = 8  # bytes that any buffer has before its first payload; see `Payloads.cut`
@@ -46,7 +48,8 @@ class Payloads:
         return len(self.starts)
 
     def __iter__(self) -> Iterator[bytes]:
-        view, ends = self.buffer.data, self.starts + self.lengths
+        view = self.buffer.data
+        ends = self.starts + self.lengths
         spans = zip(self.starts.tolist(), ends.tolist(), strict=True)
         return (bytes(view[start:end]) for start, end in spans)
 
@@ -55,109 +58,153 @@ class Payloads:
         return Payloads(self.buffer, self.starts[rows], self.lengths[rows])
 
     def cut(self, low: int, high: int) -> Bytes:
-        """Copy bytes [low, high) of every payload, (M, high - low); `low` is -7 at least."""
+        """Copy bytes [low, high) of every payload, (M, high - low).
+
+        `low` is -7 at least: a buffer has some bytes before its first payload.
+        """
         width = high - low
-        buffer, starts = self.buffer, self.starts + low
+        starts = self.starts + low
         if not width or not len(starts):
             return np.zeros((len(starts), width), np.uint8)
-        every = np.ndarray(
-            (len(buffer) - width + 1,), f"V{width}", buffer, strides=(1,)
-        )
-        return every[starts].view(np.uint8).reshape(len(starts), width)
+        # A view of the bytes from every place on, of which those at the starts are
+        # taken.
+        n_places = len(self.buffer) - width + 1
+        windows = np.ndarray((n_places,), f"V{width}", self.buffer, strides=(1,))
+        return windows[starts].view(np.uint8).reshape(len(starts), width)
 
 
 @dataclass(frozen=True)
 class Decoded:
-    """M messages: header stamps [ns], values (NaN where missing), and which could be decoded."""
+    """M decoded messages."""
 
-    stamp_ns: Stamps
-    values: Array  # (M, 3 n) positions, velocities, efforts; (M, 6) as IMU_FIELDS
-    good: Mask
+    stamp_ns: Stamps  # (M,) of the headers
+    # (M, 3 n) positions, velocities, efforts; (M, 6) as IMU_FIELDS; NaN where missing
+    values: Array
+    good: Mask  # (M,) which could be decoded
 
     @classmethod
     def empty(cls, count: int, width: int) -> "Decoded":
         """Make a batch in which nothing is decoded yet."""
-        none = np.full((count, width), np.nan)
-        return cls(np.zeros(count, np.int64), none, np.zeros(count, np.bool_))
+        return cls(
+            stamp_ns=np.zeros(count, np.int64),
+            values=np.full((count, width), np.nan),
+            good=np.zeros(count, np.bool_),
+        )
+
+    def take(self, rows: Rows | Mask) -> "Decoded":
+        """Select messages."""
+        return Decoded(self.stamp_ns[rows], self.values[rows], self.good[rows])
 
     def put(self, rows: Rows, part: "Decoded") -> None:
         """Put messages decoded by themselves into their rows of the batch."""
-        self.stamp_ns[rows], self.values[rows] = part.stamp_ns, part.values
+        self.stamp_ns[rows] = part.stamp_ns
+        self.values[rows] = part.values
         self.good[rows] = part.good
 
 
 class NameMap:
-    """Which entry of a JointState belongs to which joint of the robot.
+    """Finds the entry of a JointState for each joint of the robot.
 
-    `effort` {"torque", "current"}: an interface of that name stands in for effort.
-    `most`: names of messages that are remembered, for the message that none of them
-    fits.
+    Parameters
+    ----------
+    joints : iterable of str
+        Names of the robot file.
+    effort : {"torque", "current"}
+        An interface of that name stands in for effort.
+    most : int
+        Names of messages that are remembered in `seen`, for the message that none of
+        them fits; also lists of names whose entries are remembered.
     """
 
     def __init__(
         self, joints: Iterable[str], effort: str = "torque", *, most: int = 200
     ) -> None:
-        self.joints, self.effort, self._most = tuple(joints), effort, most
-        self._index = {name: i for i, name in enumerate(self.joints)}
-        self._pairs: dict[tuple[str, ...], list[tuple[int, int]]] = {}
+        self.joints = tuple(joints)
+        self.effort = effort
         self.seen: dict[str, None] = {}
+        self._most = most
+        self._joint_by_name = {name: j for j, name in enumerate(self.joints)}
+        self._pairs: dict[tuple[str, ...], list[tuple[int, int]]] = {}
 
     def width(self, kind: Kind) -> int:
-        """Values per row."""
-        return (
-            len(IMU_FIELDS)
-            if kind == "imu"
-            else len(JOINT_QUANTITIES) * len(self.joints)
-        )
+        """Return the values per row."""
+        if kind == "imu":
+            return len(IMU_FIELDS)
+        return len(JOINT_QUANTITIES) * len(self.joints)
 
     def pairs(self, names: Sequence[str]) -> list[tuple[int, int]]:
-        """Pair (entry in the message, joint of the robot); of equal names the first counts."""
+        """Pair entries in a message with joints of the robot.
+
+        Of equal names the first counts.
+        """
         key = tuple(names)
         if key not in self._pairs:
-            found: dict[int, int] = {}
+            entry_by_joint: dict[int, int] = {}
             for entry, name in enumerate(names):
                 if len(self.seen) < self._most:
                     self.seen.setdefault(name)
-                if name in self._index:
-                    found.setdefault(self._index[name], entry)
+                if name in self._joint_by_name:
+                    entry_by_joint.setdefault(self._joint_by_name[name], entry)
+            # A hostile file has ever new lists of names.
             if len(self._pairs) >= self._most:
                 self._pairs.clear()
-            self._pairs[key] = [(entry, joint) for joint, entry in found.items()]
+            self._pairs[key] = [(entry, j) for j, entry in entry_by_joint.items()]
         return self._pairs[key]
 
 
 def row_of(kind: Kind, message: object, names: NameMap) -> list[object]:
-    """Return the row of a message, None where absent; raises ValueError where fields do not fit."""
+    """Return the row of a message.
+
+    Its values are those of the message's fields: numbers, places of numbers, texts;
+    None where absent. Raises ValueError where the fields do not fit each other.
+    """
     if kind == "imu":
         return [field(field(message, name), axis) for name, axis in IMU_FIELDS]
     row: list[object] = [None] * names.width(kind)
-    n = len(names.joints)
     if kind == "dynamic_joint_state":
-        entries = _texts(field(message, "joint_names"))
-        interfaces = _list(field(message, "interface_values"))
-        if len(interfaces) != len(entries):
-            raise ValueError("joints and interfaces differ in number")
-        for entry, joint in names.pairs(entries):
-            kinds = _texts(field(interfaces[entry], "interface_names"))
-            values = _list(field(interfaces[entry], "values"))
-            given = dict(zip(kinds, values, strict=True))
-            given.setdefault("effort", given.get(names.effort))
-            row[joint::n] = map(given.get, JOINT_QUANTITIES)
-    elif (joints := field(message, "joints")) is not None:
-        joints = _list(joints)
-        for entry, joint in names.pairs([str(field(each, "name")) for each in joints]):
-            row[joint::n] = [field(joints[entry], name) for name in JOINT_QUANTITIES]
+        _fill_from_interfaces(row, message, names)
+    elif field(message, "joints") is not None:
+        _fill_from_joints(row, message, names)
     else:
-        entries = _texts(field(message, "name"))
-        arrays = [_list(field(message, quantity)) for quantity in JOINT_QUANTITIES]
-        for quantity, array in zip(JOINT_QUANTITIES, arrays, strict=True):
-            if len(array) not in (0, len(entries)):
-                raise ValueError(
-                    f"{len(array)} values of {quantity} for {len(entries)} names"
-                )
-        for entry, joint in names.pairs(entries):
-            row[joint::n] = [array[entry] if array else None for array in arrays]
+        _fill_from_arrays(row, message, names)
     return row
+
+
+def _fill_from_interfaces(row: list[object], message: object, names: NameMap) -> None:
+    """Fill a row by a DynamicJointState: named values of each joint."""
+    entries = _texts(field(message, "joint_names"))
+    interfaces = _list(field(message, "interface_values"))
+    if len(interfaces) != len(entries):
+        raise ValueError("joints and interfaces differ in number")
+    n = len(names.joints)
+    for entry, joint in names.pairs(entries):
+        quantities = _texts(field(interfaces[entry], "interface_names"))
+        values = _list(field(interfaces[entry], "values"))
+        by_quantity = dict(zip(quantities, values, strict=True))
+        by_quantity.setdefault("effort", by_quantity.get(names.effort))
+        row[joint::n] = map(by_quantity.get, JOINT_QUANTITIES)
+
+
+def _fill_from_joints(row: list[object], message: object, names: NameMap) -> None:
+    """Fill a row by a `foxglove.JointStates`: a message for each joint."""
+    joints = _list(field(message, "joints"))
+    n = len(names.joints)
+    for entry, joint in names.pairs([str(field(each, "name")) for each in joints]):
+        row[joint::n] = [field(joints[entry], name) for name in JOINT_QUANTITIES]
+
+
+def _fill_from_arrays(row: list[object], message: object, names: NameMap) -> None:
+    """Fill a row by a JointState: an array of each quantity, which may be empty."""
+    entries = _texts(field(message, "name"))
+    arrays = [_list(field(message, quantity)) for quantity in JOINT_QUANTITIES]
+    for quantity, array in zip(JOINT_QUANTITIES, arrays, strict=True):
+        if len(array) not in (0, len(entries)):
+            raise ValueError(
+                f"{len(array)} values of {quantity} for {len(entries)} names"
+            )
+    n = len(names.joints)
+    for entry, joint in names.pairs(entries):
+        row[joint::n] = [array[entry] if array else None for array in arrays]
 
 
 def field(message: object, key: str) -> object:

@@ -12,6 +12,7 @@ import struct
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +32,9 @@ Words = NDArray[np.uint64]
 WORD = 8
 _SEC = 1_000_000_000
 # bytes; between them seconds (int32), nanoseconds (uint32)
-_ENCAPSULATION, _STAMP_END = 4, 12
-# Representation identifier -> (byte order, largest alignment): plain CDR of XCDR 1 and
-# 2.
+_ENCAPSULATION = 4
+_STAMP_END = 12
+# Representation identifier -> (byte order, largest alignment): plain CDR of XCDR 1, 2.
 _REPRESENTATIONS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
 
 
@@ -60,10 +61,9 @@ class _Cursor:
             self.doubles(9)
             acceleration = self.doubles(3)
             self.doubles(9)
-            vectors = {"angular_velocity": gyro, "linear_acceleration": acceleration}
             return {
-                name: dict(zip("xyz", own, strict=True))
-                for name, own in vectors.items()
+                "angular_velocity": dict(zip("xyz", gyro, strict=True)),
+                "linear_acceleration": dict(zip("xyz", acceleration, strict=True)),
             }
         names = self.texts()
         if kind == "joint_state":
@@ -103,72 +103,97 @@ class _Cursor:
         self.at += -(self.at - _ENCAPSULATION) % size
 
     def _advance(self, length: int, structure: int = 0) -> int:
-        """Step over bytes, the first of which may be structure; returns where they begin."""
-        start, self.at = self.at, self.at + length
+        """Step over bytes, of which the first may be structure; returns their start."""
+        start = self.at
+        self.at += length
         if self.at > len(self.data):
             raise ValueError("the message breaks off")
         self.mask[start : start + structure] = b"\xff" * structure
         return start
 
 
-@dataclass(frozen=True)
+class _Run(NamedTuple):
+    """Numbers side by side in a message and in its row."""
+
+    byte: int  # of the first, in a message with its pad
+    column: int  # of the first, in the row of numbers
+    n_numbers: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Where structure and numbers of messages of one length lie, in rows of `width` numbers."""
+    """The places of structure and numbers in messages of one length."""
 
     order: str  # of the bytes, "<" or ">"
-    width: int
+    width: int  # numbers in a row
     pad: int  # bytes in front of the message, for whole words
     mask: Words  # (W,) of the message with its pad: bits of structure
     reference: Words  # (W,) likewise: what they must be
     checked: tuple[int, ...]  # words that hold structure
-    # numbers side by side: byte of a row, column, how many
-    runs: tuple[tuple[int, int, int], ...]
+    runs: tuple[_Run, ...]
 
     @classmethod
     def of(cls, data: bytes, kind: Kind, names: NameMap) -> "Layout":
         """Parse a message. Raises ValueError: it is damaged."""
         cursor = _Cursor(data)
         row = row_of(kind, cursor.message(kind), names)
-        front = bytes(-len(data) % WORD)
-        mask = np.frombuffer(front + cursor.mask, np.uint64)
-        reference = np.frombuffer(front + data, np.uint64) & mask
+        pad = bytes(-len(data) % WORD)
+        mask = np.frombuffer(pad + cursor.mask, np.uint64)
+        reference = np.frombuffer(pad + data, np.uint64) & mask
+
         runs = []
         for offset, group in groupby(enumerate(row), _offset):
             if offset is not None:
-                first, *others = [column for column, _ in group]
-                runs.append(
-                    (offset + WORD * first + len(front), first, 1 + len(others))
-                )
-        checked = tuple(np.flatnonzero(mask).tolist())
+                columns = [column for column, _ in group]
+                byte = offset + WORD * columns[0] + len(pad)
+                runs.append(_Run(byte, columns[0], len(columns)))
         return cls(
-            cursor.order, len(row), len(front), mask, reference, checked, tuple(runs)
+            order=cursor.order,
+            width=len(row),
+            pad=len(pad),
+            mask=mask,
+            reference=reference,
+            checked=tuple(np.flatnonzero(mask).tolist()),
+            runs=tuple(runs),
         )
 
     def decode(self, payloads: Payloads) -> tuple[Mask, Decoded]:
-        """Tell which payloads of the layout's length have its structure, and decode these."""
+        """Decode the payloads, all of the layout's length, that have its structure.
+
+        Returns
+        -------
+        ndarray of bool, (M,)
+            The payloads that have it.
+        Decoded
+            These, decoded.
+        """
         rows = payloads.cut(-self.pad, WORD * len(self.mask) - self.pad)
         words = rows.view(np.uint64)
         fits = np.ones(len(rows), np.bool_)
         for i in self.checked:
             fits &= (words[:, i] ^ self.reference[i]) & self.mask[i] == 0
-        rows = rows if fits.all() else rows[fits]
+        if not fits.all():
+            rows = rows[fits]
+
         values = np.empty((len(rows), self.width))
-        if sum(size for *_, size in self.runs) < self.width:
+        if sum(run.n_numbers for run in self.runs) < self.width:
             values.fill(np.nan)
-        for at, column, size in self.runs:
-            numbers = rows[:, at : at + WORD * size].view(f"{self.order}f8")
-            values[:, column : column + size] = numbers
-        stamped = rows[:, self.pad + _ENCAPSULATION :]
-        seconds = stamped[:, :4].view(f"{self.order}i4")[:, 0]
-        rest = stamped[:, 4:8].view(f"{self.order}u4")[:, 0]
-        limit = STAMP_LIMIT_NS // _SEC
-        good = (rest < _SEC) & (seconds >= -limit) & (seconds < limit)
-        stamps: Stamps = np.where(good, seconds.astype(np.int64) * _SEC + rest, 0)
-        return fits, Decoded(stamps, values, good)
+        for byte, column, n_numbers in self.runs:
+            numbers = rows[:, byte : byte + WORD * n_numbers]
+            values[:, column : column + n_numbers] = numbers.view(f"{self.order}f8")
+
+        header = rows[:, self.pad + _ENCAPSULATION :]
+        seconds = header[:, :4].view(f"{self.order}i4")[:, 0]
+        nanoseconds = header[:, 4:8].view(f"{self.order}u4")[:, 0]
+        limit_s = STAMP_LIMIT_NS // _SEC
+        is_good = (nanoseconds < _SEC) & (seconds >= -limit_s) & (seconds < limit_s)
+        stamp_ns = seconds.astype(np.int64) * _SEC + nanoseconds
+        stamps: Stamps = np.where(is_good, stamp_ns, 0)
+        return fits, Decoded(stamps, values, is_good)
 
 
 def _offset(entry: tuple[int, object]) -> int | None:
-    """Tell what places have in common that lie side by side, as their columns do."""
+    """Return what entries (column, place) that lie side by side have in common."""
     column, place = entry
     return place - WORD * column if isinstance(place, int) else None
 
@@ -184,44 +209,49 @@ class LayoutDecoder:
     names: NameMap
     rounds: int = 32
     most: int = 512
-    _known: dict[int, list[Layout]] = field(default_factory=dict)
+    _layouts: dict[int, list[Layout]] = field(default_factory=dict)  # by length
 
     def __call__(self, payloads: Payloads) -> Decoded:
         """Decode one batch."""
+        # Mostly all messages have one layout, and nothing need be sorted.
         lengths = payloads.lengths
-        usual = self._known.get(int(lengths[0]), ())[:1] if len(lengths) else ()
-        if usual and (lengths == lengths[0]).all():
-            fits, part = usual[0].decode(payloads)
-            if fits.all():
-                return part
-        out = Decoded.empty(len(payloads), self.names.width(self.kind))
+        if len(lengths) and (lengths == lengths[0]).all():
+            layouts = self._layouts.get(int(lengths[0]))
+            if layouts:
+                fits, part = layouts[0].decode(payloads)
+                if fits.all():
+                    return part
+
+        decoded = Decoded.empty(len(payloads), self.names.width(self.kind))
         order = np.argsort(lengths, kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
-            self._of_one_length(payloads, rows, out)
-        return out
+        changes = np.flatnonzero(np.diff(lengths[order])) + 1
+        for rows in np.split(order, changes):
+            if len(rows):
+                self._of_one_length(payloads, rows, decoded)
+        return decoded
 
-    def _of_one_length(self, payloads: Payloads, left: Rows, out: Decoded) -> None:
-        """Decode payloads by the known layouts, then by those that are met on the way."""
+    def _of_one_length(self, payloads: Payloads, rows: Rows, out: Decoded) -> None:
+        """Decode payloads by known layouts, then by those that are met on the way."""
 
-        def fitting(layout: Layout, rows: Rows) -> Rows:
+        def without_fitting(layout: Layout, rows: Rows) -> Rows:
+            """Decode the payloads that fit a layout; returns those that do not."""
             fits, part = layout.decode(payloads.take(rows))
             out.put(rows[fits], part)
             return rows[~fits]
 
-        length = int(payloads.lengths[left[0]]) if len(left) else 0
-        known = list(self._known.get(length, ()))
-        for layout in known:
-            left = fitting(layout, left)
-        while len(left):
-            first, rest = left[:1], left[1:]
+        length = int(payloads.lengths[rows[0]])
+        layouts = list(self._layouts.get(length, ()))
+        for layout in layouts:
+            rows = without_fitting(layout, rows)
+        while len(rows):
+            first = rows[:1]
+            rows = rows[1:]
             with suppress(ValueError):  # it is damaged
-                layout = Layout.of(
-                    next(iter(payloads.take(first))), self.kind, self.names
-                )
-                fitting(layout, first)
-                if len(known) < self.rounds:
-                    rest = fitting(layout, rest)
-                    known.append(layout)
-                    if sum(map(len, self._known.values())) < self.most:
-                        self._known[length] = known
-            left = rest
+                data = next(iter(payloads.take(first)))
+                layout = Layout.of(data, self.kind, self.names)
+                without_fitting(layout, first)
+                if len(layouts) < self.rounds:
+                    rows = without_fitting(layout, rows)
+                    layouts.append(layout)
+                    if sum(map(len, self._layouts.values())) < self.most:
+                        self._layouts[length] = layouts

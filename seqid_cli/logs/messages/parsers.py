@@ -1,4 +1,4 @@
-"""Messages that are decoded one by one: JSON, protobuf, and CDR of an unusual definition.
+"""Messages that are decoded one by one: JSON, protobuf, CDR of unusual definitions.
 
 The encoding's own library makes an object of each message, and `row_of` takes the
 values out of its fields. The faster way for CDR messages that are alike must give the
@@ -9,7 +9,7 @@ import contextlib
 import io
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import msgspec
 from mcap.records import Schema
@@ -57,17 +57,20 @@ def field_decoder(kind: Kind, names: NameMap, parse: Parse) -> Decode:
     """Make a decoder that takes messages one by one."""
 
     def decode(batch: Payloads) -> Decoded:
-        out = Decoded.empty(len(batch), names.width(kind))
+        decoded = Decoded.empty(len(batch), names.width(kind))
         for i, data in enumerate(batch):
             try:
                 message = parse(data)
                 row = row_of(kind, message, names)
+                # Most values are floats already, and a call for each is dear.
                 numbers = [v if v.__class__ is float else _number(v) for v in row]
                 stamp_ns = _stamp_ns(message)
             except Exception:  # the content is hostile, and the parser raises anything
                 continue
-            out.values[i], out.stamp_ns[i], out.good[i] = numbers, stamp_ns, True
-        return out
+            decoded.values[i] = numbers
+            decoded.stamp_ns[i] = stamp_ns
+            decoded.good[i] = True
+        return decoded
 
     return decode
 
@@ -77,18 +80,24 @@ def _stamp_ns(message: object) -> int:
     stamp = field(message, "timestamp") or field(field(message, "header"), "stamp")
     if stamp is None:
         return 0
-    rest = 0
+    nanoseconds = 0
     if isinstance(stamp, int | float):
         stamp_ns = round(stamp * _SEC)
     else:
-        seconds, rest = (
-            next((int(v) for key in keys if (v := field(stamp, key)) is not None), 0)  # type: ignore[call-overload]
-            for keys in (SECONDS, NANOSECONDS)
-        )
-        stamp_ns = seconds * _SEC + rest
-    if not 0 <= rest < _SEC or abs(stamp_ns) > STAMP_LIMIT_NS:
+        nanoseconds = _first_integer(stamp, NANOSECONDS)
+        stamp_ns = _first_integer(stamp, SECONDS) * _SEC + nanoseconds
+    if not 0 <= nanoseconds < _SEC or abs(stamp_ns) > STAMP_LIMIT_NS:
         raise ValueError("no stamp")
     return stamp_ns
+
+
+def _first_integer(message: object, keys: Sequence[str]) -> int:
+    """Return the first field of some names that a message has, 0 without any."""
+    for key in keys:
+        value = field(message, key)
+        if value is not None:
+            return int(value)  # type: ignore[call-overload, no-any-return]
+    return 0
 
 
 def _number(value: object) -> float:
@@ -102,15 +111,30 @@ def _number(value: object) -> float:
 def decoder(
     encoding: str, schema: Schema | None, kind: Kind, names: NameMap
 ) -> Decode | None:
-    """Make a decoder for the messages of a channel; None where there is none for them."""
+    """Make a decoder for the messages of a channel; None where there is none.
+
+    Parameters
+    ----------
+    encoding : str
+        The channel's encoding: cdr, json or protobuf.
+    schema : Schema or None
+        The definition of its messages in the file.
+    kind : {"joint_state", "dynamic_joint_state", "imu"}
+        How the messages are read.
+    names : NameMap
+        The joints whose values make a row.
+    """
     if schema is not None and len(schema.data) > LONGEST:
         return None
     if encoding == "cdr" and is_usual(schema, kind):
         return LayoutDecoder(kind, names)
-    parse: Parse | None = parse_json if encoding == "json" else None
+    if encoding == "json":
+        return field_decoder(kind, names, parse_json)
     if schema is not None and encoding in ("cdr", "protobuf"):
         parse = schema_parser(encoding, schema)
-    return None if parse is None else field_decoder(kind, names, parse)
+        if parse is not None:
+            return field_decoder(kind, names, parse)
+    return None
 
 
 def parse_json(data: bytes) -> object:
@@ -127,10 +151,10 @@ def schema_parser(encoding: str, schema: Schema) -> Parse | None:
         if encoding == "cdr":
             from mcap_ros2.decoder import DecoderFactory as Ros2
 
-            unheard = io.StringIO()  # it prints what is wrong
+            ignored = io.StringIO()  # it prints what is wrong
             with (
-                contextlib.redirect_stdout(unheard),
-                contextlib.redirect_stderr(unheard),
+                contextlib.redirect_stdout(ignored),
+                contextlib.redirect_stderr(ignored),
             ):
                 return Ros2().decoder_for(encoding, schema)
         from mcap_protobuf.decoder import DecoderFactory as Protobuf
@@ -144,11 +168,14 @@ def is_usual(schema: Schema | None, kind: Kind) -> bool:
     """Tell whether the definition is the one of sensor_msgs, or none is given."""
     if schema is None or schema.encoding != "ros2msg" or not schema.data.strip():
         return True
-    text, *parts = schema.data.decode("utf-8", "replace").split("=" * 80)
+    text, *types = schema.data.decode("utf-8", "replace").split("=" * 80)
     if kind == "dynamic_joint_state":
-        text += "".join(part for part in parts if "/InterfaceValue\n" in part)
-    lines = (
-        re.sub(r"\s+", " ", line.split("#")[0]).strip() for line in text.splitlines()
-    )
-    found = (line.replace("/msg/", "/") for line in lines if line)
-    return "; ".join(_PACKAGE.sub("", line) for line in found) == _USUAL_FIELDS[kind]
+        text += "".join(part for part in types if "/InterfaceValue\n" in part)
+
+    # Fields without comments, spaces to spare and the packages of their types.
+    fields = []
+    for line in text.splitlines():
+        code = re.sub(r"\s+", " ", line.split("#")[0]).strip()
+        if code:
+            fields.append(_PACKAGE.sub("", code.replace("/msg/", "/")))
+    return "; ".join(fields) == _USUAL_FIELDS[kind]

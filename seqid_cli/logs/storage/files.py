@@ -1,4 +1,7 @@
-"""Which files are meant, and whether they can be logs: a wrong path fails before heavy imports."""
+"""Which files are meant, and whether they can be logs.
+
+Nothing heavy is imported here: a wrong path fails at once.
+"""
 
 import difflib
 import glob
@@ -8,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.storage.remote import StoredLog, is_url, stored_logs
@@ -50,9 +54,10 @@ _OTHER_MAGIC = {
         "Run `git lfs pull`.",
     ),
 }
-_HEAD = 4096
-_OTHER = "is neither Parquet nor MCAP, no ROS bag and no CSV table"
+_HEAD = 4096  # bytes that tell the format
+_NEITHER = "is neither Parquet nor MCAP, no ROS bag and no CSV table"
 _NAME_IT = "Name the file itself, or write *.csv, if it is a log."
+# Suffixes of what lies beside logs, and of what may be a table of text.
 _NOTES = (".toml", ".json", ".yaml", ".urdf", ".xml", ".md", ".py")
 _TEXTS = (*CSV_SUFFIXES, ".txt", ".log", ".dat")
 
@@ -66,58 +71,99 @@ def expand(
 ) -> list[Path]:
     """Turn files, folders and globs into log files.
 
-    `paths`: files (taken whatever their suffix), folders (searched at any depth for the
-    suffixes of logs, hidden files left out; a ROS 2 bag is such a folder) and globs
-    (`**` for any depth). `note`: told what was left out, and why. `stored`: whether
-    URLs of object storage are welcome as well. Returns: in the natural order of their
-    paths (`run2` before `run10`), so that results repeat bit by bit; each once. Raises
-    InputError: an argument stands for no file at all.
+    Parameters
+    ----------
+    paths : sequence of str
+        Files (taken whatever their suffix), folders (searched at any depth for the
+        suffixes of logs, hidden files left out; a ROS 2 bag is such a folder) and globs
+        (`**` for any depth).
+    note : callable, optional
+        Told what was left out, and why.
+    stored : bool
+        Whether URLs of object storage are welcome as well.
+
+    Returns
+    -------
+    list of Path
+        Each file once, in the natural order of their paths (`run2` before `run10`), so
+        that results repeat bit by bit.
+
+    Raises
+    ------
+    InputError
+        An argument stands for no file at all.
     """
-    found: dict[Path, Path] = {}
+    path_by_place: dict[Path, Path] = {}
     for argument in map(str, paths):
         if is_url(argument) and not stored:
-            message = "is on object storage, which this command does not read"
-            raise InputError(message, hint="Copy it here first.", where=argument)
+            raise InputError(
+                "is on object storage, which this command does not read",
+                hint="Copy it here first.",
+                where=argument,
+            )
         try:
             if is_url(argument):
                 matches = natural_order(stored_logs(argument, SUFFIXES))
             else:
-                matches = _matches(argument, note or (lambda text: None))
+                matches = _matches(argument, note or _ignore)
         except OSError as error:
             raise InputError(
                 f"cannot be looked up ({error})", where=argument
             ) from error
         for path in matches:
-            found.setdefault(path.resolve(), path)
-    return natural_order(found.values())
+            path_by_place.setdefault(path.resolve(), path)
+    return natural_order(path_by_place.values())
+
+
+def _ignore(text: str) -> None:
+    """Take a note that nobody asked for."""
 
 
 def storage_file(path: Path) -> Path:
-    """Return the one file of a ROS 2 bag folder that holds its messages; a file as it is."""
+    """Return a file itself, or the one that holds the messages of a ROS 2 bag folder.
+
+    Raises InputError for a folder of another kind, or a bag of several files.
+    """
     if not path.is_dir():
         return path
     if not (path / METADATA).is_file():
-        hint = "Name the files in it or use a glob."
-        raise InputError("is a folder, not a log", hint=hint, where=str(path))
-    files = _logs_in(path, lambda text: None)
+        raise InputError(
+            "is a folder, not a log",
+            hint="Name the files in it or use a glob.",
+            where=str(path),
+        )
+    files = _logs_in(path, _ignore)
     if len(files) == 1:
         return files[0]
-    what = f"of {len(files)} files" if files else "without *.mcap and *.db3"
-    hint = "Name its files." if files else "Unpack what is compressed: `zstd -d FILE`."
-    raise InputError(f"is a ROS 2 bag {what}", hint=hint, where=str(path))
+    if files:
+        raise InputError(
+            f"is a ROS 2 bag of {len(files)} files",
+            hint="Name its files.",
+            where=str(path),
+        )
+    raise InputError(
+        "is a ROS 2 bag without *.mcap and *.db3",
+        hint="Unpack what is compressed: `zstd -d FILE`.",
+        where=str(path),
+    )
 
 
 def sha256_of(path: Path) -> str:
-    """Digest of a file."""
+    """Return the digest of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def time_of_log(path: Path, stamps_s: Stamps | None) -> float | None:
-    """Return the time of a log [s, Unix] with this first and last stamp [s, its own clock].
+    """Return the time of a log [s, Unix].
 
     It is the last stamp where the stamps are dates, else when the file was last
     modified; None where that is not known either, as of a table in memory.
+
+    Parameters
+    ----------
+    stamps_s : (float, float), optional
+        First and last stamp [s, the log's own clock].
     """
     if stamps_s is not None and all(map(is_date, stamps_s)):
         return stamps_s[1]
@@ -130,32 +176,80 @@ def time_of_log(path: Path, stamps_s: Stamps | None) -> float | None:
 
 
 def state_of(path: Path) -> State:
-    """What tells that a file is another one than before."""
-    now = path.stat()
-    return now.st_size, now.st_mtime_ns, now.st_ino
+    """Return what differs when a file is another one than before."""
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns, status.st_ino
 
 
 @contextmanager
 def unchanged(path: Path, before: State | None = None) -> Iterator[None]:
-    """Read a log; raises InputError if it cannot be read, or changes from its state `before`."""
+    """Read a log that must not change meanwhile, or since its state `before`.
+
+    Raises InputError where it changes, or cannot be read.
+    """
     try:
-        first = before or state_of(path)
+        state = before or state_of(path)
         yield
-        same = state_of(path) == first
+        is_same = state_of(path) == state
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    if not same:
-        hint = "Wait until it is recorded or copied, then run this again."
-        raise InputError("changed while it was read", hint=hint, where=str(path))
+    if not is_same:
+        raise InputError(
+            "changed while it was read",
+            hint="Wait until it is recorded or copied, then run this again.",
+            where=str(path),
+        )
 
 
 def check_log(path: Path) -> str:
-    """Tell the format by the first bytes: parquet, mcap, csv, rosbag2 (an SQLite file), rosbag1.
+    """Tell the format of a log by its first bytes.
 
-    Raises InputError: the file is missing, unreadable, empty, cut short or of another
-    kind.
+    Returns
+    -------
+    str
+        parquet, mcap, csv, rosbag2 (an SQLite file) or rosbag1.
+
+    Raises
+    ------
+    InputError
+        The file is missing, unreadable, empty, cut short or of another kind.
     """
     where = str(path)
+    ends = _ends_of(path, where)
+    if not ends.size:
+        raise InputError(
+            "is empty (0 bytes)", hint="Record or copy it again.", where=where
+        )
+    kind = _format(ends.head, where)
+    if kind == "parquet" and (ends.tail != MAGIC[kind] or ends.size < 12):
+        raise InputError(
+            "the Parquet file is cut short or damaged: its footer is missing"
+            f" ({ends.size} bytes)",
+            hint="Parquet keeps its index at the end, so nothing can be salvaged: copy"
+            " it again from the source or record again.",
+            where=where,
+        )
+    if kind == "csv":
+        try:
+            read_form(ends.file)
+        except InputError as error:
+            if ends.file.suffix.lower() not in _TEXTS:
+                error.message = f"{_NEITHER}: {error.message}"
+            raise
+    return kind
+
+
+class _Ends(NamedTuple):
+    """The first and last bytes of a file, and its size."""
+
+    file: Path
+    head: bytes
+    tail: bytes
+    size: int
+
+
+def _ends_of(path: Path, where: str) -> _Ends:
+    """Read the ends of a log's file; raises InputError where that cannot be done."""
     try:
         path = storage_file(path)
         # a pipe would be waited for without end
@@ -167,7 +261,7 @@ def check_log(path: Path) -> str:
             head = file.read(_HEAD)
             size = file.seek(0, os.SEEK_END)
             file.seek(max(0, size - 4))
-            tail = file.read(4)
+            return _Ends(path, head, file.read(4), size)
     except FileNotFoundError as error:
         raise InputError("does not exist", hint=_nearby(path), where=where) from error
     except PermissionError as error:
@@ -176,34 +270,10 @@ def check_log(path: Path) -> str:
         ) from error
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be opened ({error})", where=where) from error
-    if not size:
-        raise InputError(
-            "is empty (0 bytes)", hint="Record or copy it again.", where=where
-        )
-    kind = _format(head, where)
-    if kind == "parquet" and (tail != MAGIC[kind] or size < 12):
-        text = (
-            f"the Parquet file is cut short or damaged: its footer is missing ({size}"
-            " bytes)"
-        )
-        hint = (
-            "Parquet keeps its index at the end, so nothing can be salvaged: copy it"
-            " again "
-        )
-        raise InputError(
-            text, hint=hint + "from the source or record again.", where=where
-        )
-    try:
-        if kind == "csv":
-            read_form(path)
-    except InputError as error:
-        if path.suffix.lower() not in _TEXTS:
-            error.message = f"{_OTHER}: {error.message}"
-        raise
-    return kind
 
 
 def _format(head: bytes, where: str) -> str:
+    """Return the format that begins with these bytes; raises InputError if none."""
     for name, magic in MAGIC.items():
         if head.startswith(magic):
             return name
@@ -214,119 +284,163 @@ def _format(head: bytes, where: str) -> str:
             )
     if is_text(head) or head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "csv"
-    hint = (
-        "Logs are told by their content, not by their suffix: convert it to one of"
-        " these."
+    raise InputError(
+        f"{_NEITHER} (it starts with {head[:8]!r})",
+        hint="Logs are told by their content, not by their suffix: convert it to one of"
+        " these.",
+        where=where,
     )
-    raise InputError(f"{_OTHER} (it starts with {head[:8]!r})", hint=hint, where=where)
 
 
 def _matches(argument: str, note: Note) -> list[Path]:
+    """Return the logs that an argument means; raises InputError if there are none."""
     path = Path(argument)
     if path.is_dir():
-        return _logs_in(path, note) or _no_logs(path)
+        logs = _logs_in(path, note)
+        if not logs:
+            raise _no_logs(path)
+        return logs
     if path.exists():
         return [path]
     if not glob.has_magic(argument):
         raise InputError("does not exist", hint=_nearby(path), where=argument)
-    if found := _globbed(argument, note):
-        return found
-    hint = "Check the folder and the suffix."
-    raise InputError("this pattern matches no file", hint=hint, where=argument)
-
-
-def _no_logs(folder: Path, *, looked_at: int = 20) -> list[Path]:
-    """Say that a folder has no logs, and why the first file is none that might be one."""
-    message = (
-        f"there is no log in this folder ({', '.join('*' + end for end in SUFFIXES)})"
+    matches = _globbed(argument, note)
+    if matches:
+        return matches
+    raise InputError(
+        "this pattern matches no file",
+        hint="Check the folder and the suffix.",
+        where=argument,
     )
+
+
+def _no_logs(folder: Path, *, looked_at: int = 20) -> InputError:
+    """Make the error for a folder without logs.
+
+    It says why the first file is none that might be one, of `looked_at` files.
+    """
+    patterns = ", ".join("*" + suffix for suffix in SUFFIXES)
+    message = f"there is no log in this folder ({patterns})"
     hint = "Name the folder of the logs."
-    for path in natural_order(path for path in folder.rglob("*") if path.is_file())[
-        :looked_at
-    ]:
-        reason, remedy = _fault_of(path) if path.suffix not in _NOTES else (_OTHER, "")
-        if not reason.startswith(_OTHER):
-            message += f"; {path.name} {reason or 'is a table of another suffix'}"
-            hint = remedy or _NAME_IT
+    files = natural_order(path for path in folder.rglob("*") if path.is_file())
+    for path in files[:looked_at]:
+        if path.suffix in _NOTES:
+            continue
+        fault = _fault_of(path)
+        if fault is None:
+            message += f"; {path.name} is a table of another suffix"
+            hint = _NAME_IT
             break
-    raise InputError(message, hint=hint, where=str(folder))
+        if not fault.reason.startswith(_NEITHER):
+            message += f"; {path.name} {fault.reason}"
+            hint = fault.remedy or _NAME_IT
+            break
+    return InputError(message, hint=hint, where=str(folder))
 
 
 def _globbed(pattern: str, note: Note) -> list[Path]:
-    found: list[Path] = []
+    """Return the logs that a pattern matches, or else the other files."""
+    files: list[Path] = []
     names = glob.glob(pattern, recursive=True)  # noqa: PTH207 (patterns may be absolute)
     for path in natural_order(Path(name) for name in names):
         # A pattern such as logs/** also matches folders and files that are no logs.
-        found += _logs_in(path, note) if path.is_dir() and "**" not in pattern else []
-        found += [path] if path.is_file() else []
-    logs = [path for path in found if path.suffix.lower() in SUFFIXES]
+        if path.is_dir() and "**" not in pattern:
+            files += _logs_in(path, note)
+        if path.is_file():
+            files.append(path)
+
+    logs = [path for path in files if path.suffix.lower() in SUFFIXES]
+    if not logs:
+        return files
     if pattern.lower().endswith(CSV_SUFFIXES):  # then they are named explicitly
-        return logs or found
-    return [path for path in logs if _is_meant(path, note)] or ([] if logs else found)
+        return logs
+    return [path for path in logs if _is_meant(path, note)]
 
 
 def _logs_in(folder: Path, note: Note) -> list[Path]:
-    """Logs in a folder; tables under `meta` belong to the description of a LeRobot data set."""
-    candidates = natural_order(
+    """Return the logs in a folder, at any depth."""
+    candidates = [
         path
         for path in folder.rglob("*")
         if path.suffix.lower() in SUFFIXES
         and not path.name.startswith(".")
         and path.is_file()
-        and not any(
-            p.name == "meta" and (p / "info.json").is_file() for p in path.parents
-        )
+        and not _describes_lerobot(path)
+    ]
+    return [path for path in natural_order(candidates) if _is_meant(path, note)]
+
+
+def _describes_lerobot(path: Path) -> bool:
+    """Tell whether a table belongs to the description of a LeRobot data set."""
+    return any(
+        folder.name == "meta" and (folder / "info.json").is_file()
+        for folder in path.parents
     )
-    return [path for path in candidates if _is_meant(path, note)]
 
 
 def _is_meant(path: Path, note: Note) -> bool:
-    """Tell whether a file that was not named itself is a log: CSV files are all sorts of things."""
-    text = ""
+    """Tell whether a file that was not named itself is a log; notes why it is none.
+
+    A CSV file may be all sorts of things. A Parquet file is no log if it is a table of
+    `predict --torques`: its torques are of logs that count already.
+    """
+    reason = ""
     if path.suffix.lower() == ".parquet":
         from seqid_cli.logs.tables.parquet import list_columns
 
         with suppress(InputError):
-            ends = {name.rpartition(".")[2] for name in list_columns(path)}
-            # A table of `predict --torques`: its torques are of logs that count
-            # already.
-            if {"predicted", "residual", "sliding"} <= ends:
-                text = "seqid predict wrote it"
-    elif path.suffix.lower() in CSV_SUFFIXES and (reason := _fault_of(path)[0]):
-        text = f"it {reason}; name the file itself if it is one"
-    if text:
-        note(f"{path} is left out, it is no log: {text}")
-    return not text
+            endings = {name.rpartition(".")[2] for name in list_columns(path)}
+            if {"predicted", "residual", "sliding"} <= endings:
+                reason = "seqid predict wrote it"
+    elif path.suffix.lower() in CSV_SUFFIXES:
+        fault = _fault_of(path)
+        if fault is not None:
+            reason = f"it {fault.reason}; name the file itself if it is one"
+    if reason:
+        note(f"{path} is left out, it is no log: {reason}")
+    return not reason
 
 
-def _fault_of(path: Path) -> tuple[str, str]:
-    """Why a file is no log, empty where it is one, and what to do."""
+class _Fault(NamedTuple):
+    """Why a file is no log, and what to do."""
+
+    reason: str
+    remedy: str
+
+
+def _fault_of(path: Path) -> _Fault | None:
+    """Return why a file is no log; None where it is one."""
     try:
-        names = read_form(path).names if check_log(path) == "csv" else ("t",)
+        if check_log(path) != "csv":
+            return None
+        names = read_form(path).names
     except InputError as error:
-        return error.message, error.hint
+        return _Fault(error.message, error.hint)
     if time_names(names) or stamp_parts(names):
-        return "", ""
-    return (
-        "has no line of names" if nameless(names) else "has no column of time"
-    ), _NAME_IT
+        return None
+    if nameless(names):
+        return _Fault("has no line of names", _NAME_IT)
+    return _Fault("has no column of time", _NAME_IT)
 
 
 def natural_order(paths: Iterable[Path]) -> list[Path]:
     """Sort paths so that numbers in names count as numbers."""
 
     def key(path: Path) -> tuple[list[int | str], str]:
-        # a text first, then in turn
-        parts = enumerate(re.split(r"([0-9]+)", str(path)))
-        return [int(part) if i % 2 else part for i, part in parts], str(path)
+        # Texts and numbers in turn, a text first, so that like is compared with like.
+        parts: list[int | str] = []
+        for k, part in enumerate(re.split(r"([0-9]+)", str(path))):
+            parts.append(int(part) if k % 2 else part)
+        return parts, str(path)
 
     return sorted(paths, key=key)
 
 
 def _nearby(path: Path) -> str:
+    """Return a hint that names files of a similar name."""
     try:
         names = os.listdir(path.parent)  # noqa: PTH208 (a missing folder must raise here)
     except (OSError, ValueError):
         return f"The folder {path.parent} does not exist either."
-    close = difflib.get_close_matches(path.name, names, n=3)
-    return f"Did you mean {', '.join(close)}?" if close else "Check the path."
+    similar = difflib.get_close_matches(path.name, names, n=3)
+    return f"Did you mean {', '.join(similar)}?" if similar else "Check the path."

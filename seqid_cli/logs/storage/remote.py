@@ -1,16 +1,13 @@
-"""Logs on object storage (whatever fsspec knows), and tables in memory (Arrow, pandas, polars).
+"""Logs on object storage (whatever fsspec knows), and tables in memory.
 
 A stored log is a path like any other until it is read. Then it is copied to a temporary
 file, read from there by the same readers as local logs, and the copy is removed: memory
 stays flat, and one log at a time (per process) lies on the disk. Access is configured
 as the store's own tools are, by environment and profile; nothing of it passes through
-here. A table is stored the same way: whoever reads it gets a Parquet file, which is
-removed afterwards, in this process or in others.
+here.
 
-Rows are set aside on the disk as well (`Spool`): decoding a compressed column costs ten
-times what reading it back costs. Their file lies where temporary files do (`TMPDIR`),
-has no name where the system allows, and goes with whoever holds it. Where there is too
-little room, or the rows become too many, there is none.
+A table (Arrow, pandas, polars) is stored the same way: whoever reads it gets a Parquet
+file, which is removed afterwards, in this process or in others.
 """
 
 from __future__ import annotations
@@ -20,11 +17,10 @@ import os
 import re
 import shutil
 import tempfile
-import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
 from seqid_cli.params.files import process_runs
@@ -32,98 +28,37 @@ from seqid_cli.params.files import process_runs
 if TYPE_CHECKING:
     from datetime import datetime
 
-    from seqid_cli.logs.raw import Array, Stamps
-
     _LocalPath = Path
 else:
     # the system's own kind of path, which can be inherited from
     _LocalPath = type(Path())
 
 
-class Spool:
-    """Takes rows, up to `most_bytes` and a `share` of the free space, and gives them back."""
-
-    def __init__(self, most_bytes: int = 1 << 31, share: float = 0.25) -> None:
-        self._file: IO[bytes] | None = None
-        self._shapes: list[tuple[int, int]] = []
-        self._size = 0
-        try:
-            self._most = min(
-                most_bytes, share * shutil.disk_usage(tempfile.gettempdir()).free
-            )
-            self._file = tempfile.TemporaryFile(prefix="seqid-", buffering=0)  # noqa: SIM115
-            weakref.finalize(self, self._file.close)
-        except OSError:
-            self._give_up()
-
-    @property
-    def complete(self) -> bool:
-        """Whether all rows that were pushed are there."""
-        return self._file is not None
-
-    def push(self, stamps: Stamps, values: Array) -> None:
-        """Take the next rows: stamps (M,) ns, values (M, c)."""
-        import numpy as np
-
-        if self._file is None:
-            return
-        size = stamps.nbytes + values.nbytes
-        try:
-            if self._size + size > self._most:
-                raise OSError("too many rows")
-            # Room that is asked for at once costs a third of what it costs page by
-            # page.
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(self._file.fileno(), self._size, size)
-            stamps.tofile(self._file)
-            np.ascontiguousarray(values.T).tofile(self._file)
-        except OSError:
-            self._give_up()
-            return
-        self._size += size
-        self._shapes.append(values.shape)
-
-    def _give_up(self) -> None:
-        if self._file is not None:
-            self._file.close()
-            self._file = None
-
-    def parts(self) -> Iterator[tuple[Stamps, Array]]:
-        """Yield the rows as they came; they may be overwritten."""
-        import numpy as np
-
-        assert self._file is not None
-        place = 0
-        for rows, columns in self._shapes:
-            self._file.seek(place)
-            stamps = np.fromfile(self._file, np.int64, rows)
-            values = np.fromfile(self._file, np.float64, rows * columns)
-            if len(values) < rows * columns:
-                raise OSError("the temporary file of the decoded rows was cut short")
-            place += stamps.nbytes + values.nbytes
-            yield stamps, values.reshape(columns, rows).T
-
-
 @contextmanager
 def temporary_folder(where: str) -> Iterator[Path]:
-    """Yield an empty folder for a copy; those that killed runs left are removed first."""
-    for left in Path(tempfile.gettempdir()).glob("seqid-*-*"):
-        process = left.name.split("-")[1]
+    """Yield an empty folder for a copy of the log `where`.
+
+    Folders that killed runs have left are removed first.
+    """
+    for leftover in Path(tempfile.gettempdir()).glob("seqid-*-*"):
+        process = leftover.name.split("-")[1]
         if process.isdecimal() and not process_runs(int(process)):
-            shutil.rmtree(left, ignore_errors=True)
+            shutil.rmtree(leftover, ignore_errors=True)
     try:
         folder = tempfile.TemporaryDirectory(prefix=f"seqid-{os.getpid()}-")
     except OSError as error:
-        message = f"cannot be copied: {error.strerror or error}"
-        hint = (
-            f"Check the space for temporary files in {tempfile.gettempdir()} (TMPDIR)."
-        )
-        raise InputError(message, hint=hint, where=where) from error
+        raise InputError(
+            f"cannot be copied: {error.strerror or error}",
+            hint=f"Check the space for temporary files in {tempfile.gettempdir()}"
+            " (TMPDIR).",
+            where=where,
+        ) from error
     with folder as name:
         yield Path(name)
 
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")  # two letters at least: no drive of Windows
+# The optional dependencies of a kind of store, by the scheme of its URLs.
 _EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs", "az": "az", "abfs": "az"}
 _ACCESS = {
     "s3": (
@@ -136,32 +71,37 @@ _ACCESS = {
     ),
     "az": "Set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY or _SAS_TOKEN.",
 }
+# Errors by which the libraries of stores refuse access.
 _REFUSED = re.compile(
-    "NoCredentials|PartialCredentials|DefaultCredentials|ProfileNotFound|TokenRetrieval|"
-    "RefreshError|ClientAuthentication|Forbidden|InvalidAccessKey|SignatureDoesNotMatch|"
-    "PermissionError"
+    "NoCredentials|PartialCredentials|DefaultCredentials|ProfileNotFound"
+    "|TokenRetrieval|RefreshError|ClientAuthentication|Forbidden|InvalidAccessKey"
+    "|SignatureDoesNotMatch|PermissionError"
 )
 
 
 class StoredLog(_LocalPath):
-    """The URL of a log on object storage, in the place of a path; `local_copy` opens the file."""
+    """The URL of a log on object storage, in the place of a path.
+
+    `local_copy` opens the file.
+    """
 
     def __str__(self) -> str:
-        scheme, *rest = self.parts
-        return f"{scheme}//{'/'.join(rest)}"
+        # A path holds one slash behind the scheme.
+        scheme, *names = self.parts
+        return f"{scheme}//{'/'.join(names)}"
 
     def fetch(self, copy: Path) -> None:
         """Write the log's content to a local file."""
         url = str(self)
-        system, root = _opened(url)
+        system, place = _opened(url)
         with _explained(url):
-            system.get_file(root, str(copy))
+            system.get_file(place, str(copy))
 
     def modified_s(self) -> float | None:
-        """Return when the log was last modified [s, Unix]; None where its store does not say."""
-        system, root = _opened(str(self))
+        """Return when the log was last modified [s, Unix]; None if that is not told."""
+        system, place = _opened(str(self))
         try:
-            modified: datetime = system.modified(root)
+            modified: datetime = system.modified(place)
         # every kind of store has errors of its own, and a date is no need
         except Exception:
             return None
@@ -169,27 +109,33 @@ class StoredLog(_LocalPath):
 
 
 class TableLog(StoredLog):
-    """A table in the default column names, in the place of a path; `content` is the table."""
+    """A table in the default column names, in the place of a path."""
 
-    content: Any
+    content: Any  # the table
 
     @classmethod
     def of(cls, data: object, name: str) -> TableLog:
-        """Take a table under the name that results give it."""
+        """Take a table under the name that results give it.
+
+        Raises InputError where the data are no table.
+        """
         import pyarrow as pa
 
         log = cls(f"{name}.parquet")
         try:
-            stream = hasattr(data, "__arrow_c_stream__")
-            log.content = pa.table(data) if stream else pa.Table.from_pandas(data)
+            if hasattr(data, "__arrow_c_stream__"):
+                log.content = pa.table(data)
+            else:
+                log.content = pa.Table.from_pandas(data)
         except (TypeError, ValueError, AttributeError, pa.ArrowException) as error:
-            hint = "Give a path, a pyarrow.Table, a pandas.DataFrame or a Recording."
             raise InputError(
-                f"{type(data).__name__} is no log ({error})", hint=hint
+                f"{type(data).__name__} is no log ({error})",
+                hint="Give a path, a pyarrow.Table, a pandas.DataFrame or a Recording.",
             ) from error
         return log
 
     def __reduce__(self) -> Any:
+        # A path is pickled by its parts alone.
         return TableLog.of, (self.content, self.stem)
 
     def __str__(self) -> str:
@@ -207,23 +153,46 @@ class TableLog(StoredLog):
 
 
 def is_url(text: str) -> bool:
-    """Whether an argument names something on object storage."""
+    """Tell whether an argument names something on object storage."""
     return _URL.match(text) is not None and not text.startswith("file://")
 
 
 def stored_logs(url: str, suffixes: Sequence[str]) -> list[Path]:
-    """Return the logs that a URL means: one, those of a folder at any depth, or those of a glob."""
-    system, root = _opened(url)
+    """Return the logs that a URL means.
+
+    It means one log, those of a folder at any depth, or those of a glob.
+
+    Parameters
+    ----------
+    suffixes : sequence of str
+        Those of logs, for folders and globs; hidden files are left out.
+
+    Raises
+    ------
+    InputError
+        There is no log, or the store cannot be reached.
+    ConfigError
+        The store refuses access.
+    UsageError
+        The kind of store is not known, or its package is not installed.
+    """
+    system, place = _opened(url)
     with _explained(url):
-        magic = glob.has_magic(root)
-        if not magic and system.isfile(root):
+        is_glob = glob.has_magic(place)
+        if not is_glob and system.isfile(place):
             return [StoredLog(url)]
-        found = system.glob(root) if magic else system.find(root)
-        found = [name for name in found if name.lower().endswith(tuple(suffixes))]
-        logs: list[Path] = [StoredLog(system.unstrip_protocol(name)) for name in found]
+        names = system.glob(place) if is_glob else system.find(place)
+        logs: list[Path] = [
+            StoredLog(system.unstrip_protocol(name))
+            for name in names
+            if name.lower().endswith(tuple(suffixes))
+        ]
     if not logs:
-        hint = "Check bucket, folder and suffix."
-        raise InputError("there is no log at this place", hint=hint, where=url)
+        raise InputError(
+            "there is no log at this place",
+            hint="Check bucket, folder and suffix.",
+            where=url,
+        )
     return [log for log in logs if not log.name.startswith(".")]
 
 
@@ -249,25 +218,28 @@ def local_copy(path: Path) -> Iterator[Path]:
 
 
 def _opened(url: str) -> tuple[Any, str]:
-    """The file system of a URL and the path within it."""
+    """Return the file system of a URL and the path within it."""
     scheme = url.partition("://")[0]
     try:
         from fsspec.core import url_to_fs
 
         with _explained(url):
-            system, root = url_to_fs(url)
+            system, place = url_to_fs(url)
     except ImportError as error:
         hint = "Install fsspec and what it needs for this kind of storage."
         if scheme in _EXTRAS:
             hint = f"Install it: python -m pip install 'seqid[{_EXTRAS[scheme]}]'"
-        message = f"logs on {scheme}:// need a package that is not installed ({error})"
-        raise UsageError(message, where=url, hint=hint) from error
-    return system, str(root)
+        raise UsageError(
+            f"logs on {scheme}:// need a package that is not installed ({error})",
+            hint=hint,
+            where=url,
+        ) from error
+    return system, str(place)
 
 
 @contextmanager
 def _explained(url: str) -> Iterator[None]:
-    """Turn what a store says into a message; every kind of store has errors of its own."""
+    """Turn what a store says into a message; each kind of store has its own errors."""
     try:
         yield
     except (SeqidError, ImportError):
@@ -277,22 +249,26 @@ def _explained(url: str) -> Iterator[None]:
             "does not exist", hint="Check bucket and name.", where=url
         ) from error
     except Exception as error:
-        said = (
-            f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0][:200]}"
-        )
         scheme = url.partition("://")[0]
         if isinstance(error, ValueError) and "rotocol not known" in str(error):
-            message = f"{scheme}:// is no kind of storage that is known"
             raise UsageError(
-                message, where=url, hint="s3://, gs:// and az:// are."
+                f"{scheme}:// is no kind of storage that is known",
+                hint="s3://, gs:// and az:// are.",
+                where=url,
             ) from error
+
+        first_line = str(error).strip().partition("\n")[0][:200]
+        reason = f"{type(error).__name__}: {first_line}"
         if _REFUSED.search(f"{type(error).__name__} {error}"):
-            hint = _ACCESS.get(
-                _EXTRAS.get(scheme, ""), "Check the credentials of this store."
-            )
-            message = f"the store refuses access ({said})"
-            raise ConfigError(message, where=url, hint=hint) from error
-        hint = (
-            "Check the network, the space for temporary files (TMPDIR) and the store."
-        )
-        raise InputError(f"cannot be read ({said})", where=url, hint=hint) from error
+            kind = _EXTRAS.get(scheme, "")
+            raise ConfigError(
+                f"the store refuses access ({reason})",
+                hint=_ACCESS.get(kind, "Check the credentials of this store."),
+                where=url,
+            ) from error
+        raise InputError(
+            f"cannot be read ({reason})",
+            hint="Check the network, the space for temporary files (TMPDIR) and the"
+            " store.",
+            where=url,
+        ) from error

@@ -1,4 +1,4 @@
-"""CSV logs: one line per sample, converted by Arrow; only the needed columns are kept."""
+"""CSV logs, one line per sample: Arrow converts the columns that are needed."""
 
 import os
 import re
@@ -20,9 +20,6 @@ from seqid_cli.robot.types import Robot
 _BLOCK = 8 << 20  # bytes; no line can be longer
 _CUT = "the last line has no end and may be cut short, it is left out"
 _RAGGED_SHARE = 0.01  # of the lines, that may be left out
-_MISSING = sorted(
-    {form for word in MISSING for form in (word, word.upper(), word.capitalize())}
-)
 _FAULT = re.compile(
     r"In CSV column #(?P<column>\d+):(?: Row #(?P<row>\d+):)?.*?invalid value"
     r" '(?P<value>.*)'",
@@ -30,9 +27,20 @@ _FAULT = re.compile(
 )
 
 
+def _missing_values() -> list[str]:
+    """Return the words for a missing value in the cases that loggers write."""
+    forms: set[str] = set()
+    for word in MISSING:
+        forms.update((word, word.upper(), word.capitalize()))
+    return sorted(forms)
+
+
+_MISSING = _missing_values()
+
+
 @dataclass
 class _Ragged:
-    """Counts lines that have another number of fields than the names, and keeps the first."""
+    """Counts lines that have not as many fields as there are names."""
 
     first: pc.InvalidRow | None = None
     count: int = 0
@@ -45,39 +53,44 @@ class _Ragged:
 
 @dataclass(frozen=True, kw_only=True)
 class CsvTable(TableFile):
-    """An opened CSV file; `size` bytes of it are whole lines, all of them if that is None."""
+    """An opened CSV file."""
 
     form: CsvForm
-    size: int | None = None
+    size: int | None = None  # bytes that are whole lines, None for all
 
     def tables(
         self, columns: Sequence[str], rows: int | None
     ) -> Iterator[tuple[pa.Table, str]]:
-        """Read columns as one table; lines with another number of fields are left out."""
+        """Read columns as one table; lines with too many or few fields are left out."""
+        # First without a handler of such lines: that is done by several threads.
         parsed = self._parse(columns)
         ragged = _Ragged()
         if not isinstance(parsed, pa.Table):
             parsed = self._parse(columns, ragged)
-        if isinstance(parsed, pa.Table) and any(
-            is_text(kind) for kind in parsed.schema.types
-        ):
-            # the time, too, for the fault
+        # A time that is text: read as numbers, so that Arrow says which line it is.
+        if isinstance(parsed, pa.Table) and any(map(is_text, parsed.schema.types)):
             parsed = self._parse(columns, _Ragged(), numeric=True)
         if not isinstance(parsed, pa.Table):
             raise self._fault(parsed)
-        first, lines = ragged.first, parsed.num_rows + ragged.count
+        yield parsed, self._loss(ragged, parsed.num_rows + ragged.count)
+
+    def _loss(self, ragged: _Ragged, n_lines: int) -> str:
+        """Describe the lines left out; raises InputError where they are too many."""
+        first = ragged.first
         if first is None:
-            yield parsed, ""
-            return
-        what = "a line" if first.number is None else f"line {first.number}"
-        what += (
-            f" has {first.actual_columns} fields, the header {first.expected_columns}"
+            return ""
+        line = "a line" if first.number is None else f"line {first.number}"
+        fault = (
+            f"{line} has {first.actual_columns} fields, the header"
+            f" {first.expected_columns}"
         )
-        if ragged.count > max(1.0, _RAGGED_SHARE * lines):
-            message = f"{what}; so do {ragged.count} of {lines} lines"
-            hint = "Give every line as many fields as there are names."
-            raise InputError(message, hint=hint, where=self.where)
-        yield parsed, f"{what}; {ragged.count} of {lines} lines were left out"
+        if ragged.count > max(1.0, _RAGGED_SHARE * n_lines):
+            raise InputError(
+                f"{fault}; so do {ragged.count} of {n_lines} lines",
+                hint="Give every line as many fields as there are names.",
+                where=self.where,
+            )
+        return f"{fault}; {ragged.count} of {n_lines} lines were left out"
 
     def _parse(
         self,
@@ -86,36 +99,46 @@ class CsvTable(TableFile):
         *,
         numeric: bool = False,
     ) -> pa.Table | BaseException:
-        """Parse the file, time as numbers if `numeric`; returns what Arrow raised otherwise.
+        """Parse the file.
 
-        `ragged`: takes lines with another number of fields, which are an error without
-        it.
+        Parameters
+        ----------
+        ragged : _Ragged, optional
+            Takes lines with another number of fields, which are an error without it.
+        numeric : bool
+            Whether time is numbers, too.
+
+        Returns
+        -------
+        pyarrow.Table or BaseException
+            The columns, or what Arrow raised.
         """
-        places = [self.names.index(name) for name in columns]
         # Arrow may find out the type of time itself: seconds, counts or a calendar
         # time.
-        times = (
-            ()
-            if numeric
-            else {*time_names(self.names), *(stamp_parts(self.names) or ())}
-        )
+        times: set[str] = set()
+        if not numeric:
+            times.update(time_names(self.names))
+            times.update(stamp_parts(self.names) or ())
         source: Path | pa.BufferReader = self.path
         if self.size is not None:
-            source = pa.BufferReader(
-                pa.memory_map(str(self.path)).read_buffer(self.size)
-            )
-        reading = pc.ReadOptions(
+            content = pa.memory_map(str(self.path))
+            source = pa.BufferReader(content.read_buffer(self.size))
+
+        # Columns by their place: names may be there twice.
+        places = [self.names.index(name) for name in columns]
+        n_columns = len(self.names) + self.form.filler
+        read_options = pc.ReadOptions(
             use_threads=ragged is None,
             block_size=_BLOCK,
             skip_rows=self.form.skip,
-            column_names=[f"c{k}" for k in range(len(self.names) + self.form.filler)],
+            column_names=[f"c{k}" for k in range(n_columns)],
             # Arrow hands damaged lines over as text: any byte must be some character.
             encoding=self.form.encoding if ragged is None else "latin-1",
         )
-        parsing = pc.ParseOptions(
+        parse_options = pc.ParseOptions(
             delimiter=self.form.delimiter, invalid_row_handler=ragged
         )
-        conversion = pc.ConvertOptions(
+        convert_options = pc.ConvertOptions(
             column_types={
                 f"c{k}": pa.float64() for k in places if self.names[k] not in times
             },
@@ -126,38 +149,45 @@ class CsvTable(TableFile):
             check_utf8=False,
         )
         try:
-            table = pc.read_csv(source, reading, parsing, conversion)
+            table = pc.read_csv(source, read_options, parse_options, convert_options)
         except ARROW_ERRORS as error:
             return error
         return table.rename_columns(list(columns))
 
     def _fault(self, error: BaseException) -> InputError:
+        """Make the error for what Arrow could not parse."""
         text = " ".join(str(error).split())
-        message = f"the CSV file is not readable ({text[:200]})"
-        hint = "Export it again, numbers only, one line per sample."
+        match = _FAULT.search(text)
         if "straddling" in text:
             message = (
                 f"a line is longer than {_BLOCK >> 20} MB: it is no table of samples"
             )
             hint = "End every sample with a line feed."
-        elif found := _FAULT.search(text):
-            name = self.names[int(found["column"])]
-            line = f"line {self._line(int(found['row']))}, " if found["row"] else ""
-            message = f"{line}column {name!r}: {found['value'][:40]!r} is no number"
+        elif match is not None:
+            name = self.names[int(match["column"])]
+            line = f"line {self._line(int(match['row']))}, " if match["row"] else ""
+            message = f"{line}column {name!r}: {match['value'][:40]!r} is no number"
             hint = (
                 "Correct or delete the line; leave the field empty where a value is"
                 " missing."
             )
+        else:
+            message = f"the CSV file is not readable ({text[:200]})"
+            hint = "Export it again, numbers only, one line per sample."
         return InputError(message, hint=hint, where=self.where)
 
     def _line(self, row: int) -> int:
-        """Return the line of a row: Arrow counts all lines but empty ones among the data."""
+        """Return the line of a row.
+
+        Arrow counts the lines before the data, and all but empty ones in the data.
+        """
         counted = 0
+        number = 0
         with self.path.open("rb") as file:
-            for number, line in enumerate(
-                iter(lambda: file.readline(_BLOCK), b""), start=1
-            ):
-                counted += number <= self.form.skip or bool(line.strip(b"\r\n"))
+            while line := file.readline(_BLOCK):
+                number += 1
+                if number <= self.form.skip or line.strip(b"\r\n"):
+                    counted += 1
                 if counted >= row:
                     return number
         return row
@@ -177,9 +207,15 @@ def read_blocks(
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _BLOCK))
         tail = file.read()
+
+    # A last line without an end was cut while it was written: half a number is one.
     end = max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
-    cut = end != len(tail)
-    whole, notes = size - len(tail) + end if cut else None, (_CUT,) * cut
-    return read_table(
-        CsvTable(path, form.names, notes=notes, form=form, size=whole), robot, rows
+    is_cut = end != len(tail)
+    table = CsvTable(
+        path=path,
+        names=form.names,
+        notes=(_CUT,) if is_cut else (),
+        form=form,
+        size=size - len(tail) + end if is_cut else None,
     )
+    return read_table(table, robot, rows)

@@ -1,4 +1,7 @@
-"""How a CSV file is written, by its first lines (loggers do not agree): standard library only."""
+"""How a CSV file is written, by its first lines: standard library only.
+
+Loggers do not agree on encoding, delimiter, decimal mark, comments or names.
+"""
 
 import csv
 import re
@@ -31,7 +34,7 @@ _CONTROL = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f]")
 _HINT = "Write a line of names, then one line per sample: t,<joint>.position,..."
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CsvForm:
     """The form of one file."""
 
@@ -44,13 +47,28 @@ class CsvForm:
 
 
 def is_text(head: bytes) -> bool:
-    """Tell whether a file begins as text; a table may hold NUL bytes further on, by accident."""
+    """Tell whether a file begins as text.
+
+    A table may hold NUL bytes further on, by accident: only its first line and bytes
+    count.
+    """
     begin = head[:_BEGIN] + head[_BEGIN:].split(b"\n", 1)[0]
     return bool(head) and b"\0" not in begin and not _CONTROL.search(begin)
 
 
 def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
-    """Look at the first lines of a CSV file. Raises InputError: it is no table."""
+    """Look at the first lines of a CSV file.
+
+    Parameters
+    ----------
+    looked_at : int
+        Lines of data that are looked at.
+
+    Raises
+    ------
+    InputError
+        It is no table.
+    """
     with path.open("rb") as file:
         head = file.read(HEAD)
     where = str(path)
@@ -59,70 +77,92 @@ def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
     data = [line for line in lines[header_at + 1 :] if line.strip()][:looked_at]
     names_line = names_line or data[0]
     if not data:
-        hint = "Was the recording stopped at once? Record again."
         raise InputError(
-            "the table has names but no line of data", hint=hint, where=where
+            "the table has names but no line of data",
+            hint="Was the recording stopped at once? Record again.",
+            where=where,
         )
+
     delimiter = _delimiter(names_line, data[0], where)
     names = [name.strip() for name in _split(names_line, delimiter)]
-    if names_line == data[0]:
+    if names_line == data[0]:  # they are numbers
         names = [str(k + 1) for k in range(len(names))]
     rows = [_split(line, delimiter) for line in data]
     while names and not names[-1] and max(map(len, rows)) < len(names):
         names.pop()  # the header alone ends with a delimiter
     _require_numbers(rows[0], len(names), delimiter, header_at + 2, where)
-    beyond = any("".join(row[len(names) :]).strip() for row in rows)
-    filler = 0 if beyond else max(0, min(map(len, rows)) - len(names))
-    decimal = _decimal(rows, delimiter)
-    return CsvForm(encoding, delimiter, decimal, tuple(names), header_at + 1, filler)
+
+    # Fields beyond the names are filler where they are empty in every line.
+    has_content_beyond = any("".join(row[len(names) :]).strip() for row in rows)
+    filler = 0
+    if not has_content_beyond:
+        filler = max(0, min(map(len, rows)) - len(names))
+    return CsvForm(
+        encoding=encoding,
+        delimiter=delimiter,
+        decimal=_decimal(rows, delimiter),
+        names=tuple(names),
+        skip=header_at + 1,
+        filler=filler,
+    )
 
 
 def _lines(head: bytes, where: str) -> tuple[str, list[str]]:
     """Return the encoding and the whole lines of the head, which must be text."""
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        hint = "Convert it: `iconv -f UTF-16 -t UTF-8 FILE > NEW.csv`."
         raise InputError(
-            "is UTF-16 text; CSV logs are read as UTF-8", hint=hint, where=where
+            "is UTF-16 text; CSV logs are read as UTF-8",
+            hint="Convert it: `iconv -f UTF-16 -t UTF-8 FILE > NEW.csv`.",
+            where=where,
         )
     if b"\0" in head:
         line = head[: head.index(b"\0")].count(b"\n") + 1
-        text = (
+        raise InputError(
             f"line {line} holds NUL bytes: it is not text, or the recording computer"
-            " lost power"
+            " lost power",
+            hint="Remove the NUL bytes: `tr -d '\\000' < FILE > NEW.csv`.",
+            where=where,
         )
-        hint = "Remove the NUL bytes: `tr -d '\\000' < FILE > NEW.csv`."
-        raise InputError(text, hint=hint, where=where)
+
     encoding = "utf8"
     try:
         head[: head.rfind(b"\n") + 1].decode(encoding)
     except UnicodeDecodeError:
         encoding = "latin-1"
-    lines = re.split(
-        r"\r\n|\n|\r", head.decode(encoding, "replace").removeprefix("\ufeff")
-    )
-    if len(head) == HEAD:
-        if len(lines) == 1:
-            message = (
-                f"its first line is longer than {HEAD} bytes: it is no table of samples"
-            )
-            raise InputError(message, hint=_HINT, where=where)
-        lines.pop()
-    return encoding, lines
+    text = head.decode(encoding, "replace").removeprefix("\ufeff")
+    lines = re.split(r"\r\n|\n|\r", text)
+    if len(head) < HEAD:
+        return encoding, lines
+
+    # The last line of a full head is cut.
+    if len(lines) == 1:
+        raise InputError(
+            f"its first line is longer than {HEAD} bytes: it is no table of samples",
+            hint=_HINT,
+            where=where,
+        )
+    return encoding, lines[:-1]
 
 
 def _header(lines: Sequence[str], where: str) -> tuple[int, str]:
-    """Find the line of names: the first that is no comment, or the last comment before numbers."""
-    # The names are empty, and the line is that before the numbers, where there are
-    # none.
+    """Find the line of names, and the number of the line before the data.
+
+    It is the first line that is no comment, or the last comment before numbers. The
+    names are empty where there are none.
+    """
     comment = ""
     for at, line in enumerate(lines):
         stripped = line.strip()
+        if not stripped:
+            continue
         if stripped.startswith(_COMMENTS):
             comment = stripped.lstrip("#% \t")
-        elif stripped and not _all_numbers(stripped):
-            return at, stripped if "\t" not in line else line.rstrip("\r\n")
-        elif stripped:
-            return at - 1, "" if _all_numbers(comment or "0") else comment
+        elif not _all_numbers(stripped):
+            # A tab at the end may be a delimiter.
+            return at, line.rstrip("\r\n") if "\t" in line else stripped
+        else:
+            has_names = bool(comment) and not _all_numbers(comment)
+            return at - 1, comment if has_names else ""
     raise InputError("the file holds no line of names", hint=_HINT, where=where)
 
 
@@ -137,22 +177,32 @@ def _all_numbers(line: str) -> bool:
 
 
 def is_number(field: str) -> bool:
-    """Tell whether a field is a number, with a decimal point or comma, in quotes or not."""
+    """Tell whether a field is a number, with decimal point or comma, quoted or not."""
     stripped = field.strip().strip('"')
     return bool(_NUMBER.fullmatch(stripped) or _DECIMAL_COMMA.fullmatch(stripped))
 
 
-def _delimiter(names: str, data: str, where: str) -> str:
-    """Choose the delimiter that splits both the names and the numbers into most fields."""
-    counts = {d: min(len(_split(names, d)), len(_split(data, d))) for d in _DELIMITERS}
-    best = max(_DELIMITERS, key=lambda d: counts[d])
+def _delimiter(names_line: str, data_line: str, where: str) -> str:
+    """Choose the delimiter that splits both names and numbers into most fields."""
+    counts = {}
+    for delimiter in _DELIMITERS:
+        n_names = len(_split(names_line, delimiter))
+        n_numbers = len(_split(data_line, delimiter))
+        counts[delimiter] = min(n_names, n_numbers)
+    best = max(_DELIMITERS, key=counts.__getitem__)
     if counts[best] < 2:
-        text = f"nothing separates columns in {names[:40]!r} and {data[:40]!r}"
-        raise InputError(f"is text but no table: {text}", hint=_HINT, where=where)
-    if best == " " and "  " in data.strip():
-        message = "columns are separated by a varying number of spaces"
-        hint = "Write one space or comma between them: `tr -s ' ' < FILE > NEW.csv`."
-        raise InputError(message, hint=hint, where=where)
+        raise InputError(
+            "is text but no table: nothing separates columns in"
+            f" {names_line[:40]!r} and {data_line[:40]!r}",
+            hint=_HINT,
+            where=where,
+        )
+    if best == " " and "  " in data_line.strip():
+        raise InputError(
+            "columns are separated by a varying number of spaces",
+            hint="Write one space or comma between them: `tr -s ' ' < FILE > NEW.csv`.",
+            where=where,
+        )
     return best
 
 
@@ -164,30 +214,32 @@ def _split(line: str, delimiter: str) -> list[str]:
 
 
 def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
+    """Return the decimal mark: a comma where numbers have commas and no points."""
     if delimiter == ",":
         return "."
     fields = [field.strip().strip('"') for row in rows for field in row]
-    commas = any(_DECIMAL_COMMA.fullmatch(field) for field in fields)
-    points = any("." in field and _NUMBER.fullmatch(field) for field in fields)
-    return "," if commas and not points else "."
+    has_commas = any(_DECIMAL_COMMA.fullmatch(field) for field in fields)
+    has_points = any("." in field and _NUMBER.fullmatch(field) for field in fields)
+    return "," if has_commas and not has_points else "."
 
 
 def _require_numbers(
-    row: Sequence[str], names: int, delimiter: str, line: int, where: str
+    row: Sequence[str], n_names: int, delimiter: str, line: int, where: str
 ) -> None:
-    if delimiter == "," and names < len(row) <= 2 * names and all(map(is_number, row)):
-        text = (
-            f"line {line} has {len(row)} numbers for {names} names: they seem to have"
-            " decimal "
+    """Raise InputError where the first line of data holds no, or broken, numbers."""
+    is_of_numbers = all(map(is_number, row))
+    if delimiter == "," and n_names < len(row) <= 2 * n_names and is_of_numbers:
+        raise InputError(
+            f"line {line} has {len(row)} numbers for {n_names} names: they seem to have"
+            " decimal commas",
+            hint="Write numbers with a decimal point, or separate the columns by"
+            " semicolons.",
+            where=where,
         )
-        hint = (
-            "Write numbers with a decimal point, or separate the columns by semicolons."
-        )
-        raise InputError(f"{text}commas", hint=hint, where=where)
     if not any(map(is_number, row)):
-        message = (
+        raise InputError(
             f"line {line} holds no number: it is no table of samples"
-            f" ({' '.join(row)[:60]!r})"
+            f" ({' '.join(row)[:60]!r})",
+            hint=_HINT + " A line of units below the names must go.",
+            where=where,
         )
-        hint = _HINT + " A line of units below the names must go."
-        raise InputError(message, hint=hint, where=where)

@@ -2,7 +2,9 @@
 
 A scheme gives the pattern of each quantity; `{name}` is the joint's name in the robot
 file, `{index0}` and `{index}` its place in the chain from 0 or 1, `column[k]` an
-element of a list.
+element of a list. Schemes are filled with the joints of a robot file to find their
+columns (`find_scheme`), and read backwards to find joints without one
+(`joints_by_scheme`).
 
 Sources: UR RTDE, `actual_q` and its like with `_0` ... `_5`
 (RTDE_Python_Client_Library, rtde/csv_writer.py); libfranka, `state.q[0]` ... and time
@@ -19,10 +21,363 @@ if TYPE_CHECKING:
     from seqid_cli.robot.toml_schema import Columns
 
 QUANTITIES = (
-    "position", "velocity", "torque", "current", "load", "link_position", "voltage", "pwm",
+    "position",
+    "velocity",
+    "torque",
+    "current",
+    "load",
+    "link_position",
+    "voltage",
+    "pwm",
     "temperature",
-)  # fmt: skip
+)
 EFFORT = "effort"  # torque or current, whichever the robot file says
+_ALL = (*QUANTITIES, EFFORT)
+
+
+@dataclass(frozen=True)
+class _Words:
+    """Words for one quantity, in the order in which they are tried.
+
+    `named` and `numbered` stand beside a joint's name or number in columns that are
+    read as they are. `proposed` ones are too common to be read unasked. They count
+    where a robot file is proposed, which a person looks at.
+    """
+
+    named: str = ""
+    numbered: str = ""
+    proposed: str = ""
+
+
+# The one table of names: what a reader finds, and what a proposal may guess.
+_WORDS = {
+    "position": _Words(
+        named="position pos q",
+        numbered="q position pos joint_position joint_positions",
+        proposed="positions angle theta measq winkel",
+    ),
+    "velocity": _Words(
+        named="velocity vel dq qd",
+        numbered="dq qd velocity vel joint_velocity joint_velocities",
+        proposed="velocities qdot speed geschwindigkeit drehzahl",
+    ),
+    "current": _Words(
+        named="current",
+        numbered="current i joint_current joint_currents",
+        proposed="currents cur amps iq strom",
+    ),
+    "torque": _Words(
+        named="torque tau",
+        numbered="tau torque joint_torque joint_torques",
+        proposed="torques tauj moment drehmoment",
+    ),
+    EFFORT: _Words(
+        named="effort",
+        numbered="effort joint_effort joint_efforts",
+        proposed="efforts",
+    ),
+    "load": _Words(proposed="load"),
+    "voltage": _Words(proposed="voltage spannung"),
+    "pwm": _Words(proposed="pwm duty"),
+    "temperature": _Words(
+        named="temperature temp",
+        numbered="temperature temp joint_temperature joint_temperatures",
+        proposed="temperatures temperatur",
+    ),
+}
+# Words beside a quantity that tell what was commanded or measured, and are no joint.
+COMMANDED = frozenset(
+    {
+        "target",
+        "desired",
+        "des",
+        "cmd",
+        "command",
+        "commanded",
+        "ref",
+        "goal",
+        "setpoint",
+        "soll",
+        "d",
+        "err",
+        "error",
+    }
+)
+MEASURED = frozenset(
+    {
+        "joint",
+        "joints",
+        "j",
+        "a",
+        "m",
+        "axis",
+        "achse",
+        "gelenk",
+        "state",
+        "states",
+        "actual",
+        "measured",
+        "meas",
+        "act",
+        "ist",
+        "motor",
+        "servo",
+        "robot",
+        "observation",
+    }
+)
+
+
+def _guessed_words() -> dict[str, frozenset[str]]:
+    """Return all words for each quantity that are one word; an effort is a torque."""
+    by_quantity: dict[str, frozenset[str]] = {}
+    for quantity, words in _WORDS.items():
+        every_form = f"{words.named} {words.numbered} {words.proposed}".split()
+        single = frozenset(word for word in every_form if "_" not in word)
+        key = "torque" if quantity == EFFORT else quantity
+        by_quantity[key] = by_quantity.get(key, frozenset()) | single
+    return by_quantity
+
+
+WORDS: Mapping[str, frozenset[str]] = _guessed_words()
+
+_RTDE = {
+    "position": "actual_q",
+    "velocity": "actual_qd",
+    "current": "actual_current",
+    "temperature": "joint_temperatures",
+}
+_FRANKA = {"position": "q", "velocity": "dq", "torque": "tau_J"}
+_LEROBOT = {
+    "position": "state",
+    "velocity": "velocity state.velocity",
+    "torque": "torque",
+    "current": "current",
+    "temperature": "temperature",
+    "effort": "effort",
+}
+LEROBOT_STATE = "observation.state"
+EPISODES = ("episode_index", "episode_id", "episode")
+
+# patterns of a quantity, tried one after the other
+Scheme = Mapping[str, tuple[str, ...]]
+
+
+def _scheme(form: str, words: Mapping[str, str]) -> Scheme:
+    """Make a scheme of a form of names; `*` stands for each word of a quantity."""
+    return {
+        quantity: tuple(form.replace("*", word) for word in listed.split())
+        for quantity, listed in words.items()
+    }
+
+
+_NAMED = {name: words.named for name, words in _WORDS.items() if words.named}
+_NUMBERED = {name: words.numbered for name, words in _WORDS.items() if words.numbered}
+DEFAULT = _scheme("{name}.*", {quantity: quantity for quantity in _ALL})
+FRANKA = _scheme("state.*[{index0}]", _FRANKA)
+SCHEMES = (
+    DEFAULT,
+    _scheme("{name}.*", _NAMED),
+    _scheme("{name}/*", _NAMED),
+    _scheme("*.{name}", _NAMED),
+    _scheme("*/{name}", _NAMED),
+    _scheme("/joint_states/{name}/*", _NAMED),
+    _scheme("{name}_*", _NAMED),
+    _scheme("*_{name}", _NAMED),
+    _scheme("*_{index0}", _RTDE),
+    FRANKA,
+    _scheme("observation.*[{index0}]", _LEROBOT),
+    _scheme("*_{index0}", _NUMBERED),
+    _scheme("*_{index}", _NUMBERED),
+    _scheme("*{index0}", _NUMBERED),
+    _scheme("*{index}", _NUMBERED),
+    _scheme("*[{index0}]", _NUMBERED),
+)
+
+
+@dataclass(frozen=True)
+class Match:
+    """A scheme found in a log."""
+
+    # the column of each joint, by quantity; None where a joint lacks one
+    columns: dict[str, list[str | None]]
+    time_unit: str | None  # of its time column where the name does not say
+
+
+def column_name(pattern: "Columns", joint: str, index0: int) -> str:
+    """Fill a pattern with a joint's name and place, or look up its column in a list.
+
+    In a pattern {name}, {index} (from 1) and {index0} (from 0) are replaced.
+    """
+    if not isinstance(pattern, str):
+        return str(pattern[index0])
+    numbered = pattern.replace("{index0}", str(index0))
+    return numbered.replace("{index}", str(index0 + 1)).replace("{name}", joint)
+
+
+def find_scheme(
+    joints: Sequence[str],
+    log_columns: Collection[str],
+    entries: Mapping[str, int] | None = None,
+) -> Match | None:
+    """Find the scheme by which a log names the positions of all joints.
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Names of the robot file, in chain order.
+    log_columns : collection of str
+        Columns of the log.
+    entries : mapping of str to int, optional
+        Place of each joint in the log's lists, where it names them; else a joint's
+        place in them is that in the chain.
+    """
+    for scheme in SCHEMES:
+        is_of_lists = all(name.endswith("[{index0}]") for name in scheme["position"])
+        places = list(range(len(joints)))
+        if entries and is_of_lists and scheme is not FRANKA:
+            places = [entries.get(joint, -1) for joint in joints]
+
+        placed_joints = list(zip(joints, places, strict=True))
+        columns: dict[str, list[str | None]] = {}
+        for quantity in _ALL:
+            names = _columns(
+                scheme,
+                quantity,
+                placed_joints,
+                log_columns,
+                of_all=quantity == "position",
+            )
+            if names is not None:
+                columns[quantity] = names
+        if "position" in columns:
+            return Match(columns, "ms" if scheme is FRANKA else None)
+    return None
+
+
+def find_quantities(
+    joints: Sequence[str], log_columns: Collection[str]
+) -> dict[str, list[str | None]]:
+    """Find the columns of all quantities but the position.
+
+    The robot file declares the position. Another quantity is found by the first scheme
+    that has it for all joints, else by the default names of some joints.
+    """
+    placed_joints = [(joint, place) for place, joint in enumerate(joints)]
+    columns: dict[str, list[str | None]] = {}
+    for quantity in _ALL[1:]:
+        for scheme in SCHEMES:
+            names = _columns(scheme, quantity, placed_joints, log_columns, of_all=True)
+            if names is not None:
+                break
+        else:
+            names = _columns(
+                DEFAULT, quantity, placed_joints, log_columns, of_all=False
+            )
+        if names:
+            columns[quantity] = names
+    return columns
+
+
+def nearest_scheme(joints: Sequence[str], log_columns: Collection[str]) -> list[str]:
+    """List the position columns that a log lacks of the scheme that fits it best."""
+    missing_by_pattern = []
+    for scheme in SCHEMES:
+        for pattern in scheme["position"]:
+            names = [column_name(pattern, name, k) for k, name in enumerate(joints)]
+            missing_by_pattern.append(
+                [name for name in names if name not in log_columns]
+            )
+    return min(missing_by_pattern, key=len)
+
+
+def _columns(
+    scheme: Scheme,
+    quantity: str,
+    placed_joints: list[tuple[str, int]],
+    log_columns: Collection[str],
+    *,
+    of_all: bool,
+) -> list[str | None] | None:
+    """Return the columns of the first pattern that has them for all joints, or some."""
+    for pattern in scheme.get(quantity, ()):
+        filled = [column_name(pattern, joint, place) for joint, place in placed_joints]
+        names = [name if name in log_columns else None for name in filled]
+        if all(names) or (not of_all and any(names)):
+            return names
+    return None
+
+
+@dataclass(frozen=True)
+class NamedJoints:
+    """Joints that the columns of a table name, and the pattern of each quantity."""
+
+    joints: tuple[str, ...]  # in the order of the columns
+    patterns: dict[str, str]
+
+
+def joints_by_scheme(names: Sequence[str], separators: str) -> NamedJoints | None:
+    """Find the joints that a scheme with `{name}` would read from a table.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Columns of the table.
+    separators : str
+        Characters of which one must stand beside the name for a scheme to count.
+
+    Returns
+    -------
+    NamedJoints or None
+        Those of the scheme that finds the most joints; of equal ones, of the longest
+        pattern. An effort counts as a torque. None where no scheme finds any.
+    """
+    best: NamedJoints | None = None
+    best_rank = (0, 0)
+    for scheme in SCHEMES:
+        for pattern in scheme["position"]:
+            beside = pattern.replace("{name}", "")
+            if beside == pattern or not set(separators).intersection(beside):
+                continue
+            joints = _names_in(pattern, names)
+            rank = (len(joints), len(pattern))
+            if joints and rank > best_rank:
+                patterns = {"position": pattern, **_patterns(scheme, joints, names)}
+                best = NamedJoints(joints, patterns)
+                best_rank = rank
+    return best
+
+
+def _names_in(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
+    """Return what stands for `{name}` in the columns of a pattern.
+
+    Commanded quantities are left out: `target.position` is no joint.
+    """
+    before, after = pattern.split("{name}")
+    form = re.compile(f"{re.escape(before)}([^./]+){re.escape(after)}")
+    matches = (form.fullmatch(name) for name in names)
+    joints = [match[1] for match in matches if match is not None]
+    return tuple(
+        joint
+        for joint in dict.fromkeys(joints)
+        if not COMMANDED.intersection(re.split(r"[_\W]+", joint.lower()))
+    )
+
+
+def _patterns(
+    scheme: Scheme, joints: Sequence[str], names: Sequence[str]
+) -> dict[str, str]:
+    """Return the patterns of quantities beside the position that all joints have."""
+    patterns: dict[str, str] = {}
+    for quantity in _ALL[1:]:
+        key = "torque" if quantity == EFFORT else quantity
+        for pattern in scheme.get(quantity, ()):
+            columns = [column_name(pattern, name, k) for k, name in enumerate(joints)]
+            if set(columns) <= set(names):
+                patterns.setdefault(key, pattern)
+                break
+    return patterns
+
 
 # Names of time columns, the unit behind them optional: time, t_ms, timestamp [s],
 # __time.
@@ -32,174 +387,30 @@ _TIME = re.compile(
     rf"(?:[ _]+(?P<unit>{_UNIT})|[ _]*[\[(](?P<bracket>{_UNIT})[\])])?",
     re.IGNORECASE,
 )
-_SHORT = {"s": "s", "se": "s", "ms": "ms", "us": "us", "ns": "ns"}
+_UNIT_BY_START = {"s": "s", "se": "s", "ms": "ms", "us": "us", "ns": "ns"}
 _STAMP_PARTS = re.compile(r"(?P<stem>.*stamp[./_])(?:sec|secs|seconds)")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
-# Words beside a quantity that tell what was commanded or measured, and are no joint.
-COMMANDED = frozenset({
-    "target", "desired", "des", "cmd", "command", "commanded", "ref", "goal", "setpoint",
-    "soll", "d", "err", "error",
-})  # fmt: skip
-MEASURED = frozenset({
-    "joint", "joints", "j", "a", "m", "axis", "achse", "gelenk", "state", "states", "actual",
-    "measured", "meas", "act", "ist", "motor", "servo", "robot", "observation",
-})  # fmt: skip
-_ALL = (*QUANTITIES, EFFORT)
-_NAMED = {
-    "position": "position pos q",
-    "velocity": "velocity vel dq qd",
-    "torque": "torque tau",
-    "current": "current",
-    "temperature": "temperature temp",
-    "effort": "effort",
-}
-_NUMBERED = {
-    "position": "q position pos joint_position joint_positions",
-    "velocity": "dq qd velocity vel joint_velocity joint_velocities",
-    "torque": "tau torque joint_torque joint_torques",
-    "current": "current i joint_current joint_currents",
-    "temperature": "temperature temp joint_temperature joint_temperatures",
-    "effort": "effort joint_effort joint_efforts",
-}
-_RTDE = {"position": "actual_q", "velocity": "actual_qd", "current": "actual_current"}
-_RTDE |= {"temperature": "joint_temperatures"}
-_FRANKA = {"position": "q", "velocity": "dq", "torque": "tau_J"}
-_LEROBOT = {
-    quantity: quantity for quantity in ("torque", "current", "temperature", "effort")
-}
-_LEROBOT |= {"position": "state", "velocity": "velocity state.velocity"}
-LEROBOT_STATE = "observation.state"
-EPISODES = ("episode_index", "episode_id", "episode")
-
-
-# patterns of a quantity, tried one after the other
-Scheme = Mapping[str, tuple[str, ...]]
-
-
-@dataclass(frozen=True)
-class Match:
-    """A scheme found in a log: the column of each joint, by quantity; None where it lacks one."""
-
-    columns: dict[str, list[str | None]]
-    time_unit: str | None  # of its time column where the name does not say
-
-
-def _scheme(form: str, words: Mapping[str, str]) -> Scheme:
-    """Make a scheme of a form of names, in which `*` stands for each word of a quantity."""
-    return {
-        name: tuple(form.replace("*", w) for w in own.split())
-        for name, own in words.items()
-    }
-
-
-DEFAULT = _scheme("{name}.*", {quantity: quantity for quantity in _ALL})
-FRANKA = _scheme("state.*[{index0}]", _FRANKA)
-SCHEMES = (
-    DEFAULT,
-    *(_scheme(f, _NAMED) for f in ("{name}.*", "{name}/*", "*.{name}", "*/{name}")),
-    *(_scheme(f, _NAMED) for f in ("/joint_states/{name}/*", "{name}_*", "*_{name}")),
-    _scheme("*_{index0}", _RTDE),
-    FRANKA,
-    _scheme("observation.*[{index0}]", _LEROBOT),
-    *(
-        _scheme(f, _NUMBERED)
-        for f in ("*_{index0}", "*_{index}", "*{index0}", "*{index}")
-    ),
-    _scheme("*[{index0}]", _NUMBERED),
-)
-
-
-def column_name(pattern: "Columns", joint: str, index0: int) -> str:
-    """Fill a pattern: {name}, {index} (from 1), {index0} (from 0); or look up a joint's column."""
-    if not isinstance(pattern, str):
-        return str(pattern[index0])
-    filled = pattern.replace("{index0}", str(index0)).replace(
-        "{index}", str(index0 + 1)
-    )
-    return filled.replace("{name}", joint)
-
-
-def find_scheme(
-    joints: Sequence[str],
-    known: Collection[str],
-    entries: Mapping[str, int] | None = None,
-) -> Match | None:
-    """Find the scheme by which a log names the positions of all joints, in chain order.
-
-    `entries`: place of each joint in the log's lists, where it names them; else that in
-    the chain.
-    """
-    for scheme in SCHEMES:
-        lists = all(p.endswith("[{index0}]") for p in scheme["position"])
-        at = [*range(len(joints))]
-        if entries and lists and scheme is not FRANKA:
-            at = [entries.get(joint, -1) for joint in joints]
-        pairs = [*zip(joints, at, strict=True)]
-        found = {
-            name: _find(scheme, name, pairs, known, name == "position") for name in _ALL
-        }
-        if found["position"] is not None:
-            columns = {name: own for name, own in found.items() if own is not None}
-            return Match(columns, "ms" if scheme is FRANKA else None)
-    return None
-
-
-def find_quantities(
-    joints: Sequence[str], known: Collection[str]
-) -> dict[str, list[str | None]]:
-    """Find quantities by the first scheme that has all joints, else by some default names."""
-    columns: dict[str, list[str | None]] = {}
-    tries = [*((scheme, True) for scheme in SCHEMES), (DEFAULT, False)]
-    pairs = [(joint, i) for i, joint in enumerate(joints)]
-    for quantity in _ALL[1:]:
-        tried = (_find(one, quantity, pairs, known, whole) for one, whole in tries)
-        if found := next(filter(None, tried), None):
-            columns[quantity] = found
-    return columns
-
-
-def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
-    """List the position columns that a log lacks of the scheme that fits it best."""
-    patterns = [pattern for scheme in SCHEMES for pattern in scheme["position"]]
-    tried = [
-        [column_name(p, joint, i) for i, joint in enumerate(joints)] for p in patterns
-    ]
-    return min(
-        ([name for name in names if name not in known] for names in tried), key=len
-    )
-
-
-def _find(
-    scheme: Scheme,
-    quantity: str,
-    pairs: list[tuple[str, int]],
-    known: Collection[str],
-    whole: bool,
-) -> list[str | None] | None:
-    """Return the columns of the first pattern that gives one for every joint, or for some."""
-    for pattern in scheme.get(quantity, ()):
-        names = [column_name(pattern, joint, place) for joint, place in pairs]
-        found = [name if name in known else None for name in names]
-        if all(found) or (not whole and any(found)):
-            return found
-    return None
 
 
 def time_names(names: Iterable[str]) -> dict[str, str | None]:
     """List the columns that look like time, with the unit where the name says it."""
-    found: dict[str, str | None] = {}
+    units: dict[str, str | None] = {}
     for name in names:
-        if matched := _TIME.fullmatch(name.strip()):
-            unit = (matched["unit"] or matched["bracket"] or "").lower()
-            found[name] = _SHORT[unit[:2]] if unit else None
-    return found
+        match = _TIME.fullmatch(name.strip())
+        if match is not None:
+            unit = (match["unit"] or match["bracket"] or "").lower()
+            units[name] = _UNIT_BY_START[unit[:2]] if unit else None
+    return units
 
 
 def stamp_parts(names: Collection[str]) -> tuple[str, str] | None:
     """Find a stamp that is written as whole seconds and nanoseconds in two columns."""
     for name in names:
-        if matched := _STAMP_PARTS.fullmatch(name):
-            for word in _NANOSECONDS:
-                if matched["stem"] + word in names:
-                    return name, matched["stem"] + word
+        match = _STAMP_PARTS.fullmatch(name)
+        if match is None:
+            continue
+        for word in _NANOSECONDS:
+            nanoseconds = match["stem"] + word
+            if nanoseconds in names:
+                return name, nanoseconds
     return None

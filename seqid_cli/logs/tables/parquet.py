@@ -27,12 +27,13 @@ _ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
 BLOCK_ROWS = 65_536
 _LONGEST = 256  # elements of a list column that can be one number per joint
 _LARGEST = 16 << 20  # bytes of an info.json
+# What stands behind a joint's name where a file names the elements of its lists.
 _ENDINGS = ("", ".pos", ".position", "_pos", "_position", ".q")
 _NAME_COLUMNS = ("name", "names", "joint_names")
 
 
 def lerobot_names(path: Path) -> list[str]:
-    """Names of the motors of a LeRobot data set; empty where they are not told."""
+    """Return the names of a LeRobot data set's motors; empty where none are told."""
     for folder in list(path.absolute().parents)[1:4]:
         info = folder / "meta" / "info.json"
         try:
@@ -56,48 +57,56 @@ def _name_column(path: Path, file: pq.ParquetFile) -> list[str]:
         kind = schema.field(column).type if column in schema.names else pa.null()
         if not pa.types.is_list(kind) or not pa.types.is_string(kind.value_type):
             continue
-        given = [
-            row for row in file.read(columns=[column]).column(0).to_pylist() if row
-        ]
-        if any(row != given[0] for row in given):
-            message = f"the names in column {column!r} change from row to row"
-            hint = "Write one column per joint, <joint>.position and so on."
-            raise InputError(message, hint=hint, where=str(path))
-        return [str(name) for name in given[0]] if given else []
+
+        rows = file.read(columns=[column]).column(0).to_pylist()
+        names_by_row = [row for row in rows if row]
+        if not names_by_row:
+            return []
+        first = names_by_row[0]
+        if any(row != first for row in names_by_row):
+            raise InputError(
+                f"the names in column {column!r} change from row to row",
+                hint="Write one column per joint, <joint>.position and so on.",
+                where=str(path),
+            )
+        return [str(name) for name in first]
     return []
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParquetTable(TableFile):
-    """An opened Parquet file; `lists` are its list columns of numbers and how long these are."""
+    """An opened Parquet file."""
 
+    # list columns of numbers, and how long the lists are
     lists: dict[str, int] = field(default_factory=dict)
 
     def tables(
         self, columns: Sequence[str], rows: int | None
     ) -> Iterator[tuple[pa.Table, str]]:
         """Read columns; nothing of a damaged file can be salvaged."""
-        matched = {name: _ELEMENT.fullmatch(name) for name in columns}
-        elements = {
-            n: m
-            for n, m in matched.items()
-            if m is not None and m["list"] in self.lists
-        }
-        lists = dict.fromkeys(found["list"] for found in elements.values())
-        plain = [name for name in columns if name not in elements]
-        for table in read_tables(self.path, [*lists, *plain], rows=rows):
+        element_of = self._elements(columns)
+        list_columns = dict.fromkeys(name for name, _ in element_of.values())
+        plain_columns = [name for name in columns if name not in element_of]
+        for table in read_tables(self.path, [*list_columns, *plain_columns], rows=rows):
             flat = _flattened(table)
-            out = {
+            values = {
                 name: flat.column(name)
-                for name in plain
+                for name in plain_columns
                 if flat.schema.names.count(name) == 1
             }
-            values = {name: self._matrix(flat, name) for name in lists}
-            for name, found in elements.items():
-                out[name] = pa.chunked_array(
-                    [values[found["list"]][:, int(found["index"])]]
-                )
-            yield pa.table(out), ""
+            matrices = {name: self._matrix(flat, name) for name in list_columns}
+            for name, (list_column, k) in element_of.items():
+                values[name] = pa.chunked_array([matrices[list_column][:, k]])
+            yield pa.table(values), ""
+
+    def _elements(self, columns: Sequence[str]) -> dict[str, tuple[str, int]]:
+        """Return the list column and the place in it of names such as `column[k]`."""
+        element_of = {}
+        for name in columns:
+            match = _ELEMENT.fullmatch(name)
+            if match is not None and match["list"] in self.lists:
+                element_of[name] = (match["list"], int(match["index"]))
+        return element_of
 
     def _matrix(self, table: pa.Table, name: str) -> Array:
         """Return a list column as (M, length), rows without a list as NaN."""
@@ -105,25 +114,22 @@ class ParquetTable(TableFile):
         try:
             column = table.column(name).combine_chunks()
             counts = np.asarray(pc.fill_null(pc.list_value_length(column), -1))
-            wrong = np.flatnonzero((counts != length) & (counts > 0))
-            if len(wrong):
-                text = (
-                    f"row {wrong[0] + 1}: {name!r} holds {counts[wrong[0]]} values, the"
-                    " first "
+            faulty = np.flatnonzero((counts != length) & (counts > 0))
+            if len(faulty):
+                raise InputError(
+                    f"row {faulty[0] + 1}: {name!r} holds {counts[faulty[0]]} values,"
+                    f" the first row {length} ({len(faulty)} such rows)",
+                    hint="Write one value per joint in every row, null where one is"
+                    " missing.",
+                    where=self.where,
                 )
-                text += f"row {length} ({len(wrong)} such rows)"
-                hint = (
-                    "Write one value per joint in every row, null where one is missing."
-                )
-                raise InputError(text, hint=hint, where=self.where)
-            values = np.full((len(column), length), np.nan)
-            flat = pc.cast(pc.list_flatten(column), pa.float64(), safe=False)
-            values[counts == length] = flat.to_numpy(zero_copy_only=False).reshape(
-                -1, length
-            )
+            elements = pc.cast(pc.list_flatten(column), pa.float64(), safe=False)
+            rows = elements.to_numpy(zero_copy_only=False).reshape(-1, length)
+            matrix = np.full((len(column), length), np.nan)
+            matrix[counts == length] = rows
         except ARROW_ERRORS as error:
             raise damaged(self.path, error) from error
-        return values
+        return matrix
 
 
 def read_blocks(
@@ -141,65 +147,109 @@ def read_blocks(
 def read_tables(
     path: Path, columns: Sequence[str], *, rows: int | None = BLOCK_ROWS
 ) -> Iterator[pa.Table]:
-    """Read columns, up to `rows` rows of a row group at a time, or all; checks checksums."""
+    """Read columns, checksums of pages checked.
+
+    Parameters
+    ----------
+    rows : int, optional
+        Rows of a row group at a time, at most; None reads all at once.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or a column holds texts.
+    """
     try:
         with opened_table(
             path, pre_buffer=False, page_checksum_verification=True
         ) as file:
-            schema = file.schema_arrow
-            # each text may be of any size
-            for name in set(columns) & set(schema.names):
-                kind = schema.field(name).type
-                if is_text(kind):
-                    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-                    message = f"column {name!r} holds {kind}, not numbers"
-                    hint = (
-                        "Write it as float64 in SI units, time in seconds or as a"
-                        " timestamp."
-                    )
-                    raise InputError(message, hint=hint, where=str(path))
+            _refuse_texts(path, file, columns)
             if rows is None:
                 yield file.read(columns=list(columns))
                 return
+
             for group in range(file.num_row_groups):
-                own = {"row_groups": [group], "columns": list(columns)}
-                for batch in file.iter_batches(rows, **own, use_threads=False):
+                for batch in file.iter_batches(
+                    rows,
+                    row_groups=[group],
+                    columns=list(columns),
+                    use_threads=False,
+                ):
                     yield pa.Table.from_batches([batch])
                     del batch
-                # or it keeps some row groups' worth
+                # Otherwise Arrow holds the memory of some row groups.
                 pa.default_memory_pool().release_unused()
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
 
 
+def _refuse_texts(path: Path, file: pq.ParquetFile, columns: Sequence[str]) -> None:
+    """Raise InputError for a column of texts, each of which may be of any size."""
+    schema = file.schema_arrow
+    for name in set(columns) & set(schema.names):
+        kind = schema.field(name).type
+        if not is_text(kind):
+            continue
+        if pa.types.is_dictionary(kind):
+            kind = kind.value_type
+        raise InputError(
+            f"column {name!r} holds {kind}, not numbers",
+            hint="Write it as float64 in SI units, time in seconds or as a timestamp.",
+            where=str(path),
+        )
+
+
 def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
-    """Read the names of columns: `parent.child`, `column[k]` of lists, which `joints` may name."""
+    """Read the names of columns: `parent.child`, and `column[k]` of lists.
+
+    Parameters
+    ----------
+    joints : sequence of str
+        Names of the robot file. The file may name the elements of its lists by them.
+    """
     try:
         with opened_table(path) as file:
             fields = _flattened(file.schema_arrow.empty_table()).schema
-            lengths = {
-                each.name: _length(file, each.name, each.type) for each in fields
-            }
-            lists = {name: length for name, length in lengths.items() if length}
-            lerobot = LEROBOT_STATE in lists
-            named = lerobot_names(path) if lerobot else _name_column(path, file)
+            lists: dict[str, int] = {}
+            for each in fields:
+                length = _list_length(file, each.name, each.type)
+                if length:
+                    lists[each.name] = length
+            is_lerobot = LEROBOT_STATE in lists
+            element_names = (
+                lerobot_names(path) if is_lerobot else _name_column(path, file)
+            )
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
-    # The place of each joint in the lists, where the file names them all.
-    places = {name: place for place, name in reversed([*enumerate(named)])}
-    forms = [
-        [joint + end for end in _ENDINGS if joint + end in places] for joint in joints
-    ]
-    entries = {joint: places[f[0]] for joint, f in zip(joints, forms, strict=True) if f}
-    notes: list[str] = []
+
+    entries = _entries(joints, element_names)
+    notes: tuple[str, ...] = ()
     if len(entries) < len(joints):
         entries = {}
-        notes += [
-            f"{LEROBOT_STATE}: values are taken in the order of the robot file"
-        ] * lerobot
-    names = fields.names
-    names += [f"{name}[{k}]" for name, length in lists.items() for k in range(length)]
-    return ParquetTable(path, tuple(names), entries, tuple(notes), lists=lists)
+        if is_lerobot:
+            notes = (
+                f"{LEROBOT_STATE}: values are taken in the order of the robot file",
+            )
+    names = list(fields.names)
+    for name, length in lists.items():
+        names += [f"{name}[{k}]" for k in range(length)]
+    return ParquetTable(
+        path=path, names=tuple(names), entries=entries, notes=notes, lists=lists
+    )
+
+
+def _entries(joints: Sequence[str], element_names: Sequence[str]) -> dict[str, int]:
+    """Return the place in the lists of each joint that is named there."""
+    places: dict[str, int] = {}
+    for place, name in enumerate(element_names):
+        places.setdefault(name, place)
+    entries = {}
+    for joint in joints:
+        for ending in _ENDINGS:
+            if joint + ending in places:
+                entries[joint] = places[joint + ending]
+                break
+    return entries
 
 
 def list_columns(path: Path) -> tuple[str, ...]:
@@ -218,31 +268,44 @@ def _flattened(table: pa.Table) -> pa.Table:
     return table
 
 
-def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
+def _list_length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
     """Return the length of the first list of a column, 0 where none can hold joints."""
-    lists = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
-    if not any(is_list(kind) for is_list in lists) or not is_number(kind.value_type):
+    list_kinds = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
+    is_list = any(is_kind(kind) for is_kind in list_kinds)
+    if not is_list or not is_number(kind.value_type):
         return 0
+    length = 0
     if pa.types.is_fixed_size_list(kind):
-        return int(kind.list_size) if kind.list_size <= _LONGEST else 0
-    if file.schema_arrow.names.count(name) != 1:
-        return 0  # a list inside a struct, or two columns of one name
+        length = int(kind.list_size)
+    # Not for a list inside a struct, or two columns of one name.
+    elif file.schema_arrow.names.count(name) == 1:
+        length = _first_length(file, name)
+    return length if length <= _LONGEST else 0
+
+
+def _first_length(file: pq.ParquetFile, name: str) -> int:
+    """Return the length of the first list that is not null, 0 where there is none."""
     for batch in file.iter_batches(batch_size=1024, columns=[name]):
-        given = batch.column(0).drop_null() if batch.num_columns else []
-        if len(given):
-            return len(given[0]) if len(given[0]) <= _LONGEST else 0
+        if not batch.num_columns:
+            continue
+        lists = batch.column(0).drop_null()
+        if len(lists):
+            return len(lists[0])
     return 0
 
 
 def damaged(path: Path, error: BaseException) -> InputError:
     """Make the error for what Arrow could not read."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
-    message = f"the Parquet file is damaged or not readable ({reason})"
-    hint = "Copy it again from the source, or leave this log out."
     if isinstance(error, MemoryError):
-        message = f"there is too little memory to read it ({reason})"
-        hint = (
-            "Give the process more, or split the log; a damaged file may ask for too"
-            " much, too."
+        return InputError(
+            f"there is too little memory to read it ({reason})",
+            hint="Give the process more, or split the log; a damaged file may ask for"
+            " too much, too.",
+            where=str(path),
         )
-    return InputError(message, hint=hint, where=str(path))
+    return InputError(
+        f"the Parquet file is damaged or not readable ({reason})",
+        hint="Copy it again from the source, or leave this log out.",
+        where=str(path),
+    )

@@ -9,10 +9,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.inspect.guess import guess, stand_in
-from seqid_cli.logs.contents import survey
+from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import check_log, expand
+from seqid_cli.logs.tables.naming_schemes import SCHEMES, find_scheme
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT, Array
@@ -119,6 +120,14 @@ def test_joints_are_guessed(tmp_path: Path, label: str) -> None:
         ("elbow_q wrist_q", ("elbow", "wrist")),
         ("freq_q", ()),  # few letters stand for a quantity of several joints
         ("angle", ("joint_1",)),
+        ("elbow.q", ("elbow",)),
+        (
+            "/joint_states/elbow/position /joint_states/wrist/position",
+            ("elbow", "wrist"),
+        ),
+        ("left_joint_1.pos left_joint_2.pos", ("left_joint_1", "left_joint_2")),
+        ("motor_a/q motor_b/q", ("motor_a", "motor_b")),
+        ("q_1 position.x position.y target.pos", ("joint_1",)),
         ("level", ()),
     ],
 )
@@ -128,3 +137,20 @@ def test_joints_of_a_table(
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table(dict.fromkeys(["time", *columns.split()], MOTION.t)), path)
     assert guess(survey(path)).joints == joints
+
+
+NAMED_PATTERNS = sorted(
+    {name for scheme in SCHEMES for name in scheme["position"] if "{name}" in name}
+)
+
+
+@pytest.mark.parametrize("pattern", NAMED_PATTERNS)
+def test_joints_that_are_read_undeclared_are_guessed(pattern: str) -> None:
+    """What `inspect -r` reads by its names alone, `init` does not refuse."""
+    joints = ("left_joint_1", "servo_pan")
+    columns = ("time", *(pattern.replace("{name}", name) for name in joints))
+    guessed = guess(Survey("csv", columns, (), columns))
+    assert guessed.joints == joints
+    match = find_scheme(guessed.joints, columns)
+    assert match is not None
+    assert match.columns["position"] == [*columns[1:]]

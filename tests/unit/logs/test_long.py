@@ -13,7 +13,7 @@ from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.pieces import cut, read_pieces, whole_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.logs.storage import remote
+from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import joined
 from tests import Array
@@ -109,7 +109,7 @@ def test_a_log_that_changes_between_two_passes_is_refused(
 ) -> None:
     """Neither mixed with what was read before nor told as what the result is made of."""
     if not spooled:
-        monkeypatch.setattr(remote.Spool, "complete", False)
+        monkeypatch.setattr(Spool, "complete", False)
     path = with_torque(tmp_path, grid(SAMPLES))
     log = open_long(path, make_robot())
     log.sha256  # noqa: B018  # as it was

@@ -126,8 +126,9 @@ def test_bases_of_other_rates_do_not_alias() -> None:
     def on_base(t: Array, values: Array, rate_hz: float) -> tuple[Array, Array]:
         stream = Stream("imu", T0 + np.rint(t * 1e9).astype(np.int64), {"gyro": values})
         count = int(t[-1] * rate_hz + 1e-6) + 1
-        base = Base(T0, 1.0 / rate_hz, count, 0.0, False, ())
-        return resample(stream, "gyro", base)[0], base.t
+        step_s = 1.0 / rate_hz
+        base = Base(T0, step_s, count, jitter=0.0, exact=False, gaps=())
+        return resample(stream, "gyro", base).values, base.t
 
     t = grid(1001, 500.0)
     faster, at = on_base(t, curve(t, 3), 1000.0)

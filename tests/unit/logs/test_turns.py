@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from seqid_cli.logs.long import open_long
-from seqid_cli.logs.raw import Stream, in_turns
+from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.unit.logs.format_writers import (

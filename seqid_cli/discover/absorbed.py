@@ -10,7 +10,8 @@ unit of its coefficient is in the file as
     p = argmin over trials |(X(q, v) + X(q, -v)) / 2 - G(q) p|^2,
 
 and the deviations of friction and gravity from the file are held to -P and -p times the
-coefficient (see `Part.in_file`), where those of a file without the effect are held to
+coefficient (see `ColumnGroup.absorbed_by_file`), where those of a file without the
+effect are held to
 zero.
 """
 

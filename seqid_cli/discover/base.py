@@ -52,7 +52,7 @@ class Base:
     # rows of unit variance by which the file knows deviations to be zero:
     prior: tuple[Array, ...]
     # rigid body (m, b), then friction by joint (m_j, k_j)
-    whole: tuple[Whole, ...]
+    scene_bases: tuple[SceneBase, ...]
     start: Array  # (n,) N m, RMS of `y`
 
     @cached_property
@@ -103,7 +103,7 @@ class Base:
             N m (N where prismatic), one per data set.
         """
         found = []
-        for number, whole in enumerate(self.whole):
+        for number, whole in enumerate(self.scene_bases):
             moved, torque = (
                 whole.H @ rigid.astype(np.float32),
                 np.empty_like(whole.residual),
@@ -151,7 +151,7 @@ def nuisance_torque(
 
 
 @dataclass(frozen=True)
-class Whole:
+class SceneBase:
     """Base of one data set at all of its samples; columns of friction are made as they are used."""
 
     H: NDArray[np.float32]  # (N, n, b)
@@ -196,8 +196,8 @@ def base_of(rows: Rows, stages: Stages) -> Base:
                 for x, X in zip(robot.joints, own, strict=True)
             ),
         ),
-        whole=tuple(
-            Whole(h.astype(np.float32), scene, law, r)
+        scene_bases=tuple(
+            SceneBase(h.astype(np.float32), scene, law, r)
             for h, scene, r in zip(H, rows.scenes, left, strict=True)
         ),
         start=np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in y]),

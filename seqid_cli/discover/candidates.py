@@ -11,7 +11,7 @@ import numpy as np
 
 from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import LIKELY, has_trials, residual_of
-from seqid_cli.discover.select.rows import Channels, Part
+from seqid_cli.discover.select.rows import Channels, ColumnGroup
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
 from seqid_cli.model.effects.effect import Columns, Effect
@@ -45,7 +45,7 @@ class DriveRows:
 
     def part(
         self, joint: int, channel: int, size: float, *, disagree: float = 0.05
-    ) -> Part:
+    ) -> ColumnGroup:
         """What is free beside friction; `size` [N m] is what the file leaves.
 
         By `disagree` motor and sensor may tell another torque: the robot file says so,
@@ -55,7 +55,7 @@ class DriveRows:
         likely = np.mean(X**2, axis=0) / (LIKELY * size) ** 2
         own, of_file = np.diag(likely), np.diag([disagree**-2.0, 0.0, 0.0])
         own[0, 0] = 0.0
-        return Part({channel: X}, own + of_file, own)
+        return ColumnGroup({channel: X}, own + of_file, own)
 
 
 def drive_rows(rows: Rows) -> DriveRows:
@@ -143,7 +143,7 @@ class Candidate:
 MOST_COLUMNS = 2_000_000
 
 
-class Stage:
+class CandidateColumns:
     """Rows and data sets on which candidates are tried, and what the `file` has of these."""
 
     def __init__(self, rows: Rows, file: FileTrials | None = None) -> None:

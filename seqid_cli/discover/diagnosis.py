@@ -31,7 +31,7 @@ from seqid_cli.discover.notes import (
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import TOLD, named
-from seqid_cli.discover.select.results import Taken
+from seqid_cli.discover.select.results import TermResult
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.verdict import changed_values, joint_states, verdict_of
@@ -78,14 +78,16 @@ def diagnose(
 
 def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
-    sure = [taken for taken in found.found.effects if named(taken).confidence >= TOLD]
+    sure = [
+        taken for taken in found.selection.effects if named(taken).confidence >= TOLD
+    ]
     findings = [_finding(found, robot, taken) for taken in sure]
     if found.events and (contact := _contact(found, robot)).confidence >= TOLD:
         findings.append(contact)
         found = found.without_told_events()
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
 
-    functions = [_unexplained(found, robot, taken) for taken in found.found.smooth]
+    functions = [_unexplained(found, robot, taken) for taken in found.selection.smooth]
     first = {
         part.joint: part for part in sorted(functions, key=lambda part: part.share)
     }
@@ -98,16 +100,16 @@ def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     for joint, state in enumerate(states):
         if state == "unexplained":
             excess.setdefault(
-                joint, float(found.start[joint] / max(ordinary[joint], 1e-12))
+                joint, float(found.file_rms[joint] / max(ordinary[joint], 1e-12))
             )
     rest += [
         _excess(found, robot, joint, times)
         for joint, times in excess.items()
-        if joint not in found.touched and states[joint] != "too_short"
+        if joint not in found.explained_joints and states[joint] != "too_short"
     ]
     changed = changed_values(found, robot, states)
     named_joints = {*(part.joint for part in rest), *(one.joint for one in changed)}
-    visible = sorted(found.found.visible.items(), key=lambda x: x[1])
+    visible = sorted(found.selection.visible_shares.items(), key=lambda x: x[1])
     return diagnosis.DiagnosisFile(
         **head(diagnosis.DIAGNOSIS_SCHEMA, now()),
         robot=robot_id(robot),
@@ -161,7 +163,7 @@ def _contact(found: Investigation, robot: Robot) -> diagnosis.FindingEntry:
     near = [sum(beyond[j] for j in event.joints) for event in found.events]
     apart = [e / max(e + rest, 1e-300) for e, rest in zip(energies, near, strict=True)]
     inside = sum(energies)
-    gained = sum(max(taken.one.predicted.total, 0.0) for taken in found.found.taken)
+    gained = sum(max(taken.scored.score.total, 0.0) for taken in found.selection.terms)
     confidence = float(max(event.certainty for event in found.events) * max(apart))
     return diagnosis.FindingEntry(
         effect=effect.name,
@@ -178,13 +180,13 @@ def _contact(found: Investigation, robot: Robot) -> diagnosis.FindingEntry:
 
 
 def _finding(
-    found: Investigation, robot: Robot, taken: Taken
+    found: Investigation, robot: Robot, taken: TermResult
 ) -> diagnosis.FindingEntry:
     """Describe one effect that was taken."""
     what, model = taken.term.what, taken.model
     assert isinstance(what, Candidate)
     effect, joints = what.effect, joints_below(taken.term.channels, found.ground.n)
-    before = np.array([rms(taken.left[j]) for j in joints])
+    before = np.array([rms(taken.left_without[j]) for j in joints])
     after, floor = model.rms()[joints], found.floor.rms[joints]
     name = named(taken, float(np.max(after / np.maximum(floor, 1e-12), initial=1.0)))
     # Share of the variance above the noise floor that goes; all where no more is left.
@@ -201,11 +203,11 @@ def _finding(
         explains=float(np.clip(gone / max(above, 1e-300), 0.0, 1.0)),
         confusable_with=list(name.others),
         separate_by=separate_by(effect, name.others, robot, what.joint),
-        gain=taken.one.predicted.share,
+        gain=taken.scored.score.share,
         parameters=[_parameter(value) for value in values],
         settings=dict(what.settings),
         note=effect.lacking(robot, what.joint),
-        log_gain=taken.one.predicted.total,
+        log_gain=taken.scored.score.total,
         evidence=evidence_of(found, robot, taken),
         rivals=rivals_of(robot, taken, name.others),
     )
@@ -222,7 +224,7 @@ def _parameter(value: Value) -> diagnosis.EffectParameter:
     )
 
 
-def size_of(found: Investigation, taken: Taken) -> tuple[Array, Array]:
+def size_of(found: Investigation, taken: TermResult) -> tuple[Array, Array]:
     """Coefficients (k,) of an effect that was taken, and their covariance (k, k).
 
     A change of the file's values is judged in place of what hides it. What these other
@@ -262,14 +264,14 @@ def separate_by(
 
 
 def _unexplained(
-    found: Investigation, robot: Robot, taken: Taken
+    found: Investigation, robot: Robot, taken: TermResult
 ) -> diagnosis.UnexplainedPart:
     """Describe a smooth function that was taken."""
     what = taken.term.what
     assert isinstance(what, SmoothFunction)
-    told, closest = taken.one.predicted, None
+    told, closest = taken.scored.score, None
     if effects := [rival for rival in taken.rivals if not rival.term.smooth]:
-        share = np.clip(effects[0].predicted.total / max(told.total, 1e-300), 0.0, 1.0)
+        share = np.clip(effects[0].score.total / max(told.total, 1e-300), 0.0, 1.0)
         closest = diagnosis.ClosestEffect(
             effect=effects[0].term.name, share=float(share)
         )
@@ -290,12 +292,14 @@ def _excess(
     """Describe what is left at a joint by the smooth term that it is most like, if by any."""
     name, share, ground = robot.joint_names[joint], 1.0 - times**-2, found.ground
     terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
-    gained = found.model.linear.gained([term.part for term in terms])
+    gained = found.model.linear.fits([term.part for term in terms])
     best = max(
-        zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None
+        zip(terms, gained, strict=True),
+        key=lambda pair: pair[1].log_bayes_factor,
+        default=None,
     )
     part = diagnosis.UnexplainedPart(joint=name, depends_on=[], share=share)
-    if best is not None and best[1].evidence > 0.0:
+    if best is not None and best[1].log_bayes_factor > 0.0:
         what = best[0].what
         assert isinstance(what, SmoothFunction)
         part.depends_on, part.evidence = (
@@ -310,10 +314,10 @@ def _joints(found: Investigation, robot: Robot) -> dict[str, diagnosis.ResidualE
     rows, floor, entries = found.ground.stage.rows, found.floor, {}
     whites, left = white(rows, found.model.left()), found.model.rms()
     for j, name in enumerate(robot.joint_names):
-        samples = found.file.samples[j]
+        samples = found.file_residual.samples[j]
         known = samples > 0 and floor.rms[j] > 0.0
         entries[name] = diagnosis.ResidualEntry(
-            rmse=float(found.start[j]) if samples else None,
+            rmse=float(found.file_rms[j]) if samples else None,
             noise_floor=float(floor.rms[j]) if known else None,
             noise_floor_interval=list(floor.interval(j)) if known else [],
             white=bool(whites[j]),

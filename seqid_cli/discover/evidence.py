@@ -14,7 +14,7 @@ import numpy as np
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Ranked, Taken
+from seqid_cli.discover.select.results import ScoredTerm, TermResult
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
@@ -65,7 +65,7 @@ class _Over:
         )
 
 
-def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEntry:
+def evidence_of(found: Investigation, robot: Robot, taken: TermResult) -> EvidenceEntry:
     """Bin what is left without a term and with it, at its joint or the one that shows it most."""
     term, model, stage, n = taken.term, taken.model, found.ground.stage, found.ground.n
     theta = model.linear.theta[model.where(term)]
@@ -80,7 +80,7 @@ def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEnt
     over = _over(term.what, theta[term.part.at(channel)], scenes, j)
     x = take(j, over.values) if over.values else term.part.torque(channel, theta)
     sign, left = over.sign(scenes, j, take), model.linear.left_out[channel]
-    return _binned(robot, j, over, x, taken.left[channel] * sign, left * sign)
+    return _binned(robot, j, over, x, taken.left_without[channel] * sign, left * sign)
 
 
 def left_over(
@@ -177,13 +177,13 @@ def _each(what: Callable[[Array], np.floating], parts: Sequence[Array]) -> list[
 
 
 def rivals_of(
-    robot: Robot, taken: Taken, alike: Collection[str] = ()
+    robot: Robot, taken: TermResult, alike: Collection[str] = ()
 ) -> list[RivalEntry]:
     """What was tried in a term's place; `alike` are the effects that could be it as well."""
     others = _each_once(r for r in taken.rivals if r.term.key != taken.term.key)
     # these first
     told = sorted(others, key=lambda one: one.term.name not in alike)[:MOST]
-    ranked = sorted(told, key=lambda one: -one.predicted.total)
+    ranked = sorted(told, key=lambda one: -one.score.total)
     return [_rival(robot, one, _beside(one, taken, alike)) for one in ranked]
 
 
@@ -191,30 +191,32 @@ def tried_at(found: Investigation, robot: Robot, joint: int) -> list[RivalEntry]
     """What was tried at a joint beside all that was taken, the largest gain first."""
     n = found.ground.n
     here = (
-        r for r in found.found.tried if any(c % n == joint for c in r.term.channels)
+        r
+        for r in found.selection.untaken
+        if any(c % n == joint for c in r.term.channels)
     )
     return [_rival(robot, one, _lacking(one)) for one in _each_once(here)[:MOST]]
 
 
-def _each_once(some: Iterable[Ranked]) -> list[Ranked]:
+def _each_once(some: Iterable[ScoredTerm]) -> list[ScoredTerm]:
     """The first of every name at every joint; one smooth function, the best, for all."""
-    kept: dict[object, Ranked] = {}
+    kept: dict[object, ScoredTerm] = {}
     for one in some:
         kept.setdefault("smooth" if one.term.smooth else one.term.key, one)
     return list(kept.values())
 
 
-def _rival(robot: Robot, one: Ranked, why_not: str) -> RivalEntry:
+def _rival(robot: Robot, one: ScoredTerm, why_not: str) -> RivalEntry:
     name, joint = one.term.name, robot.name_of(one.term.joint)
     name = f"some function of {name}" if one.term.smooth else name
     return RivalEntry(
-        effect=name, joint=joint, log_gain=one.predicted.total, why_not=why_not
+        effect=name, joint=joint, log_gain=one.score.total, why_not=why_not
     )
 
 
-def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
+def _beside(one: ScoredTerm, taken: TermResult, alike: Collection[str]) -> str:
     """Why a rival was not taken in a term's place."""
-    reach = one.predicted.total / max(taken.one.predicted.total, 1e-300)
+    reach = one.score.total / max(taken.scored.score.total, 1e-300)
     if one.term.name in alike:
         return (
             f"these logs cannot tell the two apart: it reaches {percent(reach)} of the"
@@ -232,9 +234,9 @@ def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
     return f"no better: it reaches {percent(reach)} of the gain"
 
 
-def _lacking(one: Ranked) -> str:
+def _lacking(one: ScoredTerm) -> str:
     """Why something was not taken beside all that was."""
-    options, told = Options(), one.predicted
+    options, told = Options(), one.score
     if told.total <= 0.0:
         return "predicts left-out blocks worse than the model without it"
     if told.doubt >= options.doubt:
@@ -243,7 +245,7 @@ def _lacking(one: Ranked) -> str:
             f"gains nothing in {chance} of drawn blocks of time; {most} is allowed at"
             " most"
         )
-    if (evidence := one.gained.evidence) <= options.chance:
+    if (evidence := one.fit.log_bayes_factor) <= options.chance:
         return (
             f"log evidence of {evidence:.1f}, as of noise; {options.chance:g} is asked"
             " at least"

@@ -23,7 +23,7 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Selected
+from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.survey.events import GATE, Interval, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
@@ -103,37 +103,41 @@ class Investigation:
     """Everything that a diagnosis is made from."""
 
     logs: tuple[Recording, ...]
-    found: Selected
+    selection: SelectionResult
     floor: NoiseFloor
     events: tuple[Interval, ...]
-    file: FileResidual
+    file_residual: FileResidual
 
     @property
     def model(self) -> Model:
         """The model with all that was found."""
-        return self.found.model
+        return self.selection.model
 
     @property
     def ground(self) -> Ground:
         """Rows and data sets, events left out."""
-        return self.found.model.ground
+        return self.selection.model.ground
 
     @property
-    def start(self) -> Array:
+    def file_rms(self) -> Array:
         """RMS (n,) N m of the file's own residual, on all rows that it sees."""
-        return self.file.rms
+        return self.file_residual.rms
 
     def without_told_events(self) -> "Investigation":
         """The same where samples of events do not count for the file: a finding stands for them."""
-        masks = [np.zeros_like(scene.slides) for scene in self.file.rows.scenes]
-        _mark(self.events, self.file.rows.scenes, masks)
-        return replace(self, file=self.file.without(masks))
+        masks = [
+            np.zeros_like(scene.slides) for scene in self.file_residual.rows.scenes
+        ]
+        _mark(self.events, self.file_residual.rows.scenes, masks)
+        return replace(self, file_residual=self.file_residual.without(masks))
 
     @property
-    def touched(self) -> set[int]:
+    def explained_joints(self) -> set[int]:
         """Joints that something was found at."""
         return {
-            c % self.ground.n for taken in self.found.taken for c in taken.term.channels
+            c % self.ground.n
+            for taken in self.selection.terms
+            for c in taken.term.channels
         }
 
 
@@ -199,12 +203,12 @@ def investigate_beside(
     ground = Ground.of(rows, stages)
     found = select_among(ground, HELD, candidates)
     told = found.largest()
-    look = all(one.one.predicted.share <= Options.improvement for one in told.taken)
+    look = all(one.scored.score.share <= Options.improvement for one in told.terms)
     if look:
         found.finish()
         told = found.told(0.0)
     file = FileResidual.of(ground)
-    return replace(before, logs=tuple(logs), found=told, file=file), look
+    return replace(before, logs=tuple(logs), selection=told, file_residual=file), look
 
 
 def guessed(model: Model) -> list[Mask]:
@@ -246,7 +250,7 @@ def not_of_terms(events: Sequence[Interval], model: Model) -> list[Interval]:
     left, kept = model.left() if events else [], list[Interval]()
     for event in events:
         scene = model.ground.stage.scenes[event.scene]
-        file = model.ground.base.whole[event.scene].residual
+        file = model.ground.base.scene_bases[event.scene].residual
         if event.squares(scene, file - left[event.scene]) < event.squares(scene, file):
             kept.append(event)
     return kept

@@ -42,7 +42,7 @@ def excess_residuals(found: Investigation, ordinary: Array) -> dict[int, float]:
     The largest first; not where the file alone fits as well as expected, nor where the
     noise floor may be as large, for all that so short a log tells of it.
     """
-    left = np.minimum(found.model.rms(), found.start)
+    left = np.minimum(found.model.rms(), found.file_rms)
     times, most = left / np.maximum(ordinary, 1e-12), found.floor.high
     order = np.argsort(-times, kind="stable").tolist()
     return {
@@ -80,13 +80,15 @@ def notes_of(
             f"{robot.name_of(one.term.joint) or 'all joints'}: {one.term.name} was"
             " there when the file was identified, which has absorbed a part of it:"
             " refine identifies the stages anew"
-            for one in found.found.effects
+            for one in found.selection.effects
             if isinstance(one.term.what, Candidate) and one.term.what.absorbed
         ),
         *outside_notes(found, robot, ordinary),
         *unseen_note(found, robot),
         *_free_base_notes(found, robot),
-        *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joints),
+        *found.floor.doubts(
+            np.minimum(found.model.rms(), found.file_rms), robot.joints
+        ),
     ]
 
 
@@ -96,8 +98,8 @@ def file_notes(
     """Joints at which the file leaves more than `ordinary` though nothing is found or `named`."""
     notes, usual = [], np.maximum(ordinary, 1e-12)
     for j, name in enumerate(robot.joint_names):
-        times = found.start[j] / usual[j]
-        if times <= MORE_THAN_NOISE or j in found.touched or name in named:
+        times = found.file_rms[j] / usual[j]
+        if times <= MORE_THAN_NOISE or j in found.explained_joints or name in named:
             continue
         notes.append(
             f"joint {name}: the file leaves {times:.1f} times what torque noise and"
@@ -110,7 +112,7 @@ def unseen_note(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Joints of which no sample could be looked at."""
     names = [
         joint.name
-        for joint, n in zip(robot.joints, found.file.samples, strict=True)
+        for joint, n in zip(robot.joints, found.file_residual.samples, strict=True)
         if not n
     ]
     if not names:
@@ -129,10 +131,10 @@ def _free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Joints without a finding that a model fitted to these logs surely predicts worse."""
     left, worse = found.model.rms(), list[str]()
     for j, joint in (
-        (j, x) for j, x in enumerate(robot.joints) if j not in found.touched
+        (j, x) for j, x in enumerate(robot.joints) if j not in found.explained_joints
     ):
         if predicted_worse(found, j):
-            sizes = f"{left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')}"
+            sizes = f"{left[j]:.3g} against {found.file_rms[j]:.3g} {joint.unit('N m')}"
             worse.append(f"{joint.name} ({sizes})")
     note = (
         f"these logs are too short to judge the model at {', '.join(worse)}: fitted to"
@@ -148,7 +150,7 @@ def outside_notes(
     scenes, shown = found.ground.stage.scenes, found.model.shown()
     sliding = np.concatenate([scene.slides for scene in scenes])
     outside = np.concatenate(extrapolated(scenes)) & sliding
-    parts = zip(found.ground.base.whole, shown, strict=True)
+    parts = zip(found.ground.base.scene_bases, shown, strict=True)
     left = np.concatenate([whole.residual - effects for whole, effects in parts])
     notes = []
     for j, name in enumerate(robot.joint_names):

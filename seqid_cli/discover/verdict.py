@@ -55,12 +55,12 @@ def joint_states(
 def _state(
     found: Investigation, joint: int, many_floors: float, most_of_noise: float
 ) -> JointState:
-    if found.file.samples[joint] == 0:
+    if found.file_residual.samples[joint] == 0:
         return "unseen"
-    if joint in found.touched:
+    if joint in found.explained_joints:
         return "found"
 
-    left_by_file = found.start[joint]
+    left_by_file = found.file_rms[joint]
     if left_by_file <= min(most_of_noise, many_floors):
         return "noise"
     if found.floor.rms[joint] <= 0.0 or predicted_worse(found, joint):
@@ -138,8 +138,8 @@ def changed_values(
 def _changed_at(
     found: Investigation, robot: Robot, joint: int
 ) -> diagnosis.ChangedValues:
-    left_by_file = float(found.start[joint])
-    told = [taken.term for taken in found.found.taken]
+    left_by_file = float(found.file_rms[joint])
+    told = [taken.term for taken in found.selection.terms]
     causes = causes_at(found.model, joint, told)
     return diagnosis.ChangedValues(
         joint=robot.joint_names[joint],
@@ -162,7 +162,7 @@ def _described(cause: Cause, robot: Robot) -> diagnosis.ChangeCause:
 
 def _since(found: Investigation, joint: int) -> str | None:
     """Path of the first log that leaves more than noise; None where all do."""
-    left = found.file.rms_by_log[:, joint]
+    left = found.file_residual.rms_by_log[:, joint]
     stands_out = left > found.floor.high[joint]
     seen = np.isfinite(left)
     if np.array_equal(stands_out, seen):

@@ -78,12 +78,14 @@ def confirm(
     """
     robot, options = refinement.material.robot, refinement.material.options
     held_out, notes = usable_logs(held_out, robot)
-    motion = with_own_cutoffs(held_out, robot, refinement.came, options.motion)
+    motion = with_own_cutoffs(
+        held_out, robot, refinement.incoming_stages, options.motion
+    )
     errors = _Errors(logs=held_out, robot=robot, options=motion, whole=whole)
     steps, taken_out = _settled(refinement, errors, keep_unconfirmed=keep_unconfirmed)
 
-    model = steps[-1].model if steps else refinement.start
-    before = errors.of(refinement.came)
+    model = steps[-1].model if steps else refinement.incoming_model
+    before = errors.of(refinement.incoming_stages)
     after = errors.of_model(model) if steps else before
     floor = _floor(refinement, model, held_out, motion)
 
@@ -218,7 +220,8 @@ def _measured(
     robot = refinement.material.robot
     start = refinement.without(steps)
     errors.measure(
-        refinement.came, [start, *(model for step in steps for model in step.models)]
+        refinement.incoming_stages,
+        [start, *(model for step in steps for model in step.models)],
     )
     measured = []
     for step, last in zip(

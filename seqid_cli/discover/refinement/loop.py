@@ -22,7 +22,7 @@ from seqid_cli.discover.refinement.reidentify import (
 )
 from seqid_cli.discover.select.naming import reality
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Key, Taken
+from seqid_cli.discover.select.results import Key, TermResult
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.logs.recording import Recording
@@ -40,7 +40,7 @@ class Step:
     """What one round has added, and the model with it.
 
     A round adds one effect, at one joint or at several; or a smooth term. `rounds`
-    tells of each effect in the order of `effects`. `kept`: the stages stayed as they
+    tells of each effect in the order of `effects`. `keeps_stages`: the stages stayed as they
     were in the fit. Of several effects `beside` has, in the same order, the model with
     the others of the round alone.
     """
@@ -48,7 +48,7 @@ class Step:
     rounds: tuple[RefinementRound, ...]
     effects: tuple[Candidate, ...] = ()
     smooth: SmoothFunction | None = None
-    kept: bool
+    keeps_stages: bool
     model: Refitted
     beside: tuple[Refitted, ...] = ()
 
@@ -86,7 +86,7 @@ class Step:
                 before,
                 (*before.candidates, *effects),
                 late=before.late | ({effect.key for effect in effects} & late),
-                kept=self.kept,
+                kept=self.keeps_stages,
             )
 
         others: list[tuple[Candidate, ...]] = []
@@ -109,8 +109,8 @@ class Refinement:
     """
 
     material: Material  # what models are fitted to
-    came: Stages
-    start: Refitted  # the model as it came in
+    incoming_stages: Stages
+    incoming_model: Refitted  # the model as it came in
     steps: list[Step] = field(default_factory=list)
     refused: list[RefinementRound] = field(default_factory=list)
     untried: list[Candidate] = field(default_factory=list)
@@ -121,7 +121,7 @@ class Refinement:
     @property
     def model(self) -> Refitted:
         """The model as it stands."""
-        return self.steps[-1].model if self.steps else self.start
+        return self.steps[-1].model if self.steps else self.incoming_model
 
     @property
     def stages(self) -> Stages:
@@ -142,20 +142,20 @@ class Refinement:
     @cached_property
     def anew(self) -> Refitted:
         """The file identified anew with the training logs: what that gains is no effect's."""
-        start = self.start
+        start = self.incoming_model
         return refitted(
             self.material, start, start.candidates, late=start.late, kept=False
         )
 
     def without(self, steps: Sequence[Step]) -> Refitted:
         """Return what the first of some steps has to be better than."""
-        return self.start if not steps or steps[0].kept else self.anew
+        return self.incoming_model if not steps or steps[0].keeps_stages else self.anew
 
     def fitted_again(self, steps: Sequence[Step], later: Sequence[Step]) -> list[Step]:
         """Return steps and `later` ones, these fitted again to the training logs on top of them."""
         path = list(steps)
         for step in later:
-            before = path[-1].model if path else self.start
+            before = path[-1].model if path else self.incoming_model
             path.append(step.again(self.material, before))
         return path
 
@@ -226,78 +226,82 @@ class Judgement:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Account:
+class CandidateModel:
     """A model with the effects of one round more, and when these came.
 
     The effects of a round are one hypothesis, an effect at one joint or at several.
-    `taken` is what was selected, `added` the effects as they are to be fitted. `kept`:
+    `results` is what was selected, `effects` the effects as they are to be fitted. `keeps_stages`:
     the stages are right as they are, and the effects came after the file was
     identified.
     """
 
     loop: Refinement
-    taken: tuple[Taken, ...]
-    added: tuple[Candidate, ...]
-    kept: bool
+    results: tuple[TermResult, ...]
+    effects: tuple[Candidate, ...]
+    keeps_stages: bool
 
     @property
     def late(self) -> frozenset[Key]:
         """Effects of the model that came after the file was identified."""
-        new = {effect.key for effect in self.added} if self.kept else set()
+        new = {effect.key for effect in self.effects} if self.keeps_stages else set()
         return self.loop.model.late | new
 
     @cached_property
     def model(self) -> Refitted:
         """Fitted to all logs."""
         known = self.loop.model
-        candidates = (*known.candidates, *self.added)
+        candidates = (*known.candidates, *self.effects)
         material = self.loop.material
-        return refitted(material, known, candidates, late=self.late, kept=self.kept)
+        return refitted(
+            material, known, candidates, late=self.late, kept=self.keeps_stages
+        )
 
     @cached_property
     def without(self) -> Refitted:
         """The model as it stands; before the first effect by the same recipe as this one."""
-        return self.loop.model if self.kept or self.loop.added else self.loop.anew
+        return (
+            self.loop.model if self.keeps_stages or self.loop.added else self.loop.anew
+        )
 
     @cached_property
-    def others(self) -> tuple[Account, ...]:
-        """The account without each of its effects, one at a time."""
-        accounts = []
-        for number in range(len(self.added)):
-            left = [other for other in range(len(self.added)) if other != number]
-            accounts.append(
+    def without_each(self) -> tuple[CandidateModel, ...]:
+        """The candidate models without each of its effects, one at a time."""
+        candidate_models = []
+        for number in range(len(self.effects)):
+            left = [other for other in range(len(self.effects)) if other != number]
+            candidate_models.append(
                 replace(
                     self,
-                    taken=tuple(self.taken[other] for other in left),
-                    added=tuple(self.added[other] for other in left),
+                    results=tuple(self.results[other] for other in left),
+                    effects=tuple(self.effects[other] for other in left),
                 )
             )
-        return tuple(accounts)
+        return tuple(candidate_models)
 
-    def with_simpler(self, number: int) -> Account | None:
-        """Return the account with an effect's form of fewer coefficients, None if there is none."""
-        effect = self.added[number]
+    def with_simpler(self, number: int) -> CandidateModel | None:
+        """Return the model with an effect in a form of fewer coefficients, if any."""
+        effect = self.effects[number]
         settings = effect.effect.simpler(effect.settings)
         if settings is None:
             return None
         simpler = replace(effect, settings=settings)
         return replace(
-            self, added=(*self.added[:number], simpler, *self.added[number + 1 :])
+            self, effects=(*self.effects[:number], simpler, *self.effects[number + 1 :])
         )
 
     @cached_property
     def judgements(self) -> tuple[Judgement, ...]:
         """What the training logs say of each effect, all others of the model beside it."""
-        return tuple(map(self._judged, range(len(self.added))))
+        return tuple(map(self._judged, range(len(self.effects))))
 
     def _judged(self, number: int) -> Judgement:
         """Compare the model with one that is fitted without the effect."""
-        several = len(self.added) > 1
+        several = len(self.effects) > 1
         before = self.loop.error_of(
-            self.others[number].model if several else self.without
+            self.without_each[number].model if several else self.without
         )
         after = self.loop.error_of(self.model)
-        taken = self.taken[number]
+        taken = self.results[number]
         joints = joints_below(taken.term.channels, self.loop.material.robot.n)
 
         change = gain(before, after, joints)
@@ -306,12 +310,12 @@ class Account:
             by_chance=doubt(before, after, joints),
             likely=reality(max(change.value, taken.share), taken.evidence) > 0.5,
             shown=self._size(number) > 1.0,
-            unjudged=self.added[number].effect.wide,
+            unjudged=self.effects[number].effect.wide,
         )
 
     def _size(self, number: int) -> float:
         """Return an effect's coefficients over their errors, root mean square."""
-        key = self.added[number].key
+        key = self.effects[number].key
         fitted = [x for x in self.model.effects if isinstance(x, FittedEffect)]
         effect = next(
             (x for x in reversed(fitted) if (x.effect.name, x.joint) == key), None
@@ -346,7 +350,7 @@ class Account:
         """Number of the effect that is least worth it: with a fault, and of the least gain."""
         judgements = enumerate(self.judgements)
         faulty = [number for number, judgement in judgements if judgement.fault]
-        numbers = faulty or range(len(self.added))
+        numbers = faulty or range(len(self.effects))
         return min(numbers, key=lambda number: self.judgements[number].change.value)
 
     def fault_of(self, number: int) -> str:
@@ -361,35 +365,41 @@ class Account:
 class Decision:
     """What is added in a round, and what of it is refused.
 
-    `account` has the effects that are worth it, maybe none; `refused` are the others,
+    `candidate_model` has the effects that are worth it, maybe none; `refused` are the others,
     with how each was judged and why.
     """
 
-    account: Account
-    refused: tuple[tuple[Taken, Judgement, str], ...]
+    candidate_model: CandidateModel
+    refused: tuple[tuple[TermResult, Judgement, str], ...]
 
     @classmethod
-    def of(cls, account: Account) -> Decision:
+    def of(cls, candidate_model: CandidateModel) -> Decision:
         """Leave out, the weakest first, what is not worth it beside the rest of the round.
 
         An effect whose coefficients are smaller than their errors is first tried in
         simpler forms.
         """
         refused = []
-        while account.added and not account.accepted:
-            number = account.weakest
-            judgement = account.judgements[number]
+        while candidate_model.effects and not candidate_model.accepted:
+            number = candidate_model.weakest
+            judgement = candidate_model.judgements[number]
             unclear = judgement.gains and not judgement.shown
-            simpler = account.with_simpler(number) if unclear else None
+            simpler = candidate_model.with_simpler(number) if unclear else None
             if simpler is not None:
-                account = simpler
+                candidate_model = simpler
                 continue
-            refused.append((account.taken[number], judgement, account.fault_of(number)))
-            account = account.others[number]
-        return cls(account=account, refused=tuple(refused))
+            refused.append(
+                (
+                    candidate_model.results[number],
+                    judgement,
+                    candidate_model.fault_of(number),
+                )
+            )
+            candidate_model = candidate_model.without_each[number]
+        return cls(candidate_model=candidate_model, refused=tuple(refused))
 
 
-def effect_of(taken: Taken) -> Candidate:
+def effect_of(taken: TermResult) -> Candidate:
     """The effect that a term is."""
     assert isinstance(taken.term.what, Candidate)
     return taken.term.what

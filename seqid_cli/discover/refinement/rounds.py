@@ -24,7 +24,7 @@ from seqid_cli.discover.refinement.held_out import Gain, likelier
 from seqid_cli.discover.refinement.loop import (
     ALL_ALONG,
     LATE,
-    Account,
+    CandidateModel,
     Decision,
     Refinement,
     Step,
@@ -34,7 +34,7 @@ from seqid_cli.discover.refinement.reidentify import Material, Refitted, key_of
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Key, Taken
+from seqid_cli.discover.select.results import Key, TermResult
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.prediction.predict import slides_from
@@ -69,9 +69,14 @@ def refine(
     known = fitted_effects(file.stages, robot, unexplained=True)
     bare = msgspec.structs.replace(file.stages, effects=None)
     start = Refitted(bare, tuple(known), _late(file, known, robot))
-    loop = Refinement(material=material, came=file.stages, start=start, notes=notes)
+    loop = Refinement(
+        material=material,
+        incoming_stages=file.stages,
+        incoming_model=start,
+        notes=notes,
+    )
     found = investigate(material.now(start), robot, bare, options, least=0.0)
-    if found.found.effects or (options.with_unexplained and found.found.smooth):
+    if found.selection.effects or (options.with_unexplained and found.selection.smooth):
         loop.material = _heard(material, found)
         found = _add_effects(loop, found)
         if options.with_unexplained:
@@ -120,10 +125,10 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
     What lies above the low-pass at one setting is not tried at another.
     """
     tried, above = list[Candidate](), set[Key]()
-    rest, looked = [*map(effect_of, found.found.effects)], True
+    rest, looked = [*map(effect_of, found.selection.effects)], True
     while True:
         known = [*loop.model.candidates, *tried]
-        effects = [x for x in found.found.effects if effect_of(x).key not in above]
+        effects = [x for x in found.selection.effects if effect_of(x).key not in above]
         left = [x for x in effects if not any(map(effect_of(x).is_same_as, known))]
         if not left:
             break
@@ -142,17 +147,20 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
                 above.add(effect_of(taken).key)
         _write(loop, found, decision)
 
-        full = bool(decision.account.added) and len(found.model.terms) >= Options.most
+        full = (
+            bool(decision.candidate_model.effects)
+            and len(found.model.terms) >= Options.most
+        )
         ended = len(left) == len(hypothesis) and (full or not looked)
         if loop.model.stages is not stages or ended:
             model, material = loop.model, loop.material
             asked = material.now(model), material.robot, model.stages, material.options
             found, looked = investigate_beside(found, *asked, candidates=rest)
-            rest = [*map(effect_of, found.found.effects)] if looked else rest
+            rest = [*map(effect_of, found.selection.effects)] if looked else rest
     return found
 
 
-def _one_hypothesis(left: Sequence[Taken]) -> tuple[Taken, ...]:
+def _one_hypothesis(left: Sequence[TermResult]) -> tuple[TermResult, ...]:
     """Return the effect of the largest evidence, at all joints at which it is found, once at each.
 
     One of the whole arm stands by itself.
@@ -162,7 +170,7 @@ def _one_hypothesis(left: Sequence[Taken]) -> tuple[Taken, ...]:
     if first.term.joint is None:
         return (first,)
 
-    at_joint: dict[int, Taken] = {}
+    at_joint: dict[int, TermResult] = {}
     for taken in ranked:
         if taken.term.name == first.term.name and taken.term.joint is not None:
             at_joint.setdefault(taken.term.joint, taken)
@@ -180,23 +188,25 @@ def _each_once(effects: Sequence[Candidate]) -> list[Candidate]:
 
 def _write(loop: Refinement, found: Investigation, decision: Decision) -> None:
     """Write down what a round has added and what it has refused."""
-    account = decision.account
-    if account.added:
-        reason = LATE if account.kept else ALL_ALONG
+    candidate_model = decision.candidate_model
+    if candidate_model.effects:
+        reason = LATE if candidate_model.keeps_stages else ALL_ALONG
         number = loop.added + 1
         entries = [
             _round(loop, found, taken, number=number, reason=reason)
-            for taken in account.taken
+            for taken in candidate_model.results
         ]
-        several = len(account.added) > 1
+        several = len(candidate_model.effects) > 1
         loop.steps.append(
             Step(
                 rounds=tuple(entries),
-                effects=account.added,
-                kept=account.kept,
-                model=account.model,
+                effects=candidate_model.effects,
+                keeps_stages=candidate_model.keeps_stages,
+                model=candidate_model.model,
                 beside=(
-                    tuple(other.model for other in account.others) if several else ()
+                    tuple(other.model for other in candidate_model.without_each)
+                    if several
+                    else ()
                 ),
             )
         )
@@ -216,19 +226,23 @@ def quiet(
 
 
 def _decided(
-    loop: Refinement, found: Investigation, hypothesis: tuple[Taken, ...]
+    loop: Refinement, found: Investigation, hypothesis: tuple[TermResult, ...]
 ) -> Decision:
     """Decide whether effects were there all along, or came late, and which of them are added.
 
-    What is in the file's own logs was there all along. Else the account holds that
+    What is in the file's own logs was there all along. Else the candidate model holds that
     explains the logs of all stages better; without these the one that the base speaks
     for. Every stage again is costly, and not asked for where nothing speaks for it.
     """
     candidates = tuple(map(effect_of, hypothesis))
     # Beside a file that has absorbed nothing of them.
     plain = tuple(replace(candidate, absorbed="") for candidate in candidates)
-    after = Account(loop=loop, taken=hypothesis, added=plain, kept=True)
-    early = Account(loop=loop, taken=hypothesis, added=candidates, kept=False)
+    after = CandidateModel(
+        loop=loop, results=hypothesis, effects=plain, keeps_stages=True
+    )
+    early = CandidateModel(
+        loop=loop, results=hypothesis, effects=candidates, keeps_stages=False
+    )
 
     hold, n = found.model.hold, found.ground.n
     channels = frozenset[int]().union(*(taken.term.channels for taken in hypothesis))
@@ -240,33 +254,33 @@ def _decided(
 
     had = [*loop.model.candidates, *candidates]
     # What the model has not may have made up for the file there.
-    near = [x for x in found.found.taken if x.term.channels & channels]
+    near = [x for x in found.selection.terms if x.term.channels & channels]
     made_up = any(
         x.term.smooth or not any(map(effect_of(x).is_same_as, had)) for x in near
     )
     late = Decision.of(after)
-    if not (loop.logs_before and (late.account.added or freed or made_up)):
+    if not (loop.logs_before and (late.candidate_model.effects or freed or made_up)):
         return late
     along = Decision.of(early)
-    if not late.account.added or not along.account.added:
+    if not late.candidate_model.effects or not along.candidate_model.effects:
         # Nothing to compare: the errors of both with all effects of the hypothesis
         # decide.
         models = after.model, early.model
     else:
-        models = late.account.model, along.account.model
+        models = late.candidate_model.model, along.candidate_model.model
     errors = (loop.error_everywhere(model) for model in models)
     return late if likelier(*errors) else along
 
 
-def _predicted(taken: Taken) -> Gain:
+def _predicted(taken: TermResult) -> Gain:
     """Share of the squared error on blocks that were left out, which the selection went by."""
-    return Gain(taken.one.predicted.share, *taken.one.predicted.interval)
+    return Gain(taken.scored.score.share, *taken.scored.score.interval)
 
 
 def _round(
     loop: Refinement,
     found: Investigation,
-    taken: Taken,
+    taken: TermResult,
     *,
     number: int | None = None,
     reason: str,
@@ -288,7 +302,7 @@ def _round(
 
 def _add_smooth(loop: Refinement, found: Investigation) -> None:
     """Add smooth terms of no known cause where they predict left-out blocks."""
-    for taken in found.found.smooth:
+    for taken in found.selection.smooth:
         if not _predicted(taken).certain:
             reason = "does not certainly predict left-out blocks better"
             loop.refused.append(_round(loop, found, taken, reason=reason))
@@ -296,12 +310,12 @@ def _add_smooth(loop: Refinement, found: Investigation) -> None:
 
         what, model = taken.term.what, loop.model
         assert isinstance(what, SmoothFunction)
-        term = what.fitted(taken.one.gained.coefficients[: what.size])
+        term = what.fitted(taken.scored.fit.coefficients[: what.size])
         loop.steps.append(
             Step(
                 rounds=(_round(loop, found, taken, number=loop.added + 1, reason=""),),
                 smooth=what,
-                kept=True,
+                keeps_stages=True,
                 model=replace(model, effects=(*model.effects, term)),
             )
         )

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.naming import TOLD, reality, shares_of, tempered
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Taken, Weighed
+from seqid_cli.discover.select.results import TermInModel, TermResult
 from seqid_cli.discover.select.search import Search
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.model.effects.registry import catalogue_of
@@ -36,21 +36,21 @@ MOST_ERRORS = 3.0  # of the file, by which its values may be off for want of sta
 OF_A_SET = 0.5
 
 
-class WeighedAgainstFile(Weighed):
+class TermAgainstFile(TermInModel):
     """A term beside a base that leaves the file by its errors only, with and without the term."""
 
     @cached_property
     def evidence(self) -> float:
         """Log evidence for it."""
         margin = self.model.margin(self.linear, MOST_ERRORS)
-        return min(self.one.predicted.total, margin)
+        return min(self.scored.score.total, margin)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValueChange:
     """A change of the file's values that stands for several terms, or for a base that left it."""
 
-    taken: Taken
+    taken: TermResult
     instead_of: tuple[Term, ...]  # terms of the model that are not told beside it
 
 
@@ -63,7 +63,7 @@ def held_to_file(model: Model, terms: Sequence[Term]) -> Model:
 
 
 def value_changes(
-    selection: Selection, told: Sequence[Taken], least: float
+    selection: Selection, told: Sequence[TermResult], least: float
 ) -> list[ValueChange]:
     """Find the changes of values that are hidden by other terms, or by a base that left the file.
 
@@ -71,7 +71,7 @@ def value_changes(
     ----------
     selection : Selection
         The finished one.
-    told : sequence of Taken
+    told : sequence of TermResult
         Terms that are told, each judged beside all others.
     least : float
         Probability from which a change is told.
@@ -120,7 +120,7 @@ def causes_at(model: Model, joint: int, terms: Sequence[Term]) -> list[Cause]:
     search = Search(bare, changes)
     tried = [one for place in (joint, None) for one in search.effects_at(place, bare)]
     able = [one for one in tried if one.evidence > 0.0 and joint in one.term.channels]
-    gains = bare.linear.predicted([one.term.part for one in able])
+    gains = bare.linear.scores([one.term.part for one in able])
     by_name = {one.term.name: gain for one, gain in zip(able, gains, strict=True)}
     if not by_name:
         return []
@@ -157,7 +157,7 @@ def _at_place(
     others = [term for term in model.terms if term not in group]
     bare = held_to_file(model, others)
     alone = [
-        one for one in selection.alone_at(joint, bare) if one.gained.evidence > 0.0
+        one for one in selection.alone_at(joint, bare) if one.fit.log_bayes_factor > 0.0
     ]
     changes = [one for one in alone if one.term.change and one.term.joint == joint]
     if not changes:
@@ -165,13 +165,13 @@ def _at_place(
     first = changes[0]
     stands = selection.as_good(first, alone[0])
     if not stands and len(unsure) == len(group):
-        best = max(one.predicted.total for one in alone if not one.term.smooth)
-        stands = first.predicted.total >= OF_A_SET * best
+        best = max(one.score.total for one in alone if not one.term.smooth)
+        stands = first.score.total >= OF_A_SET * best
     if not stands:
         return None
 
     with_change = held_to_file(model, [*others, first.term])
-    weighed = WeighedAgainstFile(first.term, with_change)
+    weighed = TermAgainstFile(first.term, with_change)
     if not selection.is_told(weighed, least):
         return None
     return ValueChange(taken=selection.taken_of(weighed), instead_of=tuple(unsure))

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 
 from seqid_cli.discover.select import algebra
-from seqid_cli.discover.select.rows import Gained, Part, Predicted, Rows
+from seqid_cli.discover.select.rows import ColumnGroup, Observations, Score, TermFit
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Index
 
@@ -37,17 +37,17 @@ BATCH = 200  # terms that are tried at once
 Solved = tuple[algebra.Factor, Array]  # factor and parameters (p,)
 
 
-class Linear:
+class LinearModel:
     """Parts of a model, fitted to rows of precision `weight` (M_c,) [1 / (N m)^2] by channel."""
 
     def __init__(
-        self, rows: Rows, parts: Sequence[Part], weight: Sequence[Array]
+        self, rows: Observations, parts: Sequence[ColumnGroup], weight: Sequence[Array]
     ) -> None:
         self.rows, self.parts, self.weight = rows, tuple(parts), tuple(weight)
         self.where = _slices(part.size for part in self.parts)
         self.size = sum(part.size for part in self.parts)
         self._own = list(map(self._of_channel, range(len(rows.y))))
-        self._known: dict[int, tuple[Gained, Predicted]] = {}  # by parts of the model
+        self._known: dict[int, tuple[TermFit, Score]] = {}  # by parts of the model
 
     @cached_property
     def _root(self) -> list[Array]:
@@ -57,7 +57,7 @@ class Linear:
     def _y(self) -> list[Array]:
         return [y * root for y, root in zip(self.rows.y, self._root, strict=True)]
 
-    def without(self, *gone: Part) -> Linear:
+    def without(self, *gone: ColumnGroup) -> LinearModel:
         """The model without some of its parts; the products of all rows are taken on."""
         kept = [
             k
@@ -66,7 +66,7 @@ class Linear:
         ]
         index = np.concatenate([np.arange(self.size)[self.where[k]] for k in kept])
         A, b = self.sums
-        fewer = Linear(self.rows, [self.parts[k] for k in kept], self.weight)
+        fewer = LinearModel(self.rows, [self.parts[k] for k in kept], self.weight)
         fewer.sums = A[np.ix_(index, index)], b[index]
         return fewer
 
@@ -88,14 +88,16 @@ class Linear:
         P = np.zeros((self.size, self.size))
         for part, where in zip(self.parts, self.where, strict=True):
             P[where, where] = (
-                part.precision if file or part.apart is None else part.apart
+                part.precision
+                if file or part.precision_without_file is None
+                else part.precision_without_file
             )
         return P
 
-    def in_file(self, part: Part) -> Array:
+    def in_file(self, part: ColumnGroup) -> Array:
         """Parameters (p, k) that the file has per unit of a part's coefficients."""
         R = np.zeros((self.size, part.size))
-        for number, own in part.in_file.items():
+        for number, own in part.absorbed_by_file.items():
             first = self.where[number].start
             R[first : first + len(own), : own.shape[1]] = own
         return R
@@ -105,7 +107,7 @@ class Linear:
         """The matrix (p, p) that makes of parameters what is held: they and what the file has."""
         U = np.eye(self.size)
         for part, where in zip(self.parts, self.where, strict=True):
-            if part.in_file:
+            if part.absorbed_by_file:
                 U[:, where] += self.in_file(part)
         return U
 
@@ -116,7 +118,7 @@ class Linear:
 
     def _coupled(self, held: Array) -> Array:
         """Precision (p, p) of the parameters, from that of what is held."""
-        coupled = any(part.in_file for part in self.parts)
+        coupled = any(part.absorbed_by_file for part in self.parts)
         return np.asarray(self.lift.T @ held @ self.lift) if coupled else held
 
     @cached_property
@@ -187,7 +189,7 @@ class Linear:
         """Covariance (p, p) of `theta`."""
         return self._solved(self._whole[0], np.eye(self.size))
 
-    def _at(self, part: Part) -> slice:
+    def _at(self, part: ColumnGroup) -> slice:
         return next(w for p, w in zip(self.parts, self.where, strict=True) if p is part)
 
     def jackknife(self, at: slice) -> Array:
@@ -196,7 +198,7 @@ class Linear:
         off = values - values.mean(axis=0)
         return np.asarray((1.0 - 1.0 / len(values)) * off.T @ off)
 
-    def again(self, part: Part) -> tuple[Gained, Predicted]:
+    def again(self, part: ColumnGroup) -> tuple[TermFit, Score]:
         """What a part of the model does beside all others, as it was tried before it was taken.
 
         The log Bayes factor is the density of its coefficients at zero, beforehand over
@@ -218,11 +220,11 @@ class Linear:
             )
             seen = np.trace(np.linalg.inv(S) - part.precision)
             visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
-            told = Predicted(value - np.array(others), rows, value - alone)
-            self._known[id(part)] = Gained(value, a, S, max(visible, 0.0)), told
+            told = Score(value - np.array(others), rows, value - alone)
+            self._known[id(part)] = TermFit(value, a, S, max(visible, 0.0)), told
         return self._known[id(part)]
 
-    def varied(self, part: Part, *, spread: float = 0.3) -> float:
+    def varied(self, part: ColumnGroup, *, spread: float = 0.3) -> float:
         """Log evidence that a part has another size in every block, by a share of `spread`."""
         at, blocks = self._at(part), self.rows.blocks
         C, D, d = np.zeros((self.size, blocks)), np.zeros(blocks), np.zeros(blocks)
@@ -270,7 +272,7 @@ class Linear:
             np.concatenate([*map(self._left, repeat(c), at, fits)]) for c, at in every
         ]
 
-    def torque_beside_file(self, part: Part, channel: int) -> Array:
+    def torque_beside_file(self, part: ColumnGroup, channel: int) -> Array:
         """Torque (M_c,) N m of a part at a channel less what the file has absorbed of it."""
         own = self._at(part)
         theta = -self.in_file(part) @ self.theta[own]
@@ -285,7 +287,7 @@ class Linear:
             first += own.shape[1]
         return left
 
-    def gained(self, terms: Sequence[Part]) -> list[Gained]:
+    def fits(self, terms: Sequence[ColumnGroup]) -> list[TermFit]:
         """Try each term by itself."""
         found = []
         for first in range(0, len(terms), BATCH):
@@ -294,7 +296,7 @@ class Linear:
             found += self._given(self._whole, crossed, self._with_file(crossed))
         return found
 
-    def predicted(self, terms: Sequence[Part]) -> list[Predicted]:
+    def scores(self, terms: Sequence[ColumnGroup]) -> list[Score]:
         """Try each term by itself on every block, all fitted to the other blocks."""
         if not terms:
             return []
@@ -311,7 +313,7 @@ class Linear:
             Z, left[k] = self._halved(factor, rest), d - crossed.d[k] - rest.T @ theta
             for S, at in zip(seen, crossed.where, strict=True):
                 S[k] = Z[:, at].T @ Z[:, at]
-        rows, found = self.rows.independent, list[Predicted]()
+        rows, found = self.rows.independent, list[Score]()
         for i, (term, at, own) in enumerate(
             zip(terms, crossed.where, crossed.D, strict=True)
         ):
@@ -319,11 +321,13 @@ class Linear:
                 whole[i] - own - seen[i], left[:, at], term.precision
             )[0]
             density, here = (
-                every[i].evidence - others,
+                every[i].log_bayes_factor - others,
                 rows[sorted(term.columns)].sum(axis=0),
             )
             found.append(
-                Predicted(density, here, every[i].evidence - alone[i].evidence)
+                Score(
+                    density, here, every[i].log_bayes_factor - alone[i].log_bayes_factor
+                )
             )
         return found
 
@@ -332,7 +336,7 @@ class Linear:
     ) -> tuple[Array, list[Array]]:
         """C (p, m) and D (k, k) of all blocks and of what is held, with or without the file."""
         C, _, whole = crossed.whole
-        if not any(term.in_file for term in crossed.terms):
+        if not any(term.absorbed_by_file for term in crossed.terms):
             return C, whole
         R = np.hstack([self.in_file(term) for term in crossed.terms])
         PR = self._blocks(file=file) @ R
@@ -344,7 +348,7 @@ class Linear:
 
     def _given(
         self, solved: Solved, crossed: _Crossed, told: tuple[Array, list[Array]]
-    ) -> list[Gained]:
+    ) -> list[TermFit]:
         """What each term by itself does to a solved model, with the products C and D."""
         (factor, theta), (C, coupled), (_, d, whole) = solved, told, crossed.whole
         Z, left = self._halved(factor, C), d - C.T @ theta
@@ -355,11 +359,11 @@ class Linear:
             S = D - Z[:, at].T @ Z[:, at]
             value, a, covariance = algebra.bayes_factor(S, left[at], term.precision)
             visible = float(np.trace(S) / max(float(np.trace(own)), 1e-300))
-            found.append(Gained(float(value), a, covariance, max(visible, 0.0)))
+            found.append(TermFit(float(value), a, covariance, max(visible, 0.0)))
         return found
 
     def _crossed(
-        self, terms: Sequence[Part], at: Sequence[Sequence[slice]]
+        self, terms: Sequence[ColumnGroup], at: Sequence[Sequence[slice]]
     ) -> _Crossed:
         """Products of terms with all else, over some slices of each channel's rows."""
         where = _slices(term.size for term in terms)
@@ -406,7 +410,7 @@ class Linear:
 class _Crossed:
     """Products of terms with the model's columns, the rows and themselves, block by block."""
 
-    terms: Sequence[Part]
+    terms: Sequence[ColumnGroup]
     where: list[slice]
     C: Array  # (blocks, p, m)
     d: Array  # (blocks, m)

@@ -10,17 +10,17 @@ import numpy as np
 
 from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import Base, base_of
-from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
+from seqid_cli.discover.candidates import Candidate, CandidateColumns, candidates_of
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
-from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.noise import Noise, settled
-from seqid_cli.discover.select.rows import Part, Rows
+from seqid_cli.discover.select.rows import ColumnGroup, Observations
 from seqid_cli.discover.select.smooth import smooth_functions, smooth_products
 from seqid_cli.discover.select.terms import Term, effects, smooth_term
 from seqid_cli.discover.select.tuning import NEAR, Tuner
-from seqid_cli.discover.survey.rows import Rows as SurveyRows
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.motion.torque_noise import DETAIL
 from seqid_cli.params.schema import Stages
 from seqid_cli.typing import Array
@@ -29,19 +29,19 @@ SCALES = (1.0, 3.0, 10.0, 30.0)  # of the file's errors, of which the evidence c
 
 
 @dataclass(frozen=True)
-class Hold:
+class PriorScale:
     """By how many of the file's errors rigid body and `own` friction of each joint may move."""
 
     rigid: float = 1.0
-    own: tuple[float, ...] = ()
+    friction: tuple[float, ...] = ()
 
     def of(self, joint: int) -> float:
         """By how much friction of a joint may move."""
-        return self.own[joint] if self.own else self.rigid
+        return self.friction[joint] if self.friction else self.rigid
 
-    def others(
+    def alternatives(
         self, number: int, joints: int, loosest: float = SCALES[-1]
-    ) -> Iterator[Hold]:
+    ) -> Iterator[PriorScale]:
         """The same with the rigid body (0), or friction of a joint (from 1), held otherwise.
 
         None by more than `loosest` of the file's errors.
@@ -51,13 +51,13 @@ class Hold:
             if scale != [self.rigid, *own][number]:
                 each = [*own[: number - 1], scale, *own[number:]] if number else own
                 yield replace(
-                    self, rigid=self.rigid if number else scale, own=tuple(each)
+                    self, rigid=self.rigid if number else scale, friction=tuple(each)
                 )
 
-    def capped(self, most: float) -> Hold:
+    def capped(self, most: float) -> PriorScale:
         """The same where nothing may move by more than so many of the file's errors."""
-        own = tuple(min(scale, most) for scale in self.own)
-        return replace(self, rigid=min(self.rigid, most), own=own)
+        own = tuple(min(scale, most) for scale in self.friction)
+        return replace(self, rigid=min(self.rigid, most), friction=own)
 
     def doubt(self, joints: int, *, spread: float = 0.8) -> float:
         """Log odds against standard errors that are so many times too small, part by part.
@@ -71,26 +71,26 @@ class Hold:
         )
 
 
-HELD = Hold()
-FREE = Hold(max(SCALES))
-FIRM = Hold(0.1)
+HELD = PriorScale()
+FREE = PriorScale(max(SCALES))
+FIRM = PriorScale(0.1)
 
 
 @dataclass(frozen=True)
 class Ground:
     """What does not change during a selection: rows of all joints, below and above the cut-off."""
 
-    stage: Stage
+    stage: CandidateColumns
     base: Base
-    rows: Rows
+    rows: Observations
     size: Array  # (channels,) N m, what the file leaves
     _smooth: dict[tuple[int, bool], list[Term]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, own: SurveyRows, stages: Stages) -> Ground:
+    def of(cls, own: Rows, stages: Stages) -> Ground:
         """Rows of all logs, and what they have to be explained by beside the file's stages."""
         base = base_of(own, stages)
-        stage = Stage(own, FileTrials(own.scenes[0], base, stages))
+        stage = CandidateColumns(own, FileTrials(own.scenes[0], base, stages))
         high, drive = stage.high, stage.drive
         below, y = (
             [own.blocks_of(j) for j in range(own.n)],
@@ -101,7 +101,7 @@ class Ground:
         views = tuple(
             1 + (c // own.n != 1 and drive.of(c % own.n)) for c in range(len(y))
         )
-        rows = Rows(y, (*below, *high.block, *seen), len(own.fold), views)
+        rows = Observations(y, (*below, *high.block, *seen), len(own.fold), views)
         return cls(stage, base, rows, np.maximum(size, 1e-12))
 
     @property
@@ -128,7 +128,7 @@ class Ground:
             ]
         return self._smooth[key]
 
-    def precision(self, hold: Hold, number: int) -> Array:
+    def precision(self, hold: PriorScale, number: int) -> Array:
         """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""
         scale = hold.of(number - 1) if number else hold.rigid
         rows = np.vstack(
@@ -136,20 +136,24 @@ class Ground:
         )
         return rows.T @ rows
 
-    def parts(self, hold: Hold, free: Sequence[bool]) -> list[Part]:
+    def parts(self, hold: PriorScale, free: Sequence[bool]) -> list[ColumnGroup]:
         """The base: rigid body, friction by joint, nuisance terms where they are `free`."""
         base, stage, joints, n = self.base, self.stage, range(self.n), self.n
         drives = [j for j in joints if stage.drive.of(j)]
         rigid, *friction = [self.precision(hold, number) for number in range(1 + n)]
         bare, *own = [np.diag(bound**2) for bound in base.bounds]
         nuisances = [
-            Part(dict(rows.columns) if shown else {}, base.nuisance_precision(rows))
+            ColumnGroup(
+                dict(rows.columns) if shown else {}, base.nuisance_precision(rows)
+            )
             for rows, shown in zip(base.nuisances, free, strict=True)
         ]
         return [
-            Part(dict(enumerate(base.rigid)), rigid, bare),
+            ColumnGroup(dict(enumerate(base.rigid)), rigid, bare),
             *(
-                Part(stage.with_drive({j: base.friction[j]}), friction[j], own[j])
+                ColumnGroup(
+                    stage.with_drive({j: base.friction[j]}), friction[j], own[j]
+                )
                 for j in joints
             ),
             *nuisances,
@@ -161,7 +165,7 @@ class Model:
     """Base and terms, fitted together with the noise that they leave."""
 
     def __init__(
-        self, ground: Ground, hold: Hold, candidates: Sequence[Candidate] = ()
+        self, ground: Ground, hold: PriorScale, candidates: Sequence[Candidate] = ()
     ) -> None:
         self.ground, self.hold = ground, hold
         self.terms: list[Term] = []
@@ -195,7 +199,7 @@ class Model:
         self.settle()
         return best is not first
 
-    def margin(self, without: Linear, loosest: float = SCALES[-1]) -> float:
+    def margin(self, without: LinearModel, loosest: float = SCALES[-1]) -> float:
         """Log evidence against the model without a term, its base held as explains it best.
 
         It may leave the file by up to `loosest` of the file's errors.
@@ -204,17 +208,17 @@ class Model:
         return own - self._best_hold(without, loosest)[1]
 
     def _best_hold(
-        self, linear: Linear, loosest: float = SCALES[-1]
-    ) -> tuple[Hold, float]:
+        self, linear: LinearModel, loosest: float = SCALES[-1]
+    ) -> tuple[PriorScale, float]:
         """The hold that the evidence prefers, part by part, and its evidence less its doubt."""
         n = self.ground.n
         best, most = self.hold, linear.evidence - self.hold.doubt(n)
-        model, known = Loosened(linear), most + self.hold.doubt(n)
+        model, known = PriorUpdate(linear), most + self.hold.doubt(n)
         for number, at in enumerate(linear.where[: 1 + n]):
             first = best
             held, gains = self.ground.precision(first, number), {first: 0.0}
-            for hold in first.others(number, n, loosest):
-                gains[hold] = model.gained(
+            for hold in first.alternatives(number, n, loosest):
+                gains[hold] = model.evidence_gain(
                     at, held, self.ground.precision(hold, number)
                 )
                 if known + gains[hold] - hold.doubt(n) > most:
@@ -247,13 +251,13 @@ class Model:
         """Where a term's coefficients stand in the solution."""
         return self.linear.where[len(self._base) + self.terms.index(term)]
 
-    def under(self, noise: Noise, terms: Sequence[Term] | None = None) -> Linear:
+    def under(self, noise: Noise, terms: Sequence[Term] | None = None) -> LinearModel:
         """The model, or the base and some terms, under another noise."""
         own = [term.part for term in (self.terms if terms is None else terms)]
         parts = [*self._base, *own, *noise.slow(self.ground.stage)]
-        return Linear(self.ground.rows, parts, noise.weight)
+        return LinearModel(self.ground.rows, parts, noise.weight)
 
-    def beside(self, *terms: Term) -> Linear:
+    def beside(self, *terms: Term) -> LinearModel:
         """The model without some terms, the noise as it is."""
         rest = [one for one in self.terms if one not in terms]
         if not set(rest) <= set(self._fitted):
@@ -354,7 +358,10 @@ class Model:
     def left(self, without: Term | None = None) -> list[Array]:
         """What is left (N, n) N m without a term, by scene; zero where a joint may stick."""
         parts = zip(
-            self.ground.base.whole, self.deviation, self.shown(without), strict=True
+            self.ground.base.scene_bases,
+            self.deviation,
+            self.shown(without),
+            strict=True,
         )
         return [
             np.where(own.scene.slides, own.residual - b - t, 0.0) for own, b, t in parts
@@ -387,7 +394,7 @@ class Model:
         return np.asarray(white * np.outer(wider, wider))
 
 
-class Loosened:
+class PriorUpdate:
     """A solved model while parts of what is held get other precisions, one after the other.
 
     With C the covariance of some of it, t their values and D what their precision grows
@@ -395,12 +402,12 @@ class Loosened:
     log det(1 + D C) - t' (1 + D C)^-1 D t) / 2.
     """
 
-    def __init__(self, linear: Linear) -> None:
+    def __init__(self, linear: LinearModel) -> None:
         self.theta = linear.held
         self.covariance = linear.lift @ linear.covariance @ linear.lift.T
         self._told = np.diag(linear.sums[0])  # by the rows
 
-    def gained(self, at: slice, before: Array, after: Array) -> float:
+    def evidence_gain(self, at: slice, before: Array, after: Array) -> float:
         """Log evidence that other precisions (k, k) of some parameters gain."""
         t, K, spread = self.theta[at], *self._change(at, after - before)
         grown = self._half_log_det(at, after) - self._half_log_det(at, before)

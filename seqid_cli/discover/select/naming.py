@@ -10,7 +10,7 @@ is exactly the effect's, and of a large effect the rows tell laws apart that dif
 less than the effect's own does from its law. Smooth functions have no part in it: where
 one is clearly better than all effects, it is what the selection takes. An effect that
 looks alike and that these logs lack the channels for cannot be ruled out: it is as
-likely as the name. Effects of `Taken.instead` count by their evidence.
+likely as the name. Effects of `TermResult.alternatives` count by their evidence.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Taken
+from seqid_cli.discover.select.results import TermResult
 from seqid_cli.typing import Array
 
 TOLD = 0.7  # probability from which something is told
@@ -30,7 +30,7 @@ BEHIND = -float(logit(Options.doubt))  # log odds against a rival that is not to
 
 
 @dataclass(frozen=True)
-class Named:
+class NameConfidence:
     """How sure a name is: it or one of `others`, and it by itself."""
 
     confidence: float
@@ -65,20 +65,20 @@ def steadiness(varied: float, share: float, left: float) -> float:
     return float(1.0 - 0.5 * expit(varied) * above)
 
 
-def named(taken: Taken, left: float = 1.0) -> Named:
+def named(taken: TermResult, left: float = 1.0) -> NameConfidence:
     """How sure a term is to be there, and to be what its name says; `left` as in `steadiness`."""
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
     others = {name: share for name, share in shares.items() if share > Options.doubt}
     there = reality(taken.share, taken.evidence) * steadiness(
-        taken.varied, taken.share, left
+        taken.log_evidence_of_variation, taken.share, left
     )
     every = (*others, *(name for name in taken.untried if name not in others))
     by_itself = there * own / (1.0 + len(taken.untried))
-    return Named(there * (own + sum(others.values())), by_itself, every)
+    return NameConfidence(there * (own + sum(others.values())), by_itself, every)
 
 
-def probable_names(taken: Taken, *, of_most: float = 0.5) -> set[str]:
+def probable_names(taken: TermResult, *, of_most: float = 0.5) -> set[str]:
     """Names that may head a finding; all of them, unless the most probable one is a change.
 
     A change of the file's values adds no law: its parameters are the model's own. So a
@@ -96,14 +96,14 @@ def probable_names(taken: Taken, *, of_most: float = 0.5) -> set[str]:
     return {name for name, share in shares.items() if share >= of_most * shares[first]}
 
 
-def _shares(taken: Taken) -> dict[str, float]:
+def _shares(taken: TermResult) -> dict[str, float]:
     """Probability of each name."""
-    scale, gains = tempered(taken.one.predicted.total), dict[str, Array]()
+    scale, gains = tempered(taken.scored.score.total), dict[str, Array]()
     for rival in (rival for rival in taken.rivals if not rival.term.smooth):
-        name, own = rival.term.name, rival.predicted.drawn / scale
+        name, own = rival.term.name, rival.score.drawn / scale
         gains[name] = np.maximum(gains.get(name, own), own)
     if taken.term.name in gains:
-        for name, behind in taken.instead.items():
+        for name, behind in taken.alternatives.items():
             own = gains[taken.term.name] - behind / scale
             gains[name] = np.maximum(gains.get(name, own), own)
     return shares_of(gains)

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from seqid_cli.discover.candidates import Stage
-from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.rows import ALIKE, Part, Rows
+from seqid_cli.discover.candidates import CandidateColumns
+from seqid_cli.discover.select.linear import LinearModel
+from seqid_cli.discover.select.rows import ALIKE, ColumnGroup, Observations
 from seqid_cli.typing import Array, Index
 
 ROUNDS = 3
@@ -30,7 +30,7 @@ class Noise:
     sigma: Array
     weight: tuple[Array, ...]
 
-    def slow(self, stage: Stage) -> list[Part]:
+    def slow(self, stage: CandidateColumns) -> list[ColumnGroup]:
         """What of it is slower than a block of time, by joint."""
         n = stage.rows.n
         below = [
@@ -41,17 +41,20 @@ class Noise:
 
 
 def settled(
-    stage: Stage, rows: Rows, size: Array, parts: Sequence[Part]
-) -> tuple[Linear, Noise]:
+    stage: CandidateColumns,
+    rows: Observations,
+    size: Array,
+    parts: Sequence[ColumnGroup],
+) -> tuple[LinearModel, Noise]:
     """Fit a model and its noise in turn."""
     windows, every = _windows(stage), zip(rows.y, size, strict=True)
     noise = Noise(size, tuple(np.full(len(y), 1.0 / s**2) for y, s in every))
-    linear = Linear(rows, parts, noise.weight)
+    linear = LinearModel(rows, parts, noise.weight)
     for _ in range(ROUNDS):
         noise = _of_residual(
             linear.residual(), noise.sigma, windows, stage, rows.shared
         )
-        linear = Linear(rows, [*parts, *noise.slow(stage)], noise.weight)
+        linear = LinearModel(rows, [*parts, *noise.slow(stage)], noise.weight)
     return linear, noise
 
 
@@ -59,7 +62,7 @@ def _of_residual(
     left: Sequence[Array],
     sigma: Array,
     windows: Sequence[Index],
-    stage: Stage,
+    stage: CandidateColumns,
     views: Array,
 ) -> Noise:
     """Noise of every channel; what two channels show counts half in each."""
@@ -91,8 +94,13 @@ def _student(
 
 
 def slow_noise(
-    stage: Stage, channel: int, size: float, *, slow: float = 0.3, waves: int = 4
-) -> Part:
+    stage: CandidateColumns,
+    channel: int,
+    size: float,
+    *,
+    slow: float = 0.3,
+    waves: int = 4,
+) -> ColumnGroup:
     """Torque noise that is slower than a block of time: an offset and cosines, of 1/f power.
 
     Each log has its own `waves` functions, whose torque is `slow` times `size`, the
@@ -108,10 +116,12 @@ def slow_noise(
     wide = np.asarray(block_diag(*own))
     power = 1.0 / np.maximum(order, 0.5)
     variance = 2.0 * (slow * size) ** 2 * power / np.sum(power)
-    return Part({channel: wide}, np.diag(np.tile(1.0 / variance, len(rows.scenes))))
+    return ColumnGroup(
+        {channel: wide}, np.diag(np.tile(1.0 / variance, len(rows.scenes)))
+    )
 
 
-def _windows(stage: Stage, *, window_s: float = 0.3) -> list[Index]:
+def _windows(stage: CandidateColumns, *, window_s: float = 0.3) -> list[Index]:
     """Window (M_j,) of every row of a joint, whose rows share a weight."""
     rows, every, first = stage.rows, list[Index](), 0
     for scene, picked in zip(rows.scenes, rows.picked, strict=True):

@@ -23,7 +23,7 @@ DRAWS, SEED = 400, 0  # of weights of the blocks
 
 
 @dataclass(frozen=True)
-class Rows:
+class Observations:
     """What is to be explained."""
 
     y: tuple[Array, ...]  # (M_c,) by channel, torque [N m; N where prismatic]
@@ -57,7 +57,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Part:
+class ColumnGroup:
     """Columns that are fitted together, and the precision (k, k) that their coefficients had.
 
     `in_file` are coefficients (., k) of other parts of the model, by their number, that
@@ -68,10 +68,10 @@ class Part:
     columns: Channels
     precision: Array
     # of the precision what is no parameter file's; None: all
-    apart: Array | None = None
+    precision_without_file: Array | None = None
     # channel -> its first column, if not 0
-    first: Mapping[int, int] = field(default_factory=dict)
-    in_file: Mapping[int, Array] = field(default_factory=dict)
+    first_column: Mapping[int, int] = field(default_factory=dict)
+    absorbed_by_file: Mapping[int, Array] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -80,7 +80,7 @@ class Part:
 
     def at(self, channel: int) -> slice:
         """Which of the columns a channel has."""
-        first = self.first.get(channel, 0)
+        first = self.first_column.get(channel, 0)
         return slice(first, first + self.columns[channel].shape[1])
 
     def torque(self, channel: int, theta: Array) -> Array:
@@ -89,32 +89,34 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Gained:
+class TermFit:
     """What one term does to a model that does not have it."""
 
-    evidence: float  # log Bayes factor
+    log_bayes_factor: float
     coefficients: Array  # (k,)
     covariance: Array  # (k, k)
-    visible: float  # share of the columns' square that the model does not absorb
+    visible_share: float  # share of the columns' square that the model does not absorb
 
 
 @dataclass(frozen=True)
-class Predicted:
+class Score:
     """What one term does to blocks that were left out."""
 
-    density: Array  # (blocks,) gain in log predictive density
+    block_gains: Array  # (blocks,) gain in log predictive density
     rows: Array  # (blocks,) number of independent rows at its channels
-    file: float = 0.0  # gain in the density of what the parameter file says
+    file_gain: float = 0.0  # gain in the density of what the parameter file says
 
     @property
     def total(self) -> float:
         """Gain of all blocks and of the file."""
-        return float(self.density.sum()) + self.file
+        return float(self.block_gains.sum()) + self.file_gain
 
     @cached_property
     def drawn(self) -> Array:
         """The same (DRAWS,) over drawn weights of the blocks; there is one file."""
-        return np.asarray(weights_of(len(self.density)) @ self.density + self.file)
+        return np.asarray(
+            weights_of(len(self.block_gains)) @ self.block_gains + self.file_gain
+        )
 
     @property
     def doubt(self) -> float:

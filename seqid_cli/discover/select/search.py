@@ -8,12 +8,12 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
-from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, shape_of
+from seqid_cli.discover.select.tuning import FittedTerm, Tuner, best_of, shape_of
 from seqid_cli.model.effects.effect import Effect
 
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
@@ -47,13 +47,13 @@ class Search:
     def _joints_of(self, term: Term) -> set[int | None]:
         return {None, *(c % self.model.ground.n for c in term.channels)}
 
-    def everywhere(self) -> list[Tried]:
+    def everywhere(self) -> list[FittedTerm]:
         """What may be taken next at all joints; nothing that the model has."""
         terms = self.model.terms
         effects = self._effects({term.key for term in terms if not is_wide(term)})
         return [*effects, *self._functions({term.key for term in terms})]
 
-    def near(self, term: Term, linear: Linear) -> list[Tried]:
+    def near(self, term: Term, linear: LinearModel) -> list[FittedTerm]:
         """What may be at the place of a term, beside a model without it."""
         candidates = self._candidates(self._joints_of(term), but=term)
         return [
@@ -61,37 +61,39 @@ class Search:
             *self._first_functions(linear, term.channels),
         ]
 
-    def at(self, joint: int | None, bare: Model) -> list[Tried]:
+    def at(self, joint: int | None, bare: Model) -> list[FittedTerm]:
         """What may be at a joint (None: of the whole arm) beside a model that has nothing there."""
         joints = range(bare.ground.n) if joint is None else (joint,)
         functions = self._first_functions(bare.linear, frozenset(joints))
         return [*self.effects_at(joint, bare), *functions]
 
-    def effects_at(self, joint: int | None, bare: Model) -> list[Tried]:
+    def effects_at(self, joint: int | None, bare: Model) -> list[FittedTerm]:
         """The effects among these."""
         scenes = bare.ground.stage.scenes
         candidates = list(candidates_of(scenes, self.catalogue, bare.left(), {joint}))
         return self._best_of(candidates, bare.linear)
 
-    def _best_of(self, candidates: Sequence[Candidate], linear: Linear) -> list[Tried]:
+    def _best_of(
+        self, candidates: Sequence[Candidate], linear: LinearModel
+    ) -> list[FittedTerm]:
         """Effects at their best settings beside a model."""
         tuner = self._tuner(linear)
         first, reach = _shortlist(best_of(tuner.tried(candidates), shape_of))
         found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
         return _best_settings(found)
 
-    def _effects(self, had: Collection[Key]) -> list[Tried]:
+    def _effects(self, had: Collection[Key]) -> list[FittedTerm]:
         """Effects, each at its best settings."""
         tuner, n = self._tuner(self.model.linear), self.model.ground.n
         known = {shape.term: shape for some in self._shapes.values() for shape in some}
-        now = tuner.gained(known)
+        now = tuner.fitted(known)
         joints = {j for j in (None, *range(n)) if j not in self._shapes}
         if joints:
             tried = tuner.tried(self._candidates(joints))
             visible = dict[Key, float]()
             for one in (one for one in tried if not one.candidate.absorbed):
                 visible[one.term.key] = max(
-                    visible.get(one.term.key, 0.0), one.gained.visible
+                    visible.get(one.term.key, 0.0), one.fit.visible_share
                 )
             self.visible |= visible
             self._shapes |= {joint: [] for joint in joints}
@@ -107,7 +109,7 @@ class Search:
                 shape.term, shape.searched = first[number].term, True
         return _best_settings(first)
 
-    def _functions(self, had: Collection[Key]) -> list[Tried]:
+    def _functions(self, had: Collection[Key]) -> list[FittedTerm]:
         """Smooth functions, the first ones of every joint."""
         linear, n = self.model.linear, self.model.ground.n
         changed = frozenset(j for j in range(n) if j not in self._smooth)
@@ -118,17 +120,17 @@ class Search:
         return [*anew, *_tried(linear, same)]
 
     def _first_functions(
-        self, linear: Linear, channels: frozenset[int], had: Collection[Key] = ()
-    ) -> list[Tried]:
+        self, linear: LinearModel, channels: frozenset[int], had: Collection[Key] = ()
+    ) -> list[FittedTerm]:
         """The smooth functions of the largest evidence at some joints.
 
         Functions of two quantities are asked for where one of a single quantity
         explains anything (marginality: J. A. Nelder, Journal of the Royal Statistical
         Society A 140, 1977).
         """
-        ground, found = self.model.ground, list[Tried]()
+        ground, found = self.model.ground, list[FittedTerm]()
         for j in joints_below(channels, ground.n):
-            own = list[Tried]()
+            own = list[FittedTerm]()
             for products in (False, True):
                 if not products or any(one.evidence > 0.0 for one in own):
                     terms = ground.smooth_terms(j, products=products)
@@ -138,7 +140,7 @@ class Search:
             found += sorted(own, key=lambda one: -one.evidence)[:SMOOTH_SHORTLIST]
         return found
 
-    def _tuner(self, linear: Linear) -> Tuner:
+    def _tuner(self, linear: LinearModel) -> Tuner:
         return Tuner(self.model.ground.stage, linear, self.model.ground.size)
 
     def _candidates(
@@ -148,19 +150,19 @@ class Search:
         return list(candidates_of(scenes, self.catalogue, left, joints))
 
 
-def _tried(linear: Linear, terms: Sequence[Term]) -> list[Tried]:
-    return list(map(Tried, terms, linear.gained([term.part for term in terms])))
+def _tried(linear: LinearModel, terms: Sequence[Term]) -> list[FittedTerm]:
+    return list(map(FittedTerm, terms, linear.fits([term.part for term in terms])))
 
 
-def _best_settings(tried: Sequence[Tried]) -> list[Tried]:
+def _best_settings(tried: Sequence[FittedTerm]) -> list[FittedTerm]:
     return best_of(tried, lambda t: (*t.term.key, t.candidate.apart))
 
 
 def _shortlist(
-    tried: Iterable[Tried], *, close: float = 0.5
-) -> tuple[list[Tried], float]:
+    tried: Iterable[FittedTerm], *, close: float = 0.5
+) -> tuple[list[FittedTerm], float]:
     """Those of the largest evidence that are seen, and the evidence from which one is `close`."""
-    seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE]
+    seen = [t for t in tried if t.fit.visible_share > LEAST_VISIBLE]
     first = sorted(seen, key=lambda t: -t.evidence)[:SHORTLIST]
     return first, close * max((t.evidence for t in first), default=0.0)
 

@@ -19,23 +19,23 @@ from scipy.special import ndtri
 from seqid_cli.discover.base import has_trials
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.changes import MOST_ERRORS, value_changes
-from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
+from seqid_cli.discover.select.linear import LinearModel
+from seqid_cli.discover.select.model import FREE, HELD, Ground, Model, PriorScale
 from seqid_cli.discover.select.naming import TOLD, probable_names, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import (
     Key,
-    Ranked,
-    Selected,
-    Taken,
-    Weighed,
+    ScoredTerm,
+    SelectionResult,
+    TermInModel,
+    TermResult,
     again,
 )
-from seqid_cli.discover.select.rows import Part, scatter
+from seqid_cli.discover.select.rows import ColumnGroup, scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.select.tuning import Tried, Tuner
+from seqid_cli.discover.select.tuning import FittedTerm, Tuner
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 from seqid_cli.model.effects.scene import Scene
@@ -94,7 +94,7 @@ def _best_of_all(every: Sequence[Selection]) -> Selection:
 
 
 def select_among(
-    ground: Ground, hold: Hold, candidates: Sequence[Candidate]
+    ground: Ground, hold: PriorScale, candidates: Sequence[Candidate]
 ) -> Selection:
     """Begin with effects, and take back those that the model does not need."""
     among = Selection(Model(ground, hold, candidates), Options(), _known(ground))
@@ -114,13 +114,13 @@ class Selection:
     ) -> None:
         self.model, self.options, self.catalogue = model, options, catalogue
         self._search = Search(model, catalogue)
-        self._tried: list[Tried] = []
+        self._tried: list[FittedTerm] = []
         self._tied: dict[Key, list[Term]] = {}
         # Terms of other finished models, and the log evidence by which these are
         # behind.
         self.others: list[tuple[float, tuple[Term, ...]]] = []
         # terms that are told whatever stands beside
-        self._value_changes: dict[Term, Taken] = {}
+        self._value_changes: dict[Term, TermResult] = {}
         self._stood_for: set[Key] = set()  # what they are told in place of
 
     def worth(self, noise: Noise) -> float:
@@ -131,9 +131,7 @@ class Selection:
         small.
         """
         model, options = self.model, self.options
-        gained = [
-            again(term, model).predicted.total for term in model.terms if term.smooth
-        ]
+        gained = [again(term, model).score.total for term in model.terms if term.smooth]
         granted = options.small * sum(gained) + options.chance * len(model.terms)
         return model.under(noise).evidence - (
             granted + model.hold.doubt(model.ground.n)
@@ -175,8 +173,10 @@ class Selection:
         ]
         linear = self.model.beside(a, b)
         least = self.model.linear.evidence - linear.evidence - self.options.chance
-        gained = linear.gained([c.part for c in tied])
-        able = [c for c, g in zip(tied, gained, strict=True) if g.evidence >= least]
+        gained = linear.fits([c.part for c in tied])
+        able = [
+            c for c, g in zip(tied, gained, strict=True) if g.log_bayes_factor >= least
+        ]
         return min(able, key=lambda term: term.freedom, default=None)
 
     def run(self) -> None:
@@ -205,25 +205,27 @@ class Selection:
         self._tied[best.term.key] = [term for term in tied if not term.smooth]
         return best.term
 
-    def _simplest(self, ranked: Sequence[Ranked]) -> Ranked | None:
+    def _simplest(self, ranked: Sequence[ScoredTerm]) -> ScoredTerm | None:
         """Of the best and those that are as good the one with the fewest parameters."""
         near = [one for one in ranked if self.as_good(one, ranked[0])]
         return min(
-            near, key=lambda one: (one.term.freedom, -one.gained.evidence), default=None
+            near,
+            key=lambda one: (one.term.freedom, -one.fit.log_bayes_factor),
+            default=None,
         )
 
-    def _passes(self, one: Ranked) -> bool:
+    def _passes(self, one: ScoredTerm) -> bool:
         """Whether a term is worth it."""
-        options, told = self.options, one.predicted
-        sure = one.gained.evidence > options.chance and told.doubt < options.doubt
+        options, told = self.options, one.score
+        sure = one.fit.log_bayes_factor > options.chance and told.doubt < options.doubt
         return sure and told.share > options.improvement
 
-    def as_good(self, one: Ranked, best: Ranked) -> bool:
+    def as_good(self, one: ScoredTerm, best: ScoredTerm) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
-        options, first, own = self.options, best.predicted, one.predicted
+        options, first, own = self.options, best.score, one.score
         # standard ones, by which doubt is no more than that
         errors = -float(ndtri(options.doubt))
-        chance = errors * scatter(first.density - own.density)
+        chance = errors * scatter(first.block_gains - own.block_gains)
         near = first.total - own.total <= max(chance, options.small * first.total, 1.0)
         return near and bool(one.term.channels & best.term.channels)
 
@@ -235,14 +237,14 @@ class Selection:
             weak = [one for one in every if not self._passes(one)]
             if not weak:
                 break
-            weakest = min(weak, key=lambda one: one.predicted.total)
+            weakest = min(weak, key=lambda one: one.score.total)
             self._search.changed(weakest.term)
             model.terms.remove(weakest.term)
             gone.add(weakest.term.key)
             model.settle()
         return gone
 
-    def told(self, least: float = TOLD) -> Selected:
+    def told(self, least: float = TOLD) -> SelectionResult:
         """What was taken, each term with its rivals.
 
         Without what is less likely than `least` to be there. What may be the error of
@@ -256,11 +258,11 @@ class Selection:
             k: share for k, share in self._search.visible.items() if k not in self.keys
         }
         left = tuple(one for one in tried if one.term.key not in self.keys)
-        return Selected(self.model, told, hidden, left)
+        return SelectionResult(self.model, told, hidden, left)
 
     def _with_value_changes(
-        self, told: tuple[Taken, ...], least: float
-    ) -> tuple[Taken, ...]:
+        self, told: tuple[TermResult, ...], least: float
+    ) -> tuple[TermResult, ...]:
         """Tell changes of the file's values in place of the terms that hide them.
 
         These stay in the model, for the sake of the other terms.
@@ -285,23 +287,25 @@ class Selection:
         model.rescale()
         return tuple(self._told_now(least).values())
 
-    def alone_at(self, joint: int | None, bare: Model) -> list[Ranked]:
+    def alone_at(self, joint: int | None, bare: Model) -> list[ScoredTerm]:
         """What may be at a joint (None: the whole arm) beside a model, the largest gain first."""
         return _ranked(bare.linear, self._search.at(joint, bare))
 
-    def largest(self) -> Selected:
+    def largest(self) -> SelectionResult:
         """Return the effect of the largest gain, with its rivals, and the same at other joints."""
         weighed = [
-            Weighed(term, self.model) for term in self.model.terms if not term.smooth
+            TermInModel(term, self.model)
+            for term in self.model.terms
+            if not term.smooth
         ]
         told = [own for own in weighed if self.is_told(own, 0.0)]
-        told.sort(key=lambda own: _by_gain(own.one))
+        told.sort(key=lambda own: _by_gain(own.scored))
         alike = [own for own in told if own.term.name == told[0].term.name]
-        return Selected(self.model, tuple(map(self.taken_of, alike)), {})
+        return SelectionResult(self.model, tuple(map(self.taken_of, alike)), {})
 
-    def is_told(self, own: Weighed, least: float) -> bool:
+    def is_told(self, own: TermInModel, least: float) -> bool:
         """Whether a term is worth it beside all others, likely, and by itself."""
-        model, one = own.model, own.one
+        model, one = own.model, own.scored
         worth = self._passes(one) and own.share > self.options.improvement
         if not (worth and reality(own.share, own.evidence) >= least):
             return False
@@ -309,7 +313,7 @@ class Selection:
         hidden = any(self._hides(other, one, model) for other in model.terms)
         return not (hidden or model.is_detail(one.term))
 
-    def _all_taken(self, least: float) -> tuple[Taken, ...]:
+    def _all_taken(self, least: float) -> tuple[TermResult, ...]:
         """Terms that are told, with their rivals; they give way to simpler ones."""
         model, told, better = self.model, self._told_now(least), dict[Term, Term]()
         for term, one in told.items():
@@ -325,20 +329,20 @@ class Selection:
         model.settle()
         return tuple(self._told_now(least).values())
 
-    def _told_now(self, least: float) -> dict[Term, Taken]:
-        told = dict[Term, Taken]()
+    def _told_now(self, least: float) -> dict[Term, TermResult]:
+        told = dict[Term, TermResult]()
         for term in self.model.terms:  # one at a time: memory
             if term in self._value_changes:
                 told[term] = self._value_changes[term]
                 continue
-            weighed = Weighed(term, self.model)
+            weighed = TermInModel(term, self.model)
             if term.key not in self._stood_for and self.is_told(weighed, least):
                 told[term] = self.taken_of(weighed)
         return told
 
     def _law_of(self, smooth: Term, told: Collection[Term]) -> Term | None:
         """An effect that a function hides, though it alone explains as much: its law errs."""
-        model, found = self.model, list[Tried]()
+        model, found = self.model, list[FittedTerm]()
         for term in model.terms:
             what, beside = term.what, term.channels & smooth.channels
             if isinstance(what, Candidate) and beside and term not in told:
@@ -351,7 +355,7 @@ class Selection:
                 found += [one for one in alone if one.evidence >= least]
         return max(found, key=lambda one: one.evidence).term if found else None
 
-    def _better(self, taken: Taken, gone: set[Key]) -> Term:
+    def _better(self, taken: TermResult, gone: set[Key]) -> Term:
         """The simplest of a term and of its rivals that do as well."""
         terms = self.model.terms
         keys = gone | {
@@ -365,11 +369,11 @@ class Selection:
             and self._passes(rival)
             and (rival.term.smooth or rival.term.name in probable)
         ]
-        return (self._simplest(free) or taken.one).term
+        return (self._simplest(free) or taken.scored).term
 
-    def taken_of(self, own: Weighed) -> Taken:
+    def taken_of(self, own: TermInModel) -> TermResult:
         """A term and its rivals."""
-        term, linear, one = own.term, own.linear, own.one
+        term, linear, one = own.term, own.linear, own.scored
         near = [
             x
             for x in self._search.near(term, linear)
@@ -378,15 +382,15 @@ class Selection:
         rivals = [x for x in near if x.evidence > 0.0 and x.term.key != term.key]
         ranked = tuple(sorted([one, *_ranked(linear, rivals)], key=_by_gain))
         instead = self._instead_of(term) | self._as_share(own)
-        return Taken(
-            one=one,
+        return TermResult(
+            scored=one,
             rivals=ranked,
-            left=linear.left_out,
+            left_without=linear.left_out,
             evidence=own.evidence,
             share=own.share,
             model=own.model,
-            instead=instead,
-            varied=own.model.linear.varied(term.part),
+            alternatives=instead,
+            log_evidence_of_variation=own.model.linear.varied(term.part),
             untried=self._untried(term, own.model),
         )
 
@@ -402,7 +406,7 @@ class Selection:
                     found[one.name] = min(behind, found.get(one.name, np.inf))
         return found
 
-    def _as_share(self, own: Weighed) -> dict[str, float]:
+    def _as_share(self, own: TermInModel) -> dict[str, float]:
         """Effects that may be a share of another term of the joint; how far these are behind.
 
         In log evidence, by name. What differs between the directions goes with friction
@@ -412,13 +416,15 @@ class Selection:
         for effect in (one for one in self.catalogue if own.term.name in one.alike):
             whole = [one for one in model.terms if one.key == (effect.share_of, j)]
             if whole and j is not None:
-                share = own.linear.predicted(
-                    [self._share_of(whole[0], effect, j, model)]
-                )[0]
-                found[effect.name] = own.one.predicted.total - share.total
+                share = own.linear.scores([self._share_of(whole[0], effect, j, model)])[
+                    0
+                ]
+                found[effect.name] = own.scored.score.total - share.total
         return found
 
-    def _share_of(self, whole: Term, effect: Effect, j: int, model: Model) -> Part:
+    def _share_of(
+        self, whole: Term, effect: Effect, j: int, model: Model
+    ) -> ColumnGroup:
         """An effect of a joint as shares of a term, of the file's friction, and of the speed."""
         what = whole.what
         assert isinstance(what, Candidate)
@@ -435,7 +441,9 @@ class Selection:
             return {j: scene.sign[:, [j]] * np.stack([own, friction, speed], axis=1)}
 
         rows = model.ground.stage.rows
-        return Part(rows.columns(map(columns, rows.scenes), effect.passes), np.eye(3))
+        return ColumnGroup(
+            rows.columns(map(columns, rows.scenes), effect.passes), np.eye(3)
+        )
 
     def _untried(self, term: Term, model: Model) -> tuple[str, ...]:
         """Effects like a term that cannot be looked for there, or stand beside it as its error."""
@@ -451,13 +459,13 @@ class Selection:
         ]
         return tuple(dict.fromkeys(names))
 
-    def _hides(self, term: Term, one: Ranked, model: Model) -> bool:
+    def _hides(self, term: Term, one: ScoredTerm, model: Model) -> bool:
         """Whether a smaller one may be the error of the law of a model's term."""
-        channels, gain = one.term.channels, one.predicted.total
+        channels, gain = one.term.channels, one.score.total
         if term is one.term or not term.channels & channels:
             return False
         law = self._known_to(term, one.term) ** 2 * model.squares(term, channels)
-        return bool(2.0 * gain < law and again(term, model).predicted.total > gain)
+        return bool(2.0 * gain < law and again(term, model).score.total > gain)
 
     def _known_to(self, term: Term, beside: Term) -> float:
         """Share of a term's torque to which its law is known; less well beside a like term."""
@@ -474,12 +482,12 @@ class Selection:
         return 0.0 if what.effect.exact else small
 
 
-def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:
+def _ranked(linear: LinearModel, tried: Sequence[FittedTerm]) -> list[ScoredTerm]:
     """What was tried, the largest gain on blocks that were left out first."""
-    told = linear.predicted([t.term.part for t in tried])
-    ranked = [Ranked(t.term, t.gained, f) for t, f in zip(tried, told, strict=True)]
+    told = linear.scores([t.term.part for t in tried])
+    ranked = [ScoredTerm(t.term, t.fit, f) for t, f in zip(tried, told, strict=True)]
     return sorted(ranked, key=_by_gain)
 
 
-def _by_gain(one: Ranked) -> float:
-    return -one.predicted.total
+def _by_gain(one: ScoredTerm) -> float:
+    return -one.score.total

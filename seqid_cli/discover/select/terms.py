@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from seqid_cli.discover.base import LIKELY
-from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.select.rows import Channels, Part
+from seqid_cli.discover.candidates import Candidate, CandidateColumns
+from seqid_cli.discover.select.rows import Channels, ColumnGroup
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.typing import Array
 
@@ -24,7 +24,7 @@ class Term:
     """
 
     what: Candidate | SmoothFunction
-    part: Part
+    part: ColumnGroup
     came_since: bool = False
 
     @property
@@ -75,7 +75,9 @@ class Term:
         return frozenset(self.part.columns)
 
 
-def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[Term]:
+def effects(
+    stage: CandidateColumns, candidates: Sequence[Candidate], size: Array
+) -> list[Term]:
     """Make terms of candidates; none is likely to be much more than `size` (channels,) N m."""
     known, found, n = stage.known, list[Term](), stage.rows.n
     for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
@@ -94,12 +96,14 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
                     in_file,
                 )
             precision, in_file = known[candidate.address]
-            part = Part(columns, precision, first=first, in_file=in_file)
+            part = ColumnGroup(
+                columns, precision, first_column=first, absorbed_by_file=in_file
+            )
             found.append(Term(candidate, part, came_since=stage.came_since(candidate)))
     return found
 
 
-def smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
+def smooth_term(stage: CandidateColumns, one: SmoothFunction, size: Array) -> Term:
     """Make a term of a function; of a drive it is another one, with coefficients of its own.
 
     A measured load holds all that acts on the link: of that it explains the drive
@@ -114,7 +118,7 @@ def smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
     place = np.arange(1.0, one.size + 1.0)
     bending = np.tile(np.sqrt(place) if len(one.axes) > 1 else place, len(columns))
     precision = _precision(columns, size, first) * bending**2
-    return Term(one, Part(columns, np.diag(precision), first=first))
+    return Term(one, ColumnGroup(columns, np.diag(precision), first_column=first))
 
 
 def _precision(columns: Channels, size: Array, first: Mapping[int, int] = {}) -> Array:

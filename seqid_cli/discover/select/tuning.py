@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.candidates import Candidate, CandidateColumns
+from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.rows import Gained
+from seqid_cli.discover.select.rows import TermFit
 from seqid_cli.discover.select.terms import Term, effects
 from seqid_cli.model.effects.effect import SPACING, Setting
 from seqid_cli.typing import Array
@@ -20,16 +20,16 @@ SHARPENED = 3  # times that settings are moved to where the coefficients say
 
 
 @dataclass(frozen=True)
-class Tried:
+class FittedTerm:
     """A term and what it gains."""
 
     term: Term
-    gained: Gained
+    fit: TermFit
 
     @property
     def evidence(self) -> float:
         """Log Bayes factor."""
-        return self.gained.evidence
+        return self.fit.log_bayes_factor
 
     @property
     def candidate(self) -> Candidate:
@@ -42,31 +42,33 @@ class Tried:
 class Tuner:
     """Where settings are searched: a model that has all other terms."""
 
-    stage: Stage
-    linear: Linear
+    stage: CandidateColumns
+    linear: LinearModel
     size: Array
 
-    def tried(self, candidates: Sequence[Candidate]) -> list[Tried]:
+    def tried(self, candidates: Sequence[Candidate]) -> list[FittedTerm]:
         """Try candidates; those whose coefficients are not physical are left out."""
-        return self.gained(effects(self.stage, candidates, self.size))
+        return self.fitted(effects(self.stage, candidates, self.size))
 
-    def gained(self, terms: Iterable[Term]) -> list[Tried]:
+    def fitted(self, terms: Iterable[Term]) -> list[FittedTerm]:
         """Try terms; those whose coefficients are not physical are left out."""
-        terms, found = list(terms), list[Tried]()
-        for one in map(Tried, terms, self.linear.gained([term.part for term in terms])):
-            c, values = one.candidate, one.gained.coefficients[: one.candidate.size]
+        terms, found = list(terms), list[FittedTerm]()
+        for one in map(
+            FittedTerm, terms, self.linear.fits([term.part for term in terms])
+        ):
+            c, values = one.candidate, one.fit.coefficients[: one.candidate.size]
             if c.effect.plausible(self.stage.scenes, c.joint, c.settings, values):
                 found.append(one)
         return found
 
-    def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
+    def tuned(self, tried: FittedTerm, spacing: float = SPACING) -> FittedTerm:
         """Search the continuous settings, then follow those that have more values."""
         best = self._opened(tried)
         for setting in best.candidate.effect.between(best.candidate.settings):
             best = self._usual(self._searched(best, setting, spacing), setting)
         return self._sharpened(self._followed(best))
 
-    def _opened(self, tried: Tried) -> Tried:
+    def _opened(self, tried: FittedTerm) -> FittedTerm:
         """The same with a setting that it lacks, at the best of its first values."""
         c = tried.candidate
         more = [
@@ -77,13 +79,17 @@ class Tuner:
         lacking = [replace(c, settings={**c.settings, **s}) for s in more]
         return max([tried, *self.tried(lacking)], key=lambda one: one.evidence)
 
-    def _moved(self, tried: Tried, but: str = "", /, **settings: float) -> Tried | None:
+    def _moved(
+        self, tried: FittedTerm, but: str = "", /, **settings: float
+    ) -> FittedTerm | None:
         """The same with other values of some settings, and without one."""
         now = {name: x for name, x in tried.candidate.settings.items() if name != but}
         found = self.tried([replace(tried.candidate, settings={**now, **settings})])
         return found[0] if found else None
 
-    def _searched(self, tried: Tried, setting: Setting, spacing: float) -> Tried:
+    def _searched(
+        self, tried: FittedTerm, setting: Setting, spacing: float
+    ) -> FittedTerm:
         """Golden-section search over one setting, by ratio where it is logarithmic."""
         best = tried
 
@@ -109,7 +115,7 @@ class Tuner:
                 at_y = gain(y)
         return best
 
-    def _usual(self, tried: Tried, setting: Setting) -> Tried:
+    def _usual(self, tried: FittedTerm, setting: Setting) -> FittedTerm:
         """The same with a usual value of a setting, or none, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
         least = (1.0 - Options.small) * tried.evidence
@@ -119,7 +125,7 @@ class Tuner:
             return bare
         return max(near, key=lambda one: one.evidence, default=tried)
 
-    def _followed(self, tried: Tried) -> Tried:
+    def _followed(self, tried: FittedTerm) -> FittedTerm:
         """Take the next values of settings that have some while the evidence grows."""
         best, effect = tried, tried.candidate.effect
         for setting in effect.settings:
@@ -134,7 +140,7 @@ class Tuner:
                 best = found
         return best
 
-    def _sharpened(self, tried: Tried) -> Tried:
+    def _sharpened(self, tried: FittedTerm) -> FittedTerm:
         """Move settings to where the coefficients say.
 
         Of effects that are looked for to first order the first step stands though it
@@ -143,9 +149,7 @@ class Tuner:
         best = tried
         for number in range(SHARPENED):
             c = best.candidate
-            settings = c.effect.sharpened(
-                c.settings, best.gained.coefficients[: c.size]
-            )
+            settings = c.effect.sharpened(c.settings, best.fit.coefficients[: c.size])
             found = None if settings is None else self._moved(best, **settings)
             stands = number == 0 and c.effect.first_order
             if found is None or (found.evidence <= best.evidence and not stands):
@@ -154,15 +158,17 @@ class Tuner:
         return best
 
 
-def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:
+def best_of(
+    tried: Sequence[FittedTerm], key: Callable[[FittedTerm], Hashable]
+) -> list[FittedTerm]:
     """The one of the largest evidence for each key, the largest first."""
-    best: dict[Hashable, Tried] = {}
+    best: dict[Hashable, FittedTerm] = {}
     for one in sorted(tried, key=lambda t: -t.evidence):
         best.setdefault(key(one), one)
     return list(best.values())
 
 
-def shape_of(tried: Tried) -> Hashable:
+def shape_of(tried: FittedTerm) -> Hashable:
     """An effect at a joint with settings that are not searched between the grid's values."""
     one = tried.candidate
     grid = [s.name for s in one.effect.settings if not s.continuous and not s.then]

@@ -108,7 +108,7 @@ def slow_noise(
     nothing of it, and a function of time would pass for an effect.
     """
     rows, order, own = stage.rows, np.arange(waves), []
-    for scene, picked, used in zip(rows.scenes, rows.picked, rows.used, strict=True):
+    for scene, picked, used in zip(rows.scenes, rows.samples, rows.used, strict=True):
         t = scene.motion.t[picked[used[:, channel % rows.n]]] / float(
             scene.motion.t[-1]
         )
@@ -124,7 +124,7 @@ def slow_noise(
 def _windows(stage: CandidateColumns, *, window_s: float = 0.3) -> list[Index]:
     """Window (M_j,) of every row of a joint, whose rows share a weight."""
     rows, every, first = stage.rows, list[Index](), 0
-    for scene, picked in zip(rows.scenes, rows.picked, strict=True):
+    for scene, picked in zip(rows.scenes, rows.samples, strict=True):
         every.append((scene.motion.t[picked] / window_s).astype(np.intp) + first)
         first += int(scene.motion.t[-1] / window_s) + 1
     own = [

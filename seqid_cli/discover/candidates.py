@@ -55,7 +55,9 @@ class DriveRows:
         likely = np.mean(X**2, axis=0) / (LIKELY * size) ** 2
         own, of_file = np.diag(likely), np.diag([disagree**-2.0, 0.0, 0.0])
         own[0, 0] = 0.0
-        return ColumnGroup({channel: X}, own + of_file, own)
+        return ColumnGroup(
+            columns={channel: X}, precision=own + of_file, precision_without_file=own
+        )
 
 
 def drive_rows(rows: Rows) -> DriveRows:

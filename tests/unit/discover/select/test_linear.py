@@ -33,10 +33,10 @@ WEIGHT = [
 ]
 # Three parameters that both channels share, and two of the first channel's own.
 BASE = [
-    ColumnGroup(columns(2, 3), np.diag([1.0, 2.0, 0.5])),
-    ColumnGroup(columns(5, 2, channels=1), np.diag([0.3, 4.0])),
+    ColumnGroup(columns=columns(2, 3), precision=np.diag([1.0, 2.0, 0.5])),
+    ColumnGroup(columns=columns(5, 2, channels=1), precision=np.diag([0.3, 4.0])),
 ]
-TERM = ColumnGroup(columns(3, 2), np.diag([0.7, 1.5]))
+TERM = ColumnGroup(columns=columns(3, 2), precision=np.diag([0.7, 1.5]))
 
 
 def linear(parts: list[ColumnGroup]) -> LinearModel:
@@ -74,7 +74,9 @@ def _less_in_file(base: list[ColumnGroup], part: ColumnGroup) -> ColumnGroup:
 def test_what_a_file_has_of_a_term_is_as_if_taken_off_its_columns(beside: bool) -> None:
     base = [replace(part, precision_without_file=0.4 * part.precision) for part in BASE]
     other = ColumnGroup(
-        {0: np.ones((LENGTHS[0], 1))}, np.eye(1), absorbed_by_file={0: np.ones((3, 1))}
+        columns={0: np.ones((LENGTHS[0], 1))},
+        precision=np.eye(1),
+        absorbed_by_file={0: np.ones((3, 1))},
     )
     absorbed, model = (
         replace(TERM, absorbed_by_file=IN_FILE),
@@ -132,9 +134,14 @@ def test_gain_of_a_block_is_that_of_its_density_given_all_others() -> None:
 
 
 def test_gain_of_the_file_is_what_the_term_gains_less_without_it() -> None:
-    alone = [ColumnGroup(part.columns, 0.1 * part.precision) for part in BASE]
+    alone = [
+        ColumnGroup(columns=part.columns, precision=0.1 * part.precision)
+        for part in BASE
+    ]
     held = [
-        ColumnGroup(a.columns, b.precision, a.precision)
+        ColumnGroup(
+            columns=a.columns, precision=b.precision, precision_without_file=a.precision
+        )
         for a, b in zip(alone, BASE, strict=True)
     ]
     with_file, without = (

@@ -214,7 +214,7 @@ def test_one_effect_goes_before_two_that_explain_as_much() -> None:
     found, before = Selection(model, Options(), []), list(model.terms)
     found.merged()
     assert model.terms == before
-    found._tied = {of_two.key: [one]}
+    found.tied = {of_two.key: [one]}
     found.merged()
     assert [term.name for term in model.terms] == ["drift"]
 

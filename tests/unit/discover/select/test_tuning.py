@@ -57,7 +57,7 @@ def test_implausible_points_are_not_taken(humped: Model, name: str, joint: int) 
 
 
 def sprung(gear: Gear, seed: int) -> Scene:
-    """A log of motor and link with a spring between them, once the begin has died away."""
+    """A log of motor and link with a spring between, once the begin has died away."""
     log = run(gear, seed=seed, seconds=12.0)
     seen = scene(log, cutoff_hz=12.0)
     motion = replace(seen.motion, usable=seen.motion.usable & (seen.motion.t > 3.0))

@@ -43,7 +43,9 @@ def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:
     assert taken.scored.fit.coefficients == pytest.approx([0.0, RIPPLE], abs=0.03)
     for high in (False, True):
         columns = {j: X for j, X in term.part.columns.items() if (j > 1) == high}
-        (gained,) = beside.fits([ColumnGroup(columns, term.part.precision)])
+        (gained,) = beside.fits(
+            [ColumnGroup(columns=columns, precision=term.part.precision)]
+        )
         assert gained.coefficients[1] == pytest.approx(RIPPLE, rel=0.25)
 
 

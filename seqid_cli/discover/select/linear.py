@@ -1,4 +1,4 @@
-"""A Gaussian linear model of all rows, its evidence, and how it predicts left-out blocks.
+"""A Gaussian linear model of all rows, its evidence, and scores on left-out blocks.
 
 Rows y of a channel (a joint's torque below the cut-off, or above it) are
 

@@ -282,9 +282,7 @@ def test_less_than_a_sample_between_torque_and_position_is_a_note() -> None:
     assert 3.0 < float(told[1]) < 6.0  # this arm's own is up to a millisecond
 
 
-def test_what_noise_does_not_account_for_is_said_and_shown_though_nothing_is_taken() -> (
-    None
-):
+def test_more_than_noise_is_said_and_shown_though_nothing_is_taken() -> None:
     """A hump that no effect is allowed to explain."""
     found = investigated(HUMP)
     assert excess_residuals(found, expected(found)) == {}

@@ -119,7 +119,7 @@ class FileTrials:
         return columns
 
     def _friction(self, joint: int) -> Array:
-        """Return coefficients (entries, N) of a joint's surface per torque in trials."""
+        """Return coefficients (entries, N) of a surface per torque in its trials."""
         if joint not in self._fits:
             F = surface_columns(self._trials(joint), joint)
             self._fits[joint] = np.asarray(np.linalg.pinv(F), dtype=np.float64)

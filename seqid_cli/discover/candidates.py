@@ -151,8 +151,9 @@ class Candidate:
     def is_same_as(self, other: Candidate, *, tolerance: float = 0.01) -> bool:
         """Return whether two are one effect.
 
-        A joint may have several lines and ripples. These are one where orders and frequencies differ by a share of `tolerance` at
-        most. Of what is looked for to first order the settings say about which size.
+        A joint may have several lines and ripples. These are one where orders and
+        frequencies differ by a share of `tolerance` at most. Of what is looked for to
+        first order the settings say about which size.
         """
         if self.key != other.key:
             return False

@@ -26,7 +26,7 @@ REVERSED = ("quadratic_drag", 1, -1.0)
 
 @pytest.mark.slow
 def test_what_the_held_out_logs_do_not_confirm_does_not_stay() -> None:
-    """While the held-out logs are recorded, the elbow has the reverse of what it had."""
+    """While held-out logs are recorded, the elbow has the reverse of what it had."""
     before, later = recorded((SHOULDER, ELBOW)), recorded((SHOULDER, REVERSED))
     robot, file = before.robot, before.file()
     found = refine(

@@ -78,7 +78,7 @@ def candidate(waves: float, joint: int = 0) -> Candidate:
 
 
 def sized(effect: Candidate, size: float) -> float:
-    """Return the size that a round sees of an effect: each coefficient over its error."""
+    """Return the size that a round sees of an effect: coefficients over errors."""
     count = effect.size
     fitted = FittedEffect(
         effect.effect,
@@ -101,7 +101,7 @@ def test_coefficients_are_measured_by_their_errors(size: float) -> None:
 
 @dataclass(frozen=True)
 class Round:
-    """Stands in for an candidate_model: `gains` and `sizes` of its effects, by effect and form."""
+    """Stands in for a candidate model: `gains` by joint and `sizes` by form."""
 
     effects: tuple[Candidate, ...]
     gains: dict[int, float]  # by joint

@@ -234,13 +234,15 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     residual_by_scene = []
     for number, scene in enumerate(scenes):
         residual = residual_of(scene)
-        known = ((term.mean, term) for term in nuisances)
-        known_torque = nuisance_torque(known, number, residual.shape)
+        sizes_of_file = ((term.mean, term) for term in nuisances)
+        known_torque = nuisance_torque(sizes_of_file, number, residual.shape)
         residual_by_scene.append(residual - known_torque)
 
+    rigid = []
     friction = []
     y = []
     for joint in range(robot.n):
+        rigid.append(rows.torque(joint, [H[:, joint] for H in H_by_scene]))
         per_scene = (
             {joint: friction_columns(scene, stages.friction, joint)} for scene in scenes
         )
@@ -253,10 +255,7 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     ]
     return Base(
         basis=basis,
-        rigid=tuple(
-            rows.torque(joint, [H[:, joint] for H in H_by_scene])
-            for joint in range(robot.n)
-        ),
+        rigid=tuple(rigid),
         friction=tuple(friction),
         nuisances=tuple(NuisanceRows.of(term, rows) for term in nuisances),
         y=tuple(y),

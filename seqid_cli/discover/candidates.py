@@ -90,9 +90,9 @@ def drive_rows(rows: Rows) -> DriveRows:
         assert scene.sensor is not None
         sensor = motion.filtered(scene.sensor)
         modelled_load = motion.filtered(scene.modelled_load)
-        left = residual_of(scene) - sensor + modelled_load
+        residual = residual_of(scene) - sensor + modelled_load
         rotor_acceleration = motion.filtered(motion.ddq)
-        values = [left, sensor, rotor_acceleration, np.ones_like(left)]
+        values = [residual, sensor, rotor_acceleration, np.ones_like(residual)]
         values_by_scene.append(np.stack(values, axis=-1))
 
     y = []
@@ -354,7 +354,7 @@ class CandidateColumns:
 def candidates_of(
     narrow: Sequence[Scene],
     effects: Sequence[Effect],
-    left: Sequence[Array],
+    residual: Sequence[Array],
     near: Collection[int | None] | None = None,
 ) -> Iterator[Candidate]:
     """Yield every effect at every joint with every setting of its grid.
@@ -365,7 +365,7 @@ def candidates_of(
         The data sets.
     effects : sequence of Effect
         What is looked for.
-    left : sequence of (N, n) arrays
+    residual : sequence of (N, n) arrays
         By data set, the low-passed residual [N m; N where prismatic]. It guides effects
         that look for shapes; those that show above the cut-off as well get it at the
         logs' own rates.
@@ -375,11 +375,12 @@ def candidates_of(
     """
     full = [scene.full or scene for scene in narrow]
     full_residuals = [
-        full_residual(scene, residual)
-        for scene, residual in zip(narrow, left, strict=True)
+        full_residual(scene, of_scene)
+        for scene, of_scene in zip(narrow, residual, strict=True)
     ]
     for effect in effects:
-        scenes, residuals = (full, full_residuals) if effect.wide else (narrow, left)
+        scenes = full if effect.wide else narrow
+        residuals = full_residuals if effect.wide else residual
         for joint in _joints_of(effect, narrow[0]):
             if near is not None and joint not in near:
                 continue

@@ -316,7 +316,7 @@ def size_of(investigation: Investigation, result: TermResult) -> tuple[Array, Ar
 
 
 def separate_by(
-    effect: Effect, others: Sequence[str], robot: Robot, joint: int | None
+    effect: Effect, rival_names: Sequence[str], robot: Robot, joint: int | None
 ) -> str:
     """Say what to record, and which command plans it against the first rival.
 
@@ -324,7 +324,7 @@ def separate_by(
     ----------
     effect : Effect
         The effect that was found.
-    others : sequence of str
+    rival_names : sequence of str
         Names that these logs cannot rule out.
     robot : Robot
         The arm.
@@ -336,7 +336,7 @@ def separate_by(
         for name, other in catalogue_of(robot).items()
         if other.by_motion and (joint is not None or other.arm or other.shared)
     }
-    rivals = [name for name in others if name in can_be_planned]
+    rivals = [name for name in rival_names if name in can_be_planned]
     if not rivals or not effect.by_motion:
         return effect.separate_by
     where = "" if joint is None else f" --joint {robot.joint_names[joint]}"

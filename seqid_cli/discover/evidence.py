@@ -137,7 +137,8 @@ def left_over(
     take = investigation.ground.stage.rows.of
     joint = function.joint
     over = _abscissa(function, np.zeros(0), scenes, joint)
-    residual = take(joint, [left[:, joint] for left in investigation.model.left()])
+    left_by_scene = investigation.model.left()
+    residual = take(joint, [of_scene[:, joint] for of_scene in left_by_scene])
     x = take(joint, over.values) if over.values else residual
     sign = over.sign(scenes, joint, take)
     return _binned(robot, joint, over, x, before=residual * sign)
@@ -271,7 +272,7 @@ def _rounded(
 
 
 def rivals_of(
-    robot: Robot, result: TermResult, alike: Collection[str] = ()
+    robot: Robot, result: TermResult, likely_names: Collection[str] = ()
 ) -> list[RivalEntry]:
     """Return what was tried in a term's place, the largest gain first.
 
@@ -281,17 +282,17 @@ def rivals_of(
         The arm.
     result : TermResult
         The term.
-    alike : collection of str
+    likely_names : collection of str
         Effects that could be it as well; these are told before others.
     """
     rivals = _each_once(
         rival for rival in result.rivals if rival.term.key != result.term.key
     )
-    rivals.sort(key=lambda rival: rival.term.name not in alike)
-    told = sorted(rivals[:MOST], key=lambda rival: -rival.score.total)
+    rivals.sort(key=lambda rival: rival.term.name not in likely_names)
+    first_rivals = sorted(rivals[:MOST], key=lambda rival: -rival.score.total)
     return [
-        _rival_entry(robot, rival, _why_not_in_place(rival, result, alike))
-        for rival in told
+        _rival_entry(robot, rival, _why_not_in_place(rival, result, likely_names))
+        for rival in first_rivals
     ]
 
 
@@ -315,8 +316,10 @@ def tried_at(
         joints = {channel % n for channel in scored.term.channels}
         if joint in joints:
             at_joint.append(scored)
-    told = _each_once(at_joint)[:MOST]
-    return [_rival_entry(robot, scored, _why_not_beside(scored)) for scored in told]
+    first_terms = _each_once(at_joint)[:MOST]
+    return [
+        _rival_entry(robot, scored, _why_not_beside(scored)) for scored in first_terms
+    ]
 
 
 def _each_once(scored_terms: Iterable[ScoredTerm]) -> list[ScoredTerm]:
@@ -339,11 +342,11 @@ def _rival_entry(robot: Robot, scored: ScoredTerm, why_not: str) -> RivalEntry:
 
 
 def _why_not_in_place(
-    rival: ScoredTerm, result: TermResult, alike: Collection[str]
+    rival: ScoredTerm, result: TermResult, likely_names: Collection[str]
 ) -> str:
     """Say why a rival was not taken in a term's place."""
     reach = rival.score.total / max(result.scored.score.total, 1e-300)
-    if rival.term.name in alike:
+    if rival.term.name in likely_names:
         return (
             f"these logs cannot tell the two apart: it reaches {percent(reach)} of the"
             " gain"

@@ -140,9 +140,9 @@ def residual_survey(
         # Every so many samples of the log, whatever its parts are.
         wanted = 1.0 / (SAMPLES_PER_CUTOFF * part.cutoff_hz * max(sample_s, 1e-9))
         stride = max(1, int(wanted + 1e-6))  # of a rate that is known from its steps
-        kept = np.arange(-n_samples % stride, len(part.t), stride)
+        samples = np.arange(-n_samples % stride, len(part.t), stride)
         counted = np.where(counts, residual, np.nan)
-        places.add(_track(model, part, counted, kept))
+        places.add(_track(model, part, counted, samples))
         n_samples += len(part.t)
 
     block_of_sum = np.concatenate(blocks)
@@ -177,12 +177,12 @@ class _PlacesInSpans:
         self._n_samples += len(track.t)
         if self._n_samples < 2 * SPAN:
             return
-        whole = events.joined(self._tracks)
-        self._places += _standing_out(whole[:SPAN])
+        joined = events.joined(self._tracks)
+        self._places += _standing_out(joined[:SPAN])
         # The next span begins a little before the end of this one.
-        first = int(np.searchsorted(whole.t, whole.t[SPAN - 1] - OVERLAP_S))
-        self._tracks = [whole[first:]]
-        self._n_samples = len(whole.t) - first
+        first = int(np.searchsorted(joined.t, joined.t[SPAN - 1] - OVERLAP_S))
+        self._tracks = [joined[first:]]
+        self._n_samples = len(joined.t) - first
 
     def finished(self) -> list[events.Interval]:
         """Return the places of all spans."""
@@ -212,12 +212,12 @@ def _block_sums(
     """
     block = (part.t / BLOCK_S).astype(np.intp)
     starts = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
-    way = np.where(counts, part.dq * sample_s, 0.0)
+    travel = np.where(counts, part.dq * sample_s, 0.0)
     columns = [
         residual**2,
         counts,
-        np.maximum(way, 0.0),
-        np.maximum(-way, 0.0),
+        np.maximum(travel, 0.0),
+        np.maximum(-travel, 0.0),
         part.used[:, None],
     ]
     return block[starts], np.add.reduceat(np.hstack(columns), starts, axis=0)
@@ -309,13 +309,13 @@ class Excerpts:
             return ()
         total_s = sum(survey.whole.length for survey in self.surveys)
         n_pieces = len(self.recordings) - self.about_places
-        about = ""
+        beside = ""
         if self.about_places:
-            about = f" and {self.about_places} about places that stand out"
+            beside = f" and {self.about_places} about places that stand out"
         extent = (
             f"too long to be held: of {total_s:.0f} s {self.seconds:.0f} s were looked"
             f" at, in {n_pieces} pieces spread over the"
-            f" time and varied in motion{about}; the rest was passed over once"
+            f" time and varied in motion{beside}; the rest was passed over once"
         )
 
         counts = sum(survey.counts.sum(axis=0) for survey in self.surveys)
@@ -391,9 +391,9 @@ def take_excerpts(
         extra = about_places(surveys, ranges)
 
     pieces: list[Recording] = []
-    for log, of_log, chosen, about in zip(logs, surveys, ranges, extra, strict=True):
-        if chosen or about:
-            pieces += _read(log, of_log, sorted([*chosen, *about]), robot, clock)
+    for log, of_log, chosen, added in zip(logs, surveys, ranges, extra, strict=True):
+        if chosen or added:
+            pieces += _read(log, of_log, sorted([*chosen, *added]), robot, clock)
     return Excerpts(
         recordings=tuple(pieces),
         about_places=sum(map(len, extra)),
@@ -551,12 +551,12 @@ def _excerpts_of_log(log: ResidualSurvey, parts: int, length: float) -> Iterator
 
     It has the given length [s], or that of the log where this is less.
     """
-    whole = max(log.whole.length, 1e-9)
-    piece = min(length, whole)
-    parts = min(parts, max(1, int(whole / length)))
+    log_s = max(log.whole.length, 1e-9)
+    piece_s = min(length, log_s)
+    parts = min(parts, max(1, int(log_s / length)))
 
     # (B + 1, k), travel and usable samples over the blocks of an excerpt from each on
-    n_blocks = max(1, round(piece / BLOCK_S))
+    n_blocks = max(1, round(piece_s / BLOCK_S))
     blocks = np.column_stack([log.travel.reshape(len(log.travel), -1), log.usable])
     sums = np.vstack([np.zeros(blocks.shape[1]), np.cumsum(blocks, axis=0)])
     stop_block = np.minimum(np.arange(len(sums)) + n_blocks, len(blocks))
@@ -564,12 +564,12 @@ def _excerpts_of_log(log: ResidualSurvey, parts: int, length: float) -> Iterator
     n_starts = max(1, len(blocks) - n_blocks + 1)
     most_usable = np.max(within[:n_starts, -1])
 
-    for low, high in pairwise(np.linspace(0.0, whole, parts + 1)):
-        starts = np.arange(low, max(high - piece, low) + 1e-9, BLOCK_S)
+    for low, high in pairwise(np.linspace(0.0, log_s, parts + 1)):
+        starts = np.arange(low, max(high - piece_s, low) + 1e-9, BLOCK_S)
         of_starts = within[(starts / BLOCK_S).astype(np.intp)]
         # A way of every joint counts for more than the same way of one.
         worth = np.sqrt(np.maximum(of_starts[:, :-1], 0.0)).sum(axis=1)
         worth[of_starts[:, -1] < WHOLE * most_usable] = -1.0
         if worth.max() >= 0.0:
             start = float(starts[np.argmax(worth)])
-            yield start, start + piece
+            yield start, start + piece_s

@@ -205,21 +205,21 @@ def investigate(
             Ground.of(remaining, stages), first_model.hold, first_model.candidates
         )
         selection.run()
-    told = selection.told(least)
+    result = selection.told(least)
     events = not_of_terms(events, first_model)
 
     step("estimating the noise", 9, 10)
-    rows = told.model.ground.stage.rows
+    rows = result.model.ground.stage.rows
     floor = noise_floor(
         logs,
         rows.scenes,
-        told.model.left(),
+        result.model.left(),
         encoder_residuals(logs, rows.scenes),
         rows=rows,
     )
     return Investigation(
         logs=tuple(logs),
-        selection=told,
+        selection=result,
         floor=floor,
         events=tuple(events),
         file_residual=file_residual,
@@ -273,17 +273,18 @@ def investigate_beside(
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     ground = Ground.of(rows, stages)
     selection = select_among(ground, HELD, candidates)
-    told = selection.largest()
+    largest = selection.largest()
     is_complete = all(
-        result.scored.score.share <= Options.improvement for result in told.terms
+        result.scored.score.share <= Options.improvement for result in largest.terms
     )
+    chosen = largest
     if is_complete:
         selection.finish()
-        told = selection.told(0.0)
+        chosen = selection.told(0.0)
     investigation = replace(
         before,
         logs=tuple(logs),
-        selection=told,
+        selection=chosen,
         file_residual=FileResidual.of(ground),
     )
     return investigation, is_complete

@@ -230,8 +230,10 @@ def usable_logs(
     if left_out and not usable:
         path, joints = left_out[0]
         n_others = len(left_out) - 1
-        others = f" (and {n_others} more logs)" if n_others else ""
-        raise InputError(f"joint {joints}: {WARNING}{others}", where=path, hint=REMEDY)
+        and_others = f" (and {n_others} more logs)" if n_others else ""
+        raise InputError(
+            f"joint {joints}: {WARNING}{and_others}", where=path, hint=REMEDY
+        )
     notes = [
         f"{path} is left out: joint {joints}: {WARNING}; {REMEDY}"
         for path, joints in left_out

@@ -47,7 +47,7 @@ class Confirmed:
 def confirm(
     refinement: Refinement,
     held_out: Sequence[Recording],
-    whole: WholeLogs | None = None,
+    whole_logs: WholeLogs | None = None,
     *,
     keep_unconfirmed: bool = False,
 ) -> Confirmed:
@@ -60,7 +60,7 @@ def confirm(
     held_out : sequence of Recording
         With torque or current; before and after are measured on the same samples of
         them.
-    whole : WholeLogs, optional
+    whole_logs : WholeLogs, optional
         The held-out logs as they are, where `held_out` are pieces of them.
     keep_unconfirmed : bool
         Leave in what is not confirmed; the verdict is poor then.
@@ -84,7 +84,9 @@ def confirm(
     motion_options = with_own_cutoffs(
         held_out, robot, refinement.incoming_stages, options.motion
     )
-    errors = _Errors(logs=held_out, robot=robot, options=motion_options, whole=whole)
+    errors = _Errors(
+        logs=held_out, robot=robot, options=motion_options, whole_logs=whole_logs
+    )
     steps, taken_out = _settled(refinement, errors, keep_unconfirmed=keep_unconfirmed)
 
     # What the model that is written leaves, beside what the file left.
@@ -142,7 +144,7 @@ class _Errors:
     logs: Sequence[Recording]
     robot: Robot
     options: InertiaOptions
-    whole: WholeLogs | None
+    whole_logs: WholeLogs | None
     _uses_pieces: bool = False
     # by the identity of a model, which is kept so that no other one has it
     _measured_models: dict[int, tuple[object, HeldOutError]] = field(
@@ -171,7 +173,7 @@ class _Errors:
     @property
     def notes(self) -> tuple[str, ...]:
         """What the errors are of, where the logs are too long to be held."""
-        if self.whole is None:
+        if self.whole_logs is None:
             return ()
         extent = "pieces of the" if self._uses_pieces else "the whole"
         return (f"errors are of {extent} held-out logs",)
@@ -184,8 +186,8 @@ class _Errors:
         return measured[1]
 
     def _measured(self, stages: Stages) -> HeldOutError:
-        if self.whole is not None and not self._uses_pieces:
-            errors = self.whole.errors([stages], self.options)
+        if self.whole_logs is not None and not self._uses_pieces:
+            errors = self.whole_logs.errors([stages], self.options)
             if errors:
                 return errors[0]
             # A model that cannot be predicted part by part: all are measured on the

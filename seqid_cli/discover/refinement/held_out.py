@@ -268,7 +268,7 @@ class WholeLogs:
         return joined(errors)
 
     def _opened(self, file: Path) -> Recording | SurveyedLog | None:
-        """Open a log to pass over it, or read it if it is short; None if neither can be."""
+        """Open a log to pass over it, or read a short one; None if neither can be."""
         n_rows = likely_rows(file)
         if n_rows >= LONG:
             opened = open_if_long(
@@ -301,15 +301,17 @@ def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> 
     return gain_of(squares_before, squares_after)
 
 
-def likelier(one: HeldOutError, other: HeldOutError) -> bool:
+def likelier(error: HeldOutError, error_of_other: HeldOutError) -> bool:
     """Return whether one model explains the same samples better than another.
 
     By the likelihood of normal errors of each joint's and model's own size: joints
     count alike.
     """
-    log_squares = np.log(np.maximum(one.squares.sum(axis=0), 1e-300))
-    log_squares_of_other = np.log(np.maximum(other.squares.sum(axis=0), 1e-300))
-    samples = one.samples.sum(axis=0)
+    log_squares = np.log(np.maximum(error.squares.sum(axis=0), 1e-300))
+    log_squares_of_other = np.log(
+        np.maximum(error_of_other.squares.sum(axis=0), 1e-300)
+    )
+    samples = error.samples.sum(axis=0)
     return bool(samples @ (log_squares - log_squares_of_other) < 0.0)
 
 

@@ -173,8 +173,8 @@ def _find(log: InputLog, folders: Sequence[Path]) -> Path | None:
     return None
 
 
-def _note(paths: Sequence[str], before: str, after: str) -> tuple[str, ...]:
-    """Return a note that names some logs, between two texts; none without a log."""
+def _note(paths: Sequence[str], fact: str, consequence: str) -> tuple[str, ...]:
+    """Return a note that names some logs; none without a log."""
     names = list(dict.fromkeys(paths))  # a log may belong to two stages
     if not names:
         return ()
@@ -182,4 +182,4 @@ def _note(paths: Sequence[str], before: str, after: str) -> tuple[str, ...]:
     listed_names = ", ".join(names[:_NAMED])
     if n_more > 0:
         listed_names += f" and {n_more} more"
-    return (f"{before}: {listed_names}; {after}",)
+    return (f"{fact}: {listed_names}; {consequence}",)

@@ -88,27 +88,28 @@ class Step:
             effects=tuple(self.effects[number] for number in staying),
         )
 
-    def again(self, material: Material, before: Refitted) -> Step:
+    def again(self, material: Material, model_before: Refitted) -> Step:
         """Return the step fitted again to the training logs, on top of another model.
 
         Parameters
         ----------
         material : Material
             The logs.
-        before : Refitted
+        model_before : Refitted
             The model.
         """
         if self.smooth is not None:
-            term = fitted_smooth(material, before, self.smooth)
-            return replace(self, model=replace(before, effects=(*before.effects, term)))
+            term = fitted_smooth(material, model_before, self.smooth)
+            model = replace(model_before, effects=(*model_before.effects, term))
+            return replace(self, model=model)
 
         def fitted(effects: Sequence[Candidate]) -> Refitted:
             late = {effect.key for effect in effects} & self.model.late
             return refitted(
                 material,
-                before,
-                (*before.candidates, *effects),
-                late=before.late | late,
+                model_before,
+                (*model_before.candidates, *effects),
+                late=model_before.late | late,
                 kept=self.keeps_stages,
             )
 
@@ -116,8 +117,8 @@ class Step:
         beside = []
         if len(self.effects) > 1:
             for removed in self.effects:
-                others = [effect for effect in self.effects if effect is not removed]
-                beside.append(fitted(others))
+                staying = [effect for effect in self.effects if effect is not removed]
+                beside.append(fitted(staying))
         return replace(self, model=model, beside=tuple(beside))
 
 
@@ -206,8 +207,8 @@ class Refinement:
         """
         path = list(steps)
         for step in later:
-            before = path[-1].model if path else self.incoming_model
-            path.append(step.again(self.material, before))
+            model_before = path[-1].model if path else self.incoming_model
+            path.append(step.again(self.material, model_before))
         return path
 
     def error_of(self, model: Refitted) -> HeldOutError:
@@ -258,38 +259,38 @@ class Judgement:
     ----------
     change : Gain
         At its joints, on the logs that are fitted.
-    by_chance : float
+    chance_probability : float
         Probability that nothing is gained there.
-    likely : bool
+    is_likely : bool
         Whether it is likelier there than not, by what is gained.
-    shown : bool
+    is_determined : bool
         Whether its coefficients are larger than their errors.
-    unjudged : bool
+    is_unjudged : bool
         Whether it may be there, but above the low-pass, where no model is judged.
     """
 
     change: Gain
-    by_chance: float
-    likely: bool
-    shown: bool
-    unjudged: bool
+    chance_probability: float
+    is_likely: bool
+    is_determined: bool
+    is_unjudged: bool
 
     @property
     def gains(self) -> bool:
         """Whether it gains as much as a finding does, and not by chance."""
         is_enough = self.change.value >= Options.improvement
-        return is_enough and self.by_chance <= Options.doubt
+        return is_enough and self.chance_probability <= Options.doubt
 
     @property
     def fault(self) -> str:
         """Why it is not worth it; empty if it is."""
-        if self.unjudged and not self.gains:
+        if self.is_unjudged and not self.gains:
             return "lies above the low-pass, where the model is not judged"
         if not self.gains:
             return "the model identified anew with it is not certainly better"
-        if not self.likely:
+        if not self.is_likely:
             return "is less likely than not"
-        if not self.shown:
+        if not self.is_determined:
             return "its coefficients are smaller than their errors"
         return ""
 
@@ -328,11 +329,11 @@ class CandidateModel:
     @cached_property
     def model(self) -> Refitted:
         """The model fitted to all logs."""
-        before = self.loop.model
+        model_before = self.loop.model
         return refitted(
             self.loop.material,
-            before,
-            (*before.candidates, *self.effects),
+            model_before,
+            (*model_before.candidates, *self.effects),
             late=self.late,
             kept=self.keeps_stages,
         )
@@ -387,10 +388,10 @@ class CandidateModel:
         probability = reality(max(change.value, result.share), result.evidence)
         return Judgement(
             change=change,
-            by_chance=doubt(error_before, error_after, joints),
-            likely=probability > 0.5,
-            shown=self._size(number) > 1.0,
-            unjudged=self.effects[number].effect.wide,
+            chance_probability=doubt(error_before, error_after, joints),
+            is_likely=probability > 0.5,
+            is_determined=self._size(number) > 1.0,
+            is_unjudged=self.effects[number].effect.wide,
         )
 
     def _size(self, number: int) -> float:
@@ -416,11 +417,13 @@ class CandidateModel:
     def losing(self) -> list[int]:
         """Joints that lose more than all others gain."""
         joints = range(self.loop.material.robot.n)
-        before = self.loop.error_of(self.without)
-        after = self.loop.error_of(self.model)
-        if gain(before, after, joints).value > 0.0:
+        error_before = self.loop.error_of(self.without)
+        error_after = self.loop.error_of(self.model)
+        if gain(error_before, error_after, joints).value > 0.0:
             return []
-        return [joint for joint in joints if gain(before, after, [joint]).loses]
+        return [
+            joint for joint in joints if gain(error_before, error_after, [joint]).loses
+        ]
 
     @property
     def accepted(self) -> bool:
@@ -484,7 +487,7 @@ class Decision:
         while candidate_model.effects and not candidate_model.accepted:
             number = candidate_model.weakest
             judgement = candidate_model.judgements[number]
-            is_unclear = judgement.gains and not judgement.shown
+            is_unclear = judgement.gains and not judgement.is_determined
             simpler = candidate_model.with_simpler(number) if is_unclear else None
             if simpler is not None:
                 candidate_model = simpler

@@ -130,15 +130,15 @@ class Material:
 
         The last two are kept: they take most of the time.
         """
-        kept = next((pair for pair in self._grounds if pair[0] is stages), None)
-        others = [pair for pair in self._grounds if pair is not kept]
-        if kept is None:
+        latest = next((pair for pair in self._grounds if pair[0] is stages), None)
+        earlier = [pair for pair in self._grounds if pair is not latest]
+        if latest is None:
             scenes = scenes_of(
                 self.training, self.robot, stages, options=self.options.motion
             )
-            kept = stages, Ground.of(rows_of(scenes), stages)
-        self._grounds[:] = [kept, *others[:1]]
-        return kept[1]
+            latest = stages, Ground.of(rows_of(scenes), stages)
+        self._grounds[:] = [latest, *earlier[:1]]
+        return latest[1]
 
     def without(
         self, log: Recording, stages: Stages, effects: Sequence[Fitted]
@@ -469,20 +469,20 @@ def held(new: Stages, old: Stages, fit: Model) -> Stages:
     fit : Model
         Of the same logs.
     """
-    before = _values(old, fit)
-    after = _values(new, fit)
-    at = np.flatnonzero((after.std_errors > 0.0) & (before.std_errors > 0.0))
+    old_values = _values(old, fit)
+    new_values = _values(new, fit)
+    at = np.flatnonzero((new_values.std_errors > 0.0) & (old_values.std_errors > 0.0))
     if not len(at):
         return new
 
     # The fit's covariance has the correlations, the stages have the size.
     covariance = fit.linear.covariance[np.ix_(at, at)].copy()
-    variance_ratio = after.std_errors[at] ** 2 / np.diag(covariance)
+    variance_ratio = new_values.std_errors[at] ** 2 / np.diag(covariance)
     covariance *= float(np.median(variance_ratio))
     scale = np.sqrt(np.diag(covariance))
     variance, direction = np.linalg.eigh(covariance / np.outer(scale, scale))
 
-    change = direction.T @ ((after.values - before.values)[at] / scale)
+    change = direction.T @ ((new_values.values - old_values.values)[at] / scale)
     is_unclear = change**2 < CLEAR**2 * variance
     is_loose = variance > LOOSE
     undone = np.where(is_unclear & is_loose, change, 0.0)

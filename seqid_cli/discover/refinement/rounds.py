@@ -181,12 +181,12 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
     is_complete = True
     while True:
         # What is found, and is neither in the model nor has been tried.
-        known = [*loop.model.candidates, *tried]
+        earlier_effects = [*loop.model.candidates, *tried]
         new_results = [
             result
             for result in investigation.selection.effects
             if effect_of(result).key not in unjudged_keys
-            and not _is_among(effect_of(result), known)
+            and not _is_among(effect_of(result), earlier_effects)
         ]
         if not new_results:
             break
@@ -203,7 +203,7 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
         stages_before = loop.model.stages
         decision = _decided(loop, investigation, hypothesis)
         for refusal in decision.refused:
-            if refusal.judgement.unjudged and not refusal.judgement.gains:
+            if refusal.judgement.is_unjudged and not refusal.judgement.gains:
                 unjudged_keys.add(effect_of(refusal.result).key)
         _write(loop, investigation, decision)
 
@@ -230,9 +230,9 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
     return investigation
 
 
-def _is_among(effect: Candidate, others: Sequence[Candidate]) -> bool:
-    """Return whether an effect is the same as one of others."""
-    return any(effect.is_same_as(other) for other in others)
+def _is_among(effect: Candidate, candidates: Sequence[Candidate]) -> bool:
+    """Return whether an effect is the same as one of candidates."""
+    return any(effect.is_same_as(candidate) for candidate in candidates)
 
 
 def _one_hypothesis(results: Sequence[TermResult]) -> tuple[TermResult, ...]:
@@ -373,11 +373,11 @@ def _others_make_up(
     channels: frozenset[int],
 ) -> bool:
     """Return whether terms that the model lacks may make up for the file there."""
-    known = [*loop.model.candidates, *effects]
+    model_effects = [*loop.model.candidates, *effects]
     for result in investigation.selection.terms:
         if not result.term.channels & channels:
             continue
-        if result.term.smooth or not _is_among(effect_of(result), known):
+        if result.term.smooth or not _is_among(effect_of(result), model_effects):
             return True
     return False
 
@@ -401,7 +401,7 @@ def _round(
     robot = loop.material.robot
     term = result.term
     change = _training_gain(result)
-    alike = () if term.smooth else named(result).others
+    likely_names = () if term.smooth else named(result).others
     return RefinementRound(
         effect="unexplained" if term.smooth else term.name,
         joint=robot.name_of(term.joint),
@@ -411,7 +411,7 @@ def _round(
         training_interval=change.limits,
         reason=reason,
         evidence=evidence_of(investigation, robot, result),
-        rivals=rivals_of(robot, result, alike),
+        rivals=rivals_of(robot, result, likely_names),
     )
 
 

@@ -115,16 +115,17 @@ class LinearModel:
 
         The products of all rows are taken on, so that it costs next to nothing.
         """
-        kept = [
+        removed_ids = {id(group) for group in removed}
+        staying = [
             number
             for number, part in enumerate(self.parts)
-            if not any(part is group for group in removed)
+            if id(part) not in removed_ids
         ]
         parameters = np.arange(self.size)
-        index = np.concatenate([parameters[self.where[number]] for number in kept])
+        index = np.concatenate([parameters[self.where[number]] for number in staying])
         A, b = self.sums
         smaller = LinearModel(
-            self.rows, [self.parts[number] for number in kept], self.weight
+            self.rows, [self.parts[number] for number in staying], self.weight
         )
         smaller.sums = A[np.ix_(index, index)], b[index]
         return smaller
@@ -508,11 +509,11 @@ class LinearModel:
         original = [first_of.setdefault(key, i) for i, key in enumerate(keys)]
 
         for channel, base in enumerate(self._columns):
-            here = [i for i in first_of.values() if channel in terms[i].columns]
-            if not here:
+            present = [i for i in first_of.values() if channel in terms[i].columns]
+            if not present:
                 continue
             places = []
-            for i in here:
+            for i in present:
                 of_term = np.arange(where[i].start, where[i].stop)
                 places.append(of_term[terms[i].at(channel)])
             columns = np.concatenate(places)
@@ -521,13 +522,13 @@ class LinearModel:
 
             for k, in_slice in enumerate(rows[channel]):
                 for tile in tiles(in_slice.stop, in_slice.start):
-                    X_each = [terms[i].columns[channel][tile] for i in here]
+                    X_each = [terms[i].columns[channel][tile] for i in present]
                     wX = _weighted(self.weight[channel][tile], X_each)
                     if base.groups:  # none above a cut-off
                         C[k][block] += np.vstack([B[tile].T @ wX for B in base.groups])
                     d[k, columns] += self.rows.y[channel][tile] @ wX
                     wX_each = np.split(wX, edges, axis=1)
-                    for i, X, wX_of_term in zip(here, X_each, wX_each, strict=True):
+                    for i, X, wX_of_term in zip(present, X_each, wX_each, strict=True):
                         at = terms[i].at(channel)
                         D[i][k, at, at] += X.T @ wX_of_term
 

@@ -169,10 +169,11 @@ class Ground:
         """Torque (M_j,) N m of the file's model at each joint's rows."""
         rows = self.stage.rows
         torque_by_scene = [scene.modelled_filtered for scene in rows.scenes]
-        return tuple(
-            rows.torque(joint, [tau[:, joint] for tau in torque_by_scene])
-            for joint in range(rows.n)
-        )
+        torque = []
+        for joint in range(rows.n):
+            of_joint = [tau[:, joint] for tau in torque_by_scene]
+            torque.append(rows.torque(joint, of_joint))
+        return tuple(torque)
 
     def smooth_terms(self, joint: int, *, products: bool = False) -> list[Term]:
         """Return smooth functions of everything measured for one joint.
@@ -394,9 +395,9 @@ class Model:
                 {candidate.joint},
             )
             starts += [
-                other
-                for other in guided
-                if other.is_same_as(candidate) and other.apart == candidate.apart
+                line
+                for line in guided
+                if line.is_same_as(candidate) and line.apart == candidate.apart
             ]
         fitted = tuner.tried(starts)
         if not fitted:
@@ -478,11 +479,11 @@ class Model:
         n = self.ground.n
         if any(channel // n == 1 for channel in term.channels):
             return False
-        whole = 0.0
+        square_of_model = 0.0
         for channel in term.channels:
             torque = self.ground.torque[channel % n]
-            whole += float(self.noise.weight[channel] @ torque**2)
-        return self.squares(term, term.channels) < DETAIL**2 * whole
+            square_of_model += float(self.noise.weight[channel] @ torque**2)
+        return self.squares(term, term.channels) < DETAIL**2 * square_of_model
 
     # ---- what the model adds and leaves
 

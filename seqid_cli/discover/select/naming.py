@@ -74,7 +74,7 @@ def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
     return float(expit(log_odds_of_share + np.log10(max(gain, 1.0))))
 
 
-def steadiness(varied: float, share: float, left: float) -> float:
+def steadiness(varied: float, share: float, floors_left: float) -> float:
     """Return the probability that a term is no error of another law.
 
     An effect always has the same size. Odds are even where its size varies, and as much
@@ -86,22 +86,22 @@ def steadiness(varied: float, share: float, left: float) -> float:
         Log evidence that its size is another one in every block.
     share : float
         Share of the squared error that it takes away.
-    left : float
+    floors_left : float
         RMS that the model leaves, in noise floors.
     """
     share_left = np.sqrt(1.0 - np.clip(share, 0.0, 1.0))
-    share_above_floor = share_left * (1.0 - 1.0 / max(left, 1.0))
+    share_above_floor = share_left * (1.0 - 1.0 / max(floors_left, 1.0))
     return float(1.0 - 0.5 * expit(varied) * share_above_floor)
 
 
-def named(result: TermResult, left: float = 1.0) -> NameConfidence:
+def named(result: TermResult, floors_left: float = 1.0) -> NameConfidence:
     """Return how sure a term is to be there, and to be what its name says.
 
     Parameters
     ----------
     result : TermResult
         The term and its rivals.
-    left : float
+    floors_left : float
         RMS that the model leaves at its joints, in noise floors.
     """
     shares = _name_probabilities(result)
@@ -109,7 +109,7 @@ def named(result: TermResult, left: float = 1.0) -> NameConfidence:
     likely = {name: share for name, share in shares.items() if share > Options.doubt}
 
     is_there = reality(result.share, result.evidence) * steadiness(
-        result.log_evidence_of_variation, result.share, left
+        result.log_evidence_of_variation, result.share, floors_left
     )
     # What these logs lack the channels for is as likely as the name itself.
     untried = [name for name in result.untried if name not in likely]

@@ -424,7 +424,7 @@ class Selection:
         model = self.model
         for change in changes:
             term = change.result.term
-            keys = [other.key for other in model.terms]
+            keys = [term_of_model.key for term_of_model in model.terms]
             if term.key in keys:
                 model.terms[keys.index(term.key)] = term
             else:

@@ -117,10 +117,11 @@ class Round:
         return tuple(
             Judgement(
                 change=Gain(gain, gain - 0.01, gain + 0.01),
-                by_chance=0.0 if gain > 0.0 else 1.0,
-                likely=True,
-                shown=self.sizes.get(effect.settings.get("waves", 0.0), 9.0) > 1.0,
-                unjudged=False,
+                chance_probability=0.0 if gain > 0.0 else 1.0,
+                is_likely=True,
+                is_determined=self.sizes.get(effect.settings.get("waves", 0.0), 9.0)
+                > 1.0,
+                is_unjudged=False,
             )
             for effect, gain in zip(self.effects, gains, strict=True)
         )

@@ -503,9 +503,11 @@ class Model:
         sigma = self.noise.sigma
 
         def scaled_square(residual: Sequence[Array]) -> float:
-            return sum(
-                float(residual[c] @ residual[c]) / sigma[c] ** 2 for c in channels
-            )
+            total = 0.0
+            for channel in channels:
+                r = residual[channel]
+                total += float(r @ r) / float(sigma[channel]) ** 2
+            return total
 
         square_left = scaled_square(self.linear.left_out)
         square_before = scaled_square(before)

@@ -177,7 +177,7 @@ def full_residual(scene: Scene, residual: Array) -> Array:
     slow = [
         np.interp(full.motion.t, scene.motion.t, of_joint) for of_joint in residual.T
     ]
-    total = _above(full) + np.stack(slow, axis=1)
+    total: Array = _above(full) + np.stack(slow, axis=1)
     total[~full.motion.usable] = 0.0
     return total
 

@@ -291,7 +291,7 @@ def investigate_beside(
 
 
 def guessed(model: Model) -> list[Mask]:
-    """Return where effects of the model may have any torque, (N, n) by scene."""
+    """Return where effects of the model may have any torque, (N, n) by log."""
     scenes = model.ground.stage.scenes
     masks = [np.zeros_like(scene.slides) for scene in scenes]
     for candidate in model.candidates:

@@ -57,7 +57,7 @@ class Nuisance:
 
 
 def nuisances_of(scenes: Sequence[Scene], stages: Stages) -> list[Nuisance]:
-    """Return the nuisance terms of the scenes' robot.
+    """Return the nuisance terms of the data sets' robot.
 
     Parameters
     ----------

@@ -136,7 +136,7 @@ def noise_floor(
     ----------
     recordings : sequence of Recording
         The logs.
-    scenes : sequence of Scene
+    `scenes` : sequence of `Scene`
         Their data sets.
     residual : sequence of (N, n) arrays
         What is left [N m; N where prismatic] at the samples of each data set after all
@@ -374,7 +374,7 @@ def encoder_residuals(
     ----------
     recordings : sequence of Recording
         The logs.
-    scenes : sequence of Scene
+    `scenes` : sequence of `Scene`
         Their data sets.
 
     Returns

@@ -524,7 +524,7 @@ class Model:
         return self.ground.base.deviation(rigid, friction, self._nuisances_in(theta))
 
     def shown(self, without: Term | None = None) -> list[Array]:
-        """Return the torque (N, n) N m of all terms but one, at all samples by scene.
+        """Return the torque (N, n) N m of all terms but one, by data set.
 
         It is what they are beside the file, which may have absorbed a part of them.
         """
@@ -547,7 +547,7 @@ class Model:
         return [torque - part for torque, part in zip(total, in_file, strict=True)]
 
     def left(self, without: Term | None = None) -> list[Array]:
-        """Return what is left (N, n) N m without a term, by scene.
+        """Return what is left (N, n) N m without a term, by data set.
 
         It is zero where a joint may stick.
         """

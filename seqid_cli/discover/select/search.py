@@ -1,6 +1,6 @@
 """What a model may lack next: effects at their best settings and smooth functions.
 
-Where a term was taken or taken back all is searched anew. Elsewhere the terms that were
+Where a term was added or removed all is searched anew. Elsewhere the terms that were
 the best of their joint stay candidates, and only what they gain is worked out again.
 """
 
@@ -54,7 +54,7 @@ class Search:
         self._smooth: dict[int | None, list[Term]] = {}
 
     def changed(self, term: Term) -> None:
-        """Forget the candidates at joints of which a term is taken or taken back."""
+        """Forget the candidates at joints of which a term is added or removed."""
         for joint in self._joints_of(term):
             self._shapes.pop(joint, None)
             self._smooth.pop(joint, None)

@@ -117,7 +117,7 @@ def _best_of_all(selections: Sequence[Selection]) -> Selection:
 def select_among(
     ground: Ground, hold: PriorScale, candidates: Sequence[Candidate]
 ) -> Selection:
-    """Begin with effects, and take back those that the model does not need.
+    """Begin with effects, and remove those that the model does not need.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class _OtherModel(NamedTuple):
 
 
 class Selection:
-    """A model whose terms are taken and taken back, one by one.
+    """A model whose terms are added and removed, one by one.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ class Selection:
             self.run()
 
     def run(self) -> None:
-        """Take terms, and after each step take back those that are not needed."""
+        """Add terms, and after each step remove those that are not needed."""
         refused: set[Key] = set()
         while len(self.model.terms) < self.options.most:
             term = self._next_term(refused)
@@ -285,7 +285,7 @@ class Selection:
         return is_near and bool(candidate.term.channels & best.term.channels)
 
     def eliminate(self) -> set[Key]:
-        """Take back, the weakest first, what is not worth it beside all others."""
+        """Remove, the weakest first, what is not worth it beside all others."""
         model = self.model
         removed: set[Key] = set()
         while model.terms:
@@ -499,7 +499,7 @@ class Selection:
         return max(able, key=lambda fitted: fitted.evidence).term
 
     def _simplest_name(self, result: TermResult, taken_keys: set[Key]) -> Term:
-        """Return the simplest of a term and of its rivals that do as well."""
+        """Return the term of fewest parameters among it and rivals that do as well."""
         keys = set(taken_keys)
         for term in self.model.terms:
             if term is not result.term and not is_wide(term):

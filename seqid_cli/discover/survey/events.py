@@ -121,7 +121,7 @@ class Windows:
     ----------
     length_s : float
         Length of each window.
-    scene : (W,) index array
+    `scene` : (W,) index array
         The data set of each.
     centre : (W,) array
         Its middle since the start of the log [s].
@@ -248,7 +248,7 @@ class Interval:
 
     Attributes
     ----------
-    scene : int
+    `scene` : int
         Number of the data set.
     start, end : float
         Seconds since its first sample.

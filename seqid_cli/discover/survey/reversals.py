@@ -100,7 +100,7 @@ def reversals_of(
 
     Parameters
     ----------
-    scene : Scene
+    `scene` : `Scene`
         The data set.
     samples : (M,) index array
         The samples that are kept.

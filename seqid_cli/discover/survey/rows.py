@@ -53,7 +53,7 @@ class Rows:
 
     Attributes
     ----------
-    scenes : tuple of Scene
+    `scenes` : tuple of `Scene`
         The data sets, one per log.
     samples : tuple of (M,) index arrays
         By data set: the samples that are kept of all N.
@@ -178,7 +178,7 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
 
     Parameters
     ----------
-    scenes : sequence of Scene
+    `scenes` : sequence of `Scene`
         The data sets, one per log.
 
     Returns
@@ -230,7 +230,7 @@ def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:
 
     Parameters
     ----------
-    scenes : sequence of Scene
+    `scenes` : sequence of `Scene`
         The data sets, one per log.
 
     Returns

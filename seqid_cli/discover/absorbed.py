@@ -106,9 +106,21 @@ class FileTrials:
         return absorbed
 
     def beside(self, columns: Array, joint: int, absorbed: dict[int, Array]) -> Array:
-        """Return columns (M_j, k) of an effect on a joint's rows less the file's part.
+        """Return columns of an effect on a joint's rows less the file's part.
 
-        `absorbed` are coefficients as the method of that name returns them.
+        Parameters
+        ----------
+        columns : (M_j, k) array
+            N m (N where prismatic) per unit coefficient.
+        joint : int
+            Index of the joint.
+        absorbed : dict of int to (., k) array
+            Coefficients as the method of that name returns them.
+
+        Returns
+        -------
+        (M_j, k) array
+            In the same unit.
         """
         friction = absorbed.get(1 + joint)
         if friction is not None:

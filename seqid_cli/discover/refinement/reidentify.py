@@ -167,7 +167,12 @@ class Material:
     def freed(self, log: Recording, model: Refitted) -> Recording:
         """Return a log without the effects that were there when it was recorded.
 
-        In a log that is fitted these are all, else those that were there all along.
+        Parameters
+        ----------
+        log : Recording
+            In one that is fitted all effects were there, else those of all along.
+        model : Refitted
+            The effects, and stages without them.
         """
         is_fitted = identity(log) in map(identity, self.training)
         effects = model.effects if is_fitted else model.lasting

@@ -128,7 +128,15 @@ class Ground:
 
     @classmethod
     def of(cls, kept_rows: Rows, stages: Stages) -> Ground:
-        """Set the problem for rows of all logs beside the file's stages."""
+        """Set the problem of a selection.
+
+        Parameters
+        ----------
+        kept_rows : Rows
+            The rows of all logs below the cut-off.
+        stages : Stages
+            The parameter file's.
+        """
         base = base_of(kept_rows, stages)
         stage = CandidateColumns(
             kept_rows, FileTrials(kept_rows.scenes[0], base, stages)
@@ -315,8 +323,14 @@ class Model:
     def margin(self, without: LinearModel, loosest: float = SCALES[-1]) -> float:
         """Return the log evidence against the model without a term.
 
-        The base of that model is held as explains it best. It may leave the file by up
-        to `loosest` of the file's errors.
+        The base of that model is held as explains it best.
+
+        Parameters
+        ----------
+        without : LinearModel
+            The model without the term.
+        loosest : float
+            By how many of the file's errors its base may leave the file.
         """
         evidence = self.linear.evidence - self.hold.doubt(self.ground.n)
         _, evidence_without = self._best_hold(without, loosest)

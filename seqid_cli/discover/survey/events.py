@@ -280,9 +280,19 @@ class Interval:
         return float(np.sum(sliding[:, list(self.joints)] ** 2))
 
     def energy(self, scene: Scene, scaled: Array) -> float:
-        """Return the squares of a residual (N, n) of its joints in it beyond noise.
+        """Return the squares of its joints' residual beyond noise.
 
-        The residual is in units of noise, and the sum is over independent samples.
+        Parameters
+        ----------
+        `scene` : `Scene`
+            Its data set.
+        scaled : (N, n) array
+            Residual in units of each joint's noise.
+
+        Returns
+        -------
+        float
+            Sum over independent samples in it.
         """
         motion = scene.motion
         independent = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz

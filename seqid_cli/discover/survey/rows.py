@@ -89,7 +89,20 @@ class Rows:
         return np.concatenate(parts)
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
-        """Stack the joint's rows of filtered values (N, ...) per data set."""
+        """Stack the joint's rows of filtered values.
+
+        Parameters
+        ----------
+        joint : int
+            Index of the joint.
+        values : sequence of (N, ...) arrays
+            One per data set, in any unit.
+
+        Returns
+        -------
+        (M_j, ...) array
+            By data set, then by time.
+        """
         parts = [
             of_scene[samples][used[:, joint]]
             for of_scene, samples, used in zip(
@@ -99,11 +112,32 @@ class Rows:
         return np.concatenate(parts)
 
     def torque(self, joint: int, values: Sequence[Array]) -> Array:
-        """Stack and whiten the joint's rows of filtered torques (N, ...)."""
+        """Stack the joint's rows of filtered torques, and whiten them at reversals.
+
+        Parameters
+        ----------
+        joint : int
+            Index of the joint.
+        values : sequence of (N, ...) arrays
+            One per data set, torque [N m; N where prismatic] or columns of it.
+
+        Returns
+        -------
+        (M_j, ...) array
+            In the same unit.
+        """
         return self.whitened(joint, self.of(joint, values))
 
     def whitened(self, joint: int, values: Array) -> Array:
-        """Whiten a joint's rows (M_j, ...) for what reversals leave open."""
+        """Whiten a joint's rows for what reversals leave open.
+
+        Parameters
+        ----------
+        joint : int
+            Index of the joint.
+        values : (M_j, ...) array
+            Torque [N m; N where prismatic] or columns of it; it stays as it is.
+        """
         result = np.array(values, dtype=np.float64)
         n_columns = math.prod(result.shape[1:])
         side_by_side = result.reshape(len(result), n_columns)  # a view of the result

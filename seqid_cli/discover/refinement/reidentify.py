@@ -349,7 +349,8 @@ def _simultaneous(
     stages = model.stages
     logs = unique([*material.logs_of("friction"), *material.training])
     has_offset = any(
-        len(joint.parameters) == len(FRICTION_TERMS) for joint in friction.joints.values()
+        len(joint.parameters) == len(FRICTION_TERMS)
+        for joint in friction.joints.values()
     )
     new_friction, inertia = identify_simultaneous(
         [material.freed(log, model) for log in logs],

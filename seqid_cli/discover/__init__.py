@@ -1,4 +1,4 @@
-"""What an identified model cannot explain: find it, trace it to an effect, add it, prove it."""
+"""What a model cannot explain: find it, trace it to an effect, add it, prove it."""
 
 from seqid_cli.discover.functions import diagnose, refine
 from seqid_cli.discover.options import DiagnoseOptions, RefineOptions

@@ -10,8 +10,11 @@ unit of its coefficient is in the file as
     p = argmin over trials |(X(q, v) + X(q, -v)) / 2 - G(q) p|^2,
 
 and the deviations of friction and gravity from the file are held to -P and -p times the
-coefficient (see `Part.in_file`), where those of a file without the effect are held to
-zero.
+coefficient (see `ColumnGroup.absorbed_by_file`), where those of a file without the
+effect are held to zero.
+
+In shapes, N is the number of samples of a joint's trials, first ahead and then back, b
+that of the rigid base parameters, and k that of the effect's coefficients.
 """
 
 from dataclasses import replace
@@ -33,10 +36,22 @@ OPEN = 1e-6  # of the largest singular value: what gravity's trials leave open
 
 
 class FileTrials:
-    """The steady motion from which a file's friction and gravity were identified."""
+    """The steady motion from which a file's friction and gravity were identified.
+
+    Parameters
+    ----------
+    scene : Scene
+        Any data set: its robot and model count.
+    base : Base
+        The base columns of the rows.
+    stages : Stages
+        Those of the file.
+    """
 
     def __init__(self, scene: Scene, base: Base, stages: Stages) -> None:
-        self.scene, self.base, self.stages = scene, base, stages
+        self.scene = scene
+        self.base = base
+        self.stages = stages
         # of a joint, all ahead, then the way back
         self._trials = cache(partial(_steady, scene))
         self._fits: dict[int, Array] = {}
@@ -44,102 +59,162 @@ class FileTrials:
     def absorbed(
         self, effect: Effect, joint: Joint, settings: Settings
     ) -> dict[int, Array]:
-        """Coefficients (., k) of rigid body (0) and friction (from 1) per unit of an effect."""
-        first, found, both = joint or 0, dict[int, Array](), dict[int, Array]()
-        touched = effect.steady_columns(self._trials(first), joint, settings)
-        for j in (j for j in touched if has_trials(self.scene, j)):
-            own = (
-                touched
-                if j == first
-                else effect.steady_columns(self._trials(j), joint, settings)
-            )
-            odd, even = 0.5 * (own[j] - own[j][::-1]), 0.5 * (own[j] + own[j][::-1])
-            apart = self._by_direction(j, even)
-            found[1 + j] = self._friction(j) @ (odd + apart)
-            both[j] = np.split(even - apart, 2)[0]
-        seen = [
-            self._gravity[j] @ half for j, half in both.items() if j in self._gravity
+        """Return what the file has absorbed per unit of an effect.
+
+        Parameters
+        ----------
+        effect : Effect
+            One that steady motion shows.
+        joint : int or None
+            Where it is; None for the whole arm.
+        settings : Settings
+            Its settings.
+
+        Returns
+        -------
+        dict of int to (., k) array
+            Coefficients of the rigid body (0), and of the friction of joints (from 1).
+        """
+        first = joint or 0
+        at_first = effect.steady_columns(self._trials(first), joint, settings)
+        absorbed: dict[int, Array] = {}
+        in_gravity: dict[int, Array] = {}
+        for touched in at_first:
+            if not has_trials(self.scene, touched):
+                continue
+            if touched == first:
+                columns = at_first[touched]
+            else:
+                trials = self._trials(touched)
+                columns = effect.steady_columns(trials, joint, settings)[touched]
+
+            # Trials go back the way they came: reversed, they are the other direction.
+            odd = 0.5 * (columns - columns[::-1])
+            even = 0.5 * (columns + columns[::-1])
+            even_in_friction = self._even_part_of_friction(touched, even)
+            absorbed[1 + touched] = self._friction(touched) @ (odd + even_in_friction)
+            ahead, _ = np.split(even - even_in_friction, 2)
+            in_gravity[touched] = ahead
+
+        of_joints = [
+            self._gravity[touched] @ ahead
+            for touched, ahead in in_gravity.items()
+            if touched in self._gravity
         ]
-        return {0: np.sum(seen, axis=0), **found} if seen else found
+        if of_joints:
+            return {0: np.sum(of_joints, axis=0), **absorbed}
+        return absorbed
 
     def beside(self, columns: Array, joint: int, absorbed: dict[int, Array]) -> Array:
-        """Columns (M_j, k) of an effect on a joint's rows less what the file has of them."""
-        friction, gravity = absorbed.get(1 + joint), absorbed.get(0)
+        """Return columns of an effect on a joint's rows less the file's part.
+
+        Parameters
+        ----------
+        columns : (M_j, k) array
+            N m (N where prismatic) per unit coefficient.
+        joint : int
+            Index of the joint.
+        absorbed : dict of int to (., k) array
+            Coefficients as the method of that name returns them.
+
+        Returns
+        -------
+        (M_j, k) array
+            In the same unit.
+        """
+        friction = absorbed.get(1 + joint)
         if friction is not None:
             columns = columns - self.base.friction[joint][:, : len(friction)] @ friction
-        return (
-            columns if gravity is None else columns - self.base.rigid[joint] @ gravity
-        )
+        gravity = absorbed.get(0)
+        if gravity is not None:
+            columns = columns - self.base.rigid[joint] @ gravity
+        return columns
 
     def _friction(self, joint: int) -> Array:
-        """Coefficients of a joint's surface (entries, N) per torque in its trials."""
+        """Return coefficients (entries, N) of a surface per torque in its trials."""
         if joint not in self._fits:
             F = surface_columns(self._trials(joint), joint)
             self._fits[joint] = np.asarray(np.linalg.pinv(F), dtype=np.float64)
         return self._fits[joint]
 
-    def _by_direction(self, joint: int, even: Array) -> Array:
-        """Return what a surface of two directions takes of torque (N, k) that is alike both ways.
+    def _even_part_of_friction(self, joint: int, even: Array) -> Array:
+        """Return what friction takes of torque (N, k) that is alike both ways.
 
-        Beside gravity the stages have an offset and asymmetries of friction for it,
+        A surface of two directions has an offset and asymmetries for it beside gravity,
         with priors (`identify.nuisances`): what fits them as well as gravity is shared
         as these say.
         """
-        surface, trials = self.scene.model.surfaces[joint], self._trials(joint)
+        surface = self.scene.model.surfaces[joint]
         assert surface is not None
         assert self.stages.friction is not None
         if not surface.directional:
             return np.zeros_like(even)
+
+        # Least squares for both together, the prior of the asymmetries as rows below.
         name = self.scene.robot.joint_names[joint]
         std_error = max(self.stages.friction.joints[name].rmse, 1e-12)
-        q, v = trials.motion.q[:, joint], trials.motion.dq[:, joint]
-        terms = even_columns(surface, q, v)
-        A = np.column_stack([terms, self._at_rest(joint)]) / std_error
+        motion = self._trials(joint).motion
+        asymmetries = even_columns(surface, motion.q[:, joint], motion.dq[:, joint])
+        columns = np.column_stack([asymmetries, self._at_rest(joint)]) / std_error
         prior_std = np.maximum(PRIORS.even_std(friction_rms(surface)), 1e-12)
-        prior = np.eye(len(prior_std), A.shape[1]) / prior_std[:, None]
-        rows = np.vstack([A, prior])
+        prior = np.eye(len(prior_std), columns.shape[1]) / prior_std[:, None]
         right = np.vstack([even / std_error, np.zeros((len(prior), even.shape[1]))])
-        shares = np.linalg.lstsq(rows, right, rcond=OPEN)[0]
-        return np.asarray(terms @ shares[: terms.shape[1]])
+        solution = np.linalg.lstsq(np.vstack([columns, prior]), right, rcond=OPEN)[0]
+        return np.asarray(asymmetries @ solution[: asymmetries.shape[1]])
 
     @cached_property
     def _gravity(self) -> dict[int, Array]:
-        """Rigid parameters (b, N) per torque in each joint's trials, the same for both ways."""
-        gravity, basis = self.stages.gravity, self.base.basis
+        """Rigid parameters (b, N) per torque that is alike both ways in trials."""
+        gravity = self.stages.gravity
+        basis = self.base.basis
         joints = [j for j in range(self.scene.robot.n) if has_trials(self.scene, j)]
-        names = [p.name for p in gravity.parameters] if gravity else []
-        own = [basis.names.index(name) for name in names if name in basis.names]
-        if not joints or not own:
+        names = [parameter.name for parameter in gravity.parameters] if gravity else []
+        of_gravity = [basis.names.index(name) for name in names if name in basis.names]
+        if not joints or not of_gravity:
             return {}
+
+        # All places of one joint count by the error of its friction.
         assert self.stages.friction is not None
-        # all places of one joint count by the error of its friction
-        weight, every = [], []
-        for j in joints:
-            error = self.stages.friction.joints[self.scene.robot.joint_names[j]].rmse
-            weight.append(1.0 / (max(error, 1e-12) * np.sqrt(self._trials(j).samples)))
-            every.append(weight[-1] * np.split(self._at_rest(j), 2)[0][:, own])
-        told = np.zeros((basis.size, sum(map(len, every))))
-        told[own] = np.linalg.pinv(np.vstack(every), rcond=OPEN)
-        parts = np.split(told, np.cumsum([len(G) for G in every])[:-1], axis=1)
-        return {j: w * part for j, w, part in zip(joints, weight, parts, strict=True)}
+        weights = []
+        weighted_columns = []
+        for joint in joints:
+            name = self.scene.robot.joint_names[joint]
+            std_error = max(self.stages.friction.joints[name].rmse, 1e-12)
+            weight = 1.0 / (std_error * np.sqrt(self._trials(joint).samples))
+            ahead, _ = np.split(self._at_rest(joint), 2)
+            weights.append(weight)
+            weighted_columns.append(weight * ahead[:, of_gravity])
+
+        n_places = sum(len(columns) for columns in weighted_columns)
+        per_torque = np.zeros((basis.size, n_places))
+        per_torque[of_gravity] = np.linalg.pinv(np.vstack(weighted_columns), rcond=OPEN)
+        ends = np.cumsum([len(columns) for columns in weighted_columns])
+        by_joint = np.split(per_torque, ends[:-1], axis=1)
+        return {
+            joint: weight * of_joint
+            for joint, weight, of_joint in zip(joints, weights, by_joint, strict=True)
+        }
 
     def _at_rest(self, joint: int) -> Array:
-        """Columns (N, g) of gravity at a joint, where its trials lead."""
+        """Return columns (N, g) of gravity at a joint, where its trials lead."""
         q = self._trials(joint).motion.q
         return gravity_base_regressor(self.scene.robot, self.base.basis, q)[:, joint]
 
 
 def _steady(scene: Scene, joint: int) -> Scene:
+    """Return a joint's trials as a data set: all ahead, then back the same way."""
     surface = scene.model.surfaces[joint]
     assert surface is not None
     places = surface.scaling.over_position.at(np.linspace(0.0, 1.0, PLACES))
-    every = list(product(surface.postures, surface.speeds, places))
-    q = np.array([posture for posture, _, _ in every])
-    q[:, joint] = [place for _, _, place in every]
-    dq = np.zeros_like(q)
-    dq[:, joint] = [speed for _, speed, _ in every]
-    q, dq = np.vstack([q, q[::-1]]), np.vstack([dq, -dq[::-1]])
-    # steady motion passes a low-pass as it is
+    trials = list(product(surface.postures, surface.speeds, places))
+    q_ahead = np.array([posture for posture, _, _ in trials])
+    q_ahead[:, joint] = [place for _, _, place in trials]
+    dq_ahead = np.zeros_like(q_ahead)
+    dq_ahead[:, joint] = [speed for _, speed, _ in trials]
+    q = np.vstack([q_ahead, q_ahead[::-1]])
+    dq = np.vstack([dq_ahead, -dq_ahead[::-1]])
+
+    # Steady motion passes a low-pass as it is: no sample is filtered.
     unfiltered = np.zeros(len(q), dtype=bool)
     motion = replace(
         scene.motion,

@@ -1,4 +1,4 @@
-"""The base model as columns: what is free to take up the residual before any effect is blamed.
+"""The base model as columns: what may take up the residual before effects do.
 
 Per joint the rows are
 
@@ -40,20 +40,39 @@ TIED = 1e-3
 UNSHOWN = 1e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Base:
-    """Base columns of every joint's rows."""
+    """Base columns of every joint's rows.
+
+    Attributes
+    ----------
+    basis : Basis
+        Of the rigid body, with b parameters.
+    rigid : tuple of (M_j, b) arrays
+        Columns of the rigid parameters, which all joints share.
+    friction : tuple of (M_j, k_j) arrays
+        Columns of each joint's friction.
+    nuisances : tuple of NuisanceRows
+        Columns of the nuisance terms.
+    y : tuple of (M_j,) arrays
+        Residual of the file's model [N m; N where prismatic].
+    prior : tuple of (m, .) arrays
+        Rows of unit variance by which the file knows deviations to be zero: of the
+        rigid body (m, b), then of the friction of each joint (m_j, k_j).
+    scene_bases : tuple of SceneBase
+        The base at all samples, by data set.
+    start : (n,) array
+        RMS of `y`.
+    """
 
     basis: Basis
-    rigid: tuple[Array, ...]  # (M_j, b), of parameters that all joints share
-    friction: tuple[Array, ...]  # (M_j, k_j)
+    rigid: tuple[Array, ...]
+    friction: tuple[Array, ...]
     nuisances: tuple[NuisanceRows, ...]
-    y: tuple[Array, ...]  # (M_j,) N m, residual of the file's model
-    # rows of unit variance by which the file knows deviations to be zero:
+    y: tuple[Array, ...]
     prior: tuple[Array, ...]
-    # rigid body (m, b), then friction by joint (m_j, k_j)
-    whole: tuple[Whole, ...]
-    start: Array  # (n,) N m, RMS of `y`
+    scene_bases: tuple[SceneBase, ...]
+    start: Array
 
     @cached_property
     def bounds(self) -> list[Array]:
@@ -62,26 +81,29 @@ class Base:
         No column's torque is likely to be more than some times what the file leaves.
         That keeps directions harmless which the logs, or some of the folds, leave open.
         """
-        rigid = self._likely(dict(enumerate(self.rigid)))
-        friction = []
+        bounds = [self._likely(dict(enumerate(self.rigid)))]
         for joint, columns in enumerate(self.friction):
             likely = self._likely({joint: columns})
-            friction.append(np.maximum(likely, UNSHOWN * np.max(likely, initial=0.0)))
-        return [rigid, *friction]
+            bounds.append(np.maximum(likely, UNSHOWN * np.max(likely, initial=0.0)))
+        return bounds
 
     def nuisance_precision(self, nuisance: NuisanceRows) -> Array:
-        """Precision (1, 1) beforehand of a nuisance term's deviation."""
+        """Return the precision (1, 1) beforehand of a nuisance term's deviation."""
         likely = self._likely(nuisance.columns)
         return np.diag(likely**2 + nuisance.term.std**-2)
 
     def _likely(self, columns: Mapping[int, Array]) -> Array:
-        """Inverse standard deviation (k,) of coefficients whose columns are (M_j, k) by joint."""
-        squares = np.zeros(next(iter(columns.values())).shape[1])
-        for joint, own in columns.items():
+        """Return inverse standard deviations (k,) of coefficients.
+
+        Their columns are (M_j, k) by joint.
+        """
+        n_coefficients = next(iter(columns.values())).shape[1]
+        squares = np.zeros(n_coefficients)
+        for joint, X in columns.items():
             if self.start[joint] > 0.0:
-                squares += np.sum(own**2, axis=0) / (LIKELY * self.start[joint]) ** 2
-        samples = sum(len(own) for own in columns.values())
-        return np.asarray(np.sqrt(squares / max(samples, 1)))
+                squares += np.sum(X**2, axis=0) / (LIKELY * self.start[joint]) ** 2
+        n_rows = sum(len(X) for X in columns.values())
+        return np.asarray(np.sqrt(squares / max(n_rows, 1)))
 
     def deviation(
         self, rigid: Array, friction: Sequence[Array], nuisances: Sequence[float] = ()
@@ -102,29 +124,23 @@ class Base:
         list of (N, n) arrays
             N m (N where prismatic), one per data set.
         """
-        found = []
-        for number, whole in enumerate(self.whole):
-            moved, torque = (
-                whole.H @ rigid.astype(np.float32),
-                np.empty_like(whole.residual),
-            )
-            for j, own in enumerate(friction):
-                for part in tiles(len(torque)):
-                    torque[part, j] = (
-                        friction_columns(whole.scene, whole.stage, j, part) @ own
-                    )
-            low = whole.scene.motion.filtered(torque, times=2)
-            own_terms = zip(
-                nuisances, (rows.term for rows in self.nuisances), strict=False
-            )
-            low += nuisance_torque(own_terms, number, low.shape)
-            found.append(moved.astype(np.float64) + low)
-        return found
+        sized_terms = [
+            (size, of_term.term)
+            for size, of_term in zip(nuisances, self.nuisances, strict=False)
+        ]
+        deviations = []
+        for number, of_scene in enumerate(self.scene_bases):
+            of_rigid = of_scene.H @ rigid.astype(np.float32)
+            of_friction = of_scene.friction_torque(friction)
+            low = of_scene.scene.motion.filtered(of_friction, times=2)
+            low += nuisance_torque(sized_terms, number, low.shape)
+            deviations.append(of_rigid.astype(np.float64) + low)
+        return deviations
 
 
 @dataclass(frozen=True, kw_only=True)
 class NuisanceRows:
-    """A nuisance term and its columns (M_j, 1) on the rows of the joints that it touches."""
+    """A nuisance term and its columns (M_j, 1) on the rows of the joints it touches."""
 
     term: Nuisance
     columns: Mapping[int, Array]
@@ -132,17 +148,32 @@ class NuisanceRows:
     @classmethod
     def of(cls, term: Nuisance, rows: Rows) -> NuisanceRows:
         """Take a term's columns on rows."""
-        columns = {
-            joint: rows.torque(joint, [column[:, None] for column in per_scene])
-            for joint, per_scene in term.columns.items()
-        }
+        columns = {}
+        for joint, per_scene in term.columns.items():
+            as_columns = [values[:, None] for values in per_scene]
+            columns[joint] = rows.torque(joint, as_columns)
         return cls(term=term, columns=columns)
 
 
 def nuisance_torque(
     sizes: Iterable[tuple[float, Nuisance]], number: int, shape: tuple[int, ...]
 ) -> Array:
-    """Compute the torque (N, n) of nuisance terms in data set `number`, each with its size."""
+    """Compute the torque of nuisance terms.
+
+    Parameters
+    ----------
+    sizes : iterable of (float, Nuisance)
+        The terms, each with its coefficient.
+    number : int
+        Of the data set.
+    shape : tuple of int
+        (N, n) of the data set.
+
+    Returns
+    -------
+    (N, n) array
+        N m (N where prismatic).
+    """
     torque = np.zeros(shape)
     for size, term in sizes:
         for joint, per_scene in term.columns.items():
@@ -151,127 +182,216 @@ def nuisance_torque(
 
 
 @dataclass(frozen=True)
-class Whole:
-    """Base of one data set at all of its samples; columns of friction are made as they are used."""
+class SceneBase:
+    """Base of one data set at all of its samples.
 
-    H: NDArray[np.float32]  # (N, n, b)
+    Columns of friction are made as they are used: they would take most of the memory.
+
+    Attributes
+    ----------
+    H : (N, n, b) array
+        Low-passed columns of the rigid parameters.
+    scene : Scene
+        The data set.
+    stage : FrictionStage, optional
+        The file's friction.
+    residual : (N, n) array
+        What the file's model leaves [N m; N where prismatic].
+    """
+
+    H: NDArray[np.float32]
     scene: Scene
     stage: FrictionStage | None
-    residual: Array  # (N, n) N m, of the file's model
+    residual: Array
+
+    def friction_torque(self, coefficients: Sequence[Array]) -> Array:
+        """Return the torque (N, n) N m of friction (k_j,) by joint, not low-passed."""
+        torque = np.empty_like(self.residual)
+        for joint, of_joint in enumerate(coefficients):
+            for tile in tiles(len(torque)):
+                columns = friction_columns(self.scene, self.stage, joint, tile)
+                torque[tile, joint] = columns @ of_joint
+        return torque
 
 
 def base_of(rows: Rows, stages: Stages) -> Base:
-    """Compute the base columns of all rows; `stages` are the parameter file's."""
-    robot, motions = rows.scenes[0].robot, [scene.motion for scene in rows.scenes]
+    """Compute the base columns of all rows.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows of all data sets.
+    stages : Stages
+        Those of the parameter file.
+    """
+    scenes = rows.scenes
+    robot = scenes[0].robot
     basis = free_basis(robot)
-    H, loaded = [], loaded_columns(robot, basis)
-    for motion in motions:  # a joint's columns of links before it stay zero
-        own_H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
-        H.append(np.zeros_like(own_H))
-        H[-1][:, loaded] = motion.filtered(own_H[:, loaded])
-    nuisances = nuisances_of(rows.scenes, stages)
-    left = []
-    for number, scene in enumerate(rows.scenes):
+    H_by_scene = [_rigid_columns(scene, basis) for scene in scenes]
+
+    # What the file says of a nuisance is not in its model's torque.
+    nuisances = nuisances_of(scenes, stages)
+    residual_by_scene = []
+    for number, scene in enumerate(scenes):
         residual = residual_of(scene)
-        known = ((term.mean, term) for term in nuisances)
-        left.append(residual - nuisance_torque(known, number, residual.shape))
-    law = stages.friction
-    own = [
-        rows.columns(
-            ({j: friction_columns(scene, law, j)} for scene in rows.scenes), 2
-        )[j]
-        for j in range(robot.n)
+        sizes_of_file = ((term.mean, term) for term in nuisances)
+        known_torque = nuisance_torque(sizes_of_file, number, residual.shape)
+        residual_by_scene.append(residual - known_torque)
+
+    rigid = []
+    friction = []
+    y = []
+    for joint in range(robot.n):
+        rigid.append(rows.torque(joint, [H[:, joint] for H in H_by_scene]))
+        per_scene = (
+            {joint: friction_columns(scene, stages.friction, joint)} for scene in scenes
+        )
+        friction.append(rows.columns(per_scene, 2)[joint])
+        y.append(rows.torque(joint, [x[:, joint] for x in residual_by_scene]))
+
+    friction_priors = [
+        _friction_prior(stages.friction, name, columns.shape[1])
+        for name, columns in zip(robot.joint_names, friction, strict=True)
     ]
-    y = tuple(rows.torque(j, [r[:, j] for r in left]) for j in range(robot.n))
     return Base(
         basis=basis,
-        rigid=tuple(rows.torque(j, [h[:, j] for h in H]) for j in range(robot.n)),
-        friction=tuple(own),
+        rigid=tuple(rigid),
+        friction=tuple(friction),
         nuisances=tuple(NuisanceRows.of(term, rows) for term in nuisances),
-        y=y,
+        y=tuple(y),
         prior=(
             _rigid_prior(basis, [stages.gravity, stages.inertia]),
-            *(
-                _friction_prior(law, x.name, X.shape[1])
-                for x, X in zip(robot.joints, own, strict=True)
-            ),
+            *friction_priors,
         ),
-        whole=tuple(
-            Whole(h.astype(np.float32), scene, law, r)
-            for h, scene, r in zip(H, rows.scenes, left, strict=True)
+        scene_bases=tuple(
+            SceneBase(
+                H=H.astype(np.float32),
+                scene=scene,
+                stage=stages.friction,
+                residual=residual,
+            )
+            for H, scene, residual in zip(
+                H_by_scene, scenes, residual_by_scene, strict=True
+            )
         ),
-        start=np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in y]),
+        start=np.array(
+            [np.sqrt(np.mean(of_joint**2)) if len(of_joint) else 0.0 for of_joint in y]
+        ),
     )
 
 
+def _rigid_columns(scene: Scene, basis: Basis) -> Array:
+    """Return the low-passed columns (N, n, b) of the rigid parameters."""
+    motion = scene.motion
+    unfiltered = base_regressor(scene.robot, basis, motion.q, motion.dq, motion.ddq)
+    loaded = loaded_columns(scene.robot, basis)
+    H = np.zeros_like(unfiltered)  # a joint's columns of links before it stay zero
+    H[:, loaded] = motion.filtered(unfiltered[:, loaded])
+    return H
+
+
 def residual_of(scene: Scene) -> Array:
-    """Torque (N, n) N m that the file's model leaves at all samples, its delays included."""
+    """Return the torque (N, n) N m that the file's model and its delays leave."""
     assert scene.motion.tau is not None
     logged = scene.model.late(scene.modelled_filtered, scene.motion)
     return np.asarray(scene.motion.tau - logged)
 
 
 def has_trials(scene: Scene, joint: Joint) -> bool:
-    """Whether the file tells at which speeds and in which postures friction was identified."""
-    surfaces = scene.model.surfaces if joint is None else [scene.model.surfaces[joint]]
-    return all(s is not None and len(s.speeds) > 0 and s.postures for s in surfaces)
+    """Return whether the file tells where friction was identified.
+
+    That is at which speeds and in which postures; of all joints for `joint` None.
+    """
+    surfaces = scene.model.surfaces
+    if joint is not None:
+        surfaces = [surfaces[joint]]
+    return all(
+        surface is not None and len(surface.speeds) > 0 and surface.postures
+        for surface in surfaces
+    )
 
 
 def friction_columns(
     scene: Scene, stage: FrictionStage | None, joint: int, part: slice = slice(None)
 ) -> Array:
-    """Free friction of one joint, not low-passed: its surface, or Coulomb, viscous (and offset)."""
-    surface, v = scene.model.surfaces[joint], scene.motion.dq[part, joint]
-    known = (
-        stage.joints.get(scene.robot.joint_names[joint]) if stage is not None else None
-    )
-    if surface is None or known is None or known.parameters:  # these may have an offset
-        terms = 2 if surface is None or known is None else len(known.parameters)
-        return np.stack([scene.sign[part, joint], v, np.ones_like(v)], axis=1)[
-            :, :terms
-        ]
-    # a drag where friction was not identified
-    beyond = surface.scaling.faster(v) * np.sign(v)
-    return np.column_stack([surface_columns(scene, joint, part), beyond])
+    """Return the columns of one joint's free friction, not low-passed.
+
+    They are those of its surface and of a drag beyond it; or Coulomb and viscous
+    friction, and an offset where a simultaneous fit had one.
+
+    Parameters
+    ----------
+    scene : Scene
+        The data set.
+    stage : FrictionStage, optional
+        The file's friction.
+    joint : int
+        Index of the joint.
+    part : slice
+        Samples that are wanted.
+
+    Returns
+    -------
+    (N, k_j) array
+        N m (N where prismatic) per unit coefficient.
+    """
+    surface = scene.model.surfaces[joint]
+    v = scene.motion.dq[part, joint]
+    name = scene.robot.joint_names[joint]
+    of_file = stage.joints.get(name) if stage is not None else None
+    if surface is None or of_file is None:
+        n_terms = 2
+    elif of_file.parameters:
+        n_terms = len(of_file.parameters)
+    else:
+        # a drag where friction was not identified
+        beyond = surface.scaling.faster(v) * np.sign(v)
+        return np.column_stack([surface_columns(scene, joint, part), beyond])
+    terms = np.stack([scene.sign[part, joint], v, np.ones_like(v)], axis=1)
+    return terms[:, :n_terms]
 
 
 def surface_columns(scene: Scene, joint: int, part: slice = slice(None)) -> Array:
-    """Columns (N, entries) of a joint's friction surface, of some samples of a data set."""
-    surface, motion = scene.model.surfaces[joint], scene.motion
+    """Return columns (N, entries) of a joint's friction surface at some samples."""
+    surface = scene.model.surfaces[joint]
     assert surface is not None
-    return surface.columns(motion.q[part, joint], motion.dq[part, joint])[
-        :, : surface.entries
-    ]
+    motion = scene.motion
+    columns = surface.columns(motion.q[part, joint], motion.dq[part, joint])
+    return columns[:, : surface.entries]
 
 
 def _rigid_prior(basis: Basis, parts: Sequence[RigidStage | None]) -> Array:
-    """Rows (m, b) of unit variance from the stages' covariances."""
+    """Return rows (m, b) of unit variance from the stages' covariances."""
     rows = [np.zeros((0, basis.size))]
-    index = {name: k for k, name in enumerate(basis.names)}
+    index_of = {name: number for number, name in enumerate(basis.names)}
     for stage in parts:
-        if stage is not None and stage.parameters and stage.covariance:
-            known = [index.get(p.name, -1) for p in stage.parameters]
-            if min(known) >= 0:
-                L = whitened(np.array(stage.covariance))
-                rows.append(np.zeros((len(L), basis.size)))
-                rows[-1][:, known] = L
+        if stage is None or not stage.parameters or not stage.covariance:
+            continue
+        index = [index_of.get(parameter.name, -1) for parameter in stage.parameters]
+        if min(index) < 0:
+            continue  # of another basis
+        L = whitened(np.array(stage.covariance))
+        of_stage = np.zeros((len(L), basis.size))
+        of_stage[:, index] = L
+        rows.append(of_stage)
     return np.vstack(rows)
 
 
 def _friction_prior(stage: FrictionStage | None, name: str, size: int) -> Array:
-    """Rows (m, size) of unit variance from the covariance of one joint's friction."""
+    """Return rows (m, size) of unit variance from one joint's covariance."""
     if stage is None or name not in stage.joints:
         return np.zeros((0, size))
     joint = stage.joints[name]
     if joint.parameters:
-        return np.diag([1.0 / max(p.std_error, 1e-12) for p in joint.parameters])
+        std_errors = [max(x.std_error, 1e-12) for x in joint.parameters]
+        return np.diag([1.0 / std_error for std_error in std_errors])
 
     rows = _held_where_tied(np.array(joint.covariance))
     return np.hstack([rows, np.zeros((len(rows), size - rows.shape[1]))])
 
 
 def _held_where_tied(covariance: Array) -> Array:
-    """Rows (k, k) of unit variance from a covariance whose entries may be tied to one another.
+    """Return rows (k, k) of unit variance where entries may be tied to one another.
 
     The surfaces of both directions are one but for an offset and asymmetries. A
     direction in which a surface has no variance is none that its law has: left out of

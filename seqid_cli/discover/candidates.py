@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import LIKELY, has_trials, residual_of
-from seqid_cli.discover.select.rows import Channels, Part
+from seqid_cli.discover.select.rows import Channels, ColumnGroup
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
 from seqid_cli.model.effects.effect import Columns, Effect
@@ -22,7 +22,7 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True)
 class DriveRows:
-    """Rows of each joint's drive, where a torque sensor behind the gear tells what the link takes.
+    """Rows of each joint's drive, where a torque sensor stands behind the gear.
 
     The motor's torque less the sensor's is what the drive takes,
 
@@ -32,59 +32,99 @@ class DriveRows:
     disagree about a torque and a zero c of the sensor. What a model gets wrong of the
     link, and what else acts on it, is not in these rows: it does not hide an effect of
     the drive there, nor pass for one.
+
+    Attributes
+    ----------
+    y : tuple of (M_j,) arrays
+        What the file leaves of motor less sensor [N m; N where prismatic], by joint.
+        Empty where logs have no sensor.
+    columns : tuple of (M_j, 3) arrays
+        The sensor's torque, the rotor's acceleration, a constant.
     """
 
-    # (M_j,) N m the file leaves of motor less sensor; empty without one
     y: tuple[Array, ...] = ()
-    # (M_j, 3): the sensor's torque, rotor acceleration, constant
     columns: tuple[Array, ...] = ()
 
     def of(self, joint: int) -> bool:
-        """Whether a joint has such rows."""
+        """Return whether a joint has such rows."""
         return bool(self.y) and len(self.y[joint]) > 0
 
     def part(
         self, joint: int, channel: int, size: float, *, disagree: float = 0.05
-    ) -> Part:
-        """What is free beside friction; `size` [N m] is what the file leaves.
+    ) -> ColumnGroup:
+        """Return what is free beside friction.
 
-        By `disagree` motor and sensor may tell another torque: the robot file says so,
-        by its torque constants, and what leaves it tells against the file.
+        Parameters
+        ----------
+        joint : int
+            Index of the joint.
+        channel : int
+            Its drive's channel.
+        size : float
+            What the file leaves there [N m; N where prismatic].
+        disagree : float
+            Share of a torque by which motor and sensor may disagree. The robot file
+            says so, by its torque constants, and what leaves it tells against the file.
         """
         X = self.columns[joint]
-        likely = np.mean(X**2, axis=0) / (LIKELY * size) ** 2
-        own, of_file = np.diag(likely), np.diag([disagree**-2.0, 0.0, 0.0])
-        own[0, 0] = 0.0
-        return Part({channel: X}, own + of_file, own)
+        precision = np.diag(np.mean(X**2, axis=0) / (LIKELY * size) ** 2)
+        precision[0, 0] = 0.0
+        of_file = np.diag([disagree**-2.0, 0.0, 0.0])
+        return ColumnGroup(
+            columns={channel: X},
+            precision=precision + of_file,
+            precision_without_file=precision,
+        )
 
 
 def drive_rows(rows: Rows) -> DriveRows:
     """Take the rows of drives whose joints have a torque sensor in all logs."""
     if any(scene.sensor is None for scene in rows.scenes):
         return DriveRows()
-    # (N, n, 4), low-passed: what the file leaves of the drive's torque, its columns
-    every = []
+
+    # By data set (N, n, 4), low-passed: what the file leaves of the drive's torque, and
+    # its columns.
+    values_by_scene = []
     for scene in rows.scenes:
         motion = scene.motion
         assert scene.sensor is not None
         sensor = motion.filtered(scene.sensor)
-        left = residual_of(scene) - sensor + motion.filtered(scene.modelled_load)
-        shown = [left, sensor, motion.filtered(motion.ddq), np.ones_like(left)]
-        every.append(np.stack(shown, axis=-1))
-    own = [rows.torque(j, [values[:, j] for values in every]) for j in range(rows.n)]
-    known = [X if np.isfinite(X).all() else X[:0] for X in own]
-    return DriveRows(tuple(X[:, 0] for X in known), tuple(X[:, 1:] for X in known))
+        modelled_load = motion.filtered(scene.modelled_load)
+        residual = residual_of(scene) - sensor + modelled_load
+        rotor_acceleration = motion.filtered(motion.ddq)
+        values = [residual, sensor, rotor_acceleration, np.ones_like(residual)]
+        values_by_scene.append(np.stack(values, axis=-1))
+
+    y = []
+    columns = []
+    for joint in range(rows.n):
+        of_joint = rows.torque(joint, [values[:, joint] for values in values_by_scene])
+        if not np.isfinite(of_joint).all():
+            of_joint = of_joint[:0]  # the sensor of this joint has gaps
+        y.append(of_joint[:, 0])
+        columns.append(of_joint[:, 1:])
+    return DriveRows(y=tuple(y), columns=tuple(columns))
 
 
 @dataclass(frozen=True)
 class Candidate:
     """An effect at a joint (None: the whole arm) with its settings.
 
-    One `apart` has coefficients of its own above the cut-off: what is faster than the
-    position loop moves the arm, and the measured torque does not follow. One `absorbed`
-    was there in the trials of the file's friction and gravity, which have absorbed a
-    part of it (see `FileTrials`): "all" of them, or friction alone, where gravity is
-    known from other joints' trials.
+    Attributes
+    ----------
+    effect : Effect
+        The effect.
+    joint : int or None
+        Where it is.
+    settings : dict of str to float
+        Its settings.
+    apart : bool
+        It has coefficients of its own above the cut-off: what is faster than the
+        position loop moves the arm, and the measured torque does not follow.
+    absorbed : {"", "friction", "all"}
+        It was there in the trials of the file's friction and gravity, which have
+        absorbed a part of it (see `FileTrials`): all of them, or friction alone, where
+        gravity is known from other joints' trials.
     """
 
     effect: Effect
@@ -100,170 +140,275 @@ class Candidate:
 
     @property
     def key(self) -> tuple[str, int | None]:
-        """What it is, whatever the settings."""
+        """Name and joint, whatever the settings."""
         return self.effect.name, self.joint
 
     @property
     def address(self) -> tuple[object, ...]:
-        """What it is with its settings."""
+        """All that tells it from other candidates."""
         return (*self.key, self.apart, self.absorbed, *sorted(self.settings.items()))
 
     def is_same_as(self, other: Candidate, *, tolerance: float = 0.01) -> bool:
-        """Whether two are one effect; a joint may have several lines and ripples.
+        """Return whether two are one effect.
 
-        These are one where orders and frequencies differ by a share of `tolerance` at
-        most. Of what is looked for to first order the settings say about which size.
+        A joint may have several lines and ripples. These are one where orders and
+        frequencies differ by a share of `tolerance` at most. Of what is looked for to
+        first order the settings say about which size.
         """
         if self.key != other.key:
             return False
-        every = () if self.effect.first_order else self.effect.settings
-        told = [s.name for s in every if self.effect.wide or not s.continuous]
-        pairs = ((self.settings[name], other.settings[name]) for name in told)
-        return all(math.isclose(*pair, rel_tol=tolerance) for pair in pairs)
+        if self.effect.first_order:
+            return True
+        for setting in self.effect.settings:
+            if setting.continuous and not self.effect.wide:
+                continue  # of the same law: only how it is shaped
+            name = setting.name
+            if not math.isclose(
+                self.settings[name], other.settings[name], rel_tol=tolerance
+            ):
+                return False
+        return True
 
     def columns(self, scene: Scene) -> Columns:
-        """Torque (N, k) per unit coefficient by joint, unfiltered."""
+        """Return the torque (N, k) per unit coefficient by joint, unfiltered."""
         return self.effect.columns(scene, self.joint, self.settings)
 
     def torques(self, scene: Scene, c: Array) -> dict[int, Array]:
-        """Torque (N,) N m of coefficients c (k,) by joint, low-passed."""
-        at = (scene.full or scene) if self.effect.wide else scene
-        every, passes = (
-            round(at.motion.rate_hz / scene.motion.rate_hz),
-            self.effect.passes,
-        )
-        shown = {
-            j: at.motion.filtered(X @ c, times=passes)
-            for j, X in self.columns(at).items()
-        }
-        return {j: torque[::every] for j, torque in shown.items()}
+        """Return the low-passed torque (N,) N m of coefficients c (k,), by joint."""
+        # A wide effect is worked out at the log's own rate: it would be aliased.
+        full = (scene.full or scene) if self.effect.wide else scene
+        stride = round(full.motion.rate_hz / scene.motion.rate_hz)
+        torques = {}
+        for joint, X in self.columns(full).items():
+            filtered = full.motion.filtered(X @ c, times=self.effect.passes)
+            torques[joint] = filtered[::stride]
+        return torques
 
 
 # candidates times samples that are worked out together: memory
 MOST_COLUMNS = 2_000_000
 
 
-class Stage:
-    """Rows and data sets on which candidates are tried, and what the `file` has of these."""
+class CandidateColumns:
+    """Columns of candidates on the rows of data sets, and what the file has of them.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows of all data sets below the cut-off.
+    file : FileTrials, optional
+        The trials from which the file was identified.
+
+    Attributes
+    ----------
+    high : HighBand
+        Rows above the cut-off.
+    drive : DriveRows
+        Rows of drives.
+    known : dict
+        By a candidate's address, the precision of its coefficients and what the file
+        has absorbed (see `select.terms.effects`).
+    """
 
     def __init__(self, rows: Rows, file: FileTrials | None = None) -> None:
-        self.rows, self.scenes, self.file = rows, rows.scenes, file
-        self.high, self.drive = high_band(rows), drive_rows(rows)
-        self._made: dict[tuple[object, ...], Channels] = {}
-        # see `effects`
+        self.rows = rows
+        self.scenes = rows.scenes
+        self.file = file
+        self.high = high_band(rows)
+        self.drive = drive_rows(rows)
         self.known: dict[tuple[object, ...], tuple[Array, dict[int, Array]]] = {}
+        self._computed: dict[tuple[object, ...], Channels] = {}
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
-        """Columns of candidates on the rows of the joints that they touch."""
+        """Return columns of candidates on the rows of the joints that they touch."""
+        # What the file has absorbed makes no difference to the columns.
         keys = [replace(candidate, absorbed="").address for candidate in candidates]
-        missing = {
-            k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made
-        }
+        missing: dict[tuple[object, ...], Candidate] = {}
+        for key, candidate in zip(keys, candidates, strict=True):
+            if key not in self._computed:
+                missing[key] = candidate
+        self._compute(missing)
+
+        result = []
+        for key, candidate in zip(keys, candidates, strict=True):
+            columns = self._computed[key]
+            if candidate.effect.drive:
+                columns = self.with_drive(columns)
+            result.append(columns)
+        return result
+
+    def _compute(self, missing: Mapping[tuple[object, ...], Candidate]) -> None:
+        """Work out columns that are not known yet."""
         for key, candidate in missing.items():
-            # kept at once: another setting of it may stand on these
+            # Kept at once: another setting of it may stand on these.
             if candidate.effect.wide:
-                self._made[key] = self._wide(candidate)
+                self._computed[key] = self._wide(candidate)
+
         longest = max(scene.samples for scene in self.scenes)
-        together = max(1, min(TOGETHER, MOST_COLUMNS // longest))
+        batch = max(1, min(TOGETHER, MOST_COLUMNS // longest))
         for passes in (1, 2):
-            alike = {k: c for k, c in missing.items() if c.effect.passes == passes}
-            some = [(k, c) for k, c in alike.items() if not c.effect.wide]
-            for first in range(0, len(some), together):
-                part = dict(some[first : first + together])
-                made = self._computed([*part.values()], passes)
-                self._made.update(zip(part, made, strict=True))
-        pairs = [(c, self._made[key]) for key, c in zip(keys, candidates, strict=True)]
-        return [self.with_drive(own) if c.effect.drive else own for c, own in pairs]
+            narrow_keys = [
+                key
+                for key, candidate in missing.items()
+                if candidate.effect.passes == passes and not candidate.effect.wide
+            ]
+            for first in range(0, len(narrow_keys), batch):
+                batch_keys = narrow_keys[first : first + batch]
+                computed = self._narrow([missing[key] for key in batch_keys], passes)
+                self._computed.update(zip(batch_keys, computed, strict=True))
 
     def came_since(self, candidate: Candidate) -> bool:
-        """Whether friction trials would have shown a candidate that was not there in them."""
-        known = self.file is not None and has_trials(self.scenes[0], candidate.joint)
-        return known and candidate.effect.steady and not candidate.absorbed
+        """Return whether friction trials would have shown a candidate, and did not."""
+        has_file_trials = self.file is not None and has_trials(
+            self.scenes[0], candidate.joint
+        )
+        return has_file_trials and candidate.effect.steady and not candidate.absorbed
 
     def with_drive(self, columns: Channels) -> dict[int, Array]:
-        """The same columns on the rows of the drive as well, where there are some."""
+        """Add the same columns on the rows of drives, where there are some."""
         n = self.rows.n
-        seen = {2 * n + c: X for c, X in columns.items() if c < n and self.drive.of(c)}
-        return {**columns, **seen}
+        on_drives = {
+            2 * n + channel: X
+            for channel, X in columns.items()
+            if channel < n and self.drive.of(channel)
+        }
+        return {**columns, **on_drives}
 
     def _wide(self, candidate: Candidate) -> Channels:
-        """Columns below and above the cut-off; none apart if all is above."""
-        if candidate.apart:
-            both = self.columns([replace(candidate, apart=False)])[0]
-            below = [X for c, X in both.items() if c < self.rows.n]
-            return both if any(np.any(X, axis=0).all() for X in below) else {}
-        per_scene = [candidate.columns(scene.full or scene) for scene in self.scenes]
-        return both_bands(self.rows, self.high, per_scene)
+        """Return columns below and above the cut-off; none apart if all is above."""
+        if not candidate.apart:
+            per_scene = [
+                candidate.columns(scene.full or scene) for scene in self.scenes
+            ]
+            return both_bands(self.rows, self.high, per_scene)
 
-    def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
-        """Columns of candidates that are low-passed alike, all in one go."""
-        # by joint: candidates, number of their columns
-        owners: dict[int, dict[int, int]] = {}
+        # Coefficients of its own above are nothing new where it has none below.
+        together = self.columns([replace(candidate, apart=False)])[0]
+        for channel, X in together.items():
+            if channel < self.rows.n and np.any(X, axis=0).all():
+                return together
+        return {}
 
-        def together(scene: Scene) -> dict[int, Array]:
-            raw = [c.columns(scene) for c in candidates]
-            side_by_side = {}
-            for j in sorted({joint for columns in raw for joint in columns}):
-                own = {i: columns[j] for i, columns in enumerate(raw) if j in columns}
-                owners[j] = {i: X.shape[1] for i, X in own.items()}
-                side_by_side[j] = np.hstack([single(X) for X in own.values()])
-            return side_by_side
+    def _narrow(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
+        """Return columns of candidates that are low-passed alike, all in one go."""
+        # By joint: the candidates that touch it, and their numbers of columns.
+        n_columns: dict[int, dict[int, int]] = {}
 
-        result: list[dict[int, Array]] = [{} for _ in candidates]
-        for j, whole in self.rows.columns(map(together, self.scenes), passes).items():
-            edges = np.cumsum([*owners[j].values()])
-            for i, X in zip(
-                owners[j], np.split(whole, edges[:-1], axis=1), strict=True
-            ):
-                result[i][j] = np.ascontiguousarray(X)
-        return list(result)
+        def side_by_side(scene: Scene) -> dict[int, Array]:
+            of_candidates = [candidate.columns(scene) for candidate in candidates]
+            joints = {joint for columns in of_candidates for joint in columns}
+            stacked = {}
+            for joint in sorted(joints):
+                at_joint = {
+                    number: columns[joint]
+                    for number, columns in enumerate(of_candidates)
+                    if joint in columns
+                }
+                n_columns[joint] = {i: X.shape[1] for i, X in at_joint.items()}
+                stacked[joint] = np.hstack([single(X) for X in at_joint.values()])
+            return stacked
+
+        by_candidate: list[dict[int, Array]] = [{} for _ in candidates]
+        on_rows = self.rows.columns(map(side_by_side, self.scenes), passes)
+        for joint, X in on_rows.items():
+            ends = np.cumsum([*n_columns[joint].values()])
+            parts = np.split(X, ends[:-1], axis=1)
+            for number, part in zip(n_columns[joint], parts, strict=True):
+                by_candidate[number][joint] = np.ascontiguousarray(part)
+        return list(by_candidate)
 
     def in_file(
         self, candidate: Candidate, columns: Channels
     ) -> tuple[dict[int, Array], Channels]:
-        """What the file has absorbed of a candidate (see `FileTrials`), and its columns less it."""
+        """Return what the file has absorbed of a candidate, and its columns less that.
+
+        Parameters
+        ----------
+        candidate : Candidate
+            An effect at a joint.
+        columns : mapping of channel to (M_c, k) array
+            Its columns.
+
+        Returns
+        -------
+        dict of int to (., k) array
+            Coefficients of the rigid body and friction, as `FileTrials.absorbed` has
+            them.
+        mapping of channel to (M_c, k) array
+            The columns less what these explain.
+        """
         file = self.file
         if not candidate.absorbed or file is None:
             return {}, columns
-        found = file.absorbed(candidate.effect, candidate.joint, candidate.settings)
-        own = {k: a for k, a in found.items() if k or candidate.absorbed == "all"}
-        below = {
-            j: file.beside(X, j, own) for j, X in columns.items() if j < self.rows.n
+        absorbed = file.absorbed(candidate.effect, candidate.joint, candidate.settings)
+        if candidate.absorbed == "friction":
+            absorbed = {number: a for number, a in absorbed.items() if number}
+        beside_file = {
+            joint: file.beside(X, joint, absorbed)
+            for joint, X in columns.items()
+            if joint < self.rows.n
         }
-        return own, {**columns, **below}
+        return absorbed, {**columns, **beside_file}
 
 
 def candidates_of(
     narrow: Sequence[Scene],
     effects: Sequence[Effect],
-    left: Sequence[Array],
+    residual: Sequence[Array],
     near: Collection[int | None] | None = None,
 ) -> Iterator[Candidate]:
     """Yield every effect at every joint with every setting of its grid.
 
-    `left` (N, n) per data set is the low-passed residual, which guides effects that
-    look for shapes; those that show above the cut-off as well get it at the logs' own
-    rates. With `near`, effects of other joints than these are left out (None among
-    them: those of the whole arm).
+    Parameters
+    ----------
+    narrow : sequence of Scene
+        The data sets.
+    effects : sequence of Effect
+        What is looked for.
+    residual : sequence of (N, n) arrays
+        By data set, the low-passed residual [N m; N where prismatic]. It guides effects
+        that look for shapes; those that show above the cut-off as well get it at the
+        logs' own rates.
+    near : collection of int or None, optional
+        Joints whose effects are wanted, None for those of the whole arm; by default
+        all.
     """
-    n = narrow[0].robot.n
     full = [scene.full or scene for scene in narrow]
-    whole = [full_residual(scene, r) for scene, r in zip(narrow, left, strict=True)]
-    asked = {x.name: x.joint for x in narrow[0].robot.effects if x.joint is not None}
+    full_residuals = [
+        full_residual(scene, of_scene)
+        for scene, of_scene in zip(narrow, residual, strict=True)
+    ]
     for effect in effects:
-        scenes, residual = (full, whole) if effect.wide else (narrow, left)
-        joints: list[int | None] = [None] if effect.arm else list(range(n))
-        if effect.shared and n > 1:
-            joints.append(None)
-        for joint in (j for j in joints if j == asked.get(effect.name, j)):
-            if (near is None or joint in near) and effect.available(scenes, joint):
-                for settings in effect.grid(scenes, joint, residual):
-                    yield Candidate(effect, joint, settings)
-                    if effect.wide:
-                        yield Candidate(effect, joint, settings, apart=True)
-                    if effect.steady and has_trials(narrow[0], joint):
-                        yield Candidate(effect, joint, settings, absorbed="all")
-                        if effect.even:
-                            yield Candidate(
-                                effect, joint, settings, absorbed="friction"
-                            )
+        scenes = full if effect.wide else narrow
+        residuals = full_residuals if effect.wide else residual
+        for joint in _joints_of(effect, narrow[0]):
+            if near is not None and joint not in near:
+                continue
+            if not effect.available(scenes, joint):
+                continue
+            shows_in_trials = effect.steady and has_trials(narrow[0], joint)
+            for settings in effect.grid(scenes, joint, residuals):
+                yield Candidate(effect, joint, settings)
+                if effect.wide:
+                    yield Candidate(effect, joint, settings, apart=True)
+                if shows_in_trials:
+                    yield Candidate(effect, joint, settings, absorbed="all")
+                if shows_in_trials and effect.even:
+                    yield Candidate(effect, joint, settings, absorbed="friction")
+
+
+def _joints_of(effect: Effect, scene: Scene) -> list[int | None]:
+    """Return where an effect may be; the robot file may say at which joint it is."""
+    n = scene.robot.n
+    joints: list[int | None] = [None] if effect.arm else list(range(n))
+    if effect.shared and n > 1:
+        joints.append(None)
+
+    declared = {
+        own_effect.name: own_effect.joint
+        for own_effect in scene.robot.effects
+        if own_effect.joint is not None
+    }
+    if effect.name not in declared:
+        return joints
+    return [joint for joint in joints if joint == declared[effect.name]]

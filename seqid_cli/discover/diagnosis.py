@@ -31,7 +31,7 @@ from seqid_cli.discover.notes import (
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import TOLD, named
-from seqid_cli.discover.select.results import Taken
+from seqid_cli.discover.select.results import TermResult
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.verdict import changed_values, joint_states, verdict_of
@@ -60,199 +60,283 @@ def diagnose(
     *,
     options: DiscoverOptions,
 ) -> diagnosis.DiagnosisFile:
-    """Find what a model lacks; InputError: a log without torque, or the torque of all an echo."""
+    """Find what a model lacks.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        Logs with torque or current.
+    robot : Robot
+        The arm.
+    stages : Stages
+        The model. Effects that it has are taken off the torque first.
+    options : DiscoverOptions
+        Where motion comes from.
+
+    Raises
+    ------
+    InputError
+        A log has no torque, or the torque of all is an echo of the command.
+    """
     motion = options.motion
-    known = fitted_effects(stages, robot, unexplained=True)
-    kept, notes = usable_logs(recordings, robot)
+    known_effects = fitted_effects(stages, robot, unexplained=True)
+    usable, notes = usable_logs(recordings, robot)
     logs = [
         without_effects(
-            log, robot, stages, known, motion=motion.motion, source=motion.source
+            log,
+            robot,
+            stages,
+            known_effects,
+            motion=motion.motion,
+            source=motion.source,
         )
-        for log in kept
+        for log in usable
     ]
     options = replace(options, motion=with_own_cutoffs(logs, robot, stages, motion))
-    found = described(investigate(logs, robot, stages, options), robot)
-    found.notes = [*notes, *found.notes, *deflection_notes(stages, robot)]
-    return found
+    document = described(investigate(logs, robot, stages, options), robot)
+    document.notes = [*notes, *document.notes, *deflection_notes(stages, robot)]
+    return document
 
 
-def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
+def described(investigation: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
-    sure = [taken for taken in found.found.effects if named(taken).confidence >= TOLD]
-    findings = [_finding(found, robot, taken) for taken in sure]
-    if found.events and (contact := _contact(found, robot)).confidence >= TOLD:
-        findings.append(contact)
-        found = found.without_told_events()
-    findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
-
-    functions = [_unexplained(found, robot, taken) for taken in found.found.smooth]
-    first = {
-        part.joint: part for part in sorted(functions, key=lambda part: part.share)
-    }
-    # the largest of each joint
-    rest = sorted(first.values(), key=lambda part: -part.share)
-    ordinary = expected(found)
-    found = replace(found, floor=found.floor.with_detail(detail_of(found)))
-    states = joint_states(found, ordinary, found.floor.high)
-    excess = excess_residuals(found, ordinary)
-    for joint, state in enumerate(states):
-        if state == "unexplained":
-            excess.setdefault(
-                joint, float(found.start[joint] / max(ordinary[joint], 1e-12))
-            )
-    rest += [
-        _excess(found, robot, joint, times)
-        for joint, times in excess.items()
-        if joint not in found.touched and states[joint] != "too_short"
+    findings = [
+        _finding(investigation, robot, result)
+        for result in investigation.selection.effects
+        if named(result).confidence >= TOLD
     ]
-    changed = changed_values(found, robot, states)
-    named_joints = {*(part.joint for part in rest), *(one.joint for one in changed)}
-    visible = sorted(found.found.visible.items(), key=lambda x: x[1])
+    if investigation.events:
+        contact = _contact(investigation, robot)
+        if contact.confidence >= TOLD:
+            findings.append(contact)
+            investigation = investigation.without_told_events()
+    findings.sort(key=lambda each: (-round(each.confidence, 2), -each.explains))
+
+    unexplained = _largest_functions(investigation, robot)
+    ordinary = expected(investigation)
+    with_detail = investigation.floor.with_detail(detail_of(investigation))
+    investigation = replace(investigation, floor=with_detail)
+    states = joint_states(investigation, ordinary, investigation.floor.high)
+
+    # Joints that leave too much though nothing is told there.
+    excess = excess_residuals(investigation, ordinary)
+    for joint, state in enumerate(states):
+        if state == "unexplained" and joint not in excess:
+            rms_left = investigation.file_rms[joint]
+            excess[joint] = float(rms_left / max(ordinary[joint], 1e-12))
+    for joint, times in excess.items():
+        is_explained = joint in investigation.explained_joints
+        if not is_explained and states[joint] != "too_short":
+            unexplained.append(_excess(investigation, robot, joint, times))
+
+    changed = changed_values(investigation, robot, states)
+    named_joints = {
+        *(part.joint for part in unexplained),
+        *(values.joint for values in changed),
+    }
     return diagnosis.DiagnosisFile(
         **head(diagnosis.DIAGNOSIS_SCHEMA, now()),
         robot=robot_id(robot),
         inputs=[],
         parameters=[],
         stages=[],
-        verdict=verdict_of(findings, rest, states),
+        verdict=verdict_of(findings, unexplained, states),
         findings=findings,
-        unexplained=rest,
+        unexplained=unexplained,
         changed=changed,
-        joints=_joints(found, robot),
-        events=[
+        joints=_joints(investigation, robot),
+        events=_events(investigation, robot),
+        hidden=_hidden(investigation, robot),
+        notes=notes_of(investigation, robot, ordinary, excess, named_joints),
+    )
+
+
+def _largest_functions(
+    investigation: Investigation, robot: Robot
+) -> list[diagnosis.UnexplainedPart]:
+    """Return the largest smooth function of each joint, the largest share first."""
+    parts = [
+        _unexplained(investigation, robot, result)
+        for result in investigation.selection.smooth
+    ]
+    by_share = sorted(parts, key=lambda part: part.share)
+    largest = {part.joint: part for part in by_share}  # the last one of a joint stays
+    return sorted(largest.values(), key=lambda part: -part.share)
+
+
+def _events(investigation: Investigation, robot: Robot) -> list[diagnosis.EventEntry]:
+    """Return the events, in seconds of their logs."""
+    entries = []
+    for event in investigation.events:
+        log = investigation.logs[event.scene]
+        entries.append(
             diagnosis.EventEntry(
                 log=str(log.path),
                 start=log.offset + event.start,
                 end=log.offset + event.end,
-                joints=[robot.joint_names[j] for j in event.joints],
+                joints=[robot.joint_names[joint] for joint in event.joints],
             )
-            for event in found.events
-            for log in [found.logs[event.scene]]
-        ],
-        hidden=[
-            diagnosis.HiddenEntry(
-                effect=name, joint=robot.name_of(joint), visible=share
-            )
-            for (name, joint), share in visible
-            if share < HIDDEN
-        ],
-        notes=notes_of(found, robot, ordinary, excess, named_joints),
-    )
+        )
+    return entries
 
 
-def _contact(found: Investigation, robot: Robot) -> diagnosis.FindingEntry:
-    """The finding that stands for all events.
+def _hidden(investigation: Investigation, robot: Robot) -> list[diagnosis.HiddenEntry]:
+    """Return the effects that the base nearly absorbs on these motions."""
+    visible_shares = investigation.selection.visible_shares
+    by_share = sorted(visible_shares.items(), key=lambda pair: pair[1])
+    return [
+        diagnosis.HiddenEntry(effect=name, joint=robot.name_of(joint), visible=share)
+        for (name, joint), share in by_share
+        if share < HIDDEN
+    ]
+
+
+def _contact(investigation: Investigation, robot: Robot) -> diagnosis.FindingEntry:
+    """Return the finding that stands for all events.
 
     A push stands alone. Where much more than noise is left all along, the largest
     moment of it may be nothing else: it is no surer than its share in what is unknown
     at its joints.
     """
-    effect, rows, left = (
-        CATALOGUE["external_contact"],
-        found.ground.stage.rows,
-        found.model.left(),
-    )
-    floor = np.maximum(found.floor.rms, 1e-12)
+    effect = CATALOGUE["external_contact"]
+    rows = investigation.ground.stage.rows
+    events = investigation.events
+    floor = np.maximum(investigation.floor.rms, 1e-12)
+    left_by_scene = investigation.model.left()
+
+    # Squares beyond noise, in units of noise, of each event and of each joint in all.
     energies = [
-        e.energy(rows.scenes[e.scene], left[e.scene] / floor) for e in found.events
+        event.energy(rows.scenes[event.scene], left_by_scene[event.scene] / floor)
+        for event in events
     ]
-    unknown = np.maximum((found.model.rms() / floor) ** 2 - 1.0, 0.0)
-    beyond = unknown * [rows.count(j) for j in range(rows.n)]
-    near = [sum(beyond[j] for j in event.joints) for event in found.events]
-    apart = [e / max(e + rest, 1e-300) for e, rest in zip(energies, near, strict=True)]
-    inside = sum(energies)
-    gained = sum(max(taken.one.predicted.total, 0.0) for taken in found.found.taken)
-    confidence = float(max(event.certainty for event in found.events) * max(apart))
+    beyond_noise = np.maximum((investigation.model.rms() / floor) ** 2 - 1.0, 0.0)
+    energy_of_joint = beyond_noise * [rows.count(joint) for joint in range(rows.n)]
+    shares = []
+    for event, energy in zip(events, energies, strict=True):
+        at_joints = sum(energy_of_joint[joint] for joint in event.joints)
+        shares.append(energy / max(energy + at_joints, 1e-300))
+
+    in_events = sum(energies)
+    in_terms = sum(
+        max(result.scored.score.total, 0.0) for result in investigation.selection.terms
+    )
+    certainty = max(event.certainty for event in events)
+    confidence = float(certainty * max(shares))
     return diagnosis.FindingEntry(
         effect=effect.name,
         joint=None,
         confidence=confidence,
         name_confidence=confidence,
-        explains=float(inside / max(inside + gained, 1e-300)),
+        explains=float(in_events / max(in_events + in_terms, 1e-300)),
         confusable_with=[],
         separate_by=effect.separate_by,
         gain=0.0,
-        note=f"{len(found.events)} interval(s), left out of the search",
-        evidence=pushed(found, robot),
+        note=f"{len(events)} interval(s), left out of the search",
+        evidence=pushed(investigation, robot),
     )
 
 
 def _finding(
-    found: Investigation, robot: Robot, taken: Taken
+    investigation: Investigation, robot: Robot, result: TermResult
 ) -> diagnosis.FindingEntry:
     """Describe one effect that was taken."""
-    what, model = taken.term.what, taken.model
-    assert isinstance(what, Candidate)
-    effect, joints = what.effect, joints_below(taken.term.channels, found.ground.n)
-    before = np.array([rms(taken.left[j]) for j in joints])
-    after, floor = model.rms()[joints], found.floor.rms[joints]
-    name = named(taken, float(np.max(after / np.maximum(floor, 1e-12), initial=1.0)))
+    candidate = result.term.what
+    model = result.model
+    assert isinstance(candidate, Candidate)
+    effect = candidate.effect
+    joints = joints_below(result.term.channels, investigation.ground.n)
+    rms_before = np.array([rms(result.left_without[joint]) for joint in joints])
+    rms_after = model.rms()[joints]
+    floor = investigation.floor.rms[joints]
+    floors_left = rms_after / np.maximum(floor, 1e-12)
+    name = named(result, float(np.max(floors_left, initial=1.0)))
+
     # Share of the variance above the noise floor that goes; all where no more is left.
-    scale = np.maximum(after, 1e-12)
-    above = float(np.sum((before**2 - floor**2) / scale**2))
-    gone = float(np.sum((before**2 - after**2) / scale**2))
-    coefficients, covariance = size_of(found, taken)
-    values = effect.reported(robot, what.joint, what.settings, coefficients, covariance)
+    scale = np.maximum(rms_after, 1e-12)
+    above_floor = float(np.sum((rms_before**2 - floor**2) / scale**2))
+    removed = float(np.sum((rms_before**2 - rms_after**2) / scale**2))
+
+    coefficients, covariance = size_of(investigation, result)
+    values = effect.reported(
+        robot, candidate.joint, candidate.settings, coefficients, covariance
+    )
     return diagnosis.FindingEntry(
         effect=effect.name,
-        joint=robot.name_of(what.joint),
+        joint=robot.name_of(candidate.joint),
         confidence=name.confidence,
         name_confidence=name.by_itself,
-        explains=float(np.clip(gone / max(above, 1e-300), 0.0, 1.0)),
+        explains=float(np.clip(removed / max(above_floor, 1e-300), 0.0, 1.0)),
         confusable_with=list(name.others),
-        separate_by=separate_by(effect, name.others, robot, what.joint),
-        gain=taken.one.predicted.share,
+        separate_by=separate_by(effect, name.others, robot, candidate.joint),
+        gain=result.scored.score.share,
         parameters=[_parameter(value) for value in values],
-        settings=dict(what.settings),
-        note=effect.lacking(robot, what.joint),
-        log_gain=taken.one.predicted.total,
-        evidence=evidence_of(found, robot, taken),
-        rivals=rivals_of(robot, taken, name.others),
+        settings=dict(candidate.settings),
+        note=effect.lacking(robot, candidate.joint),
+        log_gain=result.scored.score.total,
+        evidence=evidence_of(investigation, robot, result),
+        rivals=rivals_of(robot, result, name.others),
     )
 
 
 def _parameter(value: Value) -> diagnosis.EffectParameter:
-    """A physical parameter; null where the logs do not determine it."""
-    known = np.isfinite(value.std_error) and value.std_error < UNTOLD
+    """Return a physical parameter; null where the logs do not determine it."""
+    is_determined = np.isfinite(value.std_error) and value.std_error < UNTOLD
     return diagnosis.EffectParameter(
         name=value.name,
-        value=value.value if known else None,
-        std_error=value.std_error if known else None,
+        value=value.value if is_determined else None,
+        std_error=value.std_error if is_determined else None,
         unit=value.unit,
     )
 
 
-def size_of(found: Investigation, taken: Taken) -> tuple[Array, Array]:
-    """Coefficients (k,) of an effect that was taken, and their covariance (k, k).
+def size_of(investigation: Investigation, result: TermResult) -> tuple[Array, Array]:
+    """Return coefficients (k,) of an effect, and their covariance (k, k).
 
     A change of the file's values is judged in place of what hides it. What these other
     terms make of its size, beyond how unsure it is beside them, is an error of it as
     well.
     """
-    coefficients = taken.model.coefficients(taken.term)
-    covariance = taken.model.covariance(taken.term)
+    term = result.term
+    coefficients = result.model.coefficients(term)
+    covariance = result.model.covariance(term)
 
     # What the rows tell nothing of is as unsure as it was beforehand: it is not
     # determined.
-    beforehand = 1.0 / np.diag(taken.term.part.precision)[: len(coefficients)]
-    untold = taken.model.variances(taken.term) > UNTOLD_SHARE * beforehand
-    covariance[untold, untold] = UNTOLD**2
-    if taken.model is found.model or taken.term not in found.model.terms:
+    prior_variance = 1.0 / np.diag(term.part.precision)[: len(coefficients)]
+    is_undetermined = result.model.variances(term) > UNTOLD_SHARE * prior_variance
+    covariance[is_undetermined, is_undetermined] = UNTOLD**2
+
+    finished = investigation.model
+    if result.model is finished or term not in finished.terms:
         return coefficients, covariance
-    moved = found.model.coefficients(taken.term) - coefficients
-    unsure = np.diag(found.model.covariance(taken.term))
-    return coefficients, covariance + np.diag(np.maximum(moved**2 - unsure, 0.0))
+    difference = finished.coefficients(term) - coefficients
+    variance = np.diag(finished.covariance(term))
+    excess = np.maximum(difference**2 - variance, 0.0)
+    return coefficients, covariance + np.diag(excess)
 
 
 def separate_by(
-    effect: Effect, others: Sequence[str], robot: Robot, joint: int | None
+    effect: Effect, rival_names: Sequence[str], robot: Robot, joint: int | None
 ) -> str:
-    """What to record, and the command that plans it against the first rival where it can."""
-    every = catalogue_of(robot).items()
-    asked = [
-        n for n, e in every if e.by_motion and (joint is not None or e.arm or e.shared)
-    ]
-    rivals = [name for name in others if name in asked]
+    """Say what to record, and which command plans it against the first rival.
+
+    Parameters
+    ----------
+    effect : Effect
+        The effect that was found.
+    rival_names : sequence of str
+        Names that these logs cannot rule out.
+    robot : Robot
+        The arm.
+    joint : int or None
+        Where the effect is.
+    """
+    can_be_planned = {
+        name
+        for name, other in catalogue_of(robot).items()
+        if other.by_motion and (joint is not None or other.arm or other.shared)
+    }
+    rivals = [name for name in rival_names if name in can_be_planned]
     if not rivals or not effect.by_motion:
         return effect.separate_by
     where = "" if joint is None else f" --joint {robot.joint_names[joint]}"
@@ -262,63 +346,78 @@ def separate_by(
 
 
 def _unexplained(
-    found: Investigation, robot: Robot, taken: Taken
+    investigation: Investigation, robot: Robot, result: TermResult
 ) -> diagnosis.UnexplainedPart:
     """Describe a smooth function that was taken."""
-    what = taken.term.what
-    assert isinstance(what, SmoothFunction)
-    told, closest = taken.one.predicted, None
-    if effects := [rival for rival in taken.rivals if not rival.term.smooth]:
-        share = np.clip(effects[0].predicted.total / max(told.total, 1e-300), 0.0, 1.0)
+    function = result.term.what
+    assert isinstance(function, SmoothFunction)
+    score = result.scored.score
+    effects = [rival for rival in result.rivals if not rival.term.smooth]
+    closest = None
+    if effects:
+        share = effects[0].score.total / max(score.total, 1e-300)
         closest = diagnosis.ClosestEffect(
-            effect=effects[0].term.name, share=float(share)
+            effect=effects[0].term.name, share=float(np.clip(share, 0.0, 1.0))
         )
     return diagnosis.UnexplainedPart(
-        joint=robot.joint_names[what.joint],
-        depends_on=list(what.quantities),
-        share=float(np.clip(told.share, 0.0, 1.0)),
+        joint=robot.joint_names[function.joint],
+        depends_on=list(function.quantities),
+        share=float(np.clip(score.share, 0.0, 1.0)),
         closest=closest,
-        log_gain=told.total,
-        evidence=evidence_of(found, robot, taken),
-        rivals=rivals_of(robot, taken),
+        log_gain=score.total,
+        evidence=evidence_of(investigation, robot, result),
+        rivals=rivals_of(robot, result),
     )
 
 
 def _excess(
-    found: Investigation, robot: Robot, joint: int, times: float
+    investigation: Investigation, robot: Robot, joint: int, times: float
 ) -> diagnosis.UnexplainedPart:
-    """Describe what is left at a joint by the smooth term that it is most like, if by any."""
-    name, share, ground = robot.joint_names[joint], 1.0 - times**-2, found.ground
-    terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
-    gained = found.model.linear.gained([term.part for term in terms])
-    best = max(
-        zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None
+    """Describe what is left at a joint by the smooth term that it is most like, if any.
+
+    It is `times` what a right model leaves.
+    """
+    ground = investigation.ground
+    part = diagnosis.UnexplainedPart(
+        joint=robot.joint_names[joint], depends_on=[], share=1.0 - times**-2
     )
-    part = diagnosis.UnexplainedPart(joint=name, depends_on=[], share=share)
-    if best is not None and best[1].evidence > 0.0:
-        what = best[0].what
-        assert isinstance(what, SmoothFunction)
-        part.depends_on, part.evidence = (
-            list(what.quantities),
-            left_over(found, robot, what),
-        )
+    terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
+    fits = investigation.model.linear.fits([term.part for term in terms])
+    if not fits:
+        return part
+    term, fit = max(
+        zip(terms, fits, strict=True), key=lambda pair: pair[1].log_bayes_factor
+    )
+    if fit.log_bayes_factor > 0.0:
+        function = term.what
+        assert isinstance(function, SmoothFunction)
+        part.depends_on = list(function.quantities)
+        part.evidence = left_over(investigation, robot, function)
     return part
 
 
-def _joints(found: Investigation, robot: Robot) -> dict[str, diagnosis.ResidualEntry]:
-    """The residual of each joint; without a sample there is nothing to compute numbers from."""
-    rows, floor, entries = found.ground.stage.rows, found.floor, {}
-    whites, left = white(rows, found.model.left()), found.model.rms()
-    for j, name in enumerate(robot.joint_names):
-        samples = found.file.samples[j]
-        known = samples > 0 and floor.rms[j] > 0.0
+def _joints(
+    investigation: Investigation, robot: Robot
+) -> dict[str, diagnosis.ResidualEntry]:
+    """Return the residual of each joint.
+
+    Without a sample there is nothing to compute numbers from.
+    """
+    rows = investigation.ground.stage.rows
+    floor = investigation.floor
+    is_white = white(rows, investigation.model.left())
+    rms_explained = investigation.model.rms()
+    entries = {}
+    for joint, name in enumerate(robot.joint_names):
+        samples = investigation.file_residual.samples[joint]
+        has_floor = samples > 0 and floor.rms[joint] > 0.0
         entries[name] = diagnosis.ResidualEntry(
-            rmse=float(found.start[j]) if samples else None,
-            noise_floor=float(floor.rms[j]) if known else None,
-            noise_floor_interval=list(floor.interval(j)) if known else [],
-            white=bool(whites[j]),
-            rmse_explained=float(left[j]) if rows.count(j) else None,
+            rmse=float(investigation.file_rms[joint]) if samples else None,
+            noise_floor=float(floor.rms[joint]) if has_floor else None,
+            noise_floor_interval=list(floor.interval(joint)) if has_floor else [],
+            white=bool(is_white[joint]),
+            rmse_explained=float(rms_explained[joint]) if rows.count(joint) else None,
             samples=samples,
-            tried=tried_at(found, robot, j),
+            tried=tried_at(investigation, robot, joint),
         )
     return entries

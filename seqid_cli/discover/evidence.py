@@ -1,8 +1,9 @@
-"""What a finding rests on, for people to see: residuals over what the effect goes with, and rivals.
+"""What a finding rests on, for people to see: binned residuals, and rivals.
 
-Before is what the model leaves without the effect, its base fitted anew, after is what
-it leaves with it: both on blocks of time that were left out of the fit, so that they
-show what the gain says. After must be flat, where the law is the right one.
+Residuals are shown over what the effect goes with. Before is what the model leaves
+without the effect, its base fitted anew, after is what it leaves with it: both on
+blocks of time that were left out of the fit, so that they show what the gain says.
+After must be flat, where the law is the right one.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -14,7 +15,7 @@ import numpy as np
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Ranked, Taken
+from seqid_cli.discover.select.results import ScoredTerm, TermResult
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
@@ -50,172 +51,302 @@ NAMES = {"load_size": "load", "session_time": "time"}
 
 
 @dataclass(frozen=True)
-class _Over:
-    """What a residual is shown over: `values` (N,) by data set of joint `of`; none: own torque."""
+class _Abscissa:
+    """What a residual is shown over.
+
+    Attributes
+    ----------
+    quantity : str
+        As the contract spells it.
+    of : int
+        The joint whose quantity it is.
+    sided : bool
+        Whether the residual is shown along the direction of motion.
+    values : sequence of (N,) arrays
+        By data set; empty where it is the term's own torque.
+    """
 
     quantity: str
     of: int
     sided: bool = False
     values: Sequence[Array] = ()
 
-    def sign(self, scenes: Sequence[Scene], j: int, take: Take) -> Array | float:
-        """Direction of motion at a joint's rows where it counts, else 1."""
-        return (
-            np.sign(take(j, [s.motion.dq[:, j] for s in scenes])) if self.sided else 1.0
-        )
+    def sign(self, scenes: Sequence[Scene], joint: int, take: Take) -> Array | float:
+        """Return the direction of motion at a joint's rows where it counts, else 1."""
+        if not self.sided:
+            return 1.0
+        return np.sign(take(joint, [scene.motion.dq[:, joint] for scene in scenes]))
 
 
-def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEntry:
-    """Bin what is left without a term and with it, at its joint or the one that shows it most."""
-    term, model, stage, n = taken.term, taken.model, found.ground.stage, found.ground.n
+def evidence_of(
+    investigation: Investigation, robot: Robot, result: TermResult
+) -> EvidenceEntry:
+    """Bin what is left without a term and with it.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    robot : Robot
+        The arm.
+    result : TermResult
+        The term.
+
+    Returns
+    -------
+    EvidenceEntry
+        At the term's joint, or the one that shows it most.
+    """
+    term = result.term
+    model = result.model
+    stage = investigation.ground.stage
+    n = investigation.ground.n
+
+    # Its channel that shows it most, and rows of that one.
     theta = model.linear.theta[model.where(term)]
-    weight, own = (
-        model.noise.weight,
-        [c for c in term.channels if term.joint in (c % n, None)],
+    channels = [c for c in term.channels if term.joint in (c % n, None)]
+    channel = max(
+        channels,
+        key=lambda c: float(model.noise.weight[c] @ term.part.torque(c, theta) ** 2),
     )
-    channel = max(own, key=lambda c: float(weight[c] @ term.part.torque(c, theta) ** 2))
-    j, narrow = channel % n, channel // n != 1
-    take = stage.rows.of if narrow else stage.high.of
-    scenes = [scene if narrow else scene.full or scene for scene in stage.scenes]
-    over = _over(term.what, theta[term.part.at(channel)], scenes, j)
-    x = take(j, over.values) if over.values else term.part.torque(channel, theta)
-    sign, left = over.sign(scenes, j, take), model.linear.left_out[channel]
-    return _binned(robot, j, over, x, taken.left[channel] * sign, left * sign)
+    joint = channel % n
+    is_below_cutoff = channel // n != 1
+    take = stage.rows.of if is_below_cutoff else stage.high.of
+    scenes = [
+        scene if is_below_cutoff else scene.full or scene for scene in stage.scenes
+    ]
+
+    over = _abscissa(term.what, theta[term.part.at(channel)], scenes, joint)
+    x = take(joint, over.values) if over.values else term.part.torque(channel, theta)
+    sign = over.sign(scenes, joint, take)
+    return _binned(
+        robot,
+        joint,
+        over,
+        x,
+        before=result.left_without[channel] * sign,
+        after=model.linear.left_out[channel] * sign,
+    )
 
 
 def left_over(
-    found: Investigation, robot: Robot, what: SmoothFunction
+    investigation: Investigation, robot: Robot, function: SmoothFunction
 ) -> EvidenceEntry:
     """Bin what is left at a joint over what it is most like; nothing takes that off."""
-    scenes, take, j = found.ground.stage.scenes, found.ground.stage.rows.of, what.joint
-    over = _over(what, np.zeros(0), scenes, j)
-    y = take(j, [r[:, j] for r in found.model.left()])
-    x = take(j, over.values) if over.values else y
-    return _binned(robot, j, over, x, y * over.sign(scenes, j, take))
+    scenes = investigation.ground.stage.scenes
+    take = investigation.ground.stage.rows.of
+    joint = function.joint
+    over = _abscissa(function, np.zeros(0), scenes, joint)
+    left_by_scene = investigation.model.left()
+    residual = take(joint, [of_scene[:, joint] for of_scene in left_by_scene])
+    x = take(joint, over.values) if over.values else residual
+    sign = over.sign(scenes, joint, take)
+    return _binned(robot, joint, over, x, before=residual * sign)
 
 
-def pushed(found: Investigation, robot: Robot) -> EvidenceEntry:
-    """Bin the residual over time around the strongest of some pushes; nothing takes that off."""
-    event = max(found.events, key=lambda one: one.score)
-    left, scene = (
-        found.model.left()[event.scene],
-        found.ground.stage.scenes[event.scene],
-    )
+def pushed(investigation: Investigation, robot: Robot) -> EvidenceEntry:
+    """Bin the residual over time around the strongest push; nothing takes that off."""
+    event = max(investigation.events, key=lambda each: each.score)
+    residual = investigation.model.left()[event.scene]
+    scene = investigation.ground.stage.scenes[event.scene]
     near = event.inside(scene, AROUND_S)
-    j = max(event.joints, key=lambda k: float(np.mean(left[near, k] ** 2)))
-    x = found.logs[event.scene].offset + (scene.motion.t - scene.motion.t[0])[near]
-    return _binned(robot, j, _Over("time", j), x, left[near, j])
+    joint = max(event.joints, key=lambda j: float(np.mean(residual[near, j] ** 2)))
+    since_start = (scene.motion.t - scene.motion.t[0])[near]
+    x = investigation.logs[event.scene].offset + since_start
+    over = _Abscissa("time", joint)
+    return _binned(robot, joint, over, x, before=residual[near, joint])
 
 
-def _over(
-    what: Candidate | SmoothFunction, theta: Array, scenes: Sequence[Scene], j: int
-) -> _Over:
-    """What a term with coefficients theta (k,) goes with; of a wave the place, 0 where it rises."""
+def _abscissa(
+    what: Candidate | SmoothFunction,
+    theta: Array,
+    scenes: Sequence[Scene],
+    joint: int,
+) -> _Abscissa:
+    """Return what a term with coefficients theta (k,) goes with."""
     if isinstance(what, SmoothFunction):
-        sided, axes = what.factor == "direction", [what.axes[0]]
+        sided = what.factor == "direction"
+        axes = [what.axes[0]]
     elif what.effect.over == "wave":
-        turns, a, b = list[Array](), theta[::2], theta[1::2]
-        for X in (what.columns(scene)[j] for scene in scenes):
-            turn = np.arctan2(
-                X[:, ::2] @ a + X[:, 1::2] @ b, X[:, 1::2] @ a - X[:, ::2] @ b
-            )
-            turns.append(np.mod(turn / (2 * np.pi), 1.0))
-        return _Over("wave", j, values=turns)
+        return _Abscissa("wave", joint, values=_turns(what, theta, scenes, joint))
     elif what.effect.over == "driving_load":
-        along = [scene.load[:, j] * np.sign(scene.motion.dq[:, j]) for scene in scenes]
-        return _Over("driving_load", j, what.effect.sided, along)
+        driving = [
+            scene.load[:, joint] * np.sign(scene.motion.dq[:, joint])
+            for scene in scenes
+        ]
+        return _Abscissa("driving_load", joint, what.effect.sided, driving)
     else:
-        axis = what.effect.axis(j, what.settings)
-        sided, axes = what.effect.sided, [axis] if axis else []
-    # where logs share no clock: since each's start
+        sided = what.effect.sided
+        axis = what.effect.axis(joint, what.settings)
+        axes = [axis] if axis else []
+
+    # Where logs share no clock: since each's start.
     if axes and axes[0].measure == "session_time":
         axes.append(Axis("time", axes[0].joint))
-    for one in axes:
-        known = [x for scene in scenes if (x := one.values(scene)) is not None]
-        if len(known) == len(scenes):
-            return _Over(NAMES.get(one.measure, one.measure), one.joint, sided, known)
-    return _Over("torque", j)
+    for axis in axes:
+        values = [axis.values(scene) for scene in scenes]
+        in_all_logs = [of_scene for of_scene in values if of_scene is not None]
+        if len(in_all_logs) == len(scenes):
+            quantity = NAMES.get(axis.measure, axis.measure)
+            return _Abscissa(quantity, axis.joint, sided, in_all_logs)
+    return _Abscissa("torque", joint)
+
+
+def _turns(
+    candidate: Candidate, theta: Array, scenes: Sequence[Scene], joint: int
+) -> list[Array]:
+    """Return the place (N,) on a wave, in turns by data set: 0 where it rises.
+
+    Columns are sine and cosine of each wave, in turn.
+    """
+    a = theta[::2]
+    b = theta[1::2]
+    turns = []
+    for scene in scenes:
+        X = candidate.columns(scene)[joint]
+        sine = X[:, ::2] @ a + X[:, 1::2] @ b
+        cosine = X[:, 1::2] @ a - X[:, ::2] @ b
+        turns.append(np.mod(np.arctan2(sine, cosine) / (2 * np.pi), 1.0))
+    return turns
 
 
 def _binned(
-    robot: Robot, j: int, over: _Over, x: Array, y: Array, left: Array | None = None
+    robot: Robot,
+    joint: int,
+    over: _Abscissa,
+    x: Array,
+    before: Array,
+    after: Array | None = None,
 ) -> EvidenceEntry:
-    """Means and spreads over x (M,) of y, left (M,) N m."""
-    bins, names = _bins(x), robot.joint_names
-    before, after = ([r[part] for part in bins if r is not None] for r in (y, left))
+    """Return means and spreads over x (M,) of residuals (M,) N m.
+
+    `after` is None where nothing takes the residual off.
+    """
+    bins = _bins(x)
+    before_parts = [before[part] for part in bins]
+    after_parts = [after[part] for part in bins] if after is not None else []
+    of_revolute, of_prismatic = UNITS.get(over.quantity, ("", ""))
+    is_prismatic = robot.joints[over.of].prismatic
     return EvidenceEntry(
-        joint=names[j],
+        joint=robot.joint_names[joint],
         quantity=over.quantity,
-        of=names[over.of],
-        unit=UNITS.get(over.quantity, ("", ""))[robot.joints[over.of].prismatic],
+        of=robot.joint_names[over.of],
+        unit=of_prismatic if is_prismatic else of_revolute,
         sided=over.sided,
-        x=_each(np.mean, [x[part] for part in bins]),
+        x=_rounded(np.mean, [x[part] for part in bins]),
         count=[len(part) for part in bins],
-        before=_each(np.mean, before),
-        before_spread=_each(np.std, before),
-        after=_each(np.mean, after),
-        after_spread=_each(np.std, after),
+        before=_rounded(np.mean, before_parts),
+        before_spread=_rounded(np.std, before_parts),
+        after=_rounded(np.mean, after_parts),
+        after_spread=_rounded(np.std, after_parts),
     )
 
 
 def _bins(x: Array) -> list[Index]:
-    """Indices of each bin of x (M,), ascending: narrow, with enough samples, over no gap."""
-    low, span = float(np.min(x, initial=np.inf)), float(np.ptp(x)) if len(x) else 0.0
+    """Return the indices of each bin of x (M,), ascending.
+
+    Bins are narrow, have enough samples, and go over no gap.
+    """
+    if not len(x):
+        return []
+    low = float(np.min(x))
+    span = float(np.ptp(x))
     if span == 0.0:
-        return [np.arange(len(x))] if len(x) else []
+        return [np.arange(len(x))]
+
     cell = np.minimum((CELLS * (x - low) / span).astype(np.intp), CELLS - 1)
-    count, ends = np.bincount(cell, minlength=CELLS), [0]
-    for at, after in pairwise(np.flatnonzero(count).tolist()):
-        if count[ends[-1] : at + 1].sum() >= LEAST * len(x) or after - at > GAP:
-            ends.append(at + 1)
-    number = np.searchsorted(ends, cell, side="right") - 1
-    return [np.flatnonzero(number == k) for k in range(len(ends))]
+    count = np.bincount(cell, minlength=CELLS)
+    starts = [0]  # the first cell of each bin
+    for filled, next_filled in pairwise(np.flatnonzero(count).tolist()):
+        is_enough = count[starts[-1] : filled + 1].sum() >= LEAST * len(x)
+        if is_enough or next_filled - filled > GAP:
+            starts.append(filled + 1)
+    bin_of_sample = np.searchsorted(starts, cell, side="right") - 1
+    return [np.flatnonzero(bin_of_sample == number) for number in range(len(starts))]
 
 
-def _each(what: Callable[[Array], np.floating], parts: Sequence[Array]) -> list[float]:
-    return [float(f"{what(part):.{DIGITS}g}") for part in parts]
+def _rounded(
+    statistic: Callable[[Array], np.floating], parts: Sequence[Array]
+) -> list[float]:
+    return [float(f"{statistic(part):.{DIGITS}g}") for part in parts]
 
 
 def rivals_of(
-    robot: Robot, taken: Taken, alike: Collection[str] = ()
+    robot: Robot, result: TermResult, likely_names: Collection[str] = ()
 ) -> list[RivalEntry]:
-    """What was tried in a term's place; `alike` are the effects that could be it as well."""
-    others = _each_once(r for r in taken.rivals if r.term.key != taken.term.key)
-    # these first
-    told = sorted(others, key=lambda one: one.term.name not in alike)[:MOST]
-    ranked = sorted(told, key=lambda one: -one.predicted.total)
-    return [_rival(robot, one, _beside(one, taken, alike)) for one in ranked]
+    """Return what was tried in a term's place, the largest gain first.
 
-
-def tried_at(found: Investigation, robot: Robot, joint: int) -> list[RivalEntry]:
-    """What was tried at a joint beside all that was taken, the largest gain first."""
-    n = found.ground.n
-    here = (
-        r for r in found.found.tried if any(c % n == joint for c in r.term.channels)
+    Parameters
+    ----------
+    robot : Robot
+        The arm.
+    result : TermResult
+        The term.
+    likely_names : collection of str
+        Effects that could be it as well; these are told before others.
+    """
+    rivals = _each_once(
+        rival for rival in result.rivals if rival.term.key != result.term.key
     )
-    return [_rival(robot, one, _lacking(one)) for one in _each_once(here)[:MOST]]
+    rivals.sort(key=lambda rival: rival.term.name not in likely_names)
+    first_rivals = sorted(rivals[:MOST], key=lambda rival: -rival.score.total)
+    return [
+        _rival_entry(robot, rival, _why_not_in_place(rival, result, likely_names))
+        for rival in first_rivals
+    ]
 
 
-def _each_once(some: Iterable[Ranked]) -> list[Ranked]:
-    """The first of every name at every joint; one smooth function, the best, for all."""
-    kept: dict[object, Ranked] = {}
-    for one in some:
-        kept.setdefault("smooth" if one.term.smooth else one.term.key, one)
-    return list(kept.values())
+def tried_at(
+    investigation: Investigation, robot: Robot, joint: int
+) -> list[RivalEntry]:
+    """Return what was tried at a joint beside what was taken, the largest gain first.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    robot : Robot
+        The arm.
+    joint : int
+        Index of the joint.
+    """
+    n = investigation.ground.n
+    at_joint = []
+    for scored in investigation.selection.untaken:
+        joints = {channel % n for channel in scored.term.channels}
+        if joint in joints:
+            at_joint.append(scored)
+    first_terms = _each_once(at_joint)[:MOST]
+    return [
+        _rival_entry(robot, scored, _why_not_beside(scored)) for scored in first_terms
+    ]
 
 
-def _rival(robot: Robot, one: Ranked, why_not: str) -> RivalEntry:
-    name, joint = one.term.name, robot.name_of(one.term.joint)
-    name = f"some function of {name}" if one.term.smooth else name
+def _each_once(scored_terms: Iterable[ScoredTerm]) -> list[ScoredTerm]:
+    """Return the first of every name at every joint; of smooth functions the first."""
+    first: dict[object, ScoredTerm] = {}
+    for scored in scored_terms:
+        key = "smooth" if scored.term.smooth else scored.term.key
+        first.setdefault(key, scored)
+    return list(first.values())
+
+
+def _rival_entry(robot: Robot, scored: ScoredTerm, why_not: str) -> RivalEntry:
+    name = scored.term.name
     return RivalEntry(
-        effect=name, joint=joint, log_gain=one.predicted.total, why_not=why_not
+        effect=f"some function of {name}" if scored.term.smooth else name,
+        joint=robot.name_of(scored.term.joint),
+        log_gain=scored.score.total,
+        why_not=why_not,
     )
 
 
-def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
-    """Why a rival was not taken in a term's place."""
-    reach = one.predicted.total / max(taken.one.predicted.total, 1e-300)
-    if one.term.name in alike:
+def _why_not_in_place(
+    rival: ScoredTerm, result: TermResult, likely_names: Collection[str]
+) -> str:
+    """Say why a rival was not taken in a term's place."""
+    reach = rival.score.total / max(result.scored.score.total, 1e-300)
+    if rival.term.name in likely_names:
         return (
             f"these logs cannot tell the two apart: it reaches {percent(reach)} of the"
             " gain"
@@ -224,31 +355,36 @@ def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
         return "predicts nothing in its place"
     if reach < 1.0 - Options().small:
         return f"explains {percent(1.0 - reach)} less"
-    more, own = one.term.freedom, taken.term.freedom
-    if more > own:
+    of_rival = rival.term.freedom
+    of_term = result.term.freedom
+    if of_rival > of_term:
         return (
-            f"needs {more} parameters, not {own}, to reach {percent(reach)} of the gain"
+            f"needs {of_rival} parameters, not {of_term}, to reach {percent(reach)} of"
+            " the gain"
         )
     return f"no better: it reaches {percent(reach)} of the gain"
 
 
-def _lacking(one: Ranked) -> str:
-    """Why something was not taken beside all that was."""
-    options, told = Options(), one.predicted
-    if told.total <= 0.0:
+def _why_not_beside(scored: ScoredTerm) -> str:
+    """Say why something was not taken beside all that was."""
+    options = Options()
+    score = scored.score
+    log_bayes_factor = scored.fit.log_bayes_factor
+    if score.total <= 0.0:
         return "predicts left-out blocks worse than the model without it"
-    if told.doubt >= options.doubt:
-        chance, most = percent(told.doubt), percent(options.doubt)
+    if score.doubt >= options.doubt:
         return (
-            f"gains nothing in {chance} of drawn blocks of time; {most} is allowed at"
-            " most"
+            f"gains nothing in {percent(score.doubt)} of drawn blocks of time;"
+            f" {percent(options.doubt)} is allowed at most"
         )
-    if (evidence := one.gained.evidence) <= options.chance:
+    if log_bayes_factor <= options.chance:
         return (
-            f"log evidence of {evidence:.1f}, as of noise; {options.chance:g} is asked"
-            " at least"
+            f"log evidence of {log_bayes_factor:.1f}, as of noise;"
+            f" {options.chance:g} is asked at least"
         )
-    if told.share <= options.improvement:
-        share, least = percent(told.share), percent(options.improvement)
-        return f"takes away {share} of the squared error; {least} is asked at least"
+    if score.share <= options.improvement:
+        return (
+            f"takes away {percent(score.share)} of the squared error;"
+            f" {percent(options.improvement)} is asked at least"
+        )
     return "was taken, and removed again: not worth it once all was fitted together"

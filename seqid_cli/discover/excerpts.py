@@ -50,21 +50,43 @@ OVERLAP_S = 2.0  # between spans
 PLACES_OF_LOG = 12  # of one log
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ResidualSurvey:
-    """What a pass over one log remembers, much of it by block (B) of `BLOCK_S`."""
+    """What a pass over one log remembers, much of it by block of `BLOCK_S`.
+
+    Attributes
+    ----------
+    path : Path
+        Of the log.
+    whole : Whole
+        Its start, length and digest.
+    samples : int
+        Number of its samples.
+    rate_hz : float
+        Of these.
+    kind : str
+        File format; empty for a log that is read as a whole.
+    squares : (B, n) array
+        Sum of the squared residual [(N m)^2] where a joint certainly slides.
+    counts : (B, n) array
+        Samples of that.
+    travel : (B, n, 2) array
+        Way [rad; m] that a joint slides forward and backward.
+    usable : (B,) array
+        Samples without a gap, once the filters have settled.
+    places : tuple of Interval
+        Where the residual stands out, the strongest first.
+    """
 
     path: Path
     whole: Whole
     samples: int
     rate_hz: float
-    kind: str  # file format; empty for a log that is read as a whole
-    # (B, n) sum of the squared residual [(N m)^2] where a joint certainly slides
+    kind: str
     squares: Array
-    counts: Array  # (B, n) samples of that
-    travel: Array  # (B, n, 2) way [rad] that a joint slides forward and backward
-    usable: Array  # (B,) samples without a gap, once the filters have settled
-    # where the residual stands out, the strongest first
+    counts: Array
+    travel: Array
+    usable: Array
     places: tuple[events.Interval, ...]
 
 
@@ -76,109 +98,168 @@ def residual_survey(
     stages: Stages,
     options: InertiaOptions,
 ) -> ResidualSurvey:
-    """Pass over one log with torque; which `number` of a set it is makes no difference.
+    """Pass over one log with torque.
 
-    The motion is that of the encoders. Of a log that is passed over, the model has
-    those of its effects that can be told part by part. Raises InputError: the log
-    carries neither torque nor current, or no stretch is long enough to filter.
+    Parameters
+    ----------
+    log : Recording or SurveyedLog
+        The motion is that of its encoders. Of one that is passed over, the model has
+        those of its effects that can be told part by part.
+    number : int
+        Which of a set it is; it makes no difference.
+    robot : Robot
+        The arm.
+    stages : Stages
+        The model.
+    options : InertiaOptions
+        How motion is low-passed.
+
+    Raises
+    ------
+    InputError
+        The log carries neither torque nor current, or no stretch is long enough to
+        filter.
     """
     del number
     model = TorqueModel.from_stages(stages, robot)
-    n, seen, held, tracks = robot.n, 0, 0, list[events.Track]()
-    blocks, sums, found = list[Index](), list[Array](), list[events.Interval]()
+    n = robot.n
+    blocks: list[Index] = []
+    sums: list[Array] = []
+    places = _PlacesInSpans()
+    n_samples = 0
     for part in _parts(log, robot, stages, options):
-        left, counts = part.tau - part.predicted, part.sliding & part.used[:, None]
-        step = float(part.t[1] - part.t[0]) if len(part.t) > 1 else 0.0
-        block, own = _block_sums(part, np.where(counts, left, 0.0), counts, step)
+        residual = part.tau - part.predicted
+        counts = part.sliding & part.used[:, None]
+        sample_s = float(part.t[1] - part.t[0]) if len(part.t) > 1 else 0.0
+        block, of_blocks = _block_sums(
+            part, np.where(counts, residual, 0.0), counts, sample_s
+        )
         blocks.append(block)
-        sums.append(own)
-        stride = 1.0 / (SAMPLES_PER_CUTOFF * part.cutoff_hz * max(step, 1e-9))
-        # the stride of a rate that is known from its steps
-        every = max(1, int(stride + 1e-6))
-        kept = np.arange(-seen % every, len(part.t), every)
-        tracks.append(_track(model, part, np.where(counts, left, np.nan), kept))
-        seen, held = seen + len(part.t), held + len(kept)
-        if held >= 2 * SPAN:
-            whole = events.joined(tracks)
-            found += _standing_out(whole[:SPAN])
-            rest = np.searchsorted(whole.t, whole.t[SPAN - 1] - OVERLAP_S)
-            tracks, held = [whole[int(rest) :]], len(whole.t) - int(rest)
-    found += _standing_out(events.joined(tracks))
-    at = np.concatenate(blocks)
-    table = np.zeros((int(at.max()) + 1, 4 * n + 1))
-    np.add.at(table, at, np.concatenate(sums))
+        sums.append(of_blocks)
+
+        # Every so many samples of the log, whatever its parts are.
+        wanted = 1.0 / (SAMPLES_PER_CUTOFF * part.cutoff_hz * max(sample_s, 1e-9))
+        stride = max(1, int(wanted + 1e-6))  # of a rate that is known from its steps
+        samples = np.arange(-n_samples % stride, len(part.t), stride)
+        counted = np.where(counts, residual, np.nan)
+        places.add(_track(model, part, counted, samples))
+        n_samples += len(part.t)
+
+    block_of_sum = np.concatenate(blocks)
+    table = np.zeros((int(block_of_sum.max()) + 1, 4 * n + 1))
+    np.add.at(table, block_of_sum, np.concatenate(sums))
+    is_passed_over = isinstance(log, SurveyedLog)
     return ResidualSurvey(
         path=log.path,
         whole=whole_of(log),
         samples=log.samples if isinstance(log, SurveyedLog) else len(log.t),
         rate_hz=log.rate_hz,
-        kind=log.format if isinstance(log, SurveyedLog) else "",
+        kind=log.format if is_passed_over else "",
         squares=table[:, :n],
         counts=table[:, n : 2 * n],
         travel=table[:, 2 * n : 4 * n].reshape(-1, 2, n).swapaxes(1, 2),
         usable=table[:, -1],
-        places=_strongest(found),
+        places=_strongest(places.finished()),
     )
+
+
+class _PlacesInSpans:
+    """Places of a log at which the residual stands out, looked for span by span."""
+
+    def __init__(self) -> None:
+        self._tracks: list[events.Track] = []
+        self._n_samples = 0
+        self._places: list[events.Interval] = []
+
+    def add(self, track: events.Track) -> None:
+        """Take in the next samples; a span is searched once another follows it."""
+        self._tracks.append(track)
+        self._n_samples += len(track.t)
+        if self._n_samples < 2 * SPAN:
+            return
+        joined = events.joined(self._tracks)
+        self._places += _standing_out(joined[:SPAN])
+        # The next span begins a little before the end of this one.
+        first = int(np.searchsorted(joined.t, joined.t[SPAN - 1] - OVERLAP_S))
+        self._tracks = [joined[first:]]
+        self._n_samples = len(joined.t) - first
+
+    def finished(self) -> list[events.Interval]:
+        """Return the places of all spans."""
+        return self._places + _standing_out(events.joined(self._tracks))
 
 
 def _parts(
     log: Recording | SurveyedLog, robot: Robot, stages: Stages, options: InertiaOptions
 ) -> Iterable[LogPrediction]:
+    """Predict a log, part by part if it is not held."""
     options = replace(options, source="encoder")
     if not isinstance(log, SurveyedLog):
         return predict([log], robot, stages, options=options, unexplained=True)
-    effects = [x for x in fitted_effects(stages, robot, unexplained=True) if x.local]
-    return Predictor(TorqueModel.from_stages(stages, robot), stages, options, effects)(
-        log, 0
-    )
+    effects = fitted_effects(stages, robot, unexplained=True)
+    local_effects = [effect for effect in effects if effect.local]
+    model = TorqueModel.from_stages(stages, robot)
+    predictor = Predictor(model, stages, options, local_effects)
+    return predictor(log, 0)
 
 
 def _block_sums(
-    part: LogPrediction, left: Array, counts: Mask, step: float
+    part: LogPrediction, residual: Array, counts: Mask, sample_s: float
 ) -> tuple[Index, Array]:
-    """Blocks (K,) of a part, and sums (K, 4 n + 1): squares, counts, ways, usable samples."""
+    """Return the blocks (K,) of a part, and sums (K, 4 n + 1) over each.
+
+    These are squares, counts, ways forward and backward, and usable samples.
+    """
     block = (part.t / BLOCK_S).astype(np.intp)
     starts = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
-    way = np.where(counts, part.dq * step, 0.0)
-    every = [
-        left**2,
+    travel = np.where(counts, part.dq * sample_s, 0.0)
+    columns = [
+        residual**2,
         counts,
-        np.maximum(way, 0.0),
-        np.maximum(-way, 0.0),
+        np.maximum(travel, 0.0),
+        np.maximum(-travel, 0.0),
         part.used[:, None],
     ]
-    return block[starts], np.add.reduceat(np.hstack(every), starts, axis=0)
+    return block[starts], np.add.reduceat(np.hstack(columns), starts, axis=0)
 
 
 def _track(
-    model: TorqueModel, part: LogPrediction, left: Array, at: Index
+    model: TorqueModel, part: LogPrediction, residual: Array, samples: Index
 ) -> events.Track:
-    """Some samples of a part with their residual (N, n), NaN where a joint does not count."""
-    q, dq, ddq = part.q[at], part.dq[at], part.ddq[at]
+    """Return some samples of a part; its residual (N, n) may be NaN."""
+    q = part.q[samples]
+    dq = part.dq[samples]
+    ddq = part.ddq[samples]
     rotor = known_rotors(model.robot) if model.rotor is None else model.rotor
     load = model.rigid(q, dq, ddq) - gear_ratios(model.robot) ** 2 * rotor * ddq
     return events.Track(
-        part.t[at], np.stack([q, dq, ddq, load, left[at]]), part.cutoff_hz
+        t=part.t[samples],
+        values=np.stack([q, dq, ddq, load, residual[samples]]),
+        cutoff_hz=part.cutoff_hz,
     )
 
 
 def _standing_out(track: events.Track) -> list[events.Interval]:
-    """Places of one span at which the residual stands out."""
+    """Return the places of one span at which the residual stands out."""
     if len(track.t) < SAMPLES_PER_CUTOFF or not np.isfinite(track.values[-1]).any():
         return []
-    every = (events.windows_of([track], length) for length in events.LENGTHS_S)
-    return events.places(
-        0, [(some, events.scores(some)) for some in every if len(some.centre)]
-    )
+    scored = []
+    for length_s in events.LENGTHS_S:
+        windows = events.windows_of([track], length_s)
+        if len(windows.centre):
+            scored.append((windows, events.scores(windows)))
+    return events.places(0, scored)
 
 
-def _strongest(found: Iterable[events.Interval]) -> tuple[events.Interval, ...]:
-    """The strongest places, each once: spans overlap."""
-    kept: list[events.Interval] = []
-    for place in sorted(found, key=lambda p: -p.score):
-        if all(place.end < other.start or place.start > other.end for other in kept):
-            kept.append(place)
-    return tuple(kept[:PLACES_OF_LOG])
+def _strongest(places: Iterable[events.Interval]) -> tuple[events.Interval, ...]:
+    """Return the strongest places, each once: spans overlap."""
+    different: list[events.Interval] = []
+    for place in sorted(places, key=lambda each: -each.score):
+        if all(
+            place.end < other.start or place.start > other.end for other in different
+        ):
+            different.append(place)
+    return tuple(different[:PLACES_OF_LOG])
 
 
 # two periods of most trajectories, and long beside what the filters lose
@@ -203,40 +284,52 @@ TENTHS, ENDS, CHANGES = 10, 3, 1.5
 
 @dataclass(frozen=True)
 class Excerpts:
-    """What is diagnosed: whole logs, or excerpts."""
+    """What is diagnosed: whole logs, or excerpts.
+
+    Attributes
+    ----------
+    recordings : tuple of Recording
+        The logs, or the excerpts.
+    about_places : int
+        Number of excerpts about places that stand out.
+    seconds : float
+        Of the other ones together.
+    surveys : tuple of ResidualSurvey
+        Of long logs; without any all logs are held.
+    """
 
     recordings: tuple[Recording, ...]
-    about_places: int = 0  # excerpts about places that stand out
-    seconds: float = 0.0  # of the other ones
-    # of long logs; without any all logs are held
+    about_places: int = 0
+    seconds: float = 0.0
     surveys: tuple[ResidualSurvey, ...] = ()
 
     def notes(self, robot: Robot) -> tuple[str, ...]:
-        """Say how much of the logs is in the excerpts, and what the passes over them told."""
+        """Say how much of the logs is in the excerpts, and what the passes told."""
         if not self.surveys:
             return ()
-        whole = sum(survey.whole.length for survey in self.surveys)
-        about = (
-            f" and {self.about_places} about places that stand out"
-            if self.about_places
-            else ""
+        total_s = sum(survey.whole.length for survey in self.surveys)
+        n_pieces = len(self.recordings) - self.about_places
+        beside = ""
+        if self.about_places:
+            beside = f" and {self.about_places} about places that stand out"
+        extent = (
+            f"too long to be held: of {total_s:.0f} s {self.seconds:.0f} s were looked"
+            f" at, in {n_pieces} pieces spread over the"
+            f" time and varied in motion{beside}; the rest was passed over once"
         )
-        said = (
-            f"too long to be held: of {whole:.0f} s {self.seconds:.0f} s were looked"
-            f" at, in {len(self.recordings) - self.about_places} pieces spread over the"
-            f" time and varied in motion{about}; the rest was passed over once"
-        )
+
         counts = sum(survey.counts.sum(axis=0) for survey in self.surveys)
         squares = sum(survey.squares.sum(axis=0) for survey in self.surveys)
-        every = zip(robot.joints, squares, counts, strict=True)
-        known = [
-            f"{x.name} {np.sqrt(s / c):.3g} {x.unit('N m')}" for x, s, c in every if c
-        ]
+        residuals = []
+        for joint, square, count in zip(robot.joints, squares, counts, strict=True):
+            if count:
+                rms = np.sqrt(square / count)
+                residuals.append(f"{joint.name} {rms:.3g} {joint.unit('N m')}")
         of_all = (
             "RMS residual of all logs as a whole, where joints slide:"
-            f" {', '.join(known)}"
+            f" {', '.join(residuals)}"
         )
-        return (said, of_all, *_time_notes(self.surveys, robot))
+        return (extent, of_all, *_time_notes(self.surveys, robot))
 
 
 def take_excerpts(
@@ -250,59 +343,95 @@ def take_excerpts(
 ) -> Excerpts:
     """Hold logs with torque, or excerpts of them where they are too long.
 
-    Long logs of a `LogSet` are passed over instead of read. `most_values`: samples
-    times joints that are held, as `MOST_VALUES` counts them. `places`: whether places
-    that stand out are wanted. Raises InputError: a log cannot be read or carries
-    neither torque nor current.
+    Parameters
+    ----------
+    recordings : LogSet or iterable of Recording
+        Long logs of a `LogSet` are passed over instead of read.
+    robot : Robot
+        The arm.
+    stages : Stages
+        The model.
+    options : InertiaOptions
+        How motion is low-passed.
+    most_values : int
+        Samples times joints that are held, as `MOST_VALUES` counts them.
+    places : bool
+        Whether places that stand out are wanted.
+
+    Raises
+    ------
+    InputError
+        A log cannot be read, or carries neither torque nor current.
     """
-    channels = sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
-    most = most_values / (robot.n + ARM + CHANNEL * channels)
+    n_imu_channels = sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
+    most_samples = most_values / (robot.n + ARM + CHANNEL * n_imu_channels)
     survey = partial(residual_survey, robot=robot, stages=stages, options=options)
     logs: Sequence[Path | Recording]
     clock: TimeSource = "header"
-    if isinstance(recordings, LogSet) and sum(map(_likely, recordings.logs)) > most:
-        logs, clock = recordings.logs, recordings.time_source
-        surveys = tuple(
-            recordings.mapped(survey, partial(open_if_long, least=PASSED_OVER))
-        )
-        if sum(_size(one.samples, one.rate_hz) for one in surveys) <= most:
+    if isinstance(recordings, LogSet) and _is_long(recordings, most_samples):
+        logs = recordings.logs
+        clock = recordings.time_source
+        opened = partial(open_if_long, least=PASSED_OVER)
+        surveys = tuple(recordings.mapped(survey, opened))
+        if _held_samples(surveys) <= most_samples:
             return Excerpts(tuple(recordings.again(imus=stages.imu is not None)))
     else:
         held = tuple(recordings)
-        if sum(_size(len(log.t), log.rate_hz) for log in held) <= most:
+        if sum(_size(len(log.t), log.rate_hz) for log in held) <= most_samples:
             return Excerpts(held)
-        logs, surveys = held, tuple(map(survey, held))
-    share = most / sum(_size(one.samples, one.rate_hz) for one in surveys)
-    ranges = excerpts_of(surveys, share * sum(one.samples for one in surveys))
-    extra = about_places(surveys, ranges) if places else [[] for _ in surveys]
-    found = list[Recording]()
-    for log, one, own, more in zip(logs, surveys, ranges, extra, strict=True):
-        if own or more:
-            found += _read(log, one, sorted([*own, *more]), robot, clock)
-    seconds = sum(high - low for own in ranges for low, high in own)
-    return Excerpts(tuple(found), sum(map(len, extra)), seconds, surveys)
+        logs = held
+        surveys = tuple(survey(log) for log in held)
+
+    # Of the samples of all logs this share is held.
+    share = most_samples / _held_samples(surveys)
+    total_samples = sum(of_log.samples for of_log in surveys)
+    ranges = excerpts_of(surveys, share * total_samples)
+    extra: list[list[Range]] = [[] for _ in surveys]
+    if places:
+        extra = about_places(surveys, ranges)
+
+    pieces: list[Recording] = []
+    for log, of_log, chosen, added in zip(logs, surveys, ranges, extra, strict=True):
+        if chosen or added:
+            pieces += _read(log, of_log, sorted([*chosen, *added]), robot, clock)
+    return Excerpts(
+        recordings=tuple(pieces),
+        about_places=sum(map(len, extra)),
+        seconds=sum(stop - start for chosen in ranges for start, stop in chosen),
+        surveys=surveys,
+    )
 
 
 def by_digest(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
-    """Recordings, or the excerpts of each log, by the log's SHA-256."""
-    found: dict[str, list[Recording]] = {}
+    """Return recordings, or the excerpts of each log, by the log's SHA-256."""
+    pieces_of: dict[str, list[Recording]] = {}
     for recording in recordings:
-        found.setdefault(whole_of(recording).sha256, []).append(recording)
-    return found
+        pieces_of.setdefault(whole_of(recording).sha256, []).append(recording)
+    return pieces_of
 
 
 def one_each(held: Excerpts) -> list[Recording]:
-    """One recording of every log: what holds of an excerpt's sensors holds of the log's."""
+    """Return one recording of every log: its sensors are those of all excerpts."""
     return [pieces[-1] for pieces in by_log(held.recordings)]
 
 
+def _is_long(logs: LogSet, most_samples: float) -> bool:
+    """Return whether logs are likely to hold more samples than may be held."""
+    return sum(_likely_samples(log) for log in logs.logs) > most_samples
+
+
+def _held_samples(surveys: Sequence[ResidualSurvey]) -> float:
+    """Return what all logs count as if they are held."""
+    return sum(_size(survey.samples, survey.rate_hz) for survey in surveys)
+
+
 def _size(samples: int, rate_hz: float) -> float:
-    """Samples of a log, and what its seconds count as."""
+    """Return the samples of a log, and what its seconds count as."""
     return samples * (1.0 + PER_SECOND / rate_hz)
 
 
-def _likely(log: Path | Recording) -> int:
-    """Rows of a local log; of a stored one so many that it is passed over."""
+def _likely_samples(log: Path | Recording) -> int:
+    """Return the rows of a local log; of a stored one what makes it passed over."""
     if isinstance(log, Recording):
         return len(log.t)
     return MOST_VALUES if isinstance(log, StoredLog) else likely_rows(log)
@@ -310,95 +439,137 @@ def _likely(log: Path | Recording) -> int:
 
 def _read(
     log: Path | Recording,
-    one: ResidualSurvey,
-    some: list[Range],
+    survey: ResidualSurvey,
+    ranges: list[Range],
     robot: Robot,
     clock: TimeSource,
 ) -> list[Recording]:
+    """Read some stretches of a log."""
     if isinstance(log, Recording):
-        return cut(log, some)
+        return cut(log, ranges)
     with local_copy(log) as file:
-        check = partial(sound, robot=robot)
-        given = Path(file), robot, one.whole, some
-        found = read_pieces(*given, time_source=clock, kind=one.kind, sound=check)
-    return [replace(piece, path=log) for piece in found]
+        pieces = read_pieces(
+            Path(file),
+            robot,
+            survey.whole,
+            ranges,
+            time_source=clock,
+            kind=survey.kind,
+            sound=partial(sound, robot=robot),
+        )
+    return [replace(piece, path=log) for piece in pieces]
 
 
 def about_places(
     surveys: Sequence[ResidualSurvey], ranges: Sequence[Sequence[Range]]
 ) -> list[list[Range]]:
-    """Excerpts, per log, about the strongest places that stand out and lie in none of `ranges`."""
-    places = [(place, k) for k, survey in enumerate(surveys) for place in survey.places]
-    result: list[list[Range]] = [[] for _ in surveys]
-    for place, k in sorted(places, key=lambda found: -found[0].score):
-        inner = [
-            (low + INNER_S, high - INNER_S) for low, high in (*ranges[k], *result[k])
-        ]
-        inside = any(low <= place.start and place.end <= high for low, high in inner)
-        if not inside and sum(map(len, result)) < MOST_PLACES:
-            low, high = place.start - ABOUT_S, place.end + ABOUT_S
-            result[k].append((max(low, 0.0), min(high, surveys[k].whole.length)))
-    return result
+    """Return excerpts, per log, about the strongest places that stand out.
+
+    Places that lie within `ranges`, the excerpts that are chosen already, need none.
+    """
+    places = [
+        (place, number)
+        for number, survey in enumerate(surveys)
+        for place in survey.places
+    ]
+    places.sort(key=lambda pair: -pair[0].score)
+
+    excerpts: list[list[Range]] = [[] for _ in surveys]
+    for place, number in places:
+        # The filters take a part of an excerpt to settle.
+        is_covered = any(
+            start + INNER_S <= place.start and place.end <= stop - INNER_S
+            for start, stop in (*ranges[number], *excerpts[number])
+        )
+        n_excerpts = sum(map(len, excerpts))
+        if not is_covered and n_excerpts < MOST_PLACES:
+            start = max(place.start - ABOUT_S, 0.0)
+            stop = min(place.end + ABOUT_S, surveys[number].whole.length)
+            excerpts[number].append((start, stop))
+    return excerpts
 
 
 def _time_notes(surveys: Sequence[ResidualSurvey], robot: Robot) -> Iterator[str]:
-    """The residual in parts of the time, where it has changed from the first to the last."""
-    for survey in (one for one in surveys if len(one.squares) >= TENTHS):
+    """Yield the residual in parts of the time, where the last differ from the first."""
+    for survey in surveys:
+        if len(survey.squares) < TENTHS:
+            continue
         starts = np.linspace(0, len(survey.squares), TENTHS + 1).astype(int)[:-1]
-        squares, counts = (
-            np.add.reduceat(x, starts) for x in (survey.squares, survey.counts)
-        )
-        parts = np.sqrt(squares / np.maximum(counts, 1.0))
-        early, late = parts[:ENDS].mean(axis=0), parts[-ENDS:].mean(axis=0)
-        low, high = np.minimum(early, late), np.maximum(early, late)
-        for j in np.flatnonzero((low > 0.0) & (high > CHANGES * low)).tolist():
-            numbers, name = (
-                " ".join(f"{x:.3g}" for x in parts[:, j]),
-                robot.joint_names[j],
-            )
+        squares = np.add.reduceat(survey.squares, starts)
+        counts = np.add.reduceat(survey.counts, starts)
+        rms = np.sqrt(squares / np.maximum(counts, 1.0))
+        early = rms[:ENDS].mean(axis=0)
+        late = rms[-ENDS:].mean(axis=0)
+        low = np.minimum(early, late)
+        high = np.maximum(early, late)
+        for joint in np.flatnonzero((low > 0.0) & (high > CHANGES * low)).tolist():
+            numbers = " ".join(f"{value:.3g}" for value in rms[:, joint])
             yield (
-                f"{survey.path}: RMS residual of {name} in tenths of the time:"
-                f" {numbers}"
+                f"{survey.path}: RMS residual of {robot.joint_names[joint]} in tenths"
+                f" of the time: {numbers}"
             )
 
 
 def excerpts_of(
     logs: Sequence[ResidualSurvey], samples: float, *, most: int = 16
 ) -> list[list[Range]]:
-    """Choose at most `most` excerpts, of about so many samples together; per log, by time."""
-    total, lengths = (
-        sum(log.samples for log in logs),
-        [log.whole.length for log in logs],
-    )
+    """Choose excerpts of about so many samples together.
+
+    Parameters
+    ----------
+    logs : sequence of ResidualSurvey
+        What the passes over the logs remember.
+    samples : float
+        Of all excerpts together.
+    most : int
+        Number of excerpts.
+
+    Returns
+    -------
+    list of list of Range
+        Per log, by time: start and end of each excerpt [s].
+    """
+    total = sum(log.samples for log in logs)
+    lengths = [log.whole.length for log in logs]
     if total <= samples:
         return [[(0.0, length)] for length in lengths]
+
     seconds = samples * sum(lengths) / total
     count = int(np.clip(round(seconds / PIECE_S), 1, most))
     # Another log tells more that is new than more of the same one.
     weight = np.cumsum(np.sqrt(lengths))
-    parts = np.diff(np.round(count * weight / weight[-1]), prepend=0.0).astype(int)
+    ends = np.round(count * weight / weight[-1])
+    parts = np.diff(ends, prepend=0.0).astype(int)
     return [
-        list(_of_log(log, k, seconds / count))
-        for log, k in zip(logs, parts, strict=True)
+        list(_excerpts_of_log(log, n_parts, seconds / count))
+        for log, n_parts in zip(logs, parts, strict=True)
     ]
 
 
-def _of_log(log: ResidualSurvey, parts: int, length: float) -> Iterator[Range]:
-    """The excerpt of most travel in each part of a log, of this length or of the whole log's."""
-    whole = max(log.whole.length, 1e-9)
-    piece, parts = min(length, whole), min(parts, max(1, int(whole / length)))
-    size = max(1, round(piece / BLOCK_S))
+def _excerpts_of_log(log: ResidualSurvey, parts: int, length: float) -> Iterator[Range]:
+    """Yield the excerpt of most travel in each part of a log.
+
+    It has the given length [s], or that of the log where this is less.
+    """
+    log_s = max(log.whole.length, 1e-9)
+    piece_s = min(length, log_s)
+    parts = min(parts, max(1, int(log_s / length)))
+
+    # (B + 1, k), travel and usable samples over the blocks of an excerpt from each on
+    n_blocks = max(1, round(piece_s / BLOCK_S))
     blocks = np.column_stack([log.travel.reshape(len(log.travel), -1), log.usable])
     sums = np.vstack([np.zeros(blocks.shape[1]), np.cumsum(blocks, axis=0)])
-    ahead = np.minimum(np.arange(len(sums)) + size, len(blocks))
-    # (B + 1, k), over the blocks of an excerpt from each on
-    within = sums[ahead] - sums
-    most = np.max(within[: max(1, len(blocks) - size + 1), -1])
-    for low, high in pairwise(np.linspace(0.0, whole, parts + 1)):
-        starts = np.arange(low, max(high - piece, low) + 1e-9, BLOCK_S)
-        found = within[(starts / BLOCK_S).astype(np.intp)]
-        worth = np.sqrt(np.maximum(found[:, :-1], 0.0)).sum(axis=1)
-        worth[found[:, -1] < WHOLE * most] = -1.0
+    stop_block = np.minimum(np.arange(len(sums)) + n_blocks, len(blocks))
+    within = sums[stop_block] - sums
+    n_starts = max(1, len(blocks) - n_blocks + 1)
+    most_usable = np.max(within[:n_starts, -1])
+
+    for low, high in pairwise(np.linspace(0.0, log_s, parts + 1)):
+        starts = np.arange(low, max(high - piece_s, low) + 1e-9, BLOCK_S)
+        of_starts = within[(starts / BLOCK_S).astype(np.intp)]
+        # A way of every joint counts for more than the same way of one.
+        worth = np.sqrt(np.maximum(of_starts[:, :-1], 0.0)).sum(axis=1)
+        worth[of_starts[:, -1] < WHOLE * most_usable] = -1.0
         if worth.max() >= 0.0:
             start = float(starts[np.argmax(worth)])
-            yield start, start + piece
+            yield start, start + piece_s

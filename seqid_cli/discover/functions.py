@@ -1,4 +1,4 @@
-"""Diagnosis and refinement as functions: logs, a robot file and a model in, the document out."""
+"""Diagnosis and refinement as functions: logs, robot and model in, the document out."""
 
 from __future__ import annotations
 
@@ -51,30 +51,40 @@ def diagnose(
     parameters : path or ParameterFile, or a sequence of them
         With the stages friction and inertia; effects that are in it are not missing.
     """
+    # Whatever is wrong with the files is said before anything heavy is imported.
     needs = ("friction", "inertia", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
-    from seqid_cli.discover.diagnosis import diagnose as diagnosed
+    from seqid_cli.discover.diagnosis import diagnose as find_what_is_missing
     from seqid_cli.discover.excerpts import one_each, take_excerpts
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.regression.equations import motion_uses
 
-    search, given = _search(inputs, options), LogSet.of(inputs)
-    stages, arm = inputs.stages, inputs.robot
-    held = take_excerpts(given, arm, stages, options=search.motion)
-    found = diagnosed(held.recordings, arm, stages, options=search)
-    said = [*held.notes(arm), *found.notes]
+    arm = inputs.robot
+    stages = inputs.stages
+    discover_options = _discover_options(inputs, options)
+    motion_options = discover_options.motion
+    log_set = LogSet.of(inputs)
+    excerpts = take_excerpts(log_set, arm, stages, options=motion_options)
+    diagnosis = find_what_is_missing(
+        excerpts.recordings, arm, stages, options=discover_options
+    )
+
+    notes = [*excerpts.notes(arm), *diagnosis.notes]
     file = structs.replace(
-        found,
-        created=given.created(inputs.documents),
+        diagnosis,
+        created=log_set.created(inputs.documents),
         robot=robot_id(arm),
-        inputs=given.inputs(),
+        inputs=log_set.inputs(),
         parameters=inputs.ids(),
         stages=list(present(stages)),
-        motion=motion_uses(one_each(held), arm, stages.imu, options=search.motion),
-        verdicts=[*physics_verdicts(stages, arm, settings.judging), *given.verdicts()],
+        motion=motion_uses(one_each(excerpts), arm, stages.imu, options=motion_options),
+        verdicts=[
+            *physics_verdicts(stages, arm, settings.judging),
+            *log_set.verdicts(),
+        ],
         settings=used_settings(settings),
-        notes=[*said, *given.notes(said)],
+        notes=[*notes, *log_set.notes(notes)],
     )
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
@@ -92,7 +102,7 @@ def refine(
     settings: DiscoverSettings = DiscoverSettings(),
     **keywords: Unpack[Keywords],
 ) -> ParameterFile:
-    """Add the effects that a model lacks, as long as left-out blocks are predicted better.
+    """Add the effects that a model lacks while left-out blocks are predicted better.
 
     The result has `stages.effects` and `closed_loop`.
 
@@ -107,41 +117,52 @@ def refine(
         As in `diagnose`; logs of earlier stages are read again where they are still
         there.
     """
-    held_out, target = held_out_logs(logs, holdout), optional(keywords.get("output"))
-    files = [log for log in held_out if isinstance(log, Path)]
-    if target is not None:
-        check_output(target, files)
+    held_out = held_out_logs(logs, holdout)
+    held_out_files = [log for log in held_out if isinstance(log, Path)]
+    output = optional(keywords.get("output"))
+    if output is not None:
+        check_output(output, held_out_files)
+
     needs = ("friction", "inertia", *imu_stage_for(options.source))
     inputs = prepare(
         logs, robot, parameters, options, needs=needs, stored=False, **keywords
     )
-    search = replace(_search(inputs, options), max_effects=options.rounds)
-    search = replace(search, with_unexplained=options.with_unexplained)
-    file = _refined(
-        inputs, held_out, search, settings, keep_unconfirmed=options.keep_unconfirmed
+    discover_options = replace(
+        _discover_options(inputs, options),
+        max_effects=options.rounds,
+        with_unexplained=options.with_unexplained,
     )
-    if target is not None:
-        write_json_atomic(target, file, inputs=[*inputs.sources, *files])
+    file = _refined(
+        inputs,
+        held_out,
+        discover_options,
+        settings,
+        keep_unconfirmed=options.keep_unconfirmed,
+    )
+    if output is not None:
+        write_json_atomic(output, file, inputs=[*inputs.sources, *held_out_files])
     return file
 
 
-def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
+def _discover_options(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
+    """Return what a user asked for, with the cut-off that the model was made with."""
     from seqid_cli.identify.common_cutoff import inherited
     from seqid_cli.identify.options import InertiaOptions
 
     filtering = inherited(inputs.stages, options.cutoff_hz)
     source = "needed" if options.source == "auto" else options.source
-    return DiscoverOptions(InertiaOptions(filtering, source=source))
+    return DiscoverOptions(motion=InertiaOptions(filtering, source=source))
 
 
 def _refined(
     inputs: Inputs,
     held_out: Sequence[Path | Recording],
-    search: DiscoverOptions,
+    options: DiscoverOptions,
     settings: DiscoverSettings,
     *,
     keep_unconfirmed: bool,
 ) -> ParameterFile:
+    """Return the refined parameter file."""
     from seqid_cli.discover.excerpts import by_digest, one_each, take_excerpts
     from seqid_cli.discover.refinement.confirm import confirm
     from seqid_cli.discover.refinement.earlier_logs import read_earlier
@@ -151,60 +172,88 @@ def _refined(
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.regression.equations import motion_uses
 
-    assert inputs.previous is not None
-    robot, previous, stages = inputs.robot, inputs.previous, inputs.stages
-    training, motion = LogSet.of(inputs), search.motion
-    fitted = take_excerpts(training, robot, stages, options=motion, places=False)
-    at_hand = {
-        sha256: some[0].path for sha256, some in by_digest(fitted.recordings).items()
+    previous = inputs.previous
+    assert previous is not None
+    robot = inputs.robot
+    stages = inputs.stages
+
+    # The logs that are fitted, and those that the model was identified from.
+    training = LogSet.of(inputs)
+    fitted = take_excerpts(
+        training, robot, stages, options=options.motion, places=False
+    )
+    fitted_paths = {
+        sha256: pieces[0].path
+        for sha256, pieces in by_digest(fitted.recordings).items()
     }
-    files = [log for log in held_out if isinstance(log, Path)]
-    folders = [path.parent for path in inputs.parameters]
-    found = find_earlier(previous.inputs, folders, at_hand=at_hand, held_out=files)
-    earlier, unread = read_earlier(inputs, found, fitted, motion)
-    count = sum(map(len, earlier.values()))
+    held_out_files = [log for log in held_out if isinstance(log, Path)]
+    earlier = find_earlier(
+        previous.inputs,
+        folders=[path.parent for path in inputs.parameters],
+        at_hand=fitted_paths,
+        held_out=held_out_files,
+    )
+    earlier_logs, notes_on_earlier = read_earlier(
+        inputs, earlier, fitted, options.motion
+    )
+    n_earlier = sum(map(len, earlier_logs.values()))
     training.tell(
         "detail",
-        text=f"{len(fitted.recordings)} logs to fit, {count} of earlier stages",
+        text=f"{len(fitted.recordings)} logs to fit, {n_earlier} of earlier stages",
     )
     decided = decide(
-        fitted.recordings, robot, previous, earlier=earlier, options=search
+        fitted.recordings, robot, previous, earlier=earlier_logs, options=options
     )
 
     # Nothing is chosen any more: now the held-out logs are opened. They take out what
     # they do not confirm, by a rule that is fixed.
-    kept_out = LogSet.of(replace(inputs, logs=tuple(held_out), missing=()))
-    unseen = take_excerpts(kept_out, robot, stages, options=motion, places=False)
-    held = {
-        sha256: some[0].path for sha256, some in by_digest(unseen.recordings).items()
+    held_out_set = LogSet.of(replace(inputs, logs=tuple(held_out), missing=()))
+    unseen = take_excerpts(
+        held_out_set, robot, stages, options=options.motion, places=False
+    )
+    unseen_paths = {
+        sha256: pieces[0].path
+        for sha256, pieces in by_digest(unseen.recordings).items()
     }
-    check_unseen(held.items(), {**found.paths, **at_hand})
-    whole = WholeLogs(tuple(files), robot, inputs.options.time_source)
+    check_unseen(unseen_paths.items(), {**earlier.paths, **fitted_paths})
+    whole_logs = WholeLogs(tuple(held_out_files), robot, inputs.options.time_source)
     confirmed = confirm(
         decided,
         unseen.recordings,
-        whole if unseen.surveys else None,
+        whole_logs if unseen.surveys else None,
         keep_unconfirmed=keep_unconfirmed,
     )
-    loop = confirmed.loop
-    physics = physics_verdicts(stages, robot, settings.judging)
-    verdicts = [*physics, *training.verdicts(), *kept_out.verdicts()]
-    both = [*one_each(fitted), *one_each(unseen)]
+
+    verdicts = [
+        *physics_verdicts(stages, robot, settings.judging),
+        *training.verdicts(),
+        *held_out_set.verdicts(),
+    ]
+    one_of_each_log = [*one_each(fitted), *one_each(unseen)]
     loop = structs.replace(
-        loop,
-        verdict="poor" if verdicts else loop.verdict,
-        held_out=kept_out.inputs(),
-        motion=motion_uses(both, robot, stages.imu, options=motion),
+        confirmed.loop,
+        verdict="poor" if verdicts else confirmed.loop.verdict,
+        held_out=held_out_set.inputs(),
+        motion=motion_uses(one_of_each_log, robot, stages.imu, options=options.motion),
         verdicts=verdicts,
         settings=used_settings(settings),
         notes=[
             *(f"fitted: {note}" for note in fitted.notes(robot)),
             *(f"held out: {note}" for note in unseen.notes(robot)),
-            *(*found.notes, *unread, *training.notes(), *kept_out.notes(), *loop.notes),
+            *earlier.notes,
+            *notes_on_earlier,
+            *training.notes(),
+            *held_out_set.notes(),
+            *confirmed.loop.notes,
         ],
     )
-    created = created_from([previous], [*training.times_s(), *kept_out.times_s()])
-    read = training.inputs("effects")
     return refined(
-        previous, robot_id(robot), read, confirmed.stages, loop, created=created
+        previous,
+        robot_id(robot),
+        training.inputs("effects"),
+        confirmed.stages,
+        loop,
+        created=created_from(
+            [previous], [*training.times_s(), *held_out_set.times_s()]
+        ),
     )

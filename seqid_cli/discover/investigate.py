@@ -1,4 +1,4 @@
-"""The investigation behind a diagnosis: data sets, rows, selection, events, noise floor.
+"""The investigation behind a diagnosis: data sets, rows, selection, events, noise.
 
 Short stretches that stand out against everything else the logs show are events. They
 are taken out, and so are samples at which the torque of an effect is not known. Then
@@ -23,7 +23,7 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Selected
+from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.survey.events import GATE, Interval, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
@@ -35,15 +35,21 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 from seqid_cli.working import step
 
-AROUND_S = 0.5
+AROUND_S = 0.5  # on either side of an event, in which the torque swings
 
 
 @dataclass(frozen=True, kw_only=True)
 class FileResidual:
-    """What the parameter file leaves on the rows that it sees, before anything is taken out.
+    """What the parameter file leaves on the rows that it sees, before any is taken out.
 
-    `residual` (M_j,) N m (N where prismatic) is by joint, on the joint's rows; `counts`
-    (M_j,) says which of these count.
+    Attributes
+    ----------
+    rows : Rows
+        The rows.
+    residual : tuple of (M_j,) arrays
+        By joint, N m (N where prismatic).
+    counts : tuple of (M_j,) masks
+        By joint, which of the rows count.
     """
 
     rows: Rows
@@ -61,80 +67,96 @@ class FileResidual:
         )
 
     def without(self, masks: Sequence[Mask]) -> "FileResidual":
-        """The same without some samples (N, n) of each log."""
+        """Return the residual without some samples (N, n) of each log."""
         counts = []
-        for joint, kept in enumerate(self.counts):
-            gone = self.rows.of(
-                joint, [mask[:, joint].astype(np.float64) for mask in masks]
-            )
-            counts.append(kept & (gone == 0.0))
+        for joint, counting in enumerate(self.counts):
+            in_mask = [mask[:, joint].astype(np.float64) for mask in masks]
+            is_masked = self.rows.of(joint, in_mask)
+            counts.append(counting & (is_masked == 0.0))
         return replace(self, counts=tuple(counts))
 
     @cached_property
     def samples(self) -> list[int]:
         """Number of each joint's rows."""
-        return [int(np.count_nonzero(kept)) for kept in self.counts]
+        return [int(np.count_nonzero(counting)) for counting in self.counts]
 
     @cached_property
     def rms(self) -> Array:
         """RMS (n,) N m; 0 of a joint without rows."""
         pairs = zip(self.residual, self.counts, strict=True)
-        return np.array([rms(values[kept]) for values, kept in pairs])
+        return np.array([rms(values[counting]) for values, counting in pairs])
 
     @cached_property
     def rms_by_log(self) -> Array:
         """RMS (logs, n) N m; NaN where a log has no row of a joint."""
         scenes = self.rows.scenes
-        numbers = [
+        log_of_sample = [
             np.full(scene.samples, number) for number, scene in enumerate(scenes)
         ]
-        found = np.full((len(scenes), self.rows.n), np.nan)
-        for joint, (values, kept) in enumerate(
-            zip(self.residual, self.counts, strict=True)
-        ):
-            log = self.rows.of(joint, numbers)
-            for number in np.unique(log[kept]):
-                found[number, joint] = rms(values[kept & (log == number)])
-        return found
+        by_log = np.full((len(scenes), self.rows.n), np.nan)
+        for joint, values in enumerate(self.residual):
+            counting = self.counts[joint]
+            log = self.rows.of(joint, log_of_sample)
+            for number in np.unique(log[counting]):
+                by_log[number, joint] = rms(values[counting & (log == number)])
+        return by_log
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Investigation:
-    """Everything that a diagnosis is made from."""
+    """All that a diagnosis is made from.
+
+    Attributes
+    ----------
+    logs : tuple of Recording
+        The logs.
+    selection : SelectionResult
+        What the model lacks.
+    floor : NoiseFloor
+        What noise alone would leave.
+    events : tuple of Interval
+        Short stretches in which something pushed the arm.
+    file_residual : FileResidual
+        What the file leaves.
+    """
 
     logs: tuple[Recording, ...]
-    found: Selected
+    selection: SelectionResult
     floor: NoiseFloor
     events: tuple[Interval, ...]
-    file: FileResidual
+    file_residual: FileResidual
 
     @property
     def model(self) -> Model:
-        """The model with all that was found."""
-        return self.found.model
+        """The model with all that was selected."""
+        return self.selection.model
 
     @property
     def ground(self) -> Ground:
         """Rows and data sets, events left out."""
-        return self.found.model.ground
+        return self.selection.model.ground
 
     @property
-    def start(self) -> Array:
+    def file_rms(self) -> Array:
         """RMS (n,) N m of the file's own residual, on all rows that it sees."""
-        return self.file.rms
+        return self.file_residual.rms
+
+    @property
+    def explained_joints(self) -> set[int]:
+        """Joints at which an effect or a smooth function is told."""
+        n = self.ground.n
+        return {
+            channel % n
+            for result in self.selection.terms
+            for channel in result.term.channels
+        }
 
     def without_told_events(self) -> "Investigation":
-        """The same where samples of events do not count for the file: a finding stands for them."""
-        masks = [np.zeros_like(scene.slides) for scene in self.file.rows.scenes]
-        _mark(self.events, self.file.rows.scenes, masks)
-        return replace(self, file=self.file.without(masks))
-
-    @property
-    def touched(self) -> set[int]:
-        """Joints that something was found at."""
-        return {
-            c % self.ground.n for taken in self.found.taken for c in taken.term.channels
-        }
+        """Let samples of events not count for the file: a finding stands for them."""
+        scenes = self.file_residual.rows.scenes
+        masks = [np.zeros_like(scene.slides) for scene in scenes]
+        _mark(self.events, scenes, masks)
+        return replace(self, file_residual=self.file_residual.without(masks))
 
 
 def investigate(
@@ -145,35 +167,69 @@ def investigate(
     *,
     least: float = TOLD,
 ) -> Investigation:
-    """Select what a model lacks, and find events in what is left; tell what is likely."""
+    """Select what a model lacks, and find events in what is left.
+
+    Parameters
+    ----------
+    logs : sequence of Recording
+        With torque or current, without the torque of effects that the file has.
+    robot : Robot
+        The arm.
+    stages : Stages
+        The parameter file's.
+    options : DiscoverOptions
+        Where motion comes from.
+    least : float
+        Probability to be there from which an effect is told.
+    """
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
+
     step("choosing effects", 4, 10)
-    whole = Ground.of(rows, stages)
-    file = FileResidual.of(whole)
-    found = select(whole)
+    ground = Ground.of(rows, stages)
+    file_residual = FileResidual.of(ground)
+    selection = select(ground)
+
+    # Events, and samples at which the torque of an effect is not known, are left out.
     step("looking for events", 8, 10)
-    first = found.model
-    gone = guessed(first)
-    events = events_of(first, gone)
-    _mark(events, rows.scenes, gone)
-    sure = rows.without(gone)
+    first_model = selection.model
+    left_out = guessed(first_model)
+    events = events_of(first_model, left_out)
+    _mark(events, rows.scenes, left_out)
+    remaining = rows.without(left_out)
+
     step("choosing effects again", 8, 10)
-    if not all(map(np.array_equal, sure.used, rows.used)):
-        found = select_among(Ground.of(sure, stages), first.hold, first.candidates)
-        found.run()
-    told, events = found.told(least), not_of_terms(events, first)
+    is_changed = not all(map(np.array_equal, remaining.used, rows.used))
+    if is_changed:
+        selection = select_among(
+            Ground.of(remaining, stages), first_model.hold, first_model.candidates
+        )
+        selection.run()
+    result = selection.told(least)
+    events = not_of_terms(events, first_model)
+
     step("estimating the noise", 9, 10)
-    rows = told.model.ground.stage.rows
-    echo = encoder_residuals(logs, rows.scenes)
-    floor = noise_floor(logs, rows.scenes, told.model.left(), echo, rows=rows)
-    return Investigation(tuple(logs), told, floor, tuple(events), file)
+    rows = result.model.ground.stage.rows
+    floor = noise_floor(
+        logs,
+        rows.scenes,
+        result.model.left(),
+        encoder_residuals(logs, rows.scenes),
+        rows=rows,
+    )
+    return Investigation(
+        logs=tuple(logs),
+        selection=result,
+        floor=floor,
+        events=tuple(events),
+        file_residual=file_residual,
+    )
 
 
 def _mark(
     events: Sequence[Interval], scenes: Sequence[Scene], masks: Sequence[Mask]
 ) -> None:
-    """Mark samples of events in masks (N, n), and those that feel them through the low-pass."""
+    """Mark samples of events in masks (N, n), with those that the low-pass reaches."""
     for event in events:
         scene = scenes[event.scene]
         reach_s = 0.5 / scene.motion.lowpass.cutoff_hz
@@ -189,83 +245,141 @@ def investigate_beside(
     *,
     candidates: Sequence[Candidate],
 ) -> tuple[Investigation, bool]:
-    """Select again where the stages are others and the logs are freed of what they have taken in.
+    """Select again beside stages that have been identified anew.
 
-    `candidates` are what was found before and is not in the model yet: the one of them
-    that gains most now is told, or all that the model may still lack where that is no
-    finding. Also whether all was looked for. Events are those of before.
+    Parameters
+    ----------
+    before : Investigation
+        The last one; its events and its noise floor stay.
+    logs : sequence of Recording
+        Freed of the effects that the model has by now.
+    robot : Robot
+        The arm.
+    stages : Stages
+        The model's.
+    options : DiscoverOptions
+        Where motion comes from.
+    candidates : sequence of Candidate
+        What was found before and is not in the model yet.
+
+    Returns
+    -------
+    Investigation
+        It tells the one of the candidates that gains most now; or all that the model
+        may still lack where that one is no finding.
+    bool
+        Whether all was looked for.
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     ground = Ground.of(rows, stages)
-    found = select_among(ground, HELD, candidates)
-    told = found.largest()
-    look = all(one.one.predicted.share <= Options.improvement for one in told.taken)
-    if look:
-        found.finish()
-        told = found.told(0.0)
-    file = FileResidual.of(ground)
-    return replace(before, logs=tuple(logs), found=told, file=file), look
+    selection = select_among(ground, HELD, candidates)
+    largest = selection.largest()
+    is_complete = all(
+        result.scored.score.share <= Options.improvement for result in largest.terms
+    )
+    chosen = largest
+    if is_complete:
+        selection.finish()
+        chosen = selection.told(0.0)
+    investigation = replace(
+        before,
+        logs=tuple(logs),
+        selection=chosen,
+        file_residual=FileResidual.of(ground),
+    )
+    return investigation, is_complete
 
 
 def guessed(model: Model) -> list[Mask]:
-    """Samples (N, n) of each data set at which effects of the model may have any torque."""
+    """Return where effects of the model may have any torque, (N, n) by log."""
     scenes = model.ground.stage.scenes
     masks = [np.zeros_like(scene.slides) for scene in scenes]
-    for what in model.candidates:
+    for candidate in model.candidates:
         for scene, mask in zip(scenes, masks, strict=True):
-            for joint, own in what.effect.guessed(
-                scene, what.joint, what.settings
-            ).items():
-                mask[:, joint] |= own
+            unknown = candidate.effect.guessed(
+                scene, candidate.joint, candidate.settings
+            )
+            for joint, samples in unknown.items():
+                mask[:, joint] |= samples
     return masks
 
 
 def events_of(
     model: Model, guess: Sequence[Mask], *, most: float = 0.5
 ) -> list[Interval]:
-    """Stretches that stand out in what the model leaves, and are no errors of its laws.
+    """Find stretches that stand out in the residual, and are no errors of laws.
 
-    At `most` of their samples an effect may have any torque (`guess`, (N, n)), a joint
-    does not slide, or stops above the cut-off.
+    Parameters
+    ----------
+    model : Model
+        The model with what was selected.
+    guess : sequence of (N, n) masks
+        By data set, where an effect may have any torque.
+    most : float
+        Share of an event's samples that may be unknown: by `guess`, or as a joint does
+        not slide, or stops above the cut-off.
     """
-    rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
-    own = zip(model.linear.left_out[: rows.n], model.noise.sigma, strict=False)
-    for event in find_events(rows, [r / sigma for r, sigma in own]):
+    rows = model.ground.stage.rows
+    left_by_scene = model.left()
+    left_out = model.linear.left_out[: rows.n]
+    scaled = [
+        residual / sigma
+        for residual, sigma in zip(left_out, model.noise.sigma, strict=False)
+    ]
+    events: list[Interval] = []
+    for event in find_events(rows, scaled):
         scene = rows.scenes[event.scene]
-        unknown = (guess[event.scene] | scene.stops | ~scene.slides)[
-            event.inside(scene)
-        ]
-        known = np.mean(unknown[:, list(event.joints)]) <= most
-        if known and not of_law(event, scene, left[event.scene]):
-            found.append(event)
-    return found
+        is_unknown = guess[event.scene] | scene.stops | ~scene.slides
+        at_joints = is_unknown[event.inside(scene)][:, list(event.joints)]
+        is_known = np.mean(at_joints) <= most
+        if is_known and not of_law(event, scene, left_by_scene[event.scene]):
+            events.append(event)
+    return events
 
 
 def not_of_terms(events: Sequence[Interval], model: Model) -> list[Interval]:
-    """Events but those that terms of a model made: they add more there than the file leaves."""
-    left, kept = model.left() if events else [], list[Interval]()
+    """Return the events but those that terms of a model made.
+
+    The terms of such a one add more there than the file leaves.
+    """
+    if not events:
+        return []
+    left_by_scene = model.left()
+    of_push: list[Interval] = []
     for event in events:
         scene = model.ground.stage.scenes[event.scene]
-        file = model.ground.base.whole[event.scene].residual
-        if event.squares(scene, file - left[event.scene]) < event.squares(scene, file):
-            kept.append(event)
-    return kept
+        of_file = model.ground.base.scene_bases[event.scene].residual
+        added = event.squares(scene, of_file - left_by_scene[event.scene])
+        if added < event.squares(scene, of_file):
+            of_push.append(event)
+    return of_push
 
 
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
-    """Whether an event's residual (N, n) N m is small beside the torque's swing around it.
+    """Return whether an event is small beside the torque's swing around it.
 
     The more it stands out against moments of like motion, at which a law errs alike,
     the smaller it may be; but not within a period of the cut-off of where a joint may
     stick.
+
+    Parameters
+    ----------
+    event : Interval
+        The event.
+    scene : Scene
+        Its data set.
+    residual : (N, n) array
+        What is left there [N m; N where prismatic].
     """
-    inside, around = event.inside(scene), event.inside(scene, AROUND_S)
+    inside = event.inside(scene)
+    around = event.inside(scene, AROUND_S)
     period = round(scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)
-    for j in event.joints:
-        least = Options.small * float(np.ptp(scene.modelled[around, j]))
-        away = inside & shrink(scene.slides[:, j], period)
+    for joint in event.joints:
+        least = Options.small * float(np.ptp(scene.modelled[around, joint]))
+        away_from_rest = inside & shrink(scene.slides[:, joint], period)
         size = max(
-            rms(residual[inside, j]), rms(residual[away, j]) * event.score / GATE
+            rms(residual[inside, joint]),
+            rms(residual[away_from_rest, joint]) * event.score / GATE,
         )
         if size >= least:
             return False

@@ -1,4 +1,4 @@
-"""What a diagnosis says beside its findings, and where more is left than noise and encoder make."""
+"""What a diagnosis says beside its findings, and where more than noise is left."""
 
 from collections.abc import Collection, Mapping
 
@@ -23,81 +23,139 @@ DEFLECTING = ("joint_elasticity", "backlash")
 OFFSET_SHOWS = 0.7  # of what is left: torque of a delay that is worth a note
 
 
-def detail_of(found: Investigation) -> Array:
-    """RMS (n,) N m of the detail of the torque that no model is held to have."""
-    rows = found.ground.stage.rows
-    torque = [scene.modelled_filtered for scene in rows.scenes]
-    own = [rows.torque(j, [tau[:, j] for tau in torque]) for j in range(rows.n)]
-    return np.array([DETAIL * rms(values) for values in own])
+def detail_of(investigation: Investigation) -> Array:
+    """Return the RMS (n,) N m of the torque's detail that no model is held to have."""
+    rows = investigation.ground.stage.rows
+    torque_by_scene = [scene.modelled_filtered for scene in rows.scenes]
+    details = []
+    for joint in range(rows.n):
+        torque = rows.torque(joint, [tau[:, joint] for tau in torque_by_scene])
+        details.append(DETAIL * rms(torque))
+    return np.array(details)
 
 
-def expected(found: Investigation) -> Array:
-    """RMS (n,) N m that a right model leaves: the noise floor and a detail of the torque."""
-    return np.hypot(found.floor.rms, detail_of(found))
+def expected(investigation: Investigation) -> Array:
+    """Return the RMS (n,) N m that a right model leaves: noise floor and detail."""
+    return np.hypot(investigation.floor.rms, detail_of(investigation))
 
 
-def excess_residuals(found: Investigation, ordinary: Array) -> dict[int, float]:
-    """Joints with more than `ordinary` (n,) N m left after all that was found, and how many times.
+def excess_residuals(investigation: Investigation, ordinary: Array) -> dict[int, float]:
+    """Return the joints with more left than a right model leaves, and how many times.
 
-    The largest first; not where the file alone fits as well as expected, nor where the
-    noise floor may be as large, for all that so short a log tells of it.
+    The largest comes first. Left out are joints where the file alone fits as well as
+    expected, and those where the noise floor may be as large, for all that so short a
+    log tells of it.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    ordinary : (n,) array
+        RMS that a right model leaves [N m; N where prismatic].
     """
-    left = np.minimum(found.model.rms(), found.start)
-    times, most = left / np.maximum(ordinary, 1e-12), found.floor.high
-    order = np.argsort(-times, kind="stable").tolist()
+    rms_left = np.minimum(investigation.model.rms(), investigation.file_rms)
+    times = rms_left / np.maximum(ordinary, 1e-12)
+    most_of_noise = investigation.floor.high
+    largest_first = np.argsort(-times, kind="stable").tolist()
     return {
-        j: float(times[j])
-        for j in order
-        if times[j] > MORE_THAN_NOISE and left[j] > most[j]
+        joint: float(times[joint])
+        for joint in largest_first
+        if times[joint] > MORE_THAN_NOISE and rms_left[joint] > most_of_noise[joint]
     }
 
 
 def notes_of(
-    found: Investigation,
+    investigation: Investigation,
     robot: Robot,
     ordinary: Array,
     excess: Mapping[int, float],
     unexplained: Collection[str],
 ) -> list[str]:
-    """All that a diagnosis says beside its findings and `unexplained` joints."""
-    delays, names = shown_delays(found), robot.joint_names
-    named = {*unexplained, *(names[j] for j in (*delays, *excess))}
+    """Return all that a diagnosis says beside its findings and unexplained joints.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    robot : Robot
+        The arm.
+    ordinary : (n,) array
+        RMS that a right model leaves [N m; N where prismatic].
+    excess : mapping of int to float
+        Joints that leave more, and how many times.
+    unexplained : collection of str
+        Joints of which the diagnosis says so elsewhere.
+    """
+    names = robot.joint_names
+    delays = shown_delays(investigation)
+    named_joints = {*unexplained, *(names[joint] for joint in (*delays, *excess))}
+    rms_left = np.minimum(investigation.model.rms(), investigation.file_rms)
     return [
+        *(_delay_note(names[joint], delay) for joint, delay in delays.items()),
         *(
-            f"joint {names[j]}: torque is {1e3 * abs(delay):.1f} ms"
-            f" {'late' if delay > 0 else 'early'} against position, less than a sample,"
-            " and taken for the logger's own; logs at a higher rate would tell a skew"
-            " or a lag"
-            for j, delay in delays.items()
+            f"joint {names[joint]}: what is left is {times:.1f} times what torque noise"
+            " and encoder account for"
+            for joint, times in excess.items()
         ),
-        *(
-            f"joint {names[j]}: what is left is {times:.1f} times what torque noise and"
-            " encoder account for"
-            for j, times in excess.items()
-        ),
-        *file_notes(found, robot, ordinary, named),
-        *(
-            f"{robot.name_of(one.term.joint) or 'all joints'}: {one.term.name} was"
-            " there when the file was identified, which has absorbed a part of it:"
-            " refine identifies the stages anew"
-            for one in found.found.effects
-            if isinstance(one.term.what, Candidate) and one.term.what.absorbed
-        ),
-        *outside_notes(found, robot, ordinary),
-        *unseen_note(found, robot),
-        *_free_base_notes(found, robot),
-        *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joints),
+        *file_notes(investigation, robot, ordinary, named_joints),
+        *_absorbed_notes(investigation, robot),
+        *outside_notes(investigation, robot, ordinary),
+        *unseen_note(investigation, robot),
+        *_free_base_notes(investigation, robot),
+        *investigation.floor.doubts(rms_left, robot.joints),
     ]
 
 
+def _delay_note(joint_name: str, delay_s: float) -> str:
+    direction = "late" if delay_s > 0 else "early"
+    return (
+        f"joint {joint_name}: torque is {1e3 * abs(delay_s):.1f} ms"
+        f" {direction} against position, less than a sample,"
+        " and taken for the logger's own; logs at a higher rate would tell a skew"
+        " or a lag"
+    )
+
+
+def _absorbed_notes(investigation: Investigation, robot: Robot) -> list[str]:
+    """Say which effects were there when the file was identified."""
+    notes = []
+    for result in investigation.selection.effects:
+        candidate = result.term.what
+        if isinstance(candidate, Candidate) and candidate.absorbed:
+            place = robot.name_of(result.term.joint) or "all joints"
+            notes.append(
+                f"{place}: {result.term.name} was"
+                " there when the file was identified, which has absorbed a part of it:"
+                " refine identifies the stages anew"
+            )
+    return notes
+
+
 def file_notes(
-    found: Investigation, robot: Robot, ordinary: Array, named: Collection[str]
+    investigation: Investigation,
+    robot: Robot,
+    ordinary: Array,
+    named: Collection[str],
 ) -> tuple[str, ...]:
-    """Joints at which the file leaves more than `ordinary` though nothing is found or `named`."""
-    notes, usual = [], np.maximum(ordinary, 1e-12)
-    for j, name in enumerate(robot.joint_names):
-        times = found.start[j] / usual[j]
-        if times <= MORE_THAN_NOISE or j in found.touched or name in named:
+    """Say where the file leaves more than a right model though nothing is told.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    robot : Robot
+        The arm.
+    ordinary : (n,) array
+        RMS that a right model leaves [N m; N where prismatic].
+    named : collection of str
+        Joints of which the diagnosis says so elsewhere.
+    """
+    notes = []
+    all_times = investigation.file_rms / np.maximum(ordinary, 1e-12)
+    for joint, name in enumerate(robot.joint_names):
+        times = all_times[joint]
+        is_told = joint in investigation.explained_joints or name in named
+        if times <= MORE_THAN_NOISE or is_told:
             continue
         notes.append(
             f"joint {name}: the file leaves {times:.1f} times what torque noise and"
@@ -106,12 +164,13 @@ def file_notes(
     return tuple(notes)
 
 
-def unseen_note(found: Investigation, robot: Robot) -> tuple[str, ...]:
-    """Joints of which no sample could be looked at."""
+def unseen_note(investigation: Investigation, robot: Robot) -> tuple[str, ...]:
+    """Say of which joints no sample could be looked at."""
+    samples = investigation.file_residual.samples
     names = [
         joint.name
-        for joint, n in zip(robot.joints, found.file.samples, strict=True)
-        if not n
+        for joint, n_samples in zip(robot.joints, samples, strict=True)
+        if not n_samples
     ]
     if not names:
         return ()
@@ -125,37 +184,60 @@ def unseen_note(found: Investigation, robot: Robot) -> tuple[str, ...]:
     )
 
 
-def _free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
-    """Joints without a finding that a model fitted to these logs surely predicts worse."""
-    left, worse = found.model.rms(), list[str]()
-    for j, joint in (
-        (j, x) for j, x in enumerate(robot.joints) if j not in found.touched
-    ):
-        if predicted_worse(found, j):
-            sizes = f"{left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')}"
+def _free_base_notes(investigation: Investigation, robot: Robot) -> tuple[str, ...]:
+    """Say at which joints without a finding a fitted model surely predicts worse."""
+    rms_left = investigation.model.rms()
+    rms_of_file = investigation.file_rms
+    worse: list[str] = []
+    for j, joint in enumerate(robot.joints):
+        is_explained = j in investigation.explained_joints
+        if not is_explained and predicted_worse(investigation, j):
+            unit = joint.unit("N m")
+            sizes = f"{rms_left[j]:.3g} against {rms_of_file[j]:.3g} {unit}"
             worse.append(f"{joint.name} ({sizes})")
+    if not worse:
+        return ()
     note = (
         f"these logs are too short to judge the model at {', '.join(worse)}: fitted to"
         " a part of them, it predicts the rest worse than the file does"
     )
-    return (note,) if worse else ()
+    return (note,)
 
 
 def outside_notes(
-    found: Investigation, robot: Robot, ordinary: Array
+    investigation: Investigation, robot: Robot, ordinary: Array
 ) -> tuple[str, ...]:
-    """Joints beyond their identified friction, where more than `ordinary` (n,) N m is left."""
-    scenes, shown = found.ground.stage.scenes, found.model.shown()
+    """Say which joints move beyond their identified friction and leave much there.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    robot : Robot
+        The arm.
+    ordinary : (n,) array
+        RMS that a right model leaves [N m; N where prismatic].
+    """
+    scenes = investigation.ground.stage.scenes
     sliding = np.concatenate([scene.slides for scene in scenes])
     outside = np.concatenate(extrapolated(scenes)) & sliding
-    parts = zip(found.ground.base.whole, shown, strict=True)
-    left = np.concatenate([whole.residual - effects for whole, effects in parts])
+    residual_by_scene = [
+        of_scene.residual - of_terms
+        for of_scene, of_terms in zip(
+            investigation.ground.base.scene_bases,
+            investigation.model.shown(),
+            strict=True,
+        )
+    ]
+    residual = np.concatenate(residual_by_scene)
+
     notes = []
-    for j, name in enumerate(robot.joint_names):
-        share = outside[:, j].sum() / max(int(sliding[:, j].sum()), 1)
+    for joint, name in enumerate(robot.joint_names):
+        is_outside = outside[:, joint]
+        share = is_outside.sum() / max(int(sliding[:, joint].sum()), 1)
         if share < OUTSIDE_NOTE:
             continue
-        times = rms(left[outside[:, j], j]) / max(ordinary[j], 1e-12)
+        times = rms(residual[is_outside, joint]) / max(ordinary[joint], 1e-12)
         if times > MORE_THAN_NOISE:
             notes.append(
                 f"joint {name}: {percent(share, 0)} of its moving samples are at speeds"
@@ -167,13 +249,17 @@ def outside_notes(
 
 
 def deflection_notes(stages: Stages, robot: Robot) -> tuple[str, ...]:
-    """Joints that IMUs saw deflect, but for those whose elasticity or play the file has."""
-    has = {one.joint for one in stages.effects or [] if one.effect in DEFLECTING}
+    """Say which joints IMUs saw deflect, unless the file has a reason for it."""
+    explained = {
+        effect.joint for effect in stages.effects or [] if effect.effect in DEFLECTING
+    }
+    imus = stages.imu.imus if stages.imu else {}
     notes = []
-    for name, calibration in (stages.imu.imus if stages.imu else {}).items():
+    for name, calibration in imus.items():
         bends = deflecting(calibration)
-        if bends is not None and bends.joint not in has:
-            unit = robot.joints[robot.joint_names.index(bends.joint)].unit("rad/s^2")
+        if bends is not None and bends.joint not in explained:
+            joint = robot.joints[robot.joint_names.index(bends.joint)]
+            unit = joint.unit("rad/s^2")
             notes.append(
                 f"joint {bends.joint}: imu-calib saw {name} accelerate by"
                 f" {bends.acceleration:.2g} {unit} (RMS) beyond what the joint's"
@@ -182,14 +268,16 @@ def deflection_notes(stages: Stages, robot: Robot) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def shown_delays(found: Investigation) -> dict[int, float]:
-    """Delay [s] of each joint's torque in the base, where it shows."""
-    model, joints = found.model, dict[int, float]()
-    for rows in found.ground.base.nuisances:
-        term = rows.term
-        if term.joint is None or term.joint not in model.delays or term.name != DELAY:
+def shown_delays(investigation: Investigation) -> dict[int, float]:
+    """Return the delay [s] of each joint's torque in the base, where it shows."""
+    model = investigation.model
+    delays: dict[int, float] = {}
+    for of_term in investigation.ground.base.nuisances:
+        term = of_term.term
+        joint = term.joint
+        if joint is None or joint not in model.delays or term.name != DELAY:
             continue
-        size = abs(model.delays[term.joint]) * rms(rows.columns[term.joint])
-        if size > OFFSET_SHOWS * model.noise.sigma[term.joint]:
-            joints[term.joint] = model.delays[term.joint]
-    return joints
+        torque = abs(model.delays[joint]) * rms(of_term.columns[joint])
+        if torque > OFFSET_SHOWS * model.noise.sigma[joint]:
+            delays[joint] = model.delays[joint]
+    return delays

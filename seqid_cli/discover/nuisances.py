@@ -1,4 +1,4 @@
-"""What a drive and its logger add to the torque of any arm, and no effect is blamed for.
+"""Nuisances: what a drive and its logger add to torque, and no effect is blamed for.
 
 A nuisance term is a column x (N,) with a coefficient c that is known beforehand as
 
@@ -57,7 +57,7 @@ class Nuisance:
 
 
 def nuisances_of(scenes: Sequence[Scene], stages: Stages) -> list[Nuisance]:
-    """Return the nuisance terms of the scenes' robot.
+    """Return the nuisance terms of the data sets' robot.
 
     Parameters
     ----------
@@ -76,22 +76,21 @@ def nuisances_of(scenes: Sequence[Scene], stages: Stages) -> list[Nuisance]:
     # Within a sample a delay is the logger's own, another one in every session. Beyond
     # that and the file's own error it is left to effects.
     sample_s = max(scene.period for scene in scenes)
-    stated = stages.friction.joints if stages.friction else {}
-    slopes = [
-        differentiate(
-            scene.modelled_filtered, scene.motion.rate_hz, scene.motion.valid
-        )[0]
-        for scene in scenes
-    ]
+    joints_of_file = stages.friction.joints if stages.friction else {}
+    slopes = []
+    for scene in scenes:
+        motion = scene.motion
+        slope, _ = differentiate(scene.modelled_filtered, motion.rate_hz, motion.valid)
+        slopes.append(slope)
 
-    found = []
+    nuisances = []
     for joint, name in enumerate(scenes[0].robot.joint_names):
-        terms = stated[name].nuisances if name in stated else []
+        terms = joints_of_file[name].nuisances if name in joints_of_file else []
         std_error_s = next(
             (term.std_error for term in terms if term.name == DELAY), 0.0
         )
         std_s = float(np.hypot(sample_s, std_error_s))
-        found.append(
+        nuisances.append(
             Nuisance(
                 name=DELAY,
                 columns={joint: [-slope[:, joint] for slope in slopes]},
@@ -99,4 +98,4 @@ def nuisances_of(scenes: Sequence[Scene], stages: Stages) -> list[Nuisance]:
                 largest=std_s,
             )
         )
-    return found
+    return nuisances

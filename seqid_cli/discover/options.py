@@ -1,4 +1,4 @@
-"""What a user may set about discovery; kept free of heavy imports for the command line."""
+"""What a user may set about discovery; free of heavy imports for the command line."""
 
 from dataclasses import dataclass, field
 
@@ -34,8 +34,14 @@ class RefineOptions(DiagnoseOptions):
 class DiscoverOptions:
     """How effects are looked for.
 
-    Refinement adds effects in at most `max_effects` rounds, without a limit if that is
-    None (see `RefineOptions`).
+    Attributes
+    ----------
+    motion : InertiaOptions
+        Where joint motion comes from, and how it is low-passed.
+    max_effects : int or None
+        Rounds in which refinement adds effects; None for no limit.
+    with_unexplained : bool
+        Whether refinement adds smooth terms where no effect explains.
     """
 
     motion: InertiaOptions = field(

@@ -1,4 +1,4 @@
-"""From recordings to data sets: filtered motion, the model's torque, one clock for all logs."""
+"""From recordings to data sets: filtered motion, the model's torque, one clock."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -20,6 +20,7 @@ from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import decimated, estimate_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
 
 # enough for steps of friction, whose time is known to half a sample
 SAMPLES_PER_CUTOFF = 24
@@ -32,119 +33,221 @@ def scenes_of(
     *,
     options: InertiaOptions,
 ) -> list[Scene]:
-    """Build the data set of every log with torque or current, with the model as it stands."""
+    """Build the data set of every log with torque or current.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        The logs.
+    robot : Robot
+        The arm.
+    stages : Stages
+        The model as it stands.
+    options : InertiaOptions
+        Where motion comes from, and how it is low-passed.
+
+    Returns
+    -------
+    list of Scene
+        With the model's torque along the motion, all on one clock where the logs tell
+        it.
+    """
     logs = list(recordings)
     motions = []
-    imu, source = stages.imu, options.source
     for log in logs:
-        torque_of(log)  # there, before the motion is worked out
-        motions.append(log_motion(log, robot, options.motion, imu=imu, source=source))
+        torque_of(log)  # is there, before the motion is worked out
+        motion = log_motion(
+            log, robot, options.motion, imu=stages.imu, source=options.source
+        )
+        motions.append(motion)
+
     model = TorqueModel.from_stages(stages, robot)
-    starts, shared = shared_starts(logs)
-    top = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
-    width = sign_widths(model, top)
+    starts, is_shared = shared_starts(logs)
+    top_speed = np.max([np.max(np.abs(x.dq), axis=0) for x in motions], axis=0)
+    sign_width = sign_widths(model, top_speed)
+
     scenes = []
     for number, (log, motion, start) in enumerate(
         zip(logs, motions, starts, strict=True)
     ):
-        alone = scene_of_log(log, robot, model, motion)
-        place = replace(
-            alone, log=number, start=start, shared_clock=shared, sign_width=width
+        scene = replace(
+            scene_of_log(log, robot, model, motion),
+            log=number,
+            start=start,
+            shared_clock=is_shared,
+            sign_width=sign_width,
+            encoder=log.q,
+            measured=log.tau,
         )
-        scenes.append(thinned(replace(place, encoder=log.q, measured=log.tau)))
+        scenes.append(thinned(scene))
     return scenes
 
 
 def with_own_cutoffs(
     logs: Sequence[Recording], robot: Robot, stages: Stages, options: InertiaOptions
 ) -> InertiaOptions:
-    """Options that filter logs at their own cut-off where encoders are too coarse for the model's.
+    """Return options that filter some logs at their own cut-off.
 
-    Unless the user gave the cut-off, and where no IMU helps. What motion is made is
-    kept.
+    They are the logs whose encoders are too coarse for the model's cut-off, unless the
+    user gave it, and where no IMU helps. What motion is made is kept.
+
+    Parameters
+    ----------
+    logs : sequence of Recording
+        The logs.
+    robot : Robot
+        The arm.
+    stages : Stages
+        The model.
+    options : InertiaOptions
+        As the user gave them.
     """
     if options.motion.kept is None:
         options = replace(options, motion=replace(options.motion, kept={}))
     if options.motion.origin == "as given":
         return options
-    alone = [
-        x for x in logs if estimate_motion(x, robot, options.motion).cutoff.above_own
+
+    doubtful = [
+        log
+        for log in logs
+        if estimate_motion(log, robot, options.motion).cutoff.above_own
     ]
-    scenes = scenes_of(alone, robot, stages, options=options) if alone else []
-    own = {
+    if not doubtful:
+        return options
+    scenes = scenes_of(doubtful, robot, stages, options=options)
+    coarse = {
         log.sha256
-        for log, scene in zip(alone, scenes, strict=True)
+        for log, scene in zip(doubtful, scenes, strict=True)
         if _is_coarse(log, scene)
     }
-    return replace(
-        options, motion=replace(options.motion, own=options.motion.own | own)
-    )
+    motion = replace(options.motion, own=options.motion.own | coarse)
+    return replace(options, motion=motion)
 
 
 def _is_coarse(
     log: Recording, scene: Scene, *, most: float = Options.improvement
 ) -> bool:
-    """Whether encoder noise makes a share, of which terms count, of what the model leaves."""
+    """Return whether encoder noise makes more than a share `most` of some residual.
+
+    By the squares of a joint where it slides; the share is the one from which on terms
+    count.
+    """
     if scene.motion.source != "encoder":
         return False
-    every = encoder_residuals([log], [scene])[0], residual_of(scene)
-    made, whole = (np.sum(np.where(scene.slides, x, 0.0) ** 2, axis=0) for x in every)
-    return bool(np.any(made > most * whole))
+
+    def square(residual: Array) -> Array:
+        return np.asarray(np.sum(np.where(scene.slides, residual, 0.0) ** 2, axis=0))
+
+    made_by_encoder = square(encoder_residuals([log], [scene])[0])
+    return bool(np.any(made_by_encoder > most * square(residual_of(scene))))
 
 
 def thinned(full: Scene) -> Scene:
-    """The data set at the rate at which most effects are looked for, with the full one inside."""
+    """Return the data set at the rate at which most effects are looked for.
+
+    The full one stands inside.
+    """
     motion = decimated(full.motion, SAMPLES_PER_CUTOFF)
-    every = round(full.motion.rate_hz / motion.rate_hz)
-    logged = (full.temperature, full.sensor, full.encoder)
-    temperature, sensor, encoder = (None if x is None else x[::every] for x in logged)
-    kept = replace(full, temperature=temperature, sensor=sensor, encoder=encoder)
-    return replace(kept, motion=motion, measured=None, full=full)
+    stride = round(full.motion.rate_hz / motion.rate_hz)
+
+    def thin(values: Array | None) -> Array | None:
+        return None if values is None else values[::stride]
+
+    return replace(
+        full,
+        motion=motion,
+        temperature=thin(full.temperature),
+        sensor=thin(full.sensor),
+        encoder=thin(full.encoder),
+        measured=None,
+        full=full,
+    )
 
 
 def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
-    """Seconds from the earliest log's start to each log's, and whether the logs tell them.
+    """Return when each log starts, and whether the logs share a clock.
 
     Logs whose own clocks all begin at zero, or lie years apart, tell nothing of it. Of
     pieces it is the logs that are asked, and a piece knows at any rate where in its log
     it begins.
+
+    Returns
+    -------
+    list of float
+        Seconds from the earliest log's start; without a clock from the own log's.
+    bool
+        Whether the logs share a clock.
     """
     logs = [whole_of(pieces[0]) for pieces in by_log(recordings)]
-    begun, lengths = np.array([(whole.start, whole.length) for whole in logs]).T
-    order = np.argsort(begun, kind="stable")
-    apart = np.all(np.diff(begun[order]) >= 0.5 * lengths[order][:-1])
-    if not apart or np.ptp(begun) >= LONGEST_SESSION_S:
+    log_starts = np.array([log.start for log in logs])
+    lengths = np.array([log.length for log in logs])
+    order = np.argsort(log_starts, kind="stable")
+
+    # Logs that lie over one another were not recorded with one clock.
+    gaps = np.diff(log_starts[order])
+    is_in_sequence = bool(np.all(gaps >= 0.5 * lengths[order][:-1]))
+    if not is_in_sequence or np.ptp(log_starts) >= LONGEST_SESSION_S:
         return [recording.offset for recording in recordings], False
     starts = np.array([recording.start for recording in recordings])
-    return [float(x) for x in starts - starts.min()], True
+    return [float(seconds) for seconds in starts - starts.min()], True
 
 
 def usable_logs(
     recordings: Iterable[Recording], robot: Robot
 ) -> tuple[list[Recording], tuple[str, ...]]:
-    """Leave out logs whose torque is an echo of the command (see `inspect.dynamics.echo`).
+    """Leave out logs whose torque is an echo of the command.
 
-    A log that comes in pieces is one if half of these are. Returns what is left, and a
-    note on every log that was left out. Raises InputError: nothing is left.
+    See `inspect.dynamics.echo`. A log that comes in pieces is one if half of these are.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        The logs.
+    robot : Robot
+        The arm.
+
+    Returns
+    -------
+    list of Recording
+        What stays.
+    tuple of str
+        A note on every log that was left out.
+
+    Raises
+    ------
+    InputError
+        Nothing is left.
     """
-    kept, left_out = list[Recording](), list[tuple[str, str]]()
+    usable: list[Recording] = []
+    left_out: list[tuple[str, str]] = []  # paths, with the joints that are echoes
     for pieces in by_log(recordings):
-        every = [
-            echoes(robot, x.t, x.q, x.tau, x.valid) for x in pieces if x.tau is not None
-        ]
-        echoed = [
-            ", ".join(robot.joint_names[j] for j in found)
-            for found in every
-            if len(found)
-        ]
-        if 2 * len(echoed) >= len(pieces) and echoed:
-            left_out.append((str(pieces[0].path), echoed[0]))
+        echoing_joints = _echoes_of(pieces, robot)
+        if echoing_joints and 2 * len(echoing_joints) >= len(pieces):
+            left_out.append((str(pieces[0].path), echoing_joints[0]))
         else:
-            kept += pieces
-    if left_out and not kept:
-        path, first = left_out[0]
-        others = f" (and {len(left_out) - 1} more logs)" if len(left_out) > 1 else ""
-        raise InputError(f"joint {first}: {WARNING}{others}", where=path, hint=REMEDY)
-    return kept, tuple(
-        f"{p} is left out: joint {j}: {WARNING}; {REMEDY}" for p, j in left_out
-    )
+            usable += pieces
+
+    if left_out and not usable:
+        path, joints = left_out[0]
+        n_others = len(left_out) - 1
+        and_others = f" (and {n_others} more logs)" if n_others else ""
+        raise InputError(
+            f"joint {joints}: {WARNING}{and_others}", where=path, hint=REMEDY
+        )
+    notes = [
+        f"{path} is left out: joint {joints}: {WARNING}; {REMEDY}"
+        for path, joints in left_out
+    ]
+    return usable, tuple(notes)
+
+
+def _echoes_of(pieces: Sequence[Recording], robot: Robot) -> list[str]:
+    """Return the joints whose torque is an echo, for every piece that has any."""
+    echoing = []
+    for piece in pieces:
+        if piece.tau is None:
+            continue
+        joints = echoes(robot, piece.t, piece.q, piece.tau, piece.valid)
+        if len(joints):
+            echoing.append(", ".join(robot.joint_names[joint] for joint in joints))
+    return echoing

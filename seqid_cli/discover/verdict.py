@@ -1,4 +1,4 @@
-"""Whether anything is missing: what the file leaves of each joint's torque, against its noise.
+"""Whether anything is missing: what the file leaves of each joint, against its noise.
 
 The parameter file is judged as it came, on all rows that it sees. A model that is
 fitted to these rows says why more than noise is left: where it leaves noise only, the
@@ -29,13 +29,14 @@ FITTED = 0.5  # of what the file leaves, below which a fitted model blames its v
 
 
 def joint_states(
-    found: Investigation, ordinary: Array, most_of_noise: Array
+    investigation: Investigation, ordinary: Array, most_of_noise: Array
 ) -> list[JointState]:
     """Return what the file leaves of each joint's torque.
 
     Parameters
     ----------
-    found : Investigation
+    investigation : Investigation
+        All that a diagnosis is made from.
     ordinary : (n,) array
         RMS torque that a right model leaves [N m; N where prismatic].
     most_of_noise : (n,) array
@@ -47,61 +48,78 @@ def joint_states(
         `found` where an effect or a smooth function was found at the joint.
     """
     return [
-        _state(found, joint, MORE_THAN_NOISE * ordinary[joint], most_of_noise[joint])
-        for joint in range(found.ground.n)
+        _state(
+            investigation,
+            joint,
+            many_floors=MORE_THAN_NOISE * ordinary[joint],
+            most_of_noise=most_of_noise[joint],
+        )
+        for joint in range(investigation.ground.n)
     ]
 
 
 def _state(
-    found: Investigation, joint: int, many_floors: float, most_of_noise: float
+    investigation: Investigation,
+    joint: int,
+    *,
+    many_floors: float,
+    most_of_noise: float,
 ) -> JointState:
-    if found.file.samples[joint] == 0:
+    """Return what the file leaves of a joint's torque; both bounds in N m."""
+    if investigation.file_residual.samples[joint] == 0:
         return "unseen"
-    if joint in found.touched:
+    if joint in investigation.explained_joints:
         return "found"
 
-    left_by_file = found.start[joint]
+    left_by_file = investigation.file_rms[joint]
     if left_by_file <= min(most_of_noise, many_floors):
         return "noise"
-    if found.floor.rms[joint] <= 0.0 or predicted_worse(found, joint):
+    has_no_floor = investigation.floor.rms[joint] <= 0.0
+    if has_no_floor or predicted_worse(investigation, joint):
         return "too_short"
 
-    left_when_fitted = found.model.rms()[joint]
+    # The form of the model is right where a fit leaves noise alone.
+    left_when_fitted = investigation.model.rms()[joint]
     if left_when_fitted <= min(FITTED * left_by_file, many_floors):
         return "changed"
-    if left_when_fitted <= most_of_noise < left_by_file and predicted_better(
-        found, joint
-    ):
+    fit_leaves_noise = left_when_fitted <= most_of_noise < left_by_file
+    if fit_leaves_noise and predicted_better(investigation, joint):
         return "changed"
+
     # Between the two bounds a small lack cannot be told from noise that is larger than
     # it seems.
-    return (
-        "unexplained" if left_by_file > max(most_of_noise, many_floors) else "too_short"
-    )
+    is_more_than_noise = left_by_file > max(most_of_noise, many_floors)
+    return "unexplained" if is_more_than_noise else "too_short"
 
 
-def predicted_worse(found: Investigation, joint: int) -> bool:
-    """Whether a model fitted to a part of the logs surely predicts the rest worse."""
-    fitted, file = _squares(found, joint)
-    return doubt_of(fitted - (1.0 + Options.improvement) * file) <= Options.doubt
+def predicted_worse(investigation: Investigation, joint: int) -> bool:
+    """Return whether a model fitted to some blocks surely predicts others worse."""
+    fitted, file = _squares(investigation, joint)
+    loss = fitted - (1.0 + Options.improvement) * file
+    return doubt_of(loss) <= Options.doubt
 
 
-def predicted_better(found: Investigation, joint: int) -> bool:
-    """Whether a model fitted to a part of the logs surely predicts the rest better."""
-    fitted, file = _squares(found, joint)
-    return doubt_of((1.0 - Options.improvement) * file - fitted) <= Options.doubt
+def predicted_better(investigation: Investigation, joint: int) -> bool:
+    """Return whether a model fitted to some blocks surely predicts others better."""
+    fitted, file = _squares(investigation, joint)
+    gain = (1.0 - Options.improvement) * file - fitted
+    return doubt_of(gain) <= Options.doubt
 
 
-def _squares(found: Investigation, joint: int) -> tuple[Array, Array]:
-    """Squared errors (blocks,) of the model on blocks it was not fitted to, and of the file."""
-    rows = found.ground.rows
+def _squares(investigation: Investigation, joint: int) -> tuple[Array, Array]:
+    """Return squared errors (blocks,) of the model and of the file.
+
+    The model's are on blocks that it was not fitted to.
+    """
+    rows = investigation.ground.rows
     block = rows.block[joint]
-    left_out, file = found.model.linear.left_out[joint], found.ground.base.y[joint]
-    fitted_squares = np.bincount(block, left_out**2, minlength=rows.blocks)
-    file_squares = np.bincount(block, file**2, minlength=rows.blocks)
-    return np.asarray(fitted_squares, dtype=float), np.asarray(
-        file_squares, dtype=float
-    )
+
+    def by_block(residual: Array) -> Array:
+        squares = np.bincount(block, residual**2, minlength=rows.blocks)
+        return np.asarray(squares, dtype=float)
+
+    left_out = investigation.model.linear.left_out[joint]
+    return by_block(left_out), by_block(investigation.ground.base.y[joint])
 
 
 def verdict_of(
@@ -109,7 +127,17 @@ def verdict_of(
     unexplained: Collection[diagnosis.UnexplainedPart],
     states: Collection[JointState],
 ) -> diagnosis.DiagnosisVerdict:
-    """Return the verdict in the words of the contract."""
+    """Return the verdict in the words of the contract.
+
+    Parameters
+    ----------
+    findings : collection of FindingEntry
+        Effects that are told.
+    unexplained : collection of UnexplainedPart
+        What no effect explains.
+    states : collection of JointState
+        What the file leaves of each joint's torque.
+    """
     if findings:
         return "effect_found"
     if unexplained:
@@ -124,29 +152,39 @@ def verdict_of(
 
 
 def changed_values(
-    found: Investigation, robot: Robot, states: Collection[JointState]
+    investigation: Investigation, robot: Robot, states: Collection[JointState]
 ) -> list[diagnosis.ChangedValues]:
-    """Describe the joints at which the file's values do not hold, the most floors first."""
+    """Describe where the file's values do not hold, the most noise floors first.
+
+    Parameters
+    ----------
+    investigation : Investigation
+        All that a diagnosis is made from.
+    robot : Robot
+        The arm.
+    states : collection of JointState
+        Of its joints.
+    """
     changed = [
-        _changed_at(found, robot, joint)
+        _changed_at(investigation, robot, joint)
         for joint, state in enumerate(states)
         if state == "changed"
     ]
-    return sorted(changed, key=lambda one: -one.floors)
+    return sorted(changed, key=lambda values: -values.floors)
 
 
 def _changed_at(
-    found: Investigation, robot: Robot, joint: int
+    investigation: Investigation, robot: Robot, joint: int
 ) -> diagnosis.ChangedValues:
-    left_by_file = float(found.start[joint])
-    told = [taken.term for taken in found.found.taken]
-    causes = causes_at(found.model, joint, told)
+    left_by_file = float(investigation.file_rms[joint])
+    told_terms = [result.term for result in investigation.selection.terms]
+    causes = causes_at(investigation.model, joint, told_terms)
     return diagnosis.ChangedValues(
         joint=robot.joint_names[joint],
         rmse=left_by_file,
-        rmse_refitted=float(found.model.rms()[joint]),
-        floors=left_by_file / float(found.floor.rms[joint]),
-        since=_since(found, joint),
+        rmse_refitted=float(investigation.model.rms()[joint]),
+        floors=left_by_file / float(investigation.floor.rms[joint]),
+        since=_since(investigation, joint),
         causes=[_described(cause, robot) for cause in causes],
     )
 
@@ -160,14 +198,14 @@ def _described(cause: Cause, robot: Robot) -> diagnosis.ChangeCause:
     )
 
 
-def _since(found: Investigation, joint: int) -> str | None:
-    """Path of the first log that leaves more than noise; None where all do."""
-    left = found.file.rms_by_log[:, joint]
-    stands_out = left > found.floor.high[joint]
-    seen = np.isfinite(left)
-    if np.array_equal(stands_out, seen):
+def _since(investigation: Investigation, joint: int) -> str | None:
+    """Return the first log that leaves more than noise; None where all do."""
+    rms_by_log = investigation.file_residual.rms_by_log[:, joint]
+    stands_out = rms_by_log > investigation.floor.high[joint]
+    has_rows = np.isfinite(rms_by_log)
+    if np.array_equal(stands_out, has_rows):
         return None
-    starts = [scene.start for scene in found.ground.stage.scenes]
+    starts = [scene.start for scene in investigation.ground.stage.scenes]
     in_order = np.argsort(starts, kind="stable")
     first = next((log for log in in_order if stands_out[log]), None)
-    return None if first is None else str(found.logs[first].path)
+    return None if first is None else str(investigation.logs[first].path)

@@ -355,8 +355,8 @@ class AgreementSettings(Group):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ResidualSettings(Group):
-    """What may be left of a joint's torque."""
+class ResidualLimits(Group):
+    """How much of a joint's torque a fitted model may leave."""
 
     poor_share: float = setting(
         0.15,
@@ -372,6 +372,12 @@ class ResidualSettings(Group):
         low=0.1,
         high=1e3,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualSettings(ResidualLimits):
+    """What may be left of a joint's torque."""
+
     max_condition: float = setting(
         1000.0,
         unit="condition",
@@ -411,7 +417,7 @@ class InertiaSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class OneStepSettings(Group):
+class OneStepSettings(ResidualLimits):
     """What the one-step identification makes of what is left, and of friction."""
 
     poor_share: float = setting(
@@ -420,13 +426,6 @@ class OneStepSettings(Group):
         reason="left, from which a joint is poor",
         low=1e-4,
         high=10.0,
-    )
-    max_of_noise: float = setting(
-        1.2,
-        unit="times the noise's upper end",
-        reason="left, from which more than noise is: usable only",
-        low=0.1,
-        high=1e3,
     )
     negative_sigma: float = setting(
         3.0,

@@ -32,7 +32,7 @@ from seqid_cli.model.torque import sampled_friction
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
-from seqid_cli.motion.motion import encoder_resolution
+from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.segmentation import unmoved
 from seqid_cli.motion.torque_noise import (
     Slid,
@@ -51,6 +51,7 @@ SEED = 0
 STRETCH = 4.0
 # of the residual's power that stays noise, whatever the encoder explains
 LEAST_SHARE = 0.1
+# RMS, ends of its interval and the most, where no spectrum shows any noise
 UNKNOWN = np.array([0.0, 0.0, 0.0, np.inf])
 # a deviate's middle, ends of its interval, most
 NORMAL_95 = np.array([0.0, -1.96, 1.96, 1.96])
@@ -58,10 +59,17 @@ NORMAL_95 = np.array([0.0, -1.96, 1.96, 1.96])
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """RMS (n,) N m that a right model leaves, and its 95 % interval `low`, `high` (n,).
+    """RMS torque that a right model leaves, and its 95 % interval.
 
-    Of what spectra leave open, noise of logs so short scatters, and the encoder's part
-    is unsure.
+    The interval covers what spectra leave open, how much noise of logs so short
+    scatters, and how unsure the encoder's part is.
+
+    Attributes
+    ----------
+    rms : (n,) array
+        N m; N where prismatic.
+    low, high : (n,) arrays
+        Ends of the interval.
     """
 
     rms: Array
@@ -69,25 +77,47 @@ class NoiseFloor:
     high: Array
 
     def with_detail(self, detail: Array) -> "NoiseFloor":
-        """The same where a right model may leave a detail, RMS (n,) N m, beside the noise."""
+        """Return the floor of a model that may leave a detail, RMS (n,) N m, too."""
         return replace(self, high=np.hypot(self.high, detail))
 
     def interval(self, joint: int) -> tuple[float, float]:
-        """95 % interval of one joint's floor, N m."""
+        """Return the 95 % interval of one joint's floor, N m."""
         return float(self.low[joint]), float(self.high[joint])
 
-    def doubts(self, left: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
-        """Joints at which a model leaves less, RMS (n,) N m, than the interval's lower end."""
-        return tuple(
-            f"joint {joint.name}: {rest:.3g} {joint.unit('N m')} is left, less than the"
-            f" noise floor's interval, {low:.3g} to {high:.3g} {joint.unit('N m')}: the"
-            " floor's estimate is doubtful there; a log with rests of several seconds"
-            " gives a better one"
-            for joint, rest, low, high in zip(
-                joints, left, self.low, self.high, strict=True
-            )
-            if rest < low
-        )
+    def doubts(self, residual_rms: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
+        """Return notes on joints that leave less, RMS (n,) N m, than the interval."""
+        notes = []
+        for joint, rms_left, low, high in zip(
+            joints, residual_rms, self.low, self.high, strict=True
+        ):
+            if rms_left < low:  # not of NaN: such a joint never slides
+                unit = joint.unit("N m")
+                notes.append(
+                    f"joint {joint.name}: {rms_left:.3g} {unit} is left, less than the"
+                    f" noise floor's interval, {low:.3g} to {high:.3g} {unit}: the"
+                    " floor's estimate is doubtful there; a log with rests of several"
+                    " seconds gives a better one"
+                )
+        return tuple(notes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _NoisyLog:
+    """One log with what noise is estimated from."""
+
+    recording: Recording
+    scene: Scene
+    residual: Array  # (N, n) N m
+    encoder_residual: Array  # (N, n) N m, what the encoder's noise makes of it
+    rests: "_Rests"
+
+
+@dataclass(frozen=True)
+class _Rests:
+    """Pieces of equal length in which all joints stand."""
+
+    starts: list[int]  # first samples, at the log's own rate
+    length: int  # samples
 
 
 def noise_floor(
@@ -100,69 +130,166 @@ def noise_floor(
     judged: int | None = None,
     encoder_error: float = 0.25,
 ) -> NoiseFloor:
-    """Find the noise floor of every joint where it slides; an estimate of its own.
+    """Find the noise floor of every joint where it slides.
 
-    `residual`, `echo` (N, n) N m per log, at the samples of its data set: what is left
-    after all that was found has been taken out, zero where it does not count; the part
-    of it that the encoder's noise makes (see `encoder_residuals`), known to a relative
-    standard error of `encoder_error`. The floor is of `rows`, by default of all samples
-    at which a joint slides, and of the first `judged` logs, by default of all: the
-    others only help to find the noise.
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        The logs.
+    `scenes` : sequence of `Scene`
+        Their data sets.
+    residual : sequence of (N, n) arrays
+        What is left [N m; N where prismatic] at the samples of each data set after all
+        effects have been taken out, zero where it does not count.
+    echo : sequence of (N, n) arrays
+        The part of it that the encoder's noise makes (see `encoder_residuals`).
+    rows : Rows, optional
+        What the floor is of; by default all samples at which a joint slides.
+    judged : int, optional
+        The floor is of the first so many logs, by default of all. The other logs only
+        help to find the noise.
+    encoder_error : float
+        Relative standard error of the encoder's part.
+
+    Returns
+    -------
+    NoiseFloor
+        An estimate of its own: what a model leaves does not bound it.
     """
-    logs = list(zip(recordings, scenes, residual, echo, strict=True))
-    rests = [_rests(recording, scene) for recording, scene, *_ in logs]
-    reference_hz, found = scenes[0].motion.lowpass.cutoff_hz, []
-    for j in range(scenes[0].robot.n):
-        of = [(scene, scene.slides[:, j]) for scene in scenes[:judged]]
-        slid = [(x.motion, float(m.sum()) / x.motion.rate_hz) for x, m in of if m.any()]
-        slides = [
-            [x[m, j] for x, (_, m) in zip(v, of, strict=False)]
-            for v in (echo, residual)
-        ]
-        heard, left = (rms(own[own != 0.0]) for own in map(np.concatenate, slides))
-        heard = heard if rows is None else rms(rows.torque(j, [e[:, j] for e in echo]))
-        encoder = heard * np.exp(encoder_error * NORMAL_95)
-        still = [
-            Spectrum.of(log.tau[:, j], *at, log.rate_hz, robust=False).at_least(
-                _rounding(log, j)
-            )
-            for log, at in zip(recordings, rests, strict=True)
-            if at[0] and log.tau is not None
-        ]
-        moving = [_above(log, scene, j) for log, scene, *_ in logs]
-        moving += [_top_of_band(log, x, r[:, j], e[:, j], j) for log, x, r, e in logs]
-        floor = np.hypot(_noise([*still, *moving], slid, reference_hz), encoder)
-        # Of noise no more can be there than is left of the torque in all.
-        refuted = bool(still) and floor[1] > left
-        if refuted:
-            floor = np.hypot(_noise(moving, slid, reference_hz), encoder)
-        if refuted or not still:
-            floor[2] = max(floor[2], min(left, floor[3]))
-        found.append(floor[:3])
-    return NoiseFloor(*np.array(found).T)
+    logs = [
+        _NoisyLog(
+            recording=recording,
+            scene=scene,
+            residual=of_log,
+            encoder_residual=of_encoder,
+            rests=_rests(recording, scene),
+        )
+        for recording, scene, of_log, of_encoder in zip(
+            recordings, scenes, residual, echo, strict=True
+        )
+    ]
+    floors = [
+        _floor_of_joint(
+            logs, joint, rows=rows, judged=judged, encoder_error=encoder_error
+        )
+        for joint in range(scenes[0].robot.n)
+    ]
+    by_end = np.array(floors).T
+    return NoiseFloor(rms=by_end[0], low=by_end[1], high=by_end[2])
+
+
+def _floor_of_joint(
+    logs: Sequence[_NoisyLog],
+    joint: int,
+    *,
+    rows: Rows | None,
+    judged: int | None,
+    encoder_error: float,
+) -> Array:
+    """Return the RMS (3,) of one joint's floor and the ends of its interval, N m."""
+    slid: list[tuple[Motion, float]] = []  # motions, with the time [s] of sliding
+    sliding_echo = []
+    sliding_residual = []
+    for log in logs[:judged]:
+        slides = log.scene.slides[:, joint]
+        sliding_echo.append(log.encoder_residual[slides, joint])
+        sliding_residual.append(log.residual[slides, joint])
+        if slides.any():
+            motion = log.scene.motion
+            slid.append((motion, float(slides.sum()) / motion.rate_hz))
+
+    # The encoder's part is drawn, not spectral: it adds to torque noise in squares.
+    if rows is None:
+        encoder_rms = _rms_where_counted(sliding_echo)
+    else:
+        encoder_rms = rms(
+            rows.torque(joint, [log.encoder_residual[:, joint] for log in logs])
+        )
+    encoder = encoder_rms * np.exp(encoder_error * NORMAL_95)
+    residual_rms = _rms_where_counted(sliding_residual)
+
+    reference_hz = logs[0].scene.motion.lowpass.cutoff_hz
+    at_rest = [
+        _at_rest(log, joint)
+        for log in logs
+        if log.rests.starts and log.recording.tau is not None
+    ]
+    moving = [_above(log.recording, log.scene, joint) for log in logs]
+    moving += [
+        _top_of_band(
+            log.recording,
+            log.scene,
+            log.residual[:, joint],
+            log.encoder_residual[:, joint],
+            joint,
+        )
+        for log in logs
+    ]
+    floor = np.hypot(_torque_noise([*at_rest, *moving], slid, reference_hz), encoder)
+
+    # Of noise no more can be there than is left of the torque in all: rests that say
+    # so show something else, a drive's own motion.
+    rests_are_refuted = bool(at_rest) and floor[1] > residual_rms
+    if rests_are_refuted:
+        floor = np.hypot(_torque_noise(moving, slid, reference_hz), encoder)
+    if rests_are_refuted or not at_rest:
+        # Below the top of the band noise may have any shape.
+        floor[2] = max(floor[2], min(residual_rms, floor[3]))
+    return np.asarray(floor[:3])
 
 
 def rms(values: Array) -> float:
-    """Root of the mean square; zero of nothing."""
+    """Return the root of the mean square; zero of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
-def _noise(spectra: Sequence[Spectrum], slid: Slid, reference_hz: float) -> Array:
-    """RMS of low-passed torque noise, ends of its interval, the most (4,), N m; 0 if unknown."""
-    shown = [one for one in spectra if len(one.frequency)]
-    return level_of(shown, reference_hz).rms(slid) if shown and slid else UNKNOWN
+def _rms_where_counted(parts: Sequence[Array]) -> float:
+    """Return the RMS of all parts; a zero says that a sample does not count."""
+    values = np.concatenate(parts)
+    return rms(values[values != 0.0])
 
 
-def _rests(recording: Recording, scene: Scene) -> tuple[list[int], int]:
-    """First samples, and length, of pieces in which all joints stand, a period from moves."""
+def _torque_noise(
+    spectra: Sequence[Spectrum], slid: Slid, reference_hz: float
+) -> Array:
+    """Return the RMS (4,) N m of low-passed torque noise.
+
+    It is the estimate, the ends of its interval, and the most of any shape of noise.
+    Without any spectrum nothing is known: it may be from nothing to anything.
+    """
+    filled = [spectrum for spectrum in spectra if len(spectrum.frequency)]
+    if not (filled and slid):
+        return UNKNOWN
+    return level_of(filled, reference_hz).rms(slid)
+
+
+def _rests(recording: Recording, scene: Scene) -> _Rests:
+    """Find pieces in which all joints stand, a period of the cut-off off moves."""
     period = recording.rate_hz / scene.motion.lowpass.cutoff_hz
     still = unmoved(
         recording.q, encoder_resolution(scene.robot), round(STRETCH * period)
     )
     quiet = shrink(still & recording.valid, round(period))
-    lengths = [b - a for a, b in runs(quiet, len(quiet)) if b - a >= STRETCH * period]
+    lengths = [
+        stop - start
+        for start, stop in runs(quiet, len(quiet))
+        if stop - start >= STRETCH * period
+    ]
     length = int(np.median(lengths or [0]))
-    return stretches(quiet, length) if length else [], length
+    return _Rests(starts=stretches(quiet, length) if length else [], length=length)
+
+
+def _at_rest(log: _NoisyLog, joint: int) -> Spectrum:
+    """Return the spectrum of the raw torque while all joints stand."""
+    assert log.recording.tau is not None
+    spectrum = Spectrum.of(
+        log.recording.tau[:, joint],
+        log.rests.starts,
+        log.rests.length,
+        log.recording.rate_hz,
+        robust=False,
+    )
+    return spectrum.at_least(_rounding(log.recording, joint))
 
 
 def _above(
@@ -173,21 +300,26 @@ def _above(
     above: float = 1.5,
     up_to: float = 10.0,
 ) -> Spectrum:
-    """The raw torque above the cut-off where the joint slides; if never for long, of all."""
+    """Return the spectrum of the raw torque above the cut-off where the joint slides.
+
+    `above` and `up_to` limit the band, in cut-offs. Where the joint never slides for
+    long, the spectrum is of all that is valid.
+    """
     assert recording.tau is not None
-    rate, cutoff, samples = (
-        recording.rate_hz,
-        scene.motion.lowpass.cutoff_hz,
-        len(recording.t),
-    )
-    length = min(round(STRETCH * rate / cutoff), samples)
-    nearest = np.linspace(0, scene.samples - 1, samples).round().astype(int)
+    rate_hz = recording.rate_hz
+    cutoff_hz = scene.motion.lowpass.cutoff_hz
+    n_samples = len(recording.t)
+    length = min(round(STRETCH * rate_hz / cutoff_hz), n_samples)
+
+    # Sliding is known at the samples of the data set, of which there may be fewer.
+    nearest = np.linspace(0, scene.samples - 1, n_samples).round().astype(int)
     slides = scene.slides[nearest, joint] & recording.valid
     starts = stretches(slides, length) or stretches(recording.valid, length)
-    whole = Spectrum.of(recording.tau[:, joint], starts, length, rate, robust=True)
-    return whole.within(above * cutoff, up_to * cutoff).at_least(
-        _rounding(recording, joint)
+    spectrum = Spectrum.of(
+        recording.tau[:, joint], starts, length, rate_hz, robust=True
     )
+    in_band = spectrum.within(above * cutoff_hz, up_to * cutoff_hz)
+    return in_band.at_least(_rounding(recording, joint))
 
 
 def _top_of_band(
@@ -199,80 +331,141 @@ def _top_of_band(
     *,
     band: tuple[float, float] = (0.45, 0.95),
 ) -> Spectrum:
-    """What is left (N,) of the torque at the top of the band, the low-pass undone.
+    """Return the spectrum of what is left (N,) at the top of the band, not low-passed.
 
     Steps of the torque, which reach above the cut-off, the model has below it. What the
     encoder's noise makes (N,) is taken off. Between the cut-offs `band` nothing moves.
     """
-    lowpass, rate = scene.motion.lowpass, scene.motion.rate_hz
-    length = min(round(STRETCH * rate / lowpass.cutoff_hz), scene.samples)
+    lowpass = scene.motion.lowpass
+    rate_hz = scene.motion.rate_hz
+    low_hz = high_hz = 0.0
+    if lowpass.active:
+        low_hz = band[0] * lowpass.cutoff_hz
+        high_hz = band[1] * lowpass.cutoff_hz
+
+    length = min(round(STRETCH * rate_hz / lowpass.cutoff_hz), scene.samples)
     starts = stretches(scene.slides[:, joint] & (residual != 0.0), length)
-    limits = (
-        [edge * lowpass.cutoff_hz for edge in band] if lowpass.active else [0.0, 0.0]
+    of_residual = Spectrum.of(residual, starts, length, rate_hz, robust=True)
+    of_encoder = Spectrum.of(echo, starts, length, rate_hz, robust=True)
+    in_band = of_residual.within(low_hz, high_hz)
+    made_by_encoder = of_encoder.within(low_hz, high_hz)
+
+    # Both scatter: a difference may be negative, a share of the whole is not.
+    density = np.maximum(
+        in_band.density - made_by_encoder.density, LEAST_SHARE * in_band.density
     )
-    spectra = (
-        Spectrum.of(x, starts, length, rate, robust=True) for x in (residual, echo)
-    )
-    whole, heard = (spectrum.within(*limits) for spectrum in spectra)
-    density = np.maximum(whole.density - heard.density, LEAST_SHARE * whole.density)
-    raw = replace(whole, density=density / power_gain(lowpass, whole.frequency, 2))
+    raw = replace(in_band, density=density / power_gain(lowpass, in_band.frequency, 2))
     return raw.at_least(_rounding(recording, joint))
 
 
 def _rounding(recording: Recording, joint: int) -> float:
-    """Density of the noise that rounding the torque makes."""
+    """Return the density [N^2 m^2 / Hz] of the noise that rounding the torque makes."""
     assert recording.tau is not None
-    return float(
-        encoder_step(recording.tau[:, [joint]])[0] ** 2 / 12.0 / recording.rate_hz
-    )
+    step = encoder_step(recording.tau[:, [joint]])[0]
+    return float(step**2 / 12.0 / recording.rate_hz)
 
 
 def encoder_residuals(
     recordings: Sequence[Recording], scenes: Sequence[Scene]
 ) -> list[Array]:
-    """Residuals (N, n) N m that a right model has where only the encoder is noisy, drawn once."""
+    """Draw the residuals of a right model where only the encoder is noisy.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        The logs.
+    `scenes` : sequence of `Scene`
+        Their data sets.
+
+    Returns
+    -------
+    list of (N, n) arrays
+        N m (N where prismatic), one per data set, drawn once.
+    """
     rng = np.random.default_rng(SEED)
     return [
-        _drawn(log, scene, rng) for log, scene in zip(recordings, scenes, strict=True)
+        _encoder_residual(recording, scene, rng)
+        for recording, scene in zip(recordings, scenes, strict=True)
     ]
 
 
-def _drawn(recording: Recording, scene: Scene, rng: np.random.Generator) -> Array:
-    motion, rate, valid = scene.motion, recording.rate_hz, recording.valid
-    lowpass, every = (
-        Lowpass(motion.lowpass.cutoff_hz, rate),
-        round(rate / motion.rate_hz),
-    )
-    truth = Lowpass(BEYOND * motion.lowpass.cutoff_hz, rate)(recording.q, valid)
-    step, density = encoder_step(recording.q), motion.cutoff.noise_density
-    read = encoder_readings(truth, step, density, rate, rng)
+def _encoder_residual(
+    recording: Recording, scene: Scene, rng: np.random.Generator
+) -> Array:
+    """Draw the residual (N, n) N m of one log."""
+    motion = scene.motion
+    rate_hz = recording.rate_hz
+    valid = recording.valid
+    stride = round(rate_hz / motion.rate_hz)
+    lowpass = Lowpass(motion.lowpass.cutoff_hz, rate_hz)
 
-    def seen(angle: Array) -> tuple[Array, ...]:
-        """Motion as it is estimated from such readings."""
+    def estimated(angle: Array) -> tuple[Array, Array, Array]:
+        """Return motion q, dq, ddq as it is estimated from such readings."""
         low = lowpass(angle, valid)
-        return tuple(x[::every] for x in (low, *differentiate(low, rate, valid)))
+        dq, ddq = differentiate(low, rate_hz, valid)
+        return low[::stride], dq[::stride], ddq[::stride]
 
-    q, dq, _ = seen(read)
-    friction = sampled_friction(scene.model.surfaces, replace(motion, q=q, dq=dq))
-    rigid = scene.model.rigid(*seen(read if motion.source == "encoder" else truth))
-    sharp = [s and replace(s, sign_width=SHARP) for s in scene.model.surfaces]
-    v, a = differentiate(truth, rate, valid)
-    torque = scene.model.rigid(truth, v, a)
-    torque += replace(scene.model, surfaces=sharp).friction(truth, v)
-    right = lowpass(lowpass(torque, valid), valid)[::every]
-    return np.asarray(
-        right - motion.filtered(rigid) - motion.filtered(friction, times=2)
+    # Positions up to a little above the cut-off are taken as the truth.
+    truth = Lowpass(BEYOND * motion.lowpass.cutoff_hz, rate_hz)(recording.q, valid)
+    readings = encoder_readings(
+        truth,
+        encoder_step(recording.q),
+        motion.cutoff.noise_density,
+        rate_hz,
+        rng,
     )
+
+    # What the model makes of the noisy readings.
+    q, dq, _ = estimated(readings)
+    friction = sampled_friction(scene.model.surfaces, replace(motion, q=q, dq=dq))
+    rigid_source = readings if motion.source == "encoder" else truth
+    rigid = scene.model.rigid(*estimated(rigid_source))
+
+    # The torque of the truth, in which friction flips within one sample.
+    sharp_surfaces = [
+        surface and replace(surface, sign_width=SHARP)
+        for surface in scene.model.surfaces
+    ]
+    dq_true, ddq_true = differentiate(truth, rate_hz, valid)
+    torque = scene.model.rigid(truth, dq_true, ddq_true)
+    torque += replace(scene.model, surfaces=sharp_surfaces).friction(truth, dq_true)
+
+    measured = lowpass(lowpass(torque, valid), valid)[::stride]
+    predicted_friction = motion.filtered(friction, times=2)
+    return np.asarray(measured - motion.filtered(rigid) - predicted_friction)
 
 
 def encoder_readings(
     q: Array, step: Array, density: Array, rate_hz: float, rng: np.random.Generator
 ) -> Array:
-    """Positions (N, n) as an encoder reports them, with white noise of density (n,) rad^2 / Hz."""
-    power, counting = 0.5 * density * rate_hz, step**2 / 12.0
+    """Return positions as an encoder reports them.
+
+    Parameters
+    ----------
+    q : (N, n) array
+        True positions [rad; m where prismatic].
+    step : (n,) array
+        Quantisation step of each encoder; zero where there is none.
+    density : (n,) array
+        Density of its white noise [rad^2 / Hz].
+    rate_hz : float
+        Of the samples.
+    rng : numpy Generator
+        What draws the noise and the phase of the quantisation.
+
+    Returns
+    -------
+    (N, n) array
+        In the unit of `q`.
+    """
+    power = 0.5 * density * rate_hz
+    quantisation = step**2 / 12.0
     # The quantisation of a slow joint is tones; no more than its own size counts as
     # white noise.
-    white = np.sqrt(np.where(power > 2.0 * counting, power - counting, 0.0))
+    is_noisier = power > 2.0 * quantisation
+    white = np.sqrt(np.where(is_noisier, power - quantisation, 0.0))
     q = q + white * rng.standard_normal(q.shape)
-    unit, phase = np.where(step > 0, step, 1.0), rng.random(len(step))
+
+    unit = np.where(step > 0, step, 1.0)
+    phase = rng.random(len(step))
     return np.where(step > 0, (np.round(q / unit + phase) - phase) * unit, q)

@@ -1,4 +1,4 @@
-"""What held-out logs say of a refinement: opened after the last decision on the logs to fit.
+"""What held-out logs say of a refinement: opened after the last decision.
 
 They choose no effect, no setting and no value. By a rule that is fixed beforehand they
 take out what they do not confirm: the effect of the smallest gain among those whose
@@ -47,11 +47,11 @@ class Confirmed:
 def confirm(
     refinement: Refinement,
     held_out: Sequence[Recording],
-    whole: WholeLogs | None = None,
+    whole_logs: WholeLogs | None = None,
     *,
     keep_unconfirmed: bool = False,
 ) -> Confirmed:
-    """Measure a refinement on logs that had no say in it, and take out what they do not confirm.
+    """Measure a refinement on logs that had no say, and take out what fails there.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def confirm(
     held_out : sequence of Recording
         With torque or current; before and after are measured on the same samples of
         them.
-    whole : WholeLogs, optional
+    whole_logs : WholeLogs, optional
         The held-out logs as they are, where `held_out` are pieces of them.
     keep_unconfirmed : bool
         Leave in what is not confirmed; the verdict is poor then.
@@ -76,103 +76,123 @@ def confirm(
     InputError
         No held-out log has a measured torque.
     """
-    robot, options = refinement.material.robot, refinement.material.options
-    held_out, notes = usable_logs(held_out, robot)
-    motion = with_own_cutoffs(held_out, robot, refinement.came, options.motion)
-    errors = _Errors(logs=held_out, robot=robot, options=motion, whole=whole)
+    robot = refinement.material.robot
+    options = refinement.material.options
+    names = robot.joint_names
+
+    held_out, notes_on_logs = usable_logs(held_out, robot)
+    motion_options = with_own_cutoffs(
+        held_out, robot, refinement.incoming_stages, options.motion
+    )
+    errors = _Errors(
+        logs=held_out, robot=robot, options=motion_options, whole_logs=whole_logs
+    )
     steps, taken_out = _settled(refinement, errors, keep_unconfirmed=keep_unconfirmed)
 
-    model = steps[-1].model if steps else refinement.start
-    before = errors.of(refinement.came)
-    after = errors.of_model(model) if steps else before
-    floor = _floor(refinement, model, held_out, motion)
+    # What the model that is written leaves, beside what the file left.
+    model = steps[-1].model if steps else refinement.incoming_model
+    error_before = errors.of(refinement.incoming_stages)
+    error_after = errors.of_model(model) if steps else error_before
+    rmse_after = error_after.rmse()
+    sliding_joints = [j for j in range(robot.n) if np.isfinite(rmse_after[j])]
+    gains = {names[j]: gain(error_before, error_after, [j]) for j in sliding_joints}
 
-    names = robot.joint_names
-    new = after.rmse()
-    judged = [j for j in range(robot.n) if np.isfinite(new[j])]
-    changes = {names[j]: gain(before, after, [j]) for j in judged}
-    times = {names[j]: float(new[j] / floor.rms[j]) for j in judged}
+    # The same beside what noise alone would leave.
+    floor = _noise_floor(refinement, model, held_out, motion_options)
+    floors_left = {
+        names[j]: float(rmse_after[j] / floor.rms[j]) for j in sliding_joints
+    }
+
     rounds = [entry for step in steps for entry in step.rounds]
-    return Confirmed(
-        stages=with_effects(model, robot),
-        loop=ClosedLoop(
-            verdict="good" if all(entry.confirmed for entry in rounds) else "poor",
-            rounds=rounds,
-            unconfirmed=taken_out,
-            refused=refinement.refused,
-            stopped_at=_stopped_at(refinement),
-            before=before.by_joint(names),
-            after=after.by_joint(names),
-            noise_floor={names[j]: float(floor.rms[j]) for j in judged},
-            noise_floor_interval={names[j]: list(floor.interval(j)) for j in judged},
-            gain_interval={name: g.limits for name, g in changes.items() if g.limits},
-            evaluated_on=list(dict.fromkeys(str(log.path) for log in held_out)),
-            notes=[
-                *refinement.notes,
-                *notes,
-                *errors.notes,
-                *_taken_out_note(taken_out, rounds),
-                *_loss_note(changes),
-                *excess_note(times, smooth=options.with_unexplained),
-                *floor.doubts(new, robot.joints),
-            ],
-        ),
+    loop = ClosedLoop(
+        verdict="good" if all(entry.confirmed for entry in rounds) else "poor",
+        rounds=rounds,
+        unconfirmed=taken_out,
+        refused=refinement.refused,
+        stopped_at=_stopped_at(refinement),
+        before=error_before.by_joint(names),
+        after=error_after.by_joint(names),
+        noise_floor={names[j]: float(floor.rms[j]) for j in sliding_joints},
+        noise_floor_interval={
+            names[j]: list(floor.interval(j)) for j in sliding_joints
+        },
+        gain_interval={
+            name: change.limits for name, change in gains.items() if change.limits
+        },
+        evaluated_on=_unique_paths(held_out),
+        notes=[
+            *refinement.notes,
+            *notes_on_logs,
+            *errors.notes,
+            *_taken_out_note(taken_out, rounds),
+            *_loss_note(gains),
+            *excess_note(floors_left, smooth=options.with_unexplained),
+            *floor.doubts(rmse_after, robot.joints),
+        ],
     )
+    return Confirmed(stages=with_effects(model, robot), loop=loop)
 
 
 @dataclass(kw_only=True)
 class _Errors:
-    """Errors of models on the held-out logs: on all samples where they can be passed over."""
+    """Errors of models on the held-out logs, each measured once.
+
+    They are on all samples where all models can be predicted part by part, else on
+    pieces of the logs.
+    """
 
     logs: Sequence[Recording]
     robot: Robot
     options: InertiaOptions
-    whole: WholeLogs | None
-    _pieces: bool = False
+    whole_logs: WholeLogs | None
+    _uses_pieces: bool = False
+    # by the identity of a model, which is kept so that no other one has it
     _measured_models: dict[int, tuple[object, HeldOutError]] = field(
         default_factory=dict
     )
 
     def of_model(self, model: Refitted) -> HeldOutError:
-        """Squared errors of a model, block by block."""
+        """Return the squared errors of a model, block by block."""
         return self._of(model, with_effects(model, self.robot))
 
     def of(self, stages: Stages) -> HeldOutError:
-        """Squared errors of the stages of a file."""
+        """Return the squared errors of the stages of a file."""
         return self._of(stages, stages)
 
-    def measure(self, came: Stages, models: Sequence[Refitted]) -> None:
+    def measure(self, incoming_stages: Stages, models: Sequence[Refitted]) -> None:
         """Measure models beforehand, so that all are measured on the same samples."""
-        pieces = None
-        # the first that needs pieces has the others measured again
-        while pieces != self._pieces:
-            pieces = self._pieces
-            self.of(came)
+        is_settled = False
+        while not is_settled:
+            # The first model that needs pieces has the others measured again.
+            used_pieces = self._uses_pieces
+            self.of(incoming_stages)
             for model in models:
                 self.of_model(model)
+            is_settled = used_pieces == self._uses_pieces
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Say on what the errors are, where the logs are too long to be held."""
-        if self.whole is None:
+        """What the errors are of, where the logs are too long to be held."""
+        if self.whole_logs is None:
             return ()
-        which = "pieces of the" if self._pieces else "the whole"
-        return (f"errors are of {which} held-out logs",)
+        extent = "pieces of the" if self._uses_pieces else "the whole"
+        return (f"errors are of {extent} held-out logs",)
 
     def _of(self, key: object, stages: Stages) -> HeldOutError:
-        known = self._measured_models.get(id(key))
-        if known is None:
-            known = key, self._measured(stages)
-            self._measured_models[id(key)] = known
-        return known[1]
+        measured = self._measured_models.get(id(key))
+        if measured is None:
+            measured = key, self._measured(stages)
+            self._measured_models[id(key)] = measured
+        return measured[1]
 
     def _measured(self, stages: Stages) -> HeldOutError:
-        if self.whole is not None and not self._pieces:
-            if errors := self.whole.errors([stages], self.options):
+        if self.whole_logs is not None and not self._uses_pieces:
+            errors = self.whole_logs.errors([stages], self.options)
+            if errors:
                 return errors[0]
             # A model that cannot be predicted part by part: all are measured on the
             # pieces.
-            self._pieces = True
+            self._uses_pieces = True
             self._measured_models.clear()
         return held_out_error(self.logs, self.robot, stages, self.options)
 
@@ -180,28 +200,33 @@ class _Errors:
 def _settled(
     refinement: Refinement, errors: _Errors, *, keep_unconfirmed: bool
 ) -> tuple[list[Step], list[RefinementRound]]:
-    """Return the rounds that stay, each effect with what it gains, and the effects taken out."""
-    steps, taken_out = list(refinement.steps), list[RefinementRound]()
+    """Return the rounds that stay, with gains, and the effects that are taken out."""
+    steps = list(refinement.steps)
+    taken_out: list[RefinementRound] = []
     while True:
         steps = _measured(refinement, steps, errors)
-        unsure = [
+        unconfirmed = [
             (number, entry)
             for number, step in enumerate(steps)
             for entry in step.rounds
             if not entry.confirmed
         ]
-        if keep_unconfirmed or not unsure:
+        if keep_unconfirmed or not unconfirmed:
             return steps, taken_out
 
         # One at a time: what stands in for another one is confirmed once that is gone.
-        number, weakest = min(unsure, key=lambda pair: pair[1].held_out_gain or 0.0)
-        taken_out.append(structs.replace(weakest, reason=_why(weakest)))
-        rest = steps[number].without(weakest)
-        later = steps[number + 1 :] if rest is None else [rest, *steps[number + 1 :]]
+        number, weakest = min(
+            unconfirmed, key=lambda pair: pair[1].held_out_gain or 0.0
+        )
+        taken_out.append(structs.replace(weakest, reason=_reason_against(weakest)))
+        later = steps[number + 1 :]
+        remainder = steps[number].without(weakest)
+        if remainder is not None:
+            later = [remainder, *later]
         steps = refinement.fitted_again(steps[:number], later)
 
 
-def _why(entry: RefinementRound) -> str:
+def _reason_against(entry: RefinementRound) -> str:
     """Return why an effect does not stay."""
     if entry.interval and entry.interval[1] < 0.0:
         return "the held-out logs are predicted worse with it"
@@ -215,42 +240,54 @@ def _measured(
     if not steps:
         return []
 
-    robot = refinement.material.robot
-    start = refinement.without(steps)
-    errors.measure(
-        refinement.came, [start, *(model for step in steps for model in step.models)]
-    )
+    first_model = refinement.without(steps)
+    models = [model for step in steps for model in step.models]
+    errors.measure(refinement.incoming_stages, [first_model, *models])
+
     measured = []
-    for step, last in zip(
-        steps, [start, *(step.model for step in steps)], strict=False
-    ):
-        rounds = []
-        earlier = step.beside or (last,) * len(step.rounds)
-        for entry, before in zip(step.rounds, earlier, strict=True):
-            joints = range(robot.n)
-            if entry.joint is not None:
-                joints = range(at := robot.joint_names.index(entry.joint), at + 1)
-            change = gain(errors.of_model(before), errors.of_model(step.model), joints)
-            rounds.append(
-                structs.replace(
-                    entry,
-                    held_out_gain=change.value,
-                    interval=change.limits,
-                    confirmed=change.certain,
-                )
-            )
+    model_before = first_model
+    for step in steps:
+        # Of several effects each is compared with the model with the others alone.
+        models_without = step.beside or (model_before,) * len(step.rounds)
+        error_after = errors.of_model(step.model)
+        rounds = [
+            _with_gain(entry, errors.of_model(without), error_after, refinement)
+            for entry, without in zip(step.rounds, models_without, strict=True)
+        ]
         measured.append(replace(step, rounds=tuple(rounds)))
+        model_before = step.model
     return measured
+
+
+def _with_gain(
+    entry: RefinementRound,
+    error_before: HeldOutError,
+    error_after: HeldOutError,
+    refinement: Refinement,
+) -> RefinementRound:
+    """Return an effect with what it gains at its joints."""
+    robot = refinement.material.robot
+    joints = list(range(robot.n))
+    if entry.joint is not None:
+        joints = [robot.joint_names.index(entry.joint)]
+    change = gain(error_before, error_after, joints)
+    return structs.replace(
+        entry,
+        held_out_gain=change.value,
+        interval=change.limits,
+        confirmed=change.certain,
+    )
 
 
 def _stopped_at(refinement: Refinement) -> StoppedAt | None:
     """Return the limit of rounds where it has left effects untried."""
-    limit, robot = refinement.material.options.max_effects, refinement.material.robot
+    limit = refinement.material.options.max_effects
     if limit is None or not refinement.untried:
         return None
+    robot = refinement.material.robot
     places = [
-        (effect.effect.name, robot.name_of(effect.joint))
-        for effect in refinement.untried
+        (candidate.effect.name, robot.name_of(candidate.joint))
+        for candidate in refinement.untried
     ]
     untried = [
         EffectOfPlace(effect=name, joint=joint) for name, joint in dict.fromkeys(places)
@@ -264,11 +301,11 @@ def _taken_out_note(
     """Say how the model came about where something was taken out of it."""
     if not taken_out:
         return ()
-    places = (
+    places = [
         f"{entry.effect} at {entry.joint or 'the whole arm'}" for entry in taken_out
-    )
-    names = ", ".join(places)
-    note = f"taken out, as the held-out logs do not confirm it: {names}"
+    ]
+    listed = ", ".join(places)
+    note = f"taken out, as the held-out logs do not confirm it: {listed}"
     if rounds:
         note += (
             "; what was added after it is fitted again without it, and measured again"
@@ -276,41 +313,68 @@ def _taken_out_note(
     return (note,)
 
 
-def _loss_note(changes: Mapping[str, Gain]) -> tuple[str, ...]:
+def _loss_note(gains: Mapping[str, Gain]) -> tuple[str, ...]:
     """Say which joints are certainly predicted worse, by more than is small."""
-    lost = {
-        n: -g.value for n, g in changes.items() if g.loses and -g.value > Options.small
+    losses = {
+        name: -change.value
+        for name, change in gains.items()
+        if change.loses and -change.value > Options.small
     }
-    worse = ", ".join(f"{name} ({percent(share)})" for name, share in lost.items())
-    said = f"predicted worse than before, in squared error where they slide: {worse}"
-    return (said,) if lost else ()
+    if not losses:
+        return ()
+    listed = ", ".join(f"{name} ({percent(share)})" for name, share in losses.items())
+    return (
+        f"predicted worse than before, in squared error where they slide: {listed}",
+    )
 
 
 def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
-    """Say which joints have so many `times` the noise floor left, and what to do."""
-    said = ", ".join(
-        f"{name} ({x:.1f} times)" for name, x in times.items() if x > MORE_THAN_NOISE
+    """Say which joints leave more than noise, and what to do.
+
+    Parameters
+    ----------
+    times : mapping of str to float
+        By joint, the RMS residual over its noise floor.
+    smooth : bool
+        Whether smooth terms were asked for already: then no note proposes them.
+    """
+    excess = {name: ratio for name, ratio in times.items() if ratio > MORE_THAN_NOISE}
+    if not excess:
+        return ()
+    listed = ", ".join(f"{name} ({ratio:.1f} times)" for name, ratio in excess.items())
+    advice = "diagnose says on what it depends"
+    if not smooth:
+        advice += ", refine --with-unexplained adds a smooth term for it"
+    return (
+        f"more is left than torque noise and encoder account for: {listed}; {advice}",
     )
-    ask = "diagnose says on what it depends"
-    ask += "" if smooth else ", refine --with-unexplained adds a smooth term for it"
-    note = f"more is left than torque noise and encoder account for: {said}; {ask}"
-    return (note,) if said else ()
 
 
-def _floor(
+def _noise_floor(
     refinement: Refinement,
     model: Refitted,
     held_out: Sequence[Recording],
-    options: InertiaOptions,
+    motion_options: InertiaOptions,
 ) -> NoiseFloor:
-    """Noise floor of the held-out logs; the training logs help to find it."""
-    material = refinement.material
-    material = replace(material, options=replace(material.options, motion=options))
-    logs = (*held_out, *material.training)
-    freed = [material.without(log, model.stages, model.effects) for log in logs]
-    scenes = scenes_of(freed, material.robot, model.stages, options=options)
-    left, echo = (
-        [residual_of(scene) for scene in scenes],
-        encoder_residuals(freed, scenes),
+    """Estimate the noise floor of the held-out logs, with help of the training logs."""
+    discover_options = replace(refinement.material.options, motion=motion_options)
+    material = replace(refinement.material, options=discover_options)
+
+    # Effects are taken off the torque first: the floor is what a right model leaves.
+    logs = [*held_out, *material.training]
+    without_effects = [
+        material.without(log, model.stages, model.effects) for log in logs
+    ]
+    scenes = scenes_of(
+        without_effects, material.robot, model.stages, options=motion_options
     )
-    return noise_floor(freed, scenes, left, echo, judged=len(held_out))
+    residuals = [residual_of(scene) for scene in scenes]
+    encoder_noise = encoder_residuals(without_effects, scenes)
+    return noise_floor(
+        without_effects, scenes, residuals, encoder_noise, judged=len(held_out)
+    )
+
+
+def _unique_paths(logs: Sequence[Recording]) -> list[str]:
+    """Return each log's path once: excerpts of one log share it."""
+    return list(dict.fromkeys(str(log.path) for log in logs))

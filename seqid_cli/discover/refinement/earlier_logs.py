@@ -21,44 +21,76 @@ MOST_OF_TRIALS = 8_000_000
 
 
 def read_earlier(
-    inputs: Inputs, found: EarlierLogs, fitted: Excerpts, options: InertiaOptions
+    inputs: Inputs, earlier: EarlierLogs, fitted: Excerpts, options: InertiaOptions
 ) -> tuple[dict[str, list[Recording]], list[str]]:
-    """Read the logs of earlier stages, or as much as memory bears, by stage; what is to be said."""
-    at_hand = by_digest(fitted.recordings)  # not read a second time
-    held = {sha256 for sha256, some in at_hand.items() if some[0].whole is None}
-    trials = {sha256 for stage in TRIALS for sha256 in found.by_stage.get(stage, ())}
-    needed = {
-        x: path for x, path in found.paths.items() if x in trials and x not in held
+    """Read the logs of earlier stages, or as much of them as memory bears.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        What the refinement was given.
+    earlier : EarlierLogs
+        Where the logs are.
+    fitted : Excerpts
+        The logs that are fitted; they are not read a second time.
+    options : InertiaOptions
+        Where joint motion comes from.
+
+    Returns
+    -------
+    dict of str to list of Recording
+        The logs by stage.
+    list of str
+        What is to be said of them.
+    """
+    pieces_of = by_digest(fitted.recordings)
+    held_whole = {
+        sha256 for sha256, pieces in pieces_of.items() if pieces[0].whole is None
     }
-    others = {
-        x: path
-        for x, path in found.paths.items()
-        if x not in trials and x not in at_hand
-    }
+    trials = {sha256 for stage in TRIALS for sha256 in earlier.by_stage.get(stage, ())}
+
+    # Trials are read from end to end, if they all fit.
+    trial_paths = [
+        path
+        for sha256, path in earlier.paths.items()
+        if sha256 in trials and sha256 not in held_whole
+    ]
     notes = []
-    if inputs.robot.n * sum(map(likely_rows, needed.values())) > MOST_OF_TRIALS:
+    if inputs.robot.n * sum(map(likely_rows, trial_paths)) > MOST_OF_TRIALS:
         notes.append(
-            f"the {len(needed)} logs of earlier stages are too long to be held"
+            f"the {len(trial_paths)} logs of earlier stages are too long to be held"
             " together; the model is fitted again without them"
         )
-        needed = {}
-    whole = {x.sha256: [x] for x in _logs(inputs, needed.values())} if needed else {}
-    pieces = dict(at_hand)
-    if others:
-        given = _logs(inputs, others.values()), inputs.robot, inputs.stages
-        pieces |= by_digest(
-            take_excerpts(*given, options=options, places=False).recordings
+        trial_paths = []
+    whole_logs: dict[str, list[Recording]] = {}
+    if trial_paths:
+        whole_logs = {log.sha256: [log] for log in _logs(inputs, trial_paths)}
+
+    # Of other logs excerpts are taken.
+    other_paths = [
+        path
+        for sha256, path in earlier.paths.items()
+        if sha256 not in trials and sha256 not in pieces_of
+    ]
+    if other_paths:
+        excerpts = take_excerpts(
+            _logs(inputs, other_paths),
+            inputs.robot,
+            inputs.stages,
+            options=options,
+            places=False,
         )
-    by_stage = dict[str, list[Recording]]()
-    for stage, logs in found.by_stage.items():
-        by_stage[stage] = own = []
-        for sha256 in logs:
-            # Trials are taken as a whole, of others what is fitted of them.
-            parts = (
-                [] if stage in TRIALS and sha256 not in held else pieces.get(sha256, [])
-            )
-            own += parts or whole.get(sha256, [])
-    return by_stage, notes
+        pieces_of |= by_digest(excerpts.recordings)
+
+    logs_by_stage: dict[str, list[Recording]] = {}
+    for stage, digests in earlier.by_stage.items():
+        logs: list[Recording] = []
+        for sha256 in digests:
+            is_cut_trial = stage in TRIALS and sha256 not in held_whole
+            pieces = [] if is_cut_trial else pieces_of.get(sha256, [])
+            logs += pieces or whole_logs.get(sha256, [])
+        logs_by_stage[stage] = logs
+    return logs_by_stage, notes
 
 
 def _logs(inputs: Inputs, paths: Iterable[Path]) -> LogSet:

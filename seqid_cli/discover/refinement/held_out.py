@@ -1,11 +1,12 @@
-"""Errors on samples that were not fitted, block by block of time, and how sure a gain is.
+"""Errors on samples that were not fitted, block by block, and how sure a gain is.
 
 A model is judged where joints slide: on the logs that it was fitted to, where its
 stages are to be identified anew, and on the held-out logs, where the result is told.
 With squared errors o_b before and n_b after in block b (Cochran, "Sampling Techniques",
 1977, section 6),
 
-    gain = 1 - r,   r = sum n / sum o,   se^2 = B / (B - 1) sum (n_b - r o_b)^2 / (sum o)^2.
+    gain = 1 - r,   r = sum n / sum o,
+    se^2 = B / (B - 1) sum (n_b - r o_b)^2 / (sum o)^2.
 
 Neighbouring blocks may share their error: they are joined two by two, as long as enough
 are left, and the largest interval counts (Flyvbjerg and Petersen, J. Chem. Phys. 91,
@@ -38,52 +39,82 @@ from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.torque_noise import LEVEL
 from seqid_cli.params.schema import JointRmse, Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Index, Mask
 
 FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
 MOST_BLOCKS = 1000  # of a log that comes in parts
+# of a sum of squares: what rounding leaves of a difference of two sums is nothing
+ROUNDING = 1e-12
 
 
 class HeldOutError(NamedTuple):
-    """Squared error (N m)^2 and samples (B, n) of every block, where a joint certainly slides.
+    """Squared errors of a model, block by block, where a joint certainly slides.
 
     At rest the model says an interval: a wider one always fits better, and nothing is
     gained by it.
+
+    Attributes
+    ----------
+    squares : (B, n) array
+        Sum of the squared error of every block [(N m)^2; N^2 where prismatic].
+    samples : (B, n) array
+        Number of its samples.
+    outside : (B, n) array
+        The part of `squares` that lies beyond the identified friction.
+    outside_samples : (B, n) array
+        Number of its samples.
     """
 
     squares: Array
     samples: Array
-    outside: Array  # of these beyond the identified friction
+    outside: Array
     outside_samples: Array
 
+    @classmethod
+    def zeros(cls, blocks: int, joints: int) -> HeldOutError:
+        """Return sums of nothing yet, each (blocks, joints)."""
+        return cls(
+            squares=np.zeros((blocks, joints)),
+            samples=np.zeros((blocks, joints)),
+            outside=np.zeros((blocks, joints)),
+            outside_samples=np.zeros((blocks, joints)),
+        )
+
     def rmse(self) -> Array:
-        """RMS error (n,) N m as `predict` reports it; NaN for a joint that never slides."""
+        """Return the RMS error (n,) N m as `predict` does; NaN where none slides."""
         return _rms(self.squares, self.samples)
 
     def by_joint(self, names: Sequence[str]) -> dict[str, JointRmse]:
-        """Errors of the joints that slide, also apart within and beyond the identified friction."""
+        """Return the errors of the joints that slide, by name.
+
+        They are also told apart within and beyond the identified friction.
+        """
+        rmse = self.rmse()
         inside = _rms(self.squares - self.outside, self.samples - self.outside_samples)
         outside = _rms(self.outside, self.outside_samples)
-        share = self.outside_samples.sum(axis=0) / np.maximum(
-            self.samples.sum(axis=0), 1.0
-        )
-        every = np.stack([self.rmse(), inside, outside, share], axis=1).tolist()
+        samples = np.maximum(self.samples.sum(axis=0), 1.0)
+        share_outside = self.outside_samples.sum(axis=0) / samples
+
+        def finite(value: float) -> float | None:
+            return float(value) if np.isfinite(value) else None
+
         return {
             name: JointRmse(
-                rmse=whole,
-                rmse_inside=within if np.isfinite(within) else None,
-                rmse_outside=beyond if np.isfinite(beyond) else None,
-                share_outside=part,
+                rmse=float(rmse[joint]),
+                rmse_inside=finite(inside[joint]),
+                rmse_outside=finite(outside[joint]),
+                share_outside=float(share_outside[joint]),
             )
-            for name, (whole, within, beyond, part) in zip(names, every, strict=True)
-            if np.isfinite(whole)
+            for joint, name in enumerate(names)
+            if np.isfinite(rmse[joint])
         }
 
 
 def _rms(squares: Array, samples: Array) -> Array:
+    """Return the RMS (n,) over all blocks (B, n); NaN of nothing."""
     count = samples.sum(axis=0)
-    mean = np.maximum(squares.sum(axis=0), 0.0) / np.maximum(count, 1.0)
-    return np.where(count > 0, np.sqrt(mean), np.nan)
+    mean_square = np.maximum(squares.sum(axis=0), 0.0) / np.maximum(count, 1.0)
+    return np.where(count > 0, np.sqrt(mean_square), np.nan)
 
 
 @dataclass(frozen=True)
@@ -101,7 +132,7 @@ class Gain:
 
     @property
     def limits(self) -> list[float]:
-        """The interval as documents have it: empty where one block of time gives none."""
+        """The interval as documents have it: empty where one block gives none."""
         return [self.low, self.high] if np.isfinite(self.high - self.low) else []
 
     @property
@@ -116,44 +147,85 @@ def held_out_error(
     stages: Stages,
     options: InertiaOptions,
 ) -> HeldOutError:
-    """Predict logs, smooth terms included, and add up the squared errors, block by block."""
-    found, samples, seen = list[HeldOutError](), 0, 0
-    # passed over: predicted alike
-    given = cast("Iterable[Recording]", logs), robot, stages
-    for log in predict(*given, options=options, unexplained=True, sliding_only=True):
-        # blocks of a short log are shorter, of one that is not held longer
-        if log.part == 0:
-            length = float(log.t[-1] - log.t[0])
-            length *= 1.0 if log.last else log.samples / len(log.t)
-            blocks = int(np.clip(round(length / BLOCK_S), FEWEST_BLOCKS, MOST_BLOCKS))
-            found.append(HeldOutError(*np.zeros((4, blocks, robot.n))))
-            samples, seen = log.samples, 0
-        blocks = len(found[-1].squares)
-        block = np.minimum(
-            np.arange(seen, seen + len(log.t)) * blocks // samples, blocks - 1
+    """Predict logs and add up the squared errors, block by block of time.
+
+    Parameters
+    ----------
+    logs : iterable of Recording or SurveyedLog
+        Long logs are passed over in parts; the result is the same.
+    robot : Robot
+        The arm.
+    stages : Stages
+        The model. Its smooth terms count as well.
+    options : InertiaOptions
+        Where joint motion comes from.
+
+    Returns
+    -------
+    HeldOutError
+        Blocks of about two seconds of each log, at least `FEWEST_BLOCKS` of them, at
+        most `MOST_BLOCKS`. Only samples count at which the joint certainly slides.
+    """
+    parts = predict(
+        cast("Iterable[Recording]", logs),
+        robot,
+        stages,
+        options=options,
+        unexplained=True,
+        sliding_only=True,
+    )
+    errors: list[HeldOutError] = []
+    samples_of_log = 0
+    first_sample = 0
+    for part in parts:
+        # A log's first part tells how long it is, and so how many blocks it has.
+        if part.part == 0:
+            duration_s = float(part.t[-1] - part.t[0])
+            if not part.last:
+                duration_s *= part.samples / len(part.t)
+            n_blocks = round(duration_s / BLOCK_S)
+            n_blocks = int(np.clip(n_blocks, FEWEST_BLOCKS, MOST_BLOCKS))
+            errors.append(HeldOutError.zeros(n_blocks, robot.n))
+            samples_of_log = part.samples
+            first_sample = 0
+
+        error = errors[-1]
+        n_blocks = len(error.squares)
+        sample = np.arange(first_sample, first_sample + len(part.t))
+        block = np.minimum(sample * n_blocks // samples_of_log, n_blocks - 1)
+        first_sample += len(part.t)
+
+        square = part.residual**2
+        extrapolated = part.sliding & part.outside
+        _add_by_block(error.squares, block, np.where(part.sliding, square, 0.0))
+        _add_by_block(error.samples, block, part.sliding)
+        _add_by_block(error.outside, block, np.where(extrapolated, square, 0.0))
+        _add_by_block(error.outside_samples, block, extrapolated)
+    return joined(errors)
+
+
+def _add_by_block(totals: Array, block: Index, values: Array | Mask) -> None:
+    """Add values (N, n) to the totals (B, n) of the block of each sample (N,)."""
+    for joint in range(totals.shape[1]):
+        totals[:, joint] += np.bincount(
+            block, weights=values[:, joint], minlength=len(totals)
         )
-        seen += len(log.t)
-        square, counts, beyond = log.residual**2, log.sliding, log.sliding & log.outside
-        values = (
-            np.where(counts, square, 0.0),
-            counts,
-            np.where(beyond, square, 0.0),
-            beyond,
-        )
-        for total, of_joints in zip(found[-1], values, strict=True):
-            for own, value in zip(total.T, of_joints.T, strict=True):
-                own += np.bincount(block, weights=value, minlength=blocks)
-    return joined(found)
 
 
 def joined(errors: Iterable[HeldOutError]) -> HeldOutError:
-    """The blocks of all logs."""
-    return HeldOutError(*map(np.vstack, zip(*errors, strict=True)))
+    """Return the blocks of all logs."""
+    of_logs = list(errors)
+    return HeldOutError(
+        squares=np.vstack([error.squares for error in of_logs]),
+        samples=np.vstack([error.samples for error in of_logs]),
+        outside=np.vstack([error.outside for error in of_logs]),
+        outside_samples=np.vstack([error.outside_samples for error in of_logs]),
+    )
 
 
 @dataclass(frozen=True)
 class WholeLogs:
-    """Held-out logs that are too long to be held, whole, to be passed over."""
+    """Held-out logs that are too long to be held, to be passed over from end to end."""
 
     paths: tuple[Path, ...]
     robot: Robot
@@ -162,35 +234,51 @@ class WholeLogs:
     def errors(
         self, models: Sequence[Stages], options: InertiaOptions
     ) -> list[HeldOutError]:
-        """Errors of models on all samples; none where one cannot be predicted part by part."""
-        found = [self._error(stages, options) for stages in models]
-        known = [error for error in found if error is not None]
-        return known if len(known) == len(models) else []
+        """Return the errors of models on all samples.
+
+        There are none where one of the models cannot be predicted part by part.
+
+        Parameters
+        ----------
+        models : sequence of Stages
+            The models.
+        options : InertiaOptions
+            Where joint motion comes from.
+        """
+        errors = []
+        for stages in models:
+            error = self._error(stages, options)
+            if error is not None:
+                errors.append(error)
+        return errors if len(errors) == len(models) else []
 
     def _error(self, stages: Stages, options: InertiaOptions) -> HeldOutError | None:
+        """Return one model's error; None where it must hold a log to predict it."""
         model = TorqueModel.from_stages(stages, self.robot)
         effects = fitted_effects(stages, self.robot, unexplained=True)
         if not (streams(stages, options) and local_effects(model, effects)):
             return None
-        found: list[HeldOutError] = []
+        errors: list[HeldOutError] = []
         for path in self.paths:
             with local_copy(path) as local:
-                # where a long one must be held
-                log: Recording | SurveyedLog | None = None
-                file, clock = Path(local), self.time_source
-                if likely_rows(file) >= LONG:
-                    opened = open_if_long(file, self.robot, time_source=clock, least=1)
-                    log = (
-                        screened_long(opened, self.robot)[0]
-                        if opened is not None
-                        else None
-                    )
-                elif likely_rows(file):
-                    log = read_screened(file, self.robot, time_source=clock).recording
+                log = self._opened(Path(local))
                 if log is None:
                     return None
-                found.append(held_out_error([log], self.robot, stages, options=options))
-        return joined(found)
+                errors.append(held_out_error([log], self.robot, stages, options))
+        return joined(errors)
+
+    def _opened(self, file: Path) -> Recording | SurveyedLog | None:
+        """Open a log to pass over it, or read a short one; None if neither can be."""
+        n_rows = likely_rows(file)
+        if n_rows >= LONG:
+            opened = open_if_long(
+                file, self.robot, time_source=self.time_source, least=1
+            )
+            return None if opened is None else screened_long(opened, self.robot)[0]
+        if n_rows:
+            screened = read_screened(file, self.robot, time_source=self.time_source)
+            return screened.recording
+        return None
 
 
 def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> Gain:
@@ -199,69 +287,107 @@ def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> 
     The samples of a joint within and those beyond the identified friction are each
     weighed by their mean squared error before: what extrapolation misses does not hide
     what an effect gains.
+
+    Parameters
+    ----------
+    before, after : HeldOutError
+        Of the two models.
+    joints : collection of int
+        Those that count.
     """
-    old, new = _weighed(before, after, joints)
-    return gain_of(old, new) if old.any() else Gain(0.0, 0.0, 0.0)
+    squares_before, squares_after = _weighed(before, after, joints)
+    if not squares_before.any():
+        return Gain(value=0.0, low=0.0, high=0.0)
+    return gain_of(squares_before, squares_after)
 
 
-def likelier(one: HeldOutError, other: HeldOutError) -> bool:
-    """Whether one model explains the same samples better than another, all joints together.
+def likelier(error: HeldOutError, error_of_other: HeldOutError) -> bool:
+    """Return whether one model explains the same samples better than another.
 
     By the likelihood of normal errors of each joint's and model's own size: joints
     count alike.
     """
-    first, second = (
-        np.log(np.maximum(x.squares.sum(axis=0), 1e-300)) for x in (one, other)
+    log_squares = np.log(np.maximum(error.squares.sum(axis=0), 1e-300))
+    log_squares_of_other = np.log(
+        np.maximum(error_of_other.squares.sum(axis=0), 1e-300)
     )
-    return bool(one.samples.sum(axis=0) @ (first - second) < 0.0)
+    samples = error.samples.sum(axis=0)
+    return bool(samples @ (log_squares - log_squares_of_other) < 0.0)
 
 
 def doubt(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> float:
-    """Probability that nothing is gained, over drawn weights of the blocks, as selection has it."""
-    old, new = _weighed(before, after, joints)
-    return doubt_of(old - new)
+    """Return the probability that nothing is gained, over drawn weights of the blocks.
+
+    It is the doubt that the selection goes by.
+
+    Parameters
+    ----------
+    before, after : HeldOutError
+        Of two models on the same samples.
+    joints : collection of int
+        Those that count.
+    """
+    squares_before, squares_after = _weighed(before, after, joints)
+    return doubt_of(squares_before - squares_after)
 
 
 def _weighed(
     before: HeldOutError, after: HeldOutError, joints: Collection[int]
 ) -> tuple[Array, Array]:
-    """Squared errors (B,) of two models, those within and beyond in units of the mean before."""
+    """Return the squared errors (B,) of two models, in units of the mean before.
+
+    Each joint has two such means: within and beyond the identified friction.
+    """
     chosen = sorted(joints)
-    old, new = (
-        _within_and_beyond(x.squares, x.outside, chosen) for x in (before, after)
-    )
-    counts = _within_and_beyond(before.samples, before.outside_samples, chosen).sum(
-        axis=0
-    )
-    total = old.sum(axis=0)
-    weight = np.where(total > 0.0, counts / np.maximum(total, 1e-300), 0.0)
-    return old @ weight, new @ weight
+    of_before = _within_and_beyond(before.squares, before.outside, chosen)
+    of_after = _within_and_beyond(after.squares, after.outside, chosen)
+    samples = _within_and_beyond(before.samples, before.outside_samples, chosen)
+    total = of_before.sum(axis=0)
+    inverse_mean = samples.sum(axis=0) / np.maximum(total, 1e-300)
+    weight = np.where(total > 0.0, inverse_mean, 0.0)
+    return of_before @ weight, of_after @ weight
 
 
-def _within_and_beyond(every: Array, beyond: Array, joints: Sequence[int]) -> Array:
-    """Sums (B, 2 k) of some joints; what rounding leaves of a difference is nothing."""
-    within = every[:, joints] - beyond[:, joints]
-    within = np.where(within > 1e-12 * every[:, joints], within, 0.0)
+def _within_and_beyond(total: Array, beyond: Array, joints: Sequence[int]) -> Array:
+    """Return sums (B, 2 k) of k joints: within the identified friction, then beyond."""
+    within = total[:, joints] - beyond[:, joints]
+    within = np.where(within > ROUNDING * total[:, joints], within, 0.0)
     return np.hstack([within, beyond[:, joints]])
 
 
-def gain_of(old: Array, new: Array) -> Gain:
-    """Gain from squared errors (B,) by block; of a single one the interval is everything."""
-    there = (old > 0.0) | (new > 0.0)
-    old, new = old[there], new[there]
-    total = max(float(old.sum()), 1e-300)
-    ratio = float(new.sum()) / total
-    left = new - ratio * old
-    width = _half_width(left) / total
-    while len(left) >= 2 * FEWEST_BLOCKS:
-        left = np.add.reduceat(left, np.arange(0, len(left) - 1, 2))
-        width = max(width, _half_width(left) / total)
-    return Gain(1.0 - ratio, 1.0 - ratio - width, 1.0 - ratio + width)
+def gain_of(squares_before: Array, squares_after: Array) -> Gain:
+    """Return the share of the squared error that a model takes away.
+
+    Of a single block the interval is everything.
+
+    Parameters
+    ----------
+    squares_before, squares_after : (B,) arrays
+        Squared errors of two models on the same blocks, in any unit.
+    """
+    is_used = (squares_before > 0.0) | (squares_after > 0.0)
+    before = squares_before[is_used]
+    after = squares_after[is_used]
+    total = max(float(before.sum()), 1e-300)
+    ratio = float(after.sum()) / total
+
+    # Blocks are joined while enough are left, and the widest interval counts.
+    difference = after - ratio * before
+    half_width = _half_width(difference) / total
+    while len(difference) >= 2 * FEWEST_BLOCKS:
+        pair_starts = np.arange(0, len(difference) - 1, 2)
+        difference = np.add.reduceat(difference, pair_starts)
+        half_width = max(half_width, _half_width(difference) / total)
+
+    value = 1.0 - ratio
+    return Gain(value=value, low=value - half_width, high=value + half_width)
 
 
-def _half_width(left: Array) -> float:
-    """Half the interval of a sum of independent values (B,) about zero."""
-    if (count := len(left)) < 2:
+def _half_width(difference: Array) -> float:
+    """Return half the interval of a sum of independent values (B,) about zero."""
+    count = len(difference)
+    if count < 2:
         return float("inf")
     quantile = float(student_t.ppf(0.5 + 0.5 * LEVEL, count - 1))
-    return quantile * float(np.sqrt(count / (count - 1) * np.sum(left**2)))
+    variance = count / (count - 1) * np.sum(difference**2)
+    return quantile * float(np.sqrt(variance))

@@ -26,18 +26,30 @@ _NAMED = 3  # logs that a note names
 
 
 def held_out_logs(logs: Logs, held_out: Logs) -> tuple[Path | Recording, ...]:
-    """Return the held-out logs; by its place alone each is known until all is decided.
+    """Return the held-out logs; only their places are looked at until all is decided.
 
-    Raises UsageError: a log is in both lists; InputError: a path stands for no log.
+    Parameters
+    ----------
+    logs : path, table, recording, or a sequence of them
+        Logs to fit.
+    held_out : path, table, recording, or a sequence of them
+        Logs to hold out.
+
+    Raises
+    ------
+    UsageError
+        A log is in both lists.
+    InputError
+        A path stands for no log.
     """
-    files = tuple(expanded(listed(held_out)))
-    fitted = {_place(file): file for file in expanded(listed(logs))}
-    check_unseen([(_place(file), file) for file in files], fitted)
-    return files
+    held_out_files = tuple(expanded(listed(held_out)))
+    fitted = {_place(log): log for log in expanded(listed(logs))}
+    check_unseen([(_place(log), log) for log in held_out_files], fitted)
+    return held_out_files
 
 
 def _place(log: Path | Recording) -> object:
-    """What tells logs from each other: the place of a file, the very table or recording."""
+    """Return what tells logs apart: a file's place, the very table or recording."""
     if isinstance(log, TableLog):
         return id(log.content)
     return log.resolve() if isinstance(log, Path) else id(log)
@@ -47,27 +59,50 @@ def check_unseen(
     held_out: Iterable[tuple[object, Path | Recording]],
     fitted: Mapping[Any, Path | Recording],
 ) -> None:
-    """Raise UsageError if a held-out log was fitted; both by their places, or by SHA-256."""
-    for own, file in held_out:
-        if own in fitted:
-            both = [
-                str(x if isinstance(x, Path) else x.path) for x in (file, fitted[own])
-            ]
-            where = both[0] if both[0] == both[1] else f"{both[0]} ({both[1]})"
-            hint = (
-                "A held-out log must never be fitted: leave it out of one of the lists."
-            )
-            raise UsageError(
-                "is given both to fit and to hold out", where=where, hint=hint
-            )
+    """Refuse held-out logs that are fitted.
+
+    Parameters
+    ----------
+    held_out : iterable of (object, Path or Recording)
+        Each with its place or its SHA-256.
+    fitted : mapping of object to Path or Recording
+        By the same.
+
+    Raises
+    ------
+    UsageError
+        A log is in both.
+    """
+    for place, log in held_out:
+        if place not in fitted:
+            continue
+        name = _name(log)
+        fitted_name = _name(fitted[place])
+        where = name if name == fitted_name else f"{name} ({fitted_name})"
+        hint = "A held-out log must never be fitted: leave it out of one of the lists."
+        raise UsageError("is given both to fit and to hold out", where=where, hint=hint)
+
+
+def _name(log: Path | Recording) -> str:
+    return str(log if isinstance(log, Path) else log.path)
 
 
 @dataclass(frozen=True)
 class EarlierLogs:
-    """Logs that the stages before were identified from, as far as they are still there."""
+    """Logs that earlier stages were identified from, as far as they are still there.
 
-    paths: Mapping[str, Path]  # by SHA-256: where a log is now
-    by_stage: Mapping[str, Sequence[str]]  # SHA-256 of each stage's logs
+    Attributes
+    ----------
+    paths : mapping of str to Path
+        By SHA-256, where a log is now.
+    by_stage : mapping of str to sequence of str
+        SHA-256 of each stage's logs.
+    notes : tuple of str
+        Which logs are missing, or must not be fitted.
+    """
+
+    paths: Mapping[str, Path]
+    by_stage: Mapping[str, Sequence[str]]
     notes: tuple[str, ...]
 
 
@@ -78,32 +113,48 @@ def find_earlier(
     at_hand: Mapping[str, Path],
     held_out: Sequence[Path],
 ) -> EarlierLogs:
-    """Look for the logs of earlier stages, unchanged, where the parameter file says they are.
+    """Look for the logs of earlier stages, unchanged, where the file says they are.
 
-    A relative path of `inputs` is tried from the working directory and then from each
-    of `folders`, those of the parameter files. `at_hand` are logs that were given to be
-    fitted, wherever earlier stages had them from; `held_out` those that are never to be
-    fitted, and are not opened.
+    Parameters
+    ----------
+    inputs : sequence of InputLog
+        Logs of the parameter file. A relative path is tried from the working directory
+        and then from each of `folders`.
+    folders : sequence of Path
+        Those of the parameter files.
+    at_hand : mapping of str to Path
+        By SHA-256, logs that were given to be fitted, wherever earlier stages had them
+        from.
+    held_out : sequence of Path
+        Logs that are never to be fitted; they are not opened.
     """
-    unseen = {path.resolve() for path in held_out}
-    known = [
-        log for log in inputs if unseen & {p.resolve() for p in _places(log, folders)}
-    ]
-    paths, by_stage, lost = dict[str, Path](), dict[str, list[str]](), list[str]()
-    for log in (x for x in inputs if x.stage in FITTED_STAGES and x not in known):
+    held_out_places = {path.resolve() for path in held_out}
+    paths: dict[str, Path] = {}
+    by_stage: dict[str, list[str]] = {}
+    lost: list[str] = []
+    held_out_inputs: list[str] = []
+    for log in inputs:
+        places = {path.resolve() for path in _places(log, folders)}
+        if held_out_places & places:
+            held_out_inputs.append(log.path)
+            continue
+        if log.stage not in FITTED_STAGES:
+            continue
         path = paths.get(log.sha256) or at_hand.get(log.sha256) or _find(log, folders)
         if path is None:
             lost.append(log.path)
         else:
             paths[log.sha256] = path
             by_stage.setdefault(log.stage, []).append(log.sha256)
-    notes = _note(lost, LOST, "the model is fitted again without them")
-    notes += _note([log.path for log in known], KNOWN, "the error before is too small")
-    return EarlierLogs(paths, by_stage, notes)
+    notes = (
+        *_note(lost, LOST, "the model is fitted again without them"),
+        *_note(held_out_inputs, KNOWN, "the error before is too small"),
+    )
+    return EarlierLogs(paths=paths, by_stage=by_stage, notes=notes)
 
 
 def _places(log: InputLog, folders: Sequence[Path]) -> list[Path]:
-    """Where a log of a parameter file may be; nothing for what is no path."""
+    """Return where a log of a parameter file may be; nothing for what is no path."""
     places = (Path(log.path), *(folder / log.path for folder in folders))
     with contextlib.suppress(OSError, ValueError):
         return [path for path in places if path.is_file()]
@@ -111,7 +162,8 @@ def _places(log: InputLog, folders: Sequence[Path]) -> list[Path]:
 
 
 def _find(log: InputLog, folders: Sequence[Path]) -> Path | None:
-    # the name comes from a file: nothing else is opened
+    """Return where a log of a parameter file is, with the same content."""
+    # The name comes from a file: nothing but a log is opened.
     for path in _places(log, folders):
         with contextlib.suppress(SeqidError, OSError):
             check_log(path)
@@ -121,8 +173,13 @@ def _find(log: InputLog, folders: Sequence[Path]) -> Path | None:
     return None
 
 
-def _note(paths: Sequence[str], before: str, after: str) -> tuple[str, ...]:
+def _note(paths: Sequence[str], fact: str, consequence: str) -> tuple[str, ...]:
+    """Return a note that names some logs; none without a log."""
     names = list(dict.fromkeys(paths))  # a log may belong to two stages
-    rest = len(names) - _NAMED
-    some = ", ".join(names[:_NAMED]) + (f" and {rest} more" if rest > 0 else "")
-    return (f"{before}: {some}; {after}",) if names else ()
+    if not names:
+        return ()
+    n_more = len(names) - _NAMED
+    listed_names = ", ".join(names[:_NAMED])
+    if n_more > 0:
+        listed_names += f" and {n_more} more"
+    return (f"{fact}: {listed_names}; {consequence}",)

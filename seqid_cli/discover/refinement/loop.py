@@ -1,10 +1,11 @@
-"""The state of a refinement: the model as it grows, and what comes of one effect more."""
+"""The state of a refinement: the model as it grows, and what one effect more does."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -22,7 +23,7 @@ from seqid_cli.discover.refinement.reidentify import (
 )
 from seqid_cli.discover.select.naming import reality
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Key, Taken
+from seqid_cli.discover.select.results import Key, TermResult
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.logs.recording import Recording
@@ -39,16 +40,29 @@ LATE = "came after the file was identified"
 class Step:
     """What one round has added, and the model with it.
 
-    A round adds one effect, at one joint or at several; or a smooth term. `rounds`
-    tells of each effect in the order of `effects`. `kept`: the stages stayed as they
-    were in the fit. Of several effects `beside` has, in the same order, the model with
-    the others of the round alone.
+    A round adds one effect, at one joint or at several; or a smooth term.
+
+    Attributes
+    ----------
+    rounds : tuple of RefinementRound
+        What is told of each effect, in the order of `effects`.
+    effects : tuple of Candidate
+        The effects.
+    smooth : SmoothFunction, optional
+        The smooth term.
+    keeps_stages : bool
+        The stages stayed as they were in the fit.
+    model : Refitted
+        The model with the round.
+    beside : tuple of Refitted
+        Of several effects, in the same order, the model with the others of the round
+        alone.
     """
 
     rounds: tuple[RefinementRound, ...]
     effects: tuple[Candidate, ...] = ()
     smooth: SmoothFunction | None = None
-    kept: bool
+    keeps_stages: bool
     model: Refitted
     beside: tuple[Refitted, ...] = ()
 
@@ -57,71 +71,96 @@ class Step:
         """The model with the round, and those without one of its effects."""
         return (self.model, *self.beside)
 
-    def without(self, gone: RefinementRound) -> Step | None:
+    def without(self, removed: RefinementRound) -> Step | None:
         """Return the step without one of its effects; None if none is left.
 
         Its models are as they were: `again` fits the step to what is left.
         """
-        left = [number for number, entry in enumerate(self.rounds) if entry is not gone]
-        if not left:
+        staying = [
+            number for number, entry in enumerate(self.rounds) if entry is not removed
+        ]
+        if not staying:
             return None
 
         return replace(
             self,
-            rounds=tuple(self.rounds[number] for number in left),
-            effects=tuple(self.effects[number] for number in left),
+            rounds=tuple(self.rounds[number] for number in staying),
+            effects=tuple(self.effects[number] for number in staying),
         )
 
-    def again(self, material: Material, before: Refitted) -> Step:
-        """Return the step fitted again to the training logs, on top of another model."""
-        if self.smooth is not None:
-            term = fitted_smooth(material, before, self.smooth)
-            return replace(self, model=replace(before, effects=(*before.effects, term)))
+    def again(self, material: Material, model_before: Refitted) -> Step:
+        """Return the step fitted again to the training logs, on top of another model.
 
-        late = self.model.late
+        Parameters
+        ----------
+        material : Material
+            The logs.
+        model_before : Refitted
+            The model.
+        """
+        if self.smooth is not None:
+            term = fitted_smooth(material, model_before, self.smooth)
+            model = replace(model_before, effects=(*model_before.effects, term))
+            return replace(self, model=model)
 
         def fitted(effects: Sequence[Candidate]) -> Refitted:
+            late = {effect.key for effect in effects} & self.model.late
             return refitted(
                 material,
-                before,
-                (*before.candidates, *effects),
-                late=before.late | ({effect.key for effect in effects} & late),
-                kept=self.kept,
+                model_before,
+                (*model_before.candidates, *effects),
+                late=model_before.late | late,
+                kept=self.keeps_stages,
             )
 
-        others: list[tuple[Candidate, ...]] = []
+        model = fitted(self.effects)
+        beside = []
         if len(self.effects) > 1:
-            others = [
-                tuple(x for x in self.effects if x is not one) for one in self.effects
-            ]
-        return replace(
-            self, model=fitted(self.effects), beside=tuple(map(fitted, others))
-        )
+            for removed in self.effects:
+                staying = [effect for effect in self.effects if effect is not removed]
+                beside.append(fitted(staying))
+        return replace(self, model=model, beside=tuple(beside))
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Refinement:
     """What is decided before any held-out log is opened.
 
     The first effect had to be better than the model as it came in, or the same
-    identified anew. `untried` are effects that were found when the limit of rounds had
-    been reached.
+    identified anew.
+
+    Attributes
+    ----------
+    material : Material
+        What models are fitted to.
+    incoming_stages : Stages
+        The file as it came in.
+    incoming_model : Refitted
+        The same as a model with effects.
+    steps : list of Step
+        What was added, round by round.
+    refused : list of RefinementRound
+        What was tried and not added.
+    untried : list of Candidate
+        Effects that were found when the limit of rounds had been reached.
+    notes : tuple of str
+        What is to be said of the logs.
     """
 
-    material: Material  # what models are fitted to
-    came: Stages
-    start: Refitted  # the model as it came in
+    material: Material
+    incoming_stages: Stages
+    incoming_model: Refitted
     steps: list[Step] = field(default_factory=list)
     refused: list[RefinementRound] = field(default_factory=list)
     untried: list[Candidate] = field(default_factory=list)
     notes: tuple[str, ...] = ()
-    _errors: dict[Refitted, HeldOutError] = field(default_factory=dict)
-    _before: dict[Refitted | int, HeldOutError] = field(default_factory=dict)
+    _training_errors: dict[Refitted, HeldOutError] = field(default_factory=dict)
+    _earlier_errors: dict[Refitted | int, HeldOutError] = field(default_factory=dict)
 
     @property
     def model(self) -> Refitted:
         """The model as it stands."""
-        return self.steps[-1].model if self.steps else self.start
+        return self.steps[-1].model if self.steps else self.incoming_model
 
     @property
     def stages(self) -> Stages:
@@ -141,264 +180,341 @@ class Refinement:
 
     @cached_property
     def anew(self) -> Refitted:
-        """The file identified anew with the training logs: what that gains is no effect's."""
-        start = self.start
+        """The file identified anew with the training logs.
+
+        What that gains is no effect's.
+        """
+        model = self.incoming_model
         return refitted(
-            self.material, start, start.candidates, late=start.late, kept=False
+            self.material, model, model.candidates, late=model.late, kept=False
         )
 
     def without(self, steps: Sequence[Step]) -> Refitted:
         """Return what the first of some steps has to be better than."""
-        return self.start if not steps or steps[0].kept else self.anew
+        if not steps or steps[0].keeps_stages:
+            return self.incoming_model
+        return self.anew
 
     def fitted_again(self, steps: Sequence[Step], later: Sequence[Step]) -> list[Step]:
-        """Return steps and `later` ones, these fitted again to the training logs on top of them."""
+        """Return steps, and later ones fitted again to the training logs on top.
+
+        Parameters
+        ----------
+        steps : sequence of Step
+            What stays as it is.
+        later : sequence of Step
+            What came after.
+        """
         path = list(steps)
         for step in later:
-            before = path[-1].model if path else self.start
-            path.append(step.again(self.material, before))
+            model_before = path[-1].model if path else self.incoming_model
+            path.append(step.again(self.material, model_before))
         return path
 
     def error_of(self, model: Refitted) -> HeldOutError:
-        """Squared errors of a model on the logs that are fitted."""
-        if model not in self._errors:
-            self._errors[model] = self._error(self.material.training, model)
-        return self._errors[model]
+        """Return squared errors of a model on the logs that are fitted."""
+        if model not in self._training_errors:
+            self._training_errors[model] = self._error(self.material.training, model)
+        return self._training_errors[model]
 
     def error_everywhere(self, model: Refitted) -> HeldOutError:
-        """The same, beside those on logs of earlier stages, without what came late."""
+        """Return squared errors of a model on all logs.
+
+        In the logs of earlier stages what came late was not there.
+        """
         lasting = tuple(model.lasting)
+        # Without effects it is the stages that count: many models share them.
         key: Refitted | int = model if lasting else id(model.stages)
-        if key not in self._before:
-            self._before[key] = self._error(
-                self.logs_before, replace(model, effects=lasting)
-            )
-        return held_out.joined([self.error_of(model), self._before[key]])
+        if key not in self._earlier_errors:
+            without_late = replace(model, effects=lasting)
+            self._earlier_errors[key] = self._error(self.logs_before, without_late)
+        return held_out.joined([self.error_of(model), self._earlier_errors[key]])
 
     @cached_property
     def logs_before(self) -> list[Recording]:
-        """The logs of earlier stages with torque that are not fitted, each once."""
+        """Logs of earlier stages with torque that are not fitted, each once."""
         fitted = {identity(log) for log in self.material.training}
-        every = unique([log for own in self.material.earlier.values() for log in own])
-        return [x for x in every if identity(x) not in fitted and x.tau is not None]
+        earlier = [log for logs in self.material.earlier.values() for log in logs]
+        return [
+            log
+            for log in unique(earlier)
+            if identity(log) not in fitted and log.tau is not None
+        ]
 
     def _error(self, logs: Sequence[Recording], model: Refitted) -> HeldOutError:
-        robot, options = self.material.robot, self.material.options.motion
+        robot = self.material.robot
         return held_out.held_out_error(
-            logs, robot, with_effects(model, robot), options=options
+            logs,
+            robot,
+            with_effects(model, robot),
+            options=self.material.options.motion,
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
-    """What the training logs say of one effect of a round, beside all others of the model.
+    """What the training logs say of one effect of a round, beside all others.
 
-    `change` is its gain at its joints on the logs that are fitted, `by_chance` the
-    probability that nothing is gained there.
+    Attributes
+    ----------
+    change : Gain
+        At its joints, on the logs that are fitted.
+    chance_probability : float
+        Probability that nothing is gained there.
+    is_likely : bool
+        Whether it is likelier there than not, by what is gained.
+    is_determined : bool
+        Whether its coefficients are larger than their errors.
+    is_unjudged : bool
+        Whether it may be there, but above the low-pass, where no model is judged.
     """
 
     change: Gain
-    by_chance: float
-    likely: bool  # whether it is likelier there than not, by what is gained
-    shown: bool  # whether its coefficients are larger than their errors
-    # whether it may be there, but above the low-pass, where no model is judged
-    unjudged: bool
+    chance_probability: float
+    is_likely: bool
+    is_determined: bool
+    is_unjudged: bool
 
     @property
     def gains(self) -> bool:
         """Whether it gains as much as a finding does, and not by chance."""
-        return (
-            self.change.value >= Options.improvement and self.by_chance <= Options.doubt
-        )
+        is_enough = self.change.value >= Options.improvement
+        return is_enough and self.chance_probability <= Options.doubt
 
     @property
     def fault(self) -> str:
-        """Return why it is not worth it; empty if it is."""
-        if self.unjudged and not self.gains:
+        """Why it is not worth it; empty if it is."""
+        if self.is_unjudged and not self.gains:
             return "lies above the low-pass, where the model is not judged"
         if not self.gains:
             return "the model identified anew with it is not certainly better"
-        if not self.likely:
+        if not self.is_likely:
             return "is less likely than not"
-        if not self.shown:
+        if not self.is_determined:
             return "its coefficients are smaller than their errors"
         return ""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Account:
+class CandidateModel:
     """A model with the effects of one round more, and when these came.
 
     The effects of a round are one hypothesis, an effect at one joint or at several.
-    `taken` is what was selected, `added` the effects as they are to be fitted. `kept`:
-    the stages are right as they are, and the effects came after the file was
-    identified.
+
+    Attributes
+    ----------
+    loop : Refinement
+        The refinement as it stands.
+    results : tuple of TermResult
+        What was selected.
+    effects : tuple of Candidate
+        The same as it is to be fitted.
+    keeps_stages : bool
+        The stages are right as they are, and the effects came after the file was
+        identified.
     """
 
     loop: Refinement
-    taken: tuple[Taken, ...]
-    added: tuple[Candidate, ...]
-    kept: bool
+    results: tuple[TermResult, ...]
+    effects: tuple[Candidate, ...]
+    keeps_stages: bool
 
     @property
     def late(self) -> frozenset[Key]:
         """Effects of the model that came after the file was identified."""
-        new = {effect.key for effect in self.added} if self.kept else set()
-        return self.loop.model.late | new
+        if not self.keeps_stages:
+            return self.loop.model.late
+        return self.loop.model.late | {effect.key for effect in self.effects}
 
     @cached_property
     def model(self) -> Refitted:
-        """Fitted to all logs."""
-        known = self.loop.model
-        candidates = (*known.candidates, *self.added)
-        material = self.loop.material
-        return refitted(material, known, candidates, late=self.late, kept=self.kept)
+        """The model fitted to all logs."""
+        model_before = self.loop.model
+        return refitted(
+            self.loop.material,
+            model_before,
+            (*model_before.candidates, *self.effects),
+            late=self.late,
+            kept=self.keeps_stages,
+        )
 
     @cached_property
     def without(self) -> Refitted:
-        """The model as it stands; before the first effect by the same recipe as this one."""
-        return self.loop.model if self.kept or self.loop.added else self.loop.anew
+        """The model as it stands; before the first effect by the recipe of this one."""
+        if self.keeps_stages or self.loop.added:
+            return self.loop.model
+        return self.loop.anew
 
     @cached_property
-    def others(self) -> tuple[Account, ...]:
-        """The account without each of its effects, one at a time."""
-        accounts = []
-        for number in range(len(self.added)):
-            left = [other for other in range(len(self.added)) if other != number]
-            accounts.append(
+    def without_each(self) -> tuple[CandidateModel, ...]:
+        """The candidate models without each of the effects, one at a time."""
+        models = []
+        for removed in range(len(self.effects)):
+            staying = [k for k in range(len(self.effects)) if k != removed]
+            models.append(
                 replace(
                     self,
-                    taken=tuple(self.taken[other] for other in left),
-                    added=tuple(self.added[other] for other in left),
+                    results=tuple(self.results[k] for k in staying),
+                    effects=tuple(self.effects[k] for k in staying),
                 )
             )
-        return tuple(accounts)
+        return tuple(models)
 
-    def with_simpler(self, number: int) -> Account | None:
-        """Return the account with an effect's form of fewer coefficients, None if there is none."""
-        effect = self.added[number]
+    def with_simpler(self, number: int) -> CandidateModel | None:
+        """Return the model with an effect in a form of fewer coefficients, if any."""
+        effect = self.effects[number]
         settings = effect.effect.simpler(effect.settings)
         if settings is None:
             return None
-        simpler = replace(effect, settings=settings)
-        return replace(
-            self, added=(*self.added[:number], simpler, *self.added[number + 1 :])
-        )
+        effects = list(self.effects)
+        effects[number] = replace(effect, settings=settings)
+        return replace(self, effects=tuple(effects))
 
     @cached_property
     def judgements(self) -> tuple[Judgement, ...]:
-        """What the training logs say of each effect, all others of the model beside it."""
-        return tuple(map(self._judged, range(len(self.added))))
+        """What the training logs say of each effect, all others of the model beside."""
+        return tuple(self._judged(number) for number in range(len(self.effects)))
 
     def _judged(self, number: int) -> Judgement:
         """Compare the model with one that is fitted without the effect."""
-        several = len(self.added) > 1
-        before = self.loop.error_of(
-            self.others[number].model if several else self.without
-        )
-        after = self.loop.error_of(self.model)
-        taken = self.taken[number]
-        joints = joints_below(taken.term.channels, self.loop.material.robot.n)
+        has_others = len(self.effects) > 1
+        without = self.without_each[number].model if has_others else self.without
+        error_before = self.loop.error_of(without)
+        error_after = self.loop.error_of(self.model)
 
-        change = gain(before, after, joints)
+        result = self.results[number]
+        joints = joints_below(result.term.channels, self.loop.material.robot.n)
+        change = gain(error_before, error_after, joints)
+        probability = reality(max(change.value, result.share), result.evidence)
         return Judgement(
             change=change,
-            by_chance=doubt(before, after, joints),
-            likely=reality(max(change.value, taken.share), taken.evidence) > 0.5,
-            shown=self._size(number) > 1.0,
-            unjudged=self.added[number].effect.wide,
+            chance_probability=doubt(error_before, error_after, joints),
+            is_likely=probability > 0.5,
+            is_determined=self._size(number) > 1.0,
+            is_unjudged=self.effects[number].effect.wide,
         )
 
     def _size(self, number: int) -> float:
         """Return an effect's coefficients over their errors, root mean square."""
-        key = self.added[number].key
-        fitted = [x for x in self.model.effects if isinstance(x, FittedEffect)]
-        effect = next(
-            (x for x in reversed(fitted) if (x.effect.name, x.joint) == key), None
-        )
-        if effect is None:  # no row shows it
+        key = self.effects[number].key
+        same = [
+            effect
+            for effect in self.model.effects
+            if isinstance(effect, FittedEffect)
+            and (effect.effect.name, effect.joint) == key
+        ]
+        if not same:  # no row shows it
             return 0.0
+        effect = same[-1]
         variance = np.diag(effect.covariance)
-        known = variance > 0.0
-        if not known.any():
+        is_known = variance > 0.0
+        if not is_known.any():
             return np.inf
-        return float(
-            np.sqrt(np.mean(effect.coefficients[known] ** 2 / variance[known]))
-        )
+        squares = effect.coefficients[is_known] ** 2 / variance[is_known]
+        return float(np.sqrt(np.mean(squares)))
 
     @cached_property
     def losing(self) -> list[int]:
         """Joints that lose more than all others gain."""
         joints = range(self.loop.material.robot.n)
-        errors = self.loop.error_of(self.without), self.loop.error_of(self.model)
-        if gain(*errors, joints).value > 0.0:
+        error_before = self.loop.error_of(self.without)
+        error_after = self.loop.error_of(self.model)
+        if gain(error_before, error_after, joints).value > 0.0:
             return []
-        return [j for j in joints if gain(*errors, [j]).loses]
+        return [
+            joint for joint in joints if gain(error_before, error_after, [joint]).loses
+        ]
 
     @property
     def accepted(self) -> bool:
         """Whether all its effects are worth it."""
-        faults = any(judgement.fault for judgement in self.judgements)
-        return not faults and not self.losing
+        has_fault = any(judgement.fault for judgement in self.judgements)
+        return not has_fault and not self.losing
 
     @property
     def weakest(self) -> int:
-        """Number of the effect that is least worth it: with a fault, and of the least gain."""
-        judgements = enumerate(self.judgements)
-        faulty = [number for number, judgement in judgements if judgement.fault]
-        numbers = faulty or range(len(self.added))
+        """Number of the effect that is least worth it.
+
+        It is the one of the least gain among those with a fault, or among all.
+        """
+        faulty = [
+            number
+            for number, judgement in enumerate(self.judgements)
+            if judgement.fault
+        ]
+        numbers = faulty or range(len(self.effects))
         return min(numbers, key=lambda number: self.judgements[number].change.value)
 
     def fault_of(self, number: int) -> str:
         """Return why an effect is refused."""
         names = self.loop.material.robot.joint_names
-        lost = ", ".join(names[j] for j in self.losing)
-        predicted = f"the model identified anew with it predicts {lost} worse"
-        return self.judgements[number].fault or predicted
+        losing_names = ", ".join(names[joint] for joint in self.losing)
+        loss = f"the model identified anew with it predicts {losing_names} worse"
+        return self.judgements[number].fault or loss
+
+
+class Refusal(NamedTuple):
+    """An effect that is refused, how it was judged, and why."""
+
+    result: TermResult
+    judgement: Judgement
+    reason: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
     """What is added in a round, and what of it is refused.
 
-    `account` has the effects that are worth it, maybe none; `refused` are the others,
-    with how each was judged and why.
+    Attributes
+    ----------
+    candidate_model : CandidateModel
+        With the effects that are worth it, maybe none.
+    refused : tuple of Refusal
+        The others.
     """
 
-    account: Account
-    refused: tuple[tuple[Taken, Judgement, str], ...]
+    candidate_model: CandidateModel
+    refused: tuple[Refusal, ...]
 
     @classmethod
-    def of(cls, account: Account) -> Decision:
-        """Leave out, the weakest first, what is not worth it beside the rest of the round.
+    def of(cls, candidate_model: CandidateModel) -> Decision:
+        """Leave out, the weakest first, what is not worth it beside the others.
 
         An effect whose coefficients are smaller than their errors is first tried in
         simpler forms.
         """
         refused = []
-        while account.added and not account.accepted:
-            number = account.weakest
-            judgement = account.judgements[number]
-            unclear = judgement.gains and not judgement.shown
-            simpler = account.with_simpler(number) if unclear else None
+        while candidate_model.effects and not candidate_model.accepted:
+            number = candidate_model.weakest
+            judgement = candidate_model.judgements[number]
+            is_unclear = judgement.gains and not judgement.is_determined
+            simpler = candidate_model.with_simpler(number) if is_unclear else None
             if simpler is not None:
-                account = simpler
+                candidate_model = simpler
                 continue
-            refused.append((account.taken[number], judgement, account.fault_of(number)))
-            account = account.others[number]
-        return cls(account=account, refused=tuple(refused))
+            refused.append(
+                Refusal(
+                    result=candidate_model.results[number],
+                    judgement=judgement,
+                    reason=candidate_model.fault_of(number),
+                )
+            )
+            candidate_model = candidate_model.without_each[number]
+        return cls(candidate_model=candidate_model, refused=tuple(refused))
 
 
-def effect_of(taken: Taken) -> Candidate:
-    """The effect that a term is."""
-    assert isinstance(taken.term.what, Candidate)
-    return taken.term.what
+def effect_of(result: TermResult) -> Candidate:
+    """Return the effect that a term is."""
+    assert isinstance(result.term.what, Candidate)
+    return result.term.what
 
 
 def with_effects(model: Refitted, robot: Robot) -> Stages:
-    """The stages with the effects written into them."""
-    effects = [
-        as_stage(f, robot) if isinstance(f, FittedEffect) else f.to_stage(robot)
-        for f in model.effects
-    ]
+    """Return the stages with the effects written into them."""
+    effects = []
+    for effect in model.effects:
+        if isinstance(effect, FittedEffect):
+            effects.append(as_stage(effect, robot))
+        else:
+            effects.append(effect.to_stage(robot))
     return msgspec.structs.replace(model.stages, effects=effects)

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
@@ -49,120 +50,25 @@ from seqid_cli.typing import Array, Mask
 # variance of a direction over that of its parameters, from which it may be held
 LOOSE = 3.0
 CLEAR = 2.0  # standard errors, that such a direction must move by to leave the file
-
-
-def held(new: Stages, old: Stages, fit: Model) -> Stages:
-    """Simultaneous stages without what moved by less than its error, where logs hardly tell it.
-
-    Directions that these logs leave loose would wander with every effect that is added.
-    `fit` is of the same logs, and `old` are the stages before.
-    """
-    (before, known), (after, error) = (_values(stages, fit) for stages in (old, new))
-    at = np.flatnonzero((error > 0.0) & (known > 0.0))
-    if not len(at):
-        return new
-    white = fit.linear.covariance[np.ix_(at, at)].copy()
-    white *= float(np.median(error[at] ** 2 / np.diag(white)))
-    scale = np.sqrt(np.diag(white))
-    variance, direction = np.linalg.eigh(white / np.outer(scale, scale))
-    change = direction.T @ ((after - before)[at] / scale)
-    undone = np.where(
-        (change**2 < CLEAR**2 * variance) & (variance > LOOSE), change, 0.0
-    )
-    theta = np.zeros(fit.linear.size)
-    theta[at] = -scale * (direction @ undone)
-    return moved(new, fit, theta)
-
-
-def _values(stages: Stages, fit: Model) -> tuple[Array, Array]:
-    """Values and standard errors of simultaneous stages, as the base's columns are ordered."""
-    names, where = fit.ground.stage.scenes[0].robot.joint_names, fit.linear.where
-    values, errors = np.zeros((2, where[len(names)].stop))
-    rigid = {p.name: p for p in (stages.inertia.parameters if stages.inertia else ())}
-    for k, name in enumerate(fit.ground.base.basis.names):
-        if name in rigid:
-            values[k], errors[k] = rigid[name].value, rigid[name].std_error
-    for name, own in zip(names, where[1:], strict=False):
-        joint = stages.friction.joints.get(name) if stages.friction else None
-        if joint is not None and joint.parameters:
-            values[own] = [p.value for p in joint.parameters]
-            errors[own] = [p.std_error for p in joint.parameters]
-    return values, errors
-
-
-def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
-    """The stages with deviations of the base, ordered as `fit` has them, added to what they say."""
-    robot, where = fit.ground.stage.scenes[0].robot, fit.linear.where
-    result, basis, change = (
-        Stages(imu=stages.imu),
-        fit.ground.base.basis,
-        theta[where[0]],
-    )
-    if stages.friction is not None:
-        joints = dict(stages.friction.joints)
-        for name, own in zip(robot.joint_names, where[1:], strict=False):
-            if name in joints:
-                joints[name] = _moved_friction(joints[name], theta[own])
-        result.friction = structs.replace(stages.friction, joints=joints)
-    more = dict(zip(basis.names, change, strict=True))
-
-    def moved_rigid(stage: RigidStage | None) -> RigidStage | None:
-        if stage is None:
-            return None
-        own = [
-            structs.replace(p, value=float(p.value + more.get(p.name, 0.0)))
-            for p in stage.parameters
-        ]
-        return structs.replace(
-            stage, parameters=own, representative=dict(stage.representative)
-        )
-
-    result.gravity, result.inertia = (
-        moved_rigid(stages.gravity),
-        moved_rigid(stages.inertia),
-    )
-    last = result.inertia or result.gravity
-    if last is not None:
-        now, added = (
-            last.representative,
-            representative_of(basis, change, np.zeros(robot.n)),
-        )
-        total = {
-            x: now.get(x, 0.0) + added.get(x, 0.0) for x in standard_names(robot.n)
-        }
-        last.representative = {x: float(v) for x, v in total.items() if v != 0.0}
-    return result
-
-
-def _moved_friction(joint: FrictionJoint, change: Array) -> FrictionJoint:
-    """A surface whose entries moved; of a simultaneous fit the parameters as well."""
-    positive, negative = np.array(joint.positive), np.array(joint.negative)
-    size, parameters = positive.size, joint.parameters
-    if parameters:
-        ahead, back = (
-            own @ change for own in surface_entries(joint.speed_range[1], len(change))
-        )
-        pairs = zip(parameters, change, strict=True)
-        parameters = [structs.replace(p, value=float(p.value + c)) for p, c in pairs]
-    else:
-        ahead, back = (
-            change[:size],
-            change[size : 2 * size] if joint.directional else change[:size],
-        )
-    return structs.replace(
-        joint,
-        positive=(positive + ahead.reshape(positive.shape)).tolist(),
-        negative=(negative + back.reshape(negative.shape)).tolist(),
-        parameters=parameters,
-    )
-
-
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
+
+
+# ---- models and what they are fitted to
 
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
-    """A model with effects: the stages without them, the effects, and which of these came late."""
+    """A model with effects.
+
+    Attributes
+    ----------
+    stages : Stages
+        The stages without the effects.
+    effects : tuple of Fitted
+        Effects and smooth terms.
+    late : frozenset of Key
+        The effects that came after the file was identified.
+    """
 
     stages: Stages
     effects: tuple[Fitted, ...]
@@ -171,28 +77,45 @@ class Refitted:
     @property
     def lasting(self) -> list[Fitted]:
         """Effects that were there all along."""
-        return [f for f in self.effects if key_of(f) not in self.late]
+        return [effect for effect in self.effects if key_of(effect) not in self.late]
 
     @property
     def candidates(self) -> list[Candidate]:
         """Its effects as candidates, to be fitted again."""
-        known = (f for f in self.effects if isinstance(f, FittedEffect))
         return [
-            Candidate(f.effect, f.joint, dict(f.settings), apart=f.effect.wide)
-            for f in known
+            Candidate(
+                fitted.effect,
+                fitted.joint,
+                dict(fitted.settings),
+                apart=fitted.effect.wide,
+            )
+            for fitted in self.effects
+            if isinstance(fitted, FittedEffect)
         ]
 
 
 def key_of(fitted: Fitted) -> Key | None:
-    """What tells a fitted effect from the others; None for a smooth term."""
-    return (
-        (fitted.effect.name, fitted.joint) if isinstance(fitted, FittedEffect) else None
-    )
+    """Return name and joint of a fitted effect; None for a smooth term."""
+    if isinstance(fitted, FittedEffect):
+        return fitted.effect.name, fitted.joint
+    return None
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a model is identified from; `earlier` are the logs at hand of the earlier stages."""
+    """What a model is identified from.
+
+    Attributes
+    ----------
+    training : tuple of Recording
+        The logs that are fitted.
+    earlier : mapping of str to sequence of Recording
+        The logs at hand of the earlier stages, by stage.
+    robot : Robot
+        The arm.
+    options : DiscoverOptions
+        Where motion comes from.
+    """
 
     training: tuple[Recording, ...]
     earlier: Mapping[str, Sequence[Recording]]
@@ -203,38 +126,64 @@ class Material:
     )
 
     def ground(self, stages: Stages) -> Ground:
-        """Rows of the training logs with the base of these stages; the last two are kept."""
-        known = next((pair for pair in self._grounds if pair[0] is stages), None)
-        others = [pair for pair in self._grounds if pair is not known]
-        if known is None:
-            options = self.options.motion
-            rows = rows_of(
-                scenes_of(self.training, self.robot, stages, options=options)
+        """Return the problem of the training logs beside these stages.
+
+        The last two are kept: they take most of the time.
+        """
+        latest = next((pair for pair in self._grounds if pair[0] is stages), None)
+        earlier = [pair for pair in self._grounds if pair is not latest]
+        if latest is None:
+            scenes = scenes_of(
+                self.training, self.robot, stages, options=self.options.motion
             )
-            known = stages, Ground.of(rows, stages)
-        self._grounds[:] = [known, *others[:1]]
-        return known[1]
+            latest = stages, Ground.of(rows_of(scenes), stages)
+        self._grounds[:] = [latest, *earlier[:1]]
+        return latest[1]
 
     def without(
         self, log: Recording, stages: Stages, effects: Sequence[Fitted]
     ) -> Recording:
-        """A log without the torque of some effects."""
-        options, given = self.options.motion, (log, self.robot, stages, effects)
-        return without_effects(*given, motion=options.motion, source=options.source)
+        """Return a log without the torque of some effects.
 
-    def freed(self, log: Recording, model: Refitted) -> Recording:
-        """A log without effects: any, if it is fitted, else those that were there all along."""
-        fitted = identity(log) in map(identity, self.training)
-        return self.without(
-            log, model.stages, model.effects if fitted else model.lasting
+        Parameters
+        ----------
+        log : Recording
+            The log.
+        stages : Stages
+            The model without the effects.
+        effects : sequence of Fitted
+            What is taken off.
+        """
+        options = self.options.motion
+        return without_effects(
+            log,
+            self.robot,
+            stages,
+            effects,
+            motion=options.motion,
+            source=options.source,
         )
 
+    def freed(self, log: Recording, model: Refitted) -> Recording:
+        """Return a log without the effects that were there when it was recorded.
+
+        Parameters
+        ----------
+        log : Recording
+            In one that is fitted all effects were there, else those of all along.
+        model : Refitted
+            The effects, and stages without them.
+        """
+        is_fitted = identity(log) in map(identity, self.training)
+        effects = model.effects if is_fitted else model.lasting
+        return self.without(log, model.stages, effects)
+
     def now(self, model: Refitted) -> list[Recording]:
-        """The training logs without any effect."""
+        """Return the training logs without any effect."""
         return [self.freed(log, model) for log in self.training]
 
     def logs_of(self, stage: str) -> list[Recording]:
-        """The logs of an earlier stage, each once; those that are fitted last."""
+        """Return the logs of an earlier stage, each once, the fitted ones last."""
         fitted = {identity(log) for log in self.training}
         return sorted(
             unique(self.earlier.get(stage, ())), key=lambda log: identity(log) in fitted
@@ -243,25 +192,29 @@ class Material:
     @property
     def known(self) -> bool:
         """Whether the file was identified from all of the training logs."""
-        logs = {identity(log) for stage in self.earlier.values() for log in stage}
-        return all(identity(log) in logs for log in self.training)
+        of_file = {identity(log) for logs in self.earlier.values() for log in logs}
+        return all(identity(log) in of_file for log in self.training)
 
 
 def changed_joints(log: Recording, freed: Recording) -> Mask:
-    """Joints (n,) whose torque or position the effects have changed."""
+    """Return the joints (n,) whose torque or position the effects have changed."""
     assert log.tau is not None
     assert freed.tau is not None
-    return np.asarray(np.any((log.tau != freed.tau) | (log.q != freed.q), axis=0))
+    is_changed = (log.tau != freed.tau) | (log.q != freed.q)
+    return np.asarray(np.any(is_changed, axis=0))
 
 
 def unique(logs: Sequence[Recording]) -> list[Recording]:
-    """Logs in their order, each once."""
+    """Return logs in their order, each once."""
     return list({identity(log): log for log in logs}.values())
 
 
 def identity(log: Recording) -> tuple[str, str]:
-    """What tells a log from others."""
+    """Return what tells a log from others."""
     return log.sha256, str(log.path)
+
+
+# ---- fitting
 
 
 def refitted(
@@ -274,38 +227,63 @@ def refitted(
 ) -> Refitted:
     """Fit effects and model together.
 
-    `candidates` are all effects that the model is to have; none is a model identified
-    anew. `late` are those of them that the logs of the earlier stages do not have.
-    `kept`: the stages are right as they are, and only the effects are fitted.
+    Parameters
+    ----------
+    material : Material
+        The logs.
+    model : Refitted
+        The model as it stands.
+    candidates : sequence of Candidate
+        All effects that the model is to have; without any it is identified anew.
+    late : frozenset of Key
+        Those of them that the logs of the earlier stages do not have.
+    kept : bool
+        The stages are right as they are, and only the effects are fitted.
     """
     stages = model.stages
     if not candidates:
         bare = Refitted(stages, (), late)
-        return bare if kept else replace(bare, stages=_stages(material, bare, None))
+        if kept:
+            return bare
+        return replace(bare, stages=_stages(material, bare, None))
+
     fit = Model(material.ground(stages), HELD if kept else FREE, candidates)
     if not kept:
-        freed = Refitted(stages, tuple(_effects_of(material, fit)), late)
-        stages = _stages(material, freed, fit)
-        plain = [replace(x, absorbed="") for x in fit.candidates]
-        fit = Model(material.ground(stages), FREE, plain)
+        # The effects' torque is taken out of all logs, and every stage runs again. The
+        # new stages have absorbed nothing of them.
+        with_effects = Refitted(stages, tuple(_fitted_effects(material, fit)), late)
+        stages = _stages(material, with_effects, fit)
+        unabsorbed = [replace(effect, absorbed="") for effect in fit.candidates]
+        fit = Model(material.ground(stages), FREE, unabsorbed)
+
     # Effects as they are beside exactly these stages; their errors are beside a base
     # that may move.
     firm = copy(fit)
     firm.hold = FIRM
     firm.settle()
-    pairs = zip(
-        _effects_of(material, fit), map(firm.coefficients, firm.terms), strict=True
-    )
-    return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
+    effects = [
+        replace(effect, coefficients=firm.coefficients(term))
+        for effect, term in zip(_fitted_effects(material, fit), firm.terms, strict=True)
+    ]
+    return Refitted(stages, tuple(effects), late)
 
 
 def fitted_smooth(
-    material: Material, model: Refitted, what: SmoothFunction
+    material: Material, model: Refitted, function: SmoothFunction
 ) -> SmoothTerm:
     """Fit a smooth term to what a model with its effects leaves of the training logs.
 
     It is fitted beside exactly these stages, which stay as they are: beside a base that
     moves it would count on what the base has moved by.
+
+    Parameters
+    ----------
+    material : Material
+        The logs.
+    model : Refitted
+        The model.
+    function : SmoothFunction
+        The term's quantities, and its combinations of splines.
     """
     scenes = scenes_of(
         material.now(model),
@@ -314,99 +292,322 @@ def fitted_smooth(
         options=material.options.motion,
     )
     fit = Model(Ground.of(rows_of(scenes), model.stages), FIRM)
-    term = smooth_term(fit.ground.stage, what, fit.ground.size)
+    term = smooth_term(fit.ground.stage, function, fit.ground.size)
     fit.terms.append(term)
     fit.settle()
-    return what.fitted(fit.coefficients(term)[: what.size])
+    return function.fitted(fit.coefficients(term)[: function.size])
 
 
-def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
-    """The effects with their coefficients, and errors no narrower than the scatter over blocks."""
-    session, found = (
-        session_of(material.training, *shared_starts(material.training)),
-        [],
-    )
-    for term, x in zip(fit.terms, fit.candidates, strict=True):
-        values = fit.coefficients(term), fit.covariance(term)
-        found.append(FittedEffect(x.effect, x.joint, x.settings, *values, session))
-    return found
+def _fitted_effects(material: Material, fit: Model) -> list[FittedEffect]:
+    """Return the effects of a model with their coefficients.
+
+    Errors are no narrower than the coefficients scatter over blocks.
+    """
+    starts, is_shared = shared_starts(material.training)
+    session = session_of(material.training, starts, is_shared)
+    return [
+        FittedEffect(
+            candidate.effect,
+            candidate.joint,
+            candidate.settings,
+            coefficients=fit.coefficients(term),
+            covariance=fit.covariance(term),
+            session=session,
+        )
+        for term, candidate in zip(fit.terms, fit.candidates, strict=True)
+    ]
+
+
+# ---- every stage again
 
 
 def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
-    """Every stage again, on logs without the effects, or else as `fit`, or a free base, moves."""
-    robot, stages, friction = material.robot, model.stages, model.stages.friction
-    if friction is not None and friction.method == "simultaneous":
-        logs = unique([*material.logs_of("friction"), *material.training])
-        freed = [material.freed(log, model) for log in logs]
-        offset = any(
-            len(j.parameters) == len(FRICTION_TERMS) for j in friction.joints.values()
-        )
-        motion = material.options.motion.motion
-        new, inertia = identify_simultaneous(
-            freed, robot, options=motion, offset=offset
-        )
-        found = Stages(friction=new, imu=stages.imu, inertia=inertia)
-        if not material.known:
-            return found
-        return held(found, stages, fit or Model(material.ground(stages), FREE))
+    """Identify every stage again, on logs without the effects.
+
+    Where the logs of the stages are not at hand, the base moves as `fit` says, or as a
+    free base without effects.
+    """
+    stages = model.stages
+    if stages.friction is not None and stages.friction.method == "simultaneous":
+        return _simultaneous(material, model, stages.friction, fit)
+
     needed = [
-        s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None
+        stage
+        for stage in ("friction", "gravity", "inertia")
+        if getattr(stages, stage) is not None
     ]
     if all(material.earlier.get(stage) for stage in needed):
         return _sequential(material, model)
-    joint = fit or Model(material.ground(stages), FREE)
-    return moved(stages, joint, joint.linear.theta)
+    moving = fit or Model(material.ground(stages), FREE)
+    return moved(stages, moving, moving.linear.theta)
+
+
+def _simultaneous(
+    material: Material, model: Refitted, friction: FrictionStage, fit: Model | None
+) -> Stages:
+    """Identify friction and rigid body again, in one step."""
+    stages = model.stages
+    logs = unique([*material.logs_of("friction"), *material.training])
+    has_offset = any(
+        len(joint.parameters) == len(FRICTION_TERMS)
+        for joint in friction.joints.values()
+    )
+    new_friction, inertia = identify_simultaneous(
+        [material.freed(log, model) for log in logs],
+        material.robot,
+        options=material.options.motion.motion,
+        offset=has_offset,
+    )
+    new = Stages(friction=new_friction, imu=stages.imu, inertia=inertia)
+    if not material.known:
+        return new
+    return held(new, stages, fit or Model(material.ground(stages), FREE))
 
 
 def _sequential(material: Material, model: Refitted) -> Stages:
-    """Friction, gravity and inertia again."""
-    robot, motion, stages = material.robot, material.options.motion, model.stages
+    """Identify friction, gravity and inertia again, one after the other."""
+    robot = material.robot
+    stages = model.stages
     new = structs.replace(stages, effects=None)
-    known = {identity(log): log for own in material.earlier.values() for log in own}
-    now = known | {identity(log): log for log in material.training}
-    freed = cache(lambda name: material.freed(now[name], model))
-    friction, gravity, inertia = (  # each log as it is, and freed
-        [(known[name], freed(name)) for name in map(identity, material.logs_of(stage))]
-        for stage in ("friction", "gravity", "inertia")
-    )
+
+    # Each log as it was read for its stage, and as it is freed of the effects: of one
+    # that is fitted without its events.
+    earlier = {identity(log): log for logs in material.earlier.values() for log in logs}
+    latest = earlier | {identity(log): log for log in material.training}
+    freed = cache(lambda name: material.freed(latest[name], model))
+
+    def logs_of(stage: str) -> list[_FreedLog]:
+        names = [identity(log) for log in material.logs_of(stage)]
+        return [_FreedLog(log=earlier[name], freed=freed(name)) for name in names]
+
+    friction_logs = logs_of("friction")
+    gravity_logs = logs_of("gravity")
+    inertia_logs = logs_of("inertia")
+
     if stages.friction is not None:
-        new.friction = _friction(robot, friction, stages.friction)
-    changed = new.friction is not stages.friction or any(
-        changed_joints(log, own).any() or not np.array_equal(log.valid, own.valid)
-        for log, own in gravity
+        new.friction = _friction(robot, friction_logs, stages.friction)
+    is_changed = new.friction is not stages.friction or any(
+        item.is_changed for item in gravity_logs
     )
-    if stages.gravity is not None and changed:
-        result = identify_gravity([own for _, own in gravity], robot, new)
-        new.gravity, new.friction = result.gravity, result.friction
+    if stages.gravity is not None and is_changed:
+        with_gravity = identify_gravity(
+            [item.freed for item in gravity_logs], robot, new
+        )
+        new.gravity = with_gravity.gravity
+        new.friction = with_gravity.friction
     if stages.inertia is not None:
-        every = [own for _, own in inertia] + [
-            freed(identity(log)) for log in material.training
-        ]
-        found = identify_inertia(unique(every), robot, new, options=motion)
-        new.inertia, new.friction = found.inertia, found.friction
+        logs = [item.freed for item in inertia_logs]
+        logs += [freed(identity(log)) for log in material.training]
+        with_inertia = identify_inertia(
+            unique(logs), robot, new, options=material.options.motion
+        )
+        new.inertia = with_inertia.inertia
+        new.friction = with_inertia.friction
     return new
 
 
+@dataclass(frozen=True)
+class _FreedLog:
+    """A log of an earlier stage, and the same without effects and events."""
+
+    log: Recording
+    freed: Recording
+
+    @property
+    def changed_joints(self) -> Mask:
+        """Joints (n,) whose torque or position the effects have changed."""
+        return changed_joints(self.log, self.freed)
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether any joint has changed, or other samples count."""
+        same_samples = np.array_equal(self.log.valid, self.freed.valid)
+        return bool(self.changed_joints.any()) or not same_samples
+
+
 def _friction(
-    robot: Robot, logs: Sequence[tuple[Recording, Recording]], old: FrictionStage
+    robot: Robot, logs: Sequence[_FreedLog], old: FrictionStage
 ) -> FrictionStage:
-    """Friction again, of the joints whose torque or position the effects change in its logs."""
-    changed = np.any([changed_joints(*both) for both in logs], axis=0)
-    travel = np.array([np.ptp(own.q, axis=0) for _, own in logs])
+    """Identify friction again, of the joints that the effects change in its logs."""
+    changed = np.any([item.changed_joints for item in logs], axis=0)
+    travel = np.array([np.ptp(item.freed.q, axis=0) for item in logs])
     moves = travel > MOVES * travel.max(axis=0)
-    moved = [
-        own for (_, own), at in zip(logs, moves, strict=True) if np.any(at & changed)
+    logs_of_changed = [
+        item.freed
+        for item, moving in zip(logs, moves, strict=True)
+        if np.any(moving & changed)
     ]
-    if not moved:
+    if not logs_of_changed:
         return old
+
     names = {
-        name for name, anew in zip(robot.joint_names, changed, strict=True) if anew
+        name
+        for name, is_changed in zip(robot.joint_names, changed, strict=True)
+        if is_changed
     }
-    new = identify_friction(moved, robot, options=FrictionOptions())
-    kept = [v for v in old.verdicts if v.joint not in names]
+    new = identify_friction(logs_of_changed, robot, options=FrictionOptions())
+    new_joints = {name: joint for name, joint in new.joints.items() if name in names}
     return structs.replace(
         old,  # joints in the file's order
-        joints=old.joints | {n: j for n, j in new.joints.items() if n in names},
-        verdicts=[*kept, *(v for v in new.verdicts if v.joint in names)],
+        joints=old.joints | new_joints,
+        verdicts=[
+            *(verdict for verdict in old.verdicts if verdict.joint not in names),
+            *(verdict for verdict in new.verdicts if verdict.joint in names),
+        ],
         notes=list(dict.fromkeys([*old.notes, *new.notes])),
+    )
+
+
+# ---- stages that move a little
+
+
+def held(new: Stages, old: Stages, fit: Model) -> Stages:
+    """Return new simultaneous stages without what moved by less than its error.
+
+    Directions that these logs leave loose would wander with every effect that is added.
+
+    Parameters
+    ----------
+    new : Stages
+        The stages identified anew.
+    old : Stages
+        Those before.
+    fit : Model
+        Of the same logs.
+    """
+    old_values = _values(old, fit)
+    new_values = _values(new, fit)
+    at = np.flatnonzero((new_values.std_errors > 0.0) & (old_values.std_errors > 0.0))
+    if not len(at):
+        return new
+
+    # The fit's covariance has the correlations, the stages have the size.
+    covariance = fit.linear.covariance[np.ix_(at, at)].copy()
+    variance_ratio = new_values.std_errors[at] ** 2 / np.diag(covariance)
+    covariance *= float(np.median(variance_ratio))
+    scale = np.sqrt(np.diag(covariance))
+    variance, direction = np.linalg.eigh(covariance / np.outer(scale, scale))
+
+    change = direction.T @ ((new_values.values - old_values.values)[at] / scale)
+    is_unclear = change**2 < CLEAR**2 * variance
+    is_loose = variance > LOOSE
+    undone = np.where(is_unclear & is_loose, change, 0.0)
+    theta = np.zeros(fit.linear.size)
+    theta[at] = -scale * (direction @ undone)
+    return moved(new, fit, theta)
+
+
+class _Values(NamedTuple):
+    """Values and standard errors (p,) of stages, as the base's columns are ordered."""
+
+    values: Array
+    std_errors: Array
+
+
+def _values(stages: Stages, fit: Model) -> _Values:
+    """Return values and standard errors of simultaneous stages; zero where unknown."""
+    names = fit.ground.stage.scenes[0].robot.joint_names
+    where = fit.linear.where
+    size = where[len(names)].stop
+    values = np.zeros(size)
+    std_errors = np.zeros(size)
+
+    rigid = {}
+    if stages.inertia is not None:
+        rigid = {parameter.name: parameter for parameter in stages.inertia.parameters}
+    for number, name in enumerate(fit.ground.base.basis.names):
+        if name in rigid:
+            values[number] = rigid[name].value
+            std_errors[number] = rigid[name].std_error
+
+    for name, at in zip(names, where[1:], strict=False):
+        joint = stages.friction.joints.get(name) if stages.friction else None
+        if joint is not None and joint.parameters:
+            values[at] = [parameter.value for parameter in joint.parameters]
+            std_errors[at] = [parameter.std_error for parameter in joint.parameters]
+    return _Values(values=values, std_errors=std_errors)
+
+
+def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
+    """Return the stages with deviations of the base added to what they say.
+
+    Parameters
+    ----------
+    stages : Stages
+        What the deviations are from.
+    fit : Model
+        It says how the base's parameters are ordered.
+    theta : (p,) array
+        The deviations.
+    """
+    robot = fit.ground.stage.scenes[0].robot
+    basis = fit.ground.base.basis
+    where = fit.linear.where
+    rigid_change = theta[where[0]]
+    result = Stages(imu=stages.imu)
+
+    if stages.friction is not None:
+        joints = dict(stages.friction.joints)
+        for name, at in zip(robot.joint_names, where[1:], strict=False):
+            if name in joints:
+                joints[name] = _moved_friction(joints[name], theta[at])
+        result.friction = structs.replace(stages.friction, joints=joints)
+
+    change_of = dict(zip(basis.names, rigid_change, strict=True))
+    result.gravity = _moved_rigid(stages.gravity, change_of)
+    result.inertia = _moved_rigid(stages.inertia, change_of)
+
+    # The last stage has parameters of links that stand for all of them.
+    last = result.inertia or result.gravity
+    if last is not None:
+        added = representative_of(basis, rigid_change, np.zeros(robot.n))
+        representative = {}
+        for name in standard_names(robot.n):
+            value = last.representative.get(name, 0.0) + added.get(name, 0.0)
+            if value != 0.0:
+                representative[name] = float(value)
+        last.representative = representative
+    return result
+
+
+def _moved_rigid(
+    stage: RigidStage | None, change_of: Mapping[str, float]
+) -> RigidStage | None:
+    """Return a stage whose parameters moved."""
+    if stage is None:
+        return None
+    parameters = [
+        structs.replace(
+            parameter,
+            value=float(parameter.value + change_of.get(parameter.name, 0.0)),
+        )
+        for parameter in stage.parameters
+    ]
+    return structs.replace(
+        stage, parameters=parameters, representative=dict(stage.representative)
+    )
+
+
+def _moved_friction(joint: FrictionJoint, change: Array) -> FrictionJoint:
+    """Return a surface whose entries moved, with the parameters of a one-step fit."""
+    positive = np.array(joint.positive)
+    negative = np.array(joint.negative)
+    size = positive.size
+    parameters = joint.parameters
+    if parameters:
+        of_ahead, of_back = surface_entries(joint.speed_range[1], len(change))
+        ahead = of_ahead @ change
+        back = of_back @ change
+        parameters = [
+            structs.replace(parameter, value=float(parameter.value + by))
+            for parameter, by in zip(parameters, change, strict=True)
+        ]
+    else:
+        ahead = change[:size]
+        back = change[size : 2 * size] if joint.directional else ahead
+    return structs.replace(
+        joint,
+        positive=(positive + ahead.reshape(positive.shape)).tolist(),
+        negative=(negative + back.reshape(negative.shape)).tolist(),
+        parameters=parameters,
     )

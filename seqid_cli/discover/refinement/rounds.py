@@ -1,4 +1,4 @@
-"""Refinement: add what a model lacks, as long as left-out blocks of time are predicted better.
+"""Refinement: add what a model lacks while left-out blocks are predicted better.
 
 The effects that an investigation names are tried one after the other, each at all
 joints at which it is found, and fitted anew together with the model (see `reidentify`).
@@ -24,7 +24,7 @@ from seqid_cli.discover.refinement.held_out import Gain, likelier
 from seqid_cli.discover.refinement.loop import (
     ALL_ALONG,
     LATE,
-    Account,
+    CandidateModel,
     Decision,
     Refinement,
     Step,
@@ -34,7 +34,7 @@ from seqid_cli.discover.refinement.reidentify import Material, Refitted, key_of
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Key, Taken
+from seqid_cli.discover.select.results import Key, TermResult
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.prediction.predict import slides_from
@@ -57,115 +57,199 @@ def refine(
 ) -> Refinement:
     """Add effects to a model, each decided on left-out blocks of the logs.
 
-    `file`: the model as it comes in. `earlier`: logs that its stages were identified
-    from, by stage, where they are at hand. Raises InputError: a log carries neither
-    torque nor current.
+    Parameters
+    ----------
+    training : sequence of Recording
+        Logs to fit.
+    robot : Robot
+        The arm.
+    file : ParameterFile
+        The model as it comes in.
+    earlier : mapping of str to sequence of Recording
+        Logs that its stages were identified from, by stage, where they are at hand.
+    options : DiscoverOptions
+        Where motion comes from, and what is added.
+
+    Raises
+    ------
+    InputError
+        A log carries neither torque nor current.
     """
     training, notes = usable_logs(training, robot)
     options = on_the_same_samples(options, file.stages, robot)
     motion = with_own_cutoffs(training, robot, file.stages, options.motion)
     options = replace(options, motion=motion)
     material = Material(tuple(training), earlier, robot, options)
-    known = fitted_effects(file.stages, robot, unexplained=True)
-    bare = msgspec.structs.replace(file.stages, effects=None)
-    start = Refitted(bare, tuple(known), _late(file, known, robot))
-    loop = Refinement(material=material, came=file.stages, start=start, notes=notes)
-    found = investigate(material.now(start), robot, bare, options, least=0.0)
-    if found.found.effects or (options.with_unexplained and found.found.smooth):
-        loop.material = _heard(material, found)
-        found = _add_effects(loop, found)
+
+    file_effects = fitted_effects(file.stages, robot, unexplained=True)
+    stages = msgspec.structs.replace(file.stages, effects=None)
+    incoming_model = Refitted(
+        stages, tuple(file_effects), _late(file, file_effects, robot)
+    )
+    loop = Refinement(
+        material=material,
+        incoming_stages=file.stages,
+        incoming_model=incoming_model,
+        notes=notes,
+    )
+
+    investigation = investigate(
+        material.now(incoming_model), robot, stages, options, least=0.0
+    )
+    selection = investigation.selection
+    if selection.effects or (options.with_unexplained and selection.smooth):
+        loop.material = _material_to_fit(material, investigation)
+        investigation = _add_effects(loop, investigation)
         if options.with_unexplained:
-            _add_smooth(loop, found)
+            _add_smooth(loop, investigation)
     return loop
 
 
-def _heard(material: Material, found: Investigation) -> Material:
-    """What the model is fitted to: without events, and by encoders alone if no log needs more."""
-    options, scenes = material.options, found.ground.stage.scenes
-    if options.motion.source == "needed" and all(
-        s.motion.source == "encoder" for s in scenes
-    ):
-        options = replace(options, motion=replace(options.motion, source="encoder"))
-    training = (
-        quiet(material.training, found.events) if found.events else material.training
+def _material_to_fit(material: Material, investigation: Investigation) -> Material:
+    """Return what the model is fitted to.
+
+    It is without events, and by encoders alone if no log needs more.
+    """
+    options = material.options
+    uses_encoders_alone = all(
+        scene.motion.source == "encoder" for scene in investigation.ground.stage.scenes
     )
+    if options.motion.source == "needed" and uses_encoders_alone:
+        options = replace(options, motion=replace(options.motion, source="encoder"))
+
+    training = material.training
+    if investigation.events:
+        training = quiet(training, investigation.events)
     return replace(material, training=training, options=options)
 
 
 def on_the_same_samples(
     options: DiscoverOptions, stages: Stages, robot: Robot
 ) -> DiscoverOptions:
-    """Options by which all models are judged where joints slide by the friction of these stages."""
+    """Return options by which all models are judged on the same samples.
+
+    These are where joints slide by the friction of these stages.
+
+    Parameters
+    ----------
+    options : DiscoverOptions
+        As they are.
+    stages : Stages
+        Those whose friction says it.
+    robot : Robot
+        The arm.
+    """
     slowest = slides_from(TorqueModel.from_stages(stages, robot), options.motion)
     return replace(
         options, motion=replace(options.motion, slides_from=tuple(slowest.tolist()))
     )
 
 
-def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozenset[Key]:
-    """Effects of the file that an earlier refinement found to have come late."""
+def _late(
+    file: ParameterFile, file_effects: Sequence[Fitted], robot: Robot
+) -> frozenset[Key]:
+    """Return effects of the file that an earlier refinement found to have come late."""
     rounds = file.closed_loop.rounds if file.closed_loop is not None else []
-    names = {(r.effect, r.joint) for r in rounds if r.reason == LATE}
-    keys = (key for key in map(key_of, known) if key is not None)
-    return frozenset(key for key in keys if (key[0], robot.name_of(key[1])) in names)
+    late_names = {
+        (entry.effect, entry.joint) for entry in rounds if entry.reason == LATE
+    }
+    late = set()
+    for effect in file_effects:
+        key = key_of(effect)
+        if key is not None and (key[0], robot.name_of(key[1])) in late_names:
+            late.add(key)
+    return frozenset(late)
 
 
-def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
-    """Try the effects that are found, the largest evidence first; return what is found at last.
+def _add_effects(loop: Refinement, investigation: Investigation) -> Investigation:
+    """Try the effects that are found, the largest evidence first.
 
     The same effect at several joints is one hypothesis and one round. What the stages
     had taken in of one that is added looks like a second effect, until they are
     identified without it: then the rest are judged anew. Before what is small, more is
     looked for, and so it is where a search ended because it may take no more terms.
     What lies above the low-pass at one setting is not tried at another.
+
+    Returns
+    -------
+    Investigation
+        The last one.
     """
-    tried, above = list[Candidate](), set[Key]()
-    rest, looked = [*map(effect_of, found.found.effects)], True
+    tried: list[Candidate] = []
+    unjudged_keys: set[Key] = set()
+    waiting = [effect_of(result) for result in investigation.selection.effects]
+    is_complete = True
     while True:
-        known = [*loop.model.candidates, *tried]
-        effects = [x for x in found.found.effects if effect_of(x).key not in above]
-        left = [x for x in effects if not any(map(effect_of(x).is_same_as, known))]
-        if not left:
+        # What is found, and is neither in the model nor has been tried.
+        earlier_effects = [*loop.model.candidates, *tried]
+        new_results = [
+            result
+            for result in investigation.selection.effects
+            if effect_of(result).key not in unjudged_keys
+            and not _is_among(effect_of(result), earlier_effects)
+        ]
+        if not new_results:
             break
         if loop.stopped:
-            loop.untried = _each_once([*map(effect_of, left), *rest])
+            new_effects = [effect_of(result) for result in new_results]
+            loop.untried = _each_once([*new_effects, *waiting])
             break
 
-        step("trying effects", loop.added, loop.added + max(len(left), len(rest)))
-        hypothesis = _one_hypothesis(left)
-        tried += map(effect_of, hypothesis)
-        rest = [other for other in rest if not any(map(other.is_same_as, tried))]
-        stages = loop.model.stages
-        decision = _decided(loop, found, hypothesis)
-        for taken, judgement, _ in decision.refused:
-            if judgement.unjudged and not judgement.gains:
-                above.add(effect_of(taken).key)
-        _write(loop, found, decision)
+        n_left = max(len(new_results), len(waiting))
+        step("trying effects", loop.added, loop.added + n_left)
+        hypothesis = _one_hypothesis(new_results)
+        tried += [effect_of(result) for result in hypothesis]
+        waiting = [effect for effect in waiting if not _is_among(effect, tried)]
+        stages_before = loop.model.stages
+        decision = _decided(loop, investigation, hypothesis)
+        for refusal in decision.refused:
+            if refusal.judgement.is_unjudged and not refusal.judgement.gains:
+                unjudged_keys.add(effect_of(refusal.result).key)
+        _write(loop, investigation, decision)
 
-        full = bool(decision.account.added) and len(found.model.terms) >= Options.most
-        ended = len(left) == len(hypothesis) and (full or not looked)
-        if loop.model.stages is not stages or ended:
-            model, material = loop.model, loop.material
-            asked = material.now(model), material.robot, model.stages, material.options
-            found, looked = investigate_beside(found, *asked, candidates=rest)
-            rest = [*map(effect_of, found.found.effects)] if looked else rest
-    return found
+        # More is looked for where the stages have changed, or the search had ended
+        # before its time.
+        n_terms = len(investigation.model.terms)
+        is_full = bool(decision.candidate_model.effects) and n_terms >= Options.most
+        was_last = len(new_results) == len(hypothesis)
+        if loop.model.stages is not stages_before or (
+            was_last and (is_full or not is_complete)
+        ):
+            investigation, is_complete = investigate_beside(
+                investigation,
+                loop.material.now(loop.model),
+                loop.material.robot,
+                loop.model.stages,
+                loop.material.options,
+                candidates=waiting,
+            )
+            if is_complete:
+                waiting = [
+                    effect_of(result) for result in investigation.selection.effects
+                ]
+    return investigation
 
 
-def _one_hypothesis(left: Sequence[Taken]) -> tuple[Taken, ...]:
-    """Return the effect of the largest evidence, at all joints at which it is found, once at each.
+def _is_among(effect: Candidate, candidates: Sequence[Candidate]) -> bool:
+    """Return whether an effect is the same as one of candidates."""
+    return any(effect.is_same_as(candidate) for candidate in candidates)
 
-    One of the whole arm stands by itself.
+
+def _one_hypothesis(results: Sequence[TermResult]) -> tuple[TermResult, ...]:
+    """Return the effect of the largest evidence, at all joints at which it is found.
+
+    It is there once at each. One of the whole arm stands by itself.
     """
-    ranked = sorted(left, key=lambda taken: -taken.evidence)
+    ranked = sorted(results, key=lambda result: -result.evidence)
     first = ranked[0]
     if first.term.joint is None:
         return (first,)
 
-    at_joint: dict[int, Taken] = {}
-    for taken in ranked:
-        if taken.term.name == first.term.name and taken.term.joint is not None:
-            at_joint.setdefault(taken.term.joint, taken)
+    at_joint: dict[int, TermResult] = {}
+    for result in ranked:
+        term = result.term
+        if term.name == first.term.name and term.joint is not None:
+            at_joint.setdefault(term.joint, result)
     return tuple(at_joint.values())
 
 
@@ -173,106 +257,151 @@ def _each_once(effects: Sequence[Candidate]) -> list[Candidate]:
     """Return effects without those that are the same as one before."""
     different: list[Candidate] = []
     for effect in effects:
-        if not any(map(effect.is_same_as, different)):
+        if not _is_among(effect, different):
             different.append(effect)
     return different
 
 
-def _write(loop: Refinement, found: Investigation, decision: Decision) -> None:
+def _write(loop: Refinement, investigation: Investigation, decision: Decision) -> None:
     """Write down what a round has added and what it has refused."""
-    account = decision.account
-    if account.added:
-        reason = LATE if account.kept else ALL_ALONG
+    added = decision.candidate_model
+    if added.effects:
+        reason = LATE if added.keeps_stages else ALL_ALONG
         number = loop.added + 1
         entries = [
-            _round(loop, found, taken, number=number, reason=reason)
-            for taken in account.taken
+            _round(loop, investigation, result, number=number, reason=reason)
+            for result in added.results
         ]
-        several = len(account.added) > 1
+        beside: list[Refitted] = []
+        if len(added.effects) > 1:
+            beside = [without.model for without in added.without_each]
         loop.steps.append(
             Step(
                 rounds=tuple(entries),
-                effects=account.added,
-                kept=account.kept,
-                model=account.model,
-                beside=(
-                    tuple(other.model for other in account.others) if several else ()
-                ),
+                effects=added.effects,
+                keeps_stages=added.keeps_stages,
+                model=added.model,
+                beside=tuple(beside),
             )
         )
-    for taken, _, reason in decision.refused:
-        loop.refused.append(_round(loop, found, taken, reason=reason))
+    for refusal in decision.refused:
+        entry = _round(loop, investigation, refusal.result, reason=refusal.reason)
+        loop.refused.append(entry)
 
 
 def quiet(
     logs: Sequence[Recording], events: Sequence[Interval]
 ) -> tuple[Recording, ...]:
-    """The logs with the events that were found in them marked as not to be used."""
+    """Return the logs with the events that were found in them marked as not valid."""
     valid = [log.valid.copy() for log in logs]
     for event in events:
-        t = logs[event.scene].t - logs[event.scene].t[0]
+        log = logs[event.scene]
+        t = log.t - log.t[0]
         valid[event.scene] &= (t < event.start) | (t > event.end)
-    return tuple(replace(log, valid=own) for log, own in zip(logs, valid, strict=True))
+    return tuple(
+        replace(log, valid=of_log) for log, of_log in zip(logs, valid, strict=True)
+    )
 
 
 def _decided(
-    loop: Refinement, found: Investigation, hypothesis: tuple[Taken, ...]
+    loop: Refinement,
+    investigation: Investigation,
+    hypothesis: tuple[TermResult, ...],
 ) -> Decision:
-    """Decide whether effects were there all along, or came late, and which of them are added.
+    """Decide when effects came, and which of them are added.
 
     What is in the file's own logs was there all along. Else the account holds that
     explains the logs of all stages better; without these the one that the base speaks
     for. Every stage again is costly, and not asked for where nothing speaks for it.
     """
-    candidates = tuple(map(effect_of, hypothesis))
-    # Beside a file that has absorbed nothing of them.
-    plain = tuple(replace(candidate, absorbed="") for candidate in candidates)
-    after = Account(loop=loop, taken=hypothesis, added=plain, kept=True)
-    early = Account(loop=loop, taken=hypothesis, added=candidates, kept=False)
-
-    hold, n = found.model.hold, found.ground.n
-    channels = frozenset[int]().union(*(taken.term.channels for taken in hypothesis))
-    loose = max(hold.rigid, *(hold.of(c % n) for c in channels)) > 1.0
-    # The base had to leave the file there.
-    freed = any(candidate.absorbed for candidate in candidates) or loose
-    if loop.material.known or (freed and not loop.logs_before):
-        return Decision.of(early)
-
-    had = [*loop.model.candidates, *candidates]
-    # What the model has not may have made up for the file there.
-    near = [x for x in found.found.taken if x.term.channels & channels]
-    made_up = any(
-        x.term.smooth or not any(map(effect_of(x).is_same_as, had)) for x in near
+    effects = tuple(effect_of(result) for result in hypothesis)
+    all_along_model = CandidateModel(
+        loop=loop, results=hypothesis, effects=effects, keeps_stages=False
     )
-    late = Decision.of(after)
-    if not (loop.logs_before and (late.account.added or freed or made_up)):
+    # Beside a file that has absorbed nothing of them.
+    late_model = CandidateModel(
+        loop=loop,
+        results=hypothesis,
+        effects=tuple(replace(effect, absorbed="") for effect in effects),
+        keeps_stages=True,
+    )
+
+    # Whether the base had to leave the file there.
+    channels = frozenset[int]().union(*(result.term.channels for result in hypothesis))
+    is_absorbed = any(effect.absorbed for effect in effects)
+    base_left_file = is_absorbed or _base_is_loose(investigation, channels)
+    if loop.material.known or (base_left_file and not loop.logs_before):
+        return Decision.of(all_along_model)
+
+    late = Decision.of(late_model)
+    if not loop.logs_before:
         return late
-    along = Decision.of(early)
-    if not late.account.added or not along.account.added:
+    speaks_for_all_along = (
+        late.candidate_model.effects
+        or base_left_file
+        or _others_make_up(loop, investigation, effects, channels)
+    )
+    if not speaks_for_all_along:
+        return late
+
+    all_along = Decision.of(all_along_model)
+    if late.candidate_model.effects and all_along.candidate_model.effects:
+        late_fit = late.candidate_model.model
+        all_along_fit = all_along.candidate_model.model
+    else:
         # Nothing to compare: the errors of both with all effects of the hypothesis
         # decide.
-        models = after.model, early.model
-    else:
-        models = late.account.model, along.account.model
-    errors = (loop.error_everywhere(model) for model in models)
-    return late if likelier(*errors) else along
+        late_fit = late_model.model
+        all_along_fit = all_along_model.model
+    is_late = likelier(
+        loop.error_everywhere(late_fit), loop.error_everywhere(all_along_fit)
+    )
+    return late if is_late else all_along
 
 
-def _predicted(taken: Taken) -> Gain:
-    """Share of the squared error on blocks that were left out, which the selection went by."""
-    return Gain(taken.one.predicted.share, *taken.one.predicted.interval)
+def _base_is_loose(investigation: Investigation, channels: frozenset[int]) -> bool:
+    """Return whether the evidence holds the base loosely at some channels' joints."""
+    hold = investigation.model.hold
+    n = investigation.ground.n
+    return max(hold.rigid, *(hold.of(channel % n) for channel in channels)) > 1.0
+
+
+def _others_make_up(
+    loop: Refinement,
+    investigation: Investigation,
+    effects: Sequence[Candidate],
+    channels: frozenset[int],
+) -> bool:
+    """Return whether terms that the model lacks may make up for the file there."""
+    model_effects = [*loop.model.candidates, *effects]
+    for result in investigation.selection.terms:
+        if not result.term.channels & channels:
+            continue
+        if result.term.smooth or not _is_among(effect_of(result), model_effects):
+            return True
+    return False
+
+
+def _training_gain(result: TermResult) -> Gain:
+    """Return the gain on left-out blocks that the selection went by."""
+    score = result.scored.score
+    low, high = score.interval
+    return Gain(value=score.share, low=low, high=high)
 
 
 def _round(
     loop: Refinement,
-    found: Investigation,
-    taken: Taken,
+    investigation: Investigation,
+    result: TermResult,
     *,
     number: int | None = None,
     reason: str,
 ) -> RefinementRound:
-    """Return what was tried, and what the decision rests on; refused without a `number`."""
-    robot, term, change = loop.material.robot, taken.term, _predicted(taken)
+    """Return what was tried and what the decision rests on; no number: refused."""
+    robot = loop.material.robot
+    term = result.term
+    change = _training_gain(result)
+    likely_names = () if term.smooth else named(result).others
     return RefinementRound(
         effect="unexplained" if term.smooth else term.name,
         joint=robot.name_of(term.joint),
@@ -281,27 +410,29 @@ def _round(
         training_gain=change.value,
         training_interval=change.limits,
         reason=reason,
-        evidence=evidence_of(found, robot, taken),
-        rivals=rivals_of(robot, taken, () if term.smooth else named(taken).others),
+        evidence=evidence_of(investigation, robot, result),
+        rivals=rivals_of(robot, result, likely_names),
     )
 
 
-def _add_smooth(loop: Refinement, found: Investigation) -> None:
+def _add_smooth(loop: Refinement, investigation: Investigation) -> None:
     """Add smooth terms of no known cause where they predict left-out blocks."""
-    for taken in found.found.smooth:
-        if not _predicted(taken).certain:
+    for result in investigation.selection.smooth:
+        if not _training_gain(result).certain:
             reason = "does not certainly predict left-out blocks better"
-            loop.refused.append(_round(loop, found, taken, reason=reason))
+            loop.refused.append(_round(loop, investigation, result, reason=reason))
             continue
 
-        what, model = taken.term.what, loop.model
-        assert isinstance(what, SmoothFunction)
-        term = what.fitted(taken.one.gained.coefficients[: what.size])
+        function = result.term.what
+        assert isinstance(function, SmoothFunction)
+        term = function.fitted(result.scored.fit.coefficients[: function.size])
+        entry = _round(loop, investigation, result, number=loop.added + 1, reason="")
+        model = loop.model
         loop.steps.append(
             Step(
-                rounds=(_round(loop, found, taken, number=loop.added + 1, reason=""),),
-                smooth=what,
-                kept=True,
+                rounds=(entry,),
+                smooth=function,
+                keeps_stages=True,
                 model=replace(model, effects=(*model.effects, term)),
             )
         )

@@ -1,4 +1,4 @@
-"""Terms that say that the file's values do not hold, judged beside a base that holds to the file.
+"""Changes of the file's values, judged beside a base that holds to the file.
 
 A change of friction, a torque constant or an offset has the form of the base itself. A
 base that may leave the file by thirty of its errors takes it up, and so do waves over a
@@ -23,9 +23,10 @@ from typing import TYPE_CHECKING
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.naming import TOLD, reality, shares_of, tempered
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Taken, Weighed
+from seqid_cli.discover.select.results import TermInModel, TermResult
 from seqid_cli.discover.select.search import Search
 from seqid_cli.discover.select.terms import Term
+from seqid_cli.discover.select.tuning import FittedTerm
 from seqid_cli.model.effects.registry import catalogue_of
 
 if TYPE_CHECKING:
@@ -36,22 +37,30 @@ MOST_ERRORS = 3.0  # of the file, by which its values may be off for want of sta
 OF_A_SET = 0.5
 
 
-class WeighedAgainstFile(Weighed):
-    """A term beside a base that leaves the file by its errors only, with and without the term."""
+class TermAgainstFile(TermInModel):
+    """A term beside a base that leaves the file by its errors only, or without it."""
 
     @cached_property
     def evidence(self) -> float:
         """Log evidence for it."""
         margin = self.model.margin(self.linear, MOST_ERRORS)
-        return min(self.one.predicted.total, margin)
+        return min(self.scored.score.total, margin)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValueChange:
-    """A change of the file's values that stands for several terms, or for a base that left it."""
+    """A change of the file's values that stands for several terms, or for a free base.
 
-    taken: Taken
-    instead_of: tuple[Term, ...]  # terms of the model that are not told beside it
+    Attributes
+    ----------
+    result : TermResult
+        The change.
+    instead_of : tuple of Term
+        Terms of the model that are not told beside it.
+    """
+
+    result: TermResult
+    instead_of: tuple[Term, ...]
 
 
 def held_to_file(model: Model, terms: Sequence[Term]) -> Model:
@@ -63,15 +72,15 @@ def held_to_file(model: Model, terms: Sequence[Term]) -> Model:
 
 
 def value_changes(
-    selection: Selection, told: Sequence[Taken], least: float
+    selection: Selection, told: Sequence[TermResult], least: float
 ) -> list[ValueChange]:
-    """Find the changes of values that are hidden by other terms, or by a base that left the file.
+    """Find the changes of values that other terms hide, or a base that left the file.
 
     Parameters
     ----------
     selection : Selection
         The finished one.
-    told : sequence of Taken
+    told : sequence of TermResult
         Terms that are told, each judged beside all others.
     least : float
         Probability from which a change is told.
@@ -81,31 +90,42 @@ def value_changes(
     list of ValueChange
         One per joint at most, and one for the whole arm.
     """
-    sure = [
-        taken.term for taken in told if reality(taken.share, taken.evidence) >= TOLD
+    sure_terms = [
+        result.term for result in told if reality(result.share, result.evidence) >= TOLD
     ]
     places = (None, *range(selection.model.ground.n))
-    found = [_at_place(selection, joint, sure, least) for joint in places]
-    return [change for change in found if change is not None]
+    changes = [_change_at(selection, joint, sure_terms, least) for joint in places]
+    return [change for change in changes if change is not None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """An effect that may be what has changed; `probability` among those that may be."""
+    """An effect that may be what has changed.
+
+    Attributes
+    ----------
+    term : Term
+        The effect.
+    probability : float
+        Among all that may be.
+    log_gain : float
+        In log predictive density, beside the file and by itself.
+    """
 
     term: Term
     probability: float
-    log_gain: float  # in log predictive density, beside the file and by itself
+    log_gain: float
 
 
 def causes_at(model: Model, joint: int, terms: Sequence[Term]) -> list[Cause]:
-    """Find the effects that may be what has changed at a joint, the most probable first.
+    """Find the effects that may be what has changed at a joint, the likeliest first.
 
     Parameters
     ----------
     model : Model
         The finished one.
     joint : int
+        Index of the joint.
     terms : sequence of Term
         What is known beside it.
 
@@ -115,63 +135,85 @@ def causes_at(model: Model, joint: int, terms: Sequence[Term]) -> list[Cause]:
         Each by itself beside a base that leaves the file by its errors only.
     """
     bare = held_to_file(model, terms)
-    known = tuple(catalogue_of(model.ground.stage.scenes[0].robot).values())
-    changes = [effect for effect in known if effect.change]
-    search = Search(bare, changes)
-    tried = [one for place in (joint, None) for one in search.effects_at(place, bare)]
-    able = [one for one in tried if one.evidence > 0.0 and joint in one.term.channels]
-    gains = bare.linear.predicted([one.term.part for one in able])
-    by_name = {one.term.name: gain for one, gain in zip(able, gains, strict=True)}
-    if not by_name:
+    catalogue = catalogue_of(model.ground.stage.scenes[0].robot).values()
+    search = Search(bare, [effect for effect in catalogue if effect.change])
+
+    possible: list[FittedTerm] = []
+    for place in (joint, None):
+        for fitted in search.effects_at(place, bare):
+            if fitted.evidence > 0.0 and joint in fitted.term.channels:
+                possible.append(fitted)
+    if not possible:
         return []
 
-    best = max(gain.total for gain in gains)
-    scale = tempered(best)
-    shares = shares_of({name: gain.drawn / scale for name, gain in by_name.items()})
+    scores = bare.linear.scores([fitted.term.part for fitted in possible])
+    score_of = {
+        fitted.term.name: score for fitted, score in zip(possible, scores, strict=True)
+    }
+    scale = tempered(max(score.total for score in scores))
+    probability_of = shares_of(
+        {name: score.drawn / scale for name, score in score_of.items()}
+    )
     causes = [
         Cause(
-            term=one.term,
-            probability=shares[one.term.name],
-            log_gain=by_name[one.term.name].total,
+            term=fitted.term,
+            probability=probability_of[fitted.term.name],
+            log_gain=score_of[fitted.term.name].total,
         )
-        for one in able
+        for fitted in possible
     ]
     likely = [cause for cause in causes if cause.probability > Options.doubt]
     return sorted(likely, key=lambda cause: -cause.probability)
 
 
-def _at_place(
-    selection: Selection, joint: int | None, sure: Sequence[Term], least: float
+def _change_at(
+    selection: Selection, joint: int | None, sure_terms: Sequence[Term], least: float
 ) -> ValueChange | None:
-    """The change of values at a joint (None: of the whole arm), if one may stand for all."""
+    """Return the change of values at a joint that stands for all its terms, if any.
+
+    With `joint` None it is one of the whole arm.
+    """
     model = selection.model
-    group = [term for term in model.terms if not term.smooth and term.joint == joint]
-    unsure = [term for term in group if term not in sure and not model.is_detail(term)]
+    at_place = [term for term in model.terms if not term.smooth and term.joint == joint]
+    unsure = [
+        term
+        for term in at_place
+        if term not in sure_terms and not model.is_detail(term)
+    ]
     scale = model.hold.rigid if joint is None else model.hold.of(joint)
-    beside_others = len(group) > 1 and any(term.change for term in group)
+    beside_others = len(at_place) > 1 and any(term.change for term in at_place)
     if scale <= MOST_ERRORS and not unsure and not beside_others:
         return None
 
     # What there is at the place by itself: in place of all, beside a base that holds to
     # the file.
-    others = [term for term in model.terms if term not in group]
-    bare = held_to_file(model, others)
+    elsewhere = [term for term in model.terms if term not in at_place]
+    bare = held_to_file(model, elsewhere)
     alone = [
-        one for one in selection.alone_at(joint, bare) if one.gained.evidence > 0.0
+        scored
+        for scored in selection.alone_at(joint, bare)
+        if scored.fit.log_bayes_factor > 0.0
     ]
-    changes = [one for one in alone if one.term.change and one.term.joint == joint]
+    changes = [
+        scored for scored in alone if scored.term.change and scored.term.joint == joint
+    ]
     if not changes:
         return None
+
+    # It stands for all where nothing does clearly better; or where none of the terms is
+    # sure by itself, if it has a good part of the best one's gain.
     first = changes[0]
     stands = selection.as_good(first, alone[0])
-    if not stands and len(unsure) == len(group):
-        best = max(one.predicted.total for one in alone if not one.term.smooth)
-        stands = first.predicted.total >= OF_A_SET * best
+    if not stands and len(unsure) == len(at_place):
+        best_gain = max(
+            scored.score.total for scored in alone if not scored.term.smooth
+        )
+        stands = first.score.total >= OF_A_SET * best_gain
     if not stands:
         return None
 
-    with_change = held_to_file(model, [*others, first.term])
-    weighed = WeighedAgainstFile(first.term, with_change)
-    if not selection.is_told(weighed, least):
+    with_change = held_to_file(model, [*elsewhere, first.term])
+    judged = TermAgainstFile(first.term, with_change)
+    if not selection.is_told(judged, least):
         return None
-    return ValueChange(taken=selection.taken_of(weighed), instead_of=tuple(unsure))
+    return ValueChange(result=selection.result_of(judged), instead_of=tuple(unsure))

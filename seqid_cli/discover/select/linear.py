@@ -1,4 +1,4 @@
-"""A Gaussian linear model of all rows, its evidence, and how well it predicts blocks left out.
+"""A Gaussian linear model of all rows, its evidence, and scores on left-out blocks.
 
 Rows y of a channel (a joint's torque below the cut-off, or above it) are
 
@@ -16,6 +16,9 @@ of the base is a block as well: a base that is free enough takes up a constant e
 the price of leaving the file, and E - E without the file is what the term saves of it.
 Of an effect that was there when the file was identified the file has R a in its base:
 theta + R a ~ N(0, P^-1) then, which couples the two.
+
+In the code A is B'wB, b is B'wy and C is B'wX. In shapes, p is the number of parameters
+theta, m that of the columns of all terms that are tried together, k that of one term.
 """
 
 from __future__ import annotations
@@ -23,414 +26,565 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise, repeat
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 
 from seqid_cli.discover.select import algebra
-from seqid_cli.discover.select.rows import Gained, Part, Predicted, Rows
+from seqid_cli.discover.select.rows import ColumnGroup, Observations, Score, TermFit
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Index
 
 BATCH = 200  # terms that are tried at once
-Solved = tuple[algebra.Factor, Array]  # factor and parameters (p,)
 
 
-class Linear:
-    """Parts of a model, fitted to rows of precision `weight` (M_c,) [1 / (N m)^2] by channel."""
+class _Solution(NamedTuple):
+    """A Cholesky factor of the scaled M, and the parameters theta (p,)."""
+
+    factor: algebra.Factor
+    theta: Array
+
+
+@dataclass(frozen=True)
+class _ChannelColumns:
+    """The base's columns at one channel.
+
+    Attributes
+    ----------
+    index : (p_c,) index array
+        The parameters that the channel knows.
+    groups : list of (M_c, .) arrays
+        Their columns, group by group.
+    """
+
+    index: Index
+    groups: list[Array]
+
+
+class LinearModel:
+    """Groups of columns, fitted to rows.
+
+    Parameters
+    ----------
+    rows : Observations
+        What is to be explained.
+    parts : sequence of ColumnGroup
+        What explains it.
+    weight : sequence of (M_c,) arrays
+        By channel, the precision w of each row [1 / (N m)^2].
+
+    Attributes
+    ----------
+    where : list of slice
+        The place of each group in theta.
+    size : int
+        Number p of parameters.
+    """
 
     def __init__(
-        self, rows: Rows, parts: Sequence[Part], weight: Sequence[Array]
+        self,
+        rows: Observations,
+        parts: Sequence[ColumnGroup],
+        weight: Sequence[Array],
     ) -> None:
-        self.rows, self.parts, self.weight = rows, tuple(parts), tuple(weight)
+        self.rows = rows
+        self.parts = tuple(parts)
+        self.weight = tuple(weight)
         self.where = _slices(part.size for part in self.parts)
         self.size = sum(part.size for part in self.parts)
-        self._own = list(map(self._of_channel, range(len(rows.y))))
-        self._known: dict[int, tuple[Gained, Predicted]] = {}  # by parts of the model
+        self._columns = [self._of_channel(channel) for channel in range(len(rows.y))]
+        # of the model's own groups, by their identity
+        self._rescored: dict[int, tuple[TermFit, Score]] = {}
+
+    # ---- columns and priors
 
     @cached_property
     def _root(self) -> list[Array]:
+        """Square roots (M_c,) of the weights, by channel."""
         return [np.sqrt(w) for w in self.weight]
 
     @cached_property
-    def _y(self) -> list[Array]:
+    def _scaled_y(self) -> list[Array]:
+        """Rows (M_c,) of unit noise, by channel."""
         return [y * root for y, root in zip(self.rows.y, self._root, strict=True)]
 
-    def without(self, *gone: Part) -> Linear:
-        """The model without some of its parts; the products of all rows are taken on."""
-        kept = [
-            k
-            for k, part in enumerate(self.parts)
-            if not any(part is one for one in gone)
+    def without(self, *removed: ColumnGroup) -> LinearModel:
+        """Return the model without some of its groups.
+
+        The products of all rows are taken on, so that it costs next to nothing.
+        """
+        removed_ids = {id(group) for group in removed}
+        staying = [
+            number
+            for number, part in enumerate(self.parts)
+            if id(part) not in removed_ids
         ]
-        index = np.concatenate([np.arange(self.size)[self.where[k]] for k in kept])
+        parameters = np.arange(self.size)
+        index = np.concatenate([parameters[self.where[number]] for number in staying])
         A, b = self.sums
-        fewer = Linear(self.rows, [self.parts[k] for k in kept], self.weight)
-        fewer.sums = A[np.ix_(index, index)], b[index]
-        return fewer
+        smaller = LinearModel(
+            self.rows, [self.parts[number] for number in staying], self.weight
+        )
+        smaller.sums = A[np.ix_(index, index)], b[index]
+        return smaller
 
-    def _of_channel(self, channel: int) -> tuple[Index, list[Array]]:
-        """Parameters (p_c,) that a channel knows, and its columns (M_c, .), part by part."""
-        here = [
-            (
-                np.arange(where.start, where.stop)[part.at(channel)],
-                part.columns[channel],
-            )
-            for part, where in zip(self.parts, self.where, strict=True)
-            if channel in part.columns
-        ]
-        index = np.concatenate([np.zeros(0, dtype=np.intp), *(own for own, _ in here)])
-        return index, [columns for _, columns in here]
+    def _of_channel(self, channel: int) -> _ChannelColumns:
+        index = [np.zeros(0, dtype=np.intp)]
+        groups = []
+        for part, where in zip(self.parts, self.where, strict=True):
+            if channel in part.columns:
+                of_part = np.arange(where.start, where.stop)
+                index.append(of_part[part.at(channel)])
+                groups.append(part.columns[channel])
+        return _ChannelColumns(index=np.concatenate(index), groups=groups)
 
-    def _blocks(self, *, file: bool = True) -> Array:
-        """Precision (p, p) beforehand of what is `held`, with or without what the file says."""
+    def _held_precision(self, *, file: bool = True) -> Array:
+        """Return the precision (p, p) of what is `held`, with or without the file's."""
         P = np.zeros((self.size, self.size))
         for part, where in zip(self.parts, self.where, strict=True):
-            P[where, where] = (
-                part.precision if file or part.apart is None else part.apart
-            )
+            precision = part.precision
+            if not file and part.precision_without_file is not None:
+                precision = part.precision_without_file
+            P[where, where] = precision
         return P
 
-    def in_file(self, part: Part) -> Array:
-        """Parameters (p, k) that the file has per unit of a part's coefficients."""
+    def in_file(self, part: ColumnGroup) -> Array:
+        """Return the parameters R (p, k) that the file has per unit of coefficients."""
         R = np.zeros((self.size, part.size))
-        for number, own in part.in_file.items():
+        for number, of_group in part.absorbed_by_file.items():
             first = self.where[number].start
-            R[first : first + len(own), : own.shape[1]] = own
+            R[first : first + len(of_group), : of_group.shape[1]] = of_group
         return R
 
     @cached_property
     def lift(self) -> Array:
-        """The matrix (p, p) that makes of parameters what is held: they and what the file has."""
+        """Matrix (p, p) that adds to the parameters what the file has absorbed."""
         U = np.eye(self.size)
         for part, where in zip(self.parts, self.where, strict=True):
-            if part.in_file:
+            if part.absorbed_by_file:
                 U[:, where] += self.in_file(part)
         return U
 
     @property
     def held(self) -> Array:
-        """Parameters (p,) and what the file has absorbed of terms, which are held to the file."""
+        """Parameters (p,) that are held to the file: with what it has absorbed."""
         return np.asarray(self.lift @ self.theta)
 
-    def _coupled(self, held: Array) -> Array:
-        """Precision (p, p) of the parameters, from that of what is held."""
-        coupled = any(part.in_file for part in self.parts)
-        return np.asarray(self.lift.T @ held @ self.lift) if coupled else held
+    def _coupled(self, held_precision: Array) -> Array:
+        """Return the precision (p, p) of the parameters from that of what is held."""
+        if not any(part.absorbed_by_file for part in self.parts):
+            return held_precision
+        return np.asarray(self.lift.T @ held_precision @ self.lift)
 
     @cached_property
     def prior(self) -> Array:
-        """Precision (p, p) of all parameters beforehand."""
-        return self._coupled(self._blocks())
+        """Precision P (p, p) of all parameters beforehand."""
+        return self._coupled(self._held_precision())
+
+    # ---- the fit
 
     def _sums_of(self, rows: Sequence[slice]) -> tuple[Array, Array]:
-        """B'wB (p, p) and B'wy (p,) of some rows of every channel."""
-        A, b = np.zeros((self.size, self.size)), np.zeros(self.size)
-        for (index, columns), root, y, at in zip(
-            self._own, self._root, self._y, rows, strict=True
+        """Return A (p, p) and b (p,) of some rows of every channel."""
+        A = np.zeros((self.size, self.size))
+        b = np.zeros(self.size)
+        for columns, root, y, at in zip(
+            self._columns, self._root, self._scaled_y, rows, strict=True
         ):
-            B = _times(root[at], [own[at] for own in columns])
+            index = columns.index
+            B = _weighted(root[at], [group[at] for group in columns.groups])
             A[np.ix_(index, index)] += B.T @ B
             b[index] += B.T @ y[at]
         return A, b
 
     @cached_property
     def sums(self) -> tuple[Array, Array]:
-        """The same of all rows."""
-        return self._sums_of([slice(None)] * len(self._own))
+        """Products A (p, p) and b (p,) of all rows."""
+        return self._sums_of([slice(None)] * len(self._columns))
 
     @cached_property
     def _scale(self) -> Array:
         return algebra.scale_of(np.diag(self.prior) + np.diag(self.sums[0]))
 
-    def _fit(self, A: Array, b: Array) -> Solved:
-        """Factor and solution (p,) from B'wB and B'wy."""
+    def _fit(self, A: Array, b: Array) -> _Solution:
         factor = algebra.factored((A + self.prior) * np.outer(self._scale, self._scale))
-        return factor, self._solved(factor, b)
+        return _Solution(factor=factor, theta=self._solved(factor, b))
 
     def _solved(self, factor: algebra.Factor, right: Array) -> Array:
+        """Return M^-1 right, for a vector (p,) or columns (p, k)."""
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
         return np.asarray(cho_solve(factor, right * scale, check_finite=False) * scale)
 
     def _halved(self, factor: algebra.Factor, right: Array) -> Array:
-        """R^-T right (p, k) of a factor R: the square of it is right' M^-1 right."""
+        """Return R^-T right (p, k) of a factor R: its square is right' M^-1 right."""
         scaled = right * self._scale[:, None]
         return np.asarray(
             solve_triangular(factor[0], scaled, trans="T", check_finite=False)
         )
 
     @cached_property
-    def _whole(self) -> Solved:
+    def _all_rows(self) -> _Solution:
         return self._fit(*self.sums)
 
     @cached_property
-    def _without(self) -> list[Solved]:
-        """Factor and solution (p,) without each block."""
+    def _without_block(self) -> list[_Solution]:
+        """Solution without each block."""
         A, b = self.sums
-        blocks = map(self._sums_of, zip(*self.rows.at, strict=True))
-        return [self._fit(A - own_A, b - own_b) for own_A, own_b in blocks]
+        solutions = []
+        for block_rows in zip(*self.rows.block_slices, strict=True):
+            A_block, b_block = self._sums_of(block_rows)
+            solutions.append(self._fit(A - A_block, b - b_block))
+        return solutions
 
     @cached_property
-    def _without_file(self) -> Solved:
-        """Factor and solution (p,) without what the parameter file says."""
+    def _without_file(self) -> _Solution:
+        """Solution without what the parameter file says."""
         A, b = self.sums
-        return self._fit(A + self._coupled(self._blocks(file=False)) - self.prior, b)
+        # `_fit` adds the prior with the file, which is taken off here.
+        prior_without_file = self._coupled(self._held_precision(file=False))
+        return self._fit(A + prior_without_file - self.prior, b)
 
     @property
     def theta(self) -> Array:
         """Parameters (p,) given all rows."""
-        return self._whole[1]
+        return self._all_rows.theta
 
     @cached_property
     def covariance(self) -> Array:
         """Covariance (p, p) of `theta`."""
-        return self._solved(self._whole[0], np.eye(self.size))
+        return self._solved(self._all_rows.factor, np.eye(self.size))
 
-    def _at(self, part: Part) -> slice:
-        return next(w for p, w in zip(self.parts, self.where, strict=True) if p is part)
+    def _place_of(self, part: ColumnGroup) -> slice:
+        return next(
+            where
+            for group, where in zip(self.parts, self.where, strict=True)
+            if group is part
+        )
 
     def jackknife(self, at: slice) -> Array:
-        """Covariance (k, k) of some of `theta`, from leaving out each block."""
-        values = np.array([theta[at] for _, theta in self._without])
-        off = values - values.mean(axis=0)
-        return np.asarray((1.0 - 1.0 / len(values)) * off.T @ off)
+        """Return the covariance (k, k) of some of `theta` by leaving out each block."""
+        values = np.array([solution.theta[at] for solution in self._without_block])
+        deviation = values - values.mean(axis=0)
+        return np.asarray((1.0 - 1.0 / len(values)) * deviation.T @ deviation)
 
-    def again(self, part: Part) -> tuple[Gained, Predicted]:
-        """What a part of the model does beside all others, as it was tried before it was taken.
+    @cached_property
+    def evidence(self) -> float:
+        """Log density of the rows, their weights' part aside."""
+        factor, theta = self._all_rows
+        scaled = self._held_precision() * np.outer(self._scale, self._scale)
+        prior_log_det = sum(
+            algebra.half_log_det(algebra.factored(scaled[at, at])) for at in self.where
+        )
+        square = sum(float(y @ y) for y in self._scaled_y)
+        explained = float(self.sums[1] @ theta)
+        return 0.5 * (explained - square) - algebra.half_log_det(factor) + prior_log_det
+
+    # ---- what the model leaves
+
+    def residual(self) -> list[Array]:
+        """Return what is left (M_c,) N m of every channel."""
+        return [
+            self._left(channel, slice(None), self.theta)
+            for channel in range(len(self._scaled_y))
+        ]
+
+    @cached_property
+    def left_out(self) -> list[Array]:
+        """What is left (M_c,) N m of every block by a fit to all others, by channel."""
+        thetas = [solution.theta for solution in self._without_block]
+        by_channel = []
+        for channel, block_rows in enumerate(self.rows.block_slices):
+            parts = [
+                self._left(channel, rows, theta)
+                for rows, theta in zip(block_rows, thetas, strict=True)
+            ]
+            by_channel.append(np.concatenate(parts))
+        return by_channel
+
+    def torque_beside_file(self, part: ColumnGroup, channel: int) -> Array:
+        """Return the torque (M_c,) N m of a group less what the file has absorbed."""
+        where = self._place_of(part)
+        theta = -self.in_file(part) @ self.theta[where]
+        theta[where] = self.theta[where]
+        return self.rows.y[channel] - self._left(channel, slice(None), theta)
+
+    def _left(self, channel: int, rows: slice, theta: Array) -> Array:
+        columns = self._columns[channel]
+        residual = self.rows.y[channel][rows].copy()
+        first = 0
+        for group in columns.groups:
+            stop = first + group.shape[1]
+            residual -= group[rows] @ theta[columns.index[first:stop]]
+            first = stop
+        return residual
+
+    # ---- groups that the model has
+
+    def again(self, part: ColumnGroup) -> tuple[TermFit, Score]:
+        """Return fit and score of a group of the model, as if it were to be added.
 
         The log Bayes factor is the density of its coefficients at zero, beforehand over
         given the rows (Savage's ratio: J. M. Dickey, Annals of Mathematical Statistics
         42, 1971).
         """
-        if id(part) not in self._known:
-            at = self._at(part)
-            solved = [
-                (theta[at], self._solved(factor, np.eye(self.size)[:, at])[at])
-                for factor, theta in (self._whole, self._without_file, *self._without)
-            ]
-            value, alone, *others = (
-                algebra.taken_back(a, S, part.precision) for a, S in solved
-            )
-            rows, (a, S) = (
-                self.rows.independent[sorted(part.columns)].sum(axis=0),
-                solved[0],
-            )
-            seen = np.trace(np.linalg.inv(S) - part.precision)
-            visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
-            told = Predicted(value - np.array(others), rows, value - alone)
-            self._known[id(part)] = Gained(value, a, S, max(visible, 0.0)), told
-        return self._known[id(part)]
+        if id(part) not in self._rescored:
+            self._rescored[id(part)] = self._fit_and_score_of(part)
+        return self._rescored[id(part)]
 
-    def varied(self, part: Part, *, spread: float = 0.3) -> float:
-        """Log evidence that a part has another size in every block, by a share of `spread`."""
-        at, blocks = self._at(part), self.rows.blocks
-        C, D, d = np.zeros((self.size, blocks)), np.zeros(blocks), np.zeros(blocks)
-        for c in part.columns:
-            (index, known), torque = self._own[c], part.torque(c, self.theta[at])
-            weighted, left = (
-                torque * self.weight[c],
-                self._left(c, slice(None), self.theta),
-            )
-            for k, rows in enumerate(self.rows.at[c]):
-                C[index, k] += np.concatenate(
-                    [own[rows].T @ weighted[rows] for own in known]
+    def _fit_and_score_of(self, part: ColumnGroup) -> tuple[TermFit, Score]:
+        at = self._place_of(part)
+        unit = np.eye(self.size)[:, at]
+
+        def estimate(solution: _Solution) -> tuple[Array, Array]:
+            """Return coefficients (k,) and their covariance (k, k)."""
+            return solution.theta[at], self._solved(solution.factor, unit)[at]
+
+        def log_bayes_factor(solution: _Solution) -> float:
+            a, S = estimate(solution)
+            return algebra.taken_back(a, S, part.precision)
+
+        log_factor = log_bayes_factor(self._all_rows)
+        log_factor_without_file = log_bayes_factor(self._without_file)
+        without_block = np.array([log_bayes_factor(x) for x in self._without_block])
+
+        a, S = estimate(self._all_rows)
+        unexplained = np.trace(np.linalg.inv(S) - part.precision)
+        square = max(float(np.trace(self.sums[0][at, at])), 1e-300)
+        fit = TermFit(
+            log_bayes_factor=log_factor,
+            coefficients=a,
+            covariance=S,
+            visible_share=max(float(unexplained / square), 0.0),
+        )
+        score = Score(
+            block_gains=log_factor - without_block,
+            rows=self._independent_rows(part),
+            file_gain=log_factor - log_factor_without_file,
+        )
+        return fit, score
+
+    def _independent_rows(self, part: ColumnGroup) -> Array:
+        """Return the number (blocks,) of independent rows at a group's channels."""
+        return np.asarray(self.rows.independent[sorted(part.columns)].sum(axis=0))
+
+    def varied(self, part: ColumnGroup, *, spread: float = 0.3) -> float:
+        """Return the log evidence that a group has another size in every block.
+
+        The sizes differ by a share of `spread` (standard deviation).
+        """
+        at = self._place_of(part)
+        n_blocks = self.rows.blocks
+        C = np.zeros((self.size, n_blocks))
+        D = np.zeros(n_blocks)
+        d = np.zeros(n_blocks)
+        for channel in part.columns:
+            columns = self._columns[channel]
+            torque = part.torque(channel, self.theta[at])
+            weighted = torque * self.weight[channel]
+            residual = self._left(channel, slice(None), self.theta)
+            for block, rows in enumerate(self.rows.block_slices[channel]):
+                C[columns.index, block] += np.concatenate(
+                    [group[rows].T @ weighted[rows] for group in columns.groups]
                 )
-                D[k] += torque[rows] @ weighted[rows]
-                d[k] += left[rows] @ weighted[rows]
-        Z = self._halved(self._whole[0], C)
-        return float(
-            algebra.bayes_factor(np.diag(D) - Z.T @ Z, d, np.eye(blocks) / spread**2)[0]
+                D[block] += torque[rows] @ weighted[rows]
+                d[block] += residual[rows] @ weighted[rows]
+
+        Z = self._halved(self._all_rows.factor, C)
+        factors = algebra.bayes_factor(
+            np.diag(D) - Z.T @ Z, d, np.eye(n_blocks) / spread**2
         )
+        return float(factors.log_factor)
 
-    @cached_property
-    def evidence(self) -> float:
-        """Log density of the rows, their weights' part aside."""
-        factor, theta = self._whole
-        scaled = self._blocks() * np.outer(self._scale, self._scale)
-        before = sum(
-            algebra.half_log_det(algebra.factored(scaled[at, at])) for at in self.where
-        )
-        square = sum(float(y @ y) for y in self._y)
-        return (
-            0.5 * (float(self.sums[1] @ theta) - square)
-            - algebra.half_log_det(factor)
-            + before
-        )
+    # ---- terms that the model does not have
 
-    def residual(self) -> list[Array]:
-        """What is left (M_c,) N m of every channel."""
-        return [self._left(c, slice(None), self.theta) for c in range(len(self._y))]
-
-    @cached_property
-    def left_out(self) -> list[Array]:
-        """The same of every block where the model is fitted to all others."""
-        fits, every = [theta for _, theta in self._without], enumerate(self.rows.at)
-        return [
-            np.concatenate([*map(self._left, repeat(c), at, fits)]) for c, at in every
-        ]
-
-    def torque_beside_file(self, part: Part, channel: int) -> Array:
-        """Torque (M_c,) N m of a part at a channel less what the file has absorbed of it."""
-        own = self._at(part)
-        theta = -self.in_file(part) @ self.theta[own]
-        theta[own] = self.theta[own]
-        return self.rows.y[channel] - self._left(channel, slice(None), theta)
-
-    def _left(self, channel: int, at: slice, theta: Array) -> Array:
-        index, columns = self._own[channel]
-        left, first = self.rows.y[channel][at].copy(), 0
-        for own in columns:
-            left -= own[at] @ theta[index[first : first + own.shape[1]]]
-            first += own.shape[1]
-        return left
-
-    def gained(self, terms: Sequence[Part]) -> list[Gained]:
-        """Try each term by itself."""
-        found = []
+    def fits(self, terms: Sequence[ColumnGroup]) -> list[TermFit]:
+        """Fit each term by itself beside the model."""
+        every_row = [(slice(0, len(y)),) for y in self._scaled_y]
+        fits: list[TermFit] = []
         for first in range(0, len(terms), BATCH):
-            every = [(slice(0, len(y)),) for y in self._y]
-            crossed = self._crossed(terms[first : first + BATCH], every)
-            found += self._given(self._whole, crossed, self._with_file(crossed))
-        return found
+            crossed = self._crossed(terms[first : first + BATCH], every_row)
+            with_file = self._coupled_products(crossed)
+            fits += self._fits_beside(self._all_rows, crossed, with_file)
+        return fits
 
-    def predicted(self, terms: Sequence[Part]) -> list[Predicted]:
-        """Try each term by itself on every block, all fitted to the other blocks."""
+    def scores(self, terms: Sequence[ColumnGroup]) -> list[Score]:
+        """Score each term by itself on every block, all fitted to the other blocks."""
         if not terms:
             return []
-        crossed = self._crossed(terms, self.rows.at)
-        told, apart = (self._with_file(crossed, file=x) for x in (True, False))
-        every = self._given(self._whole, crossed, told)
-        alone = self._given(self._without_file, crossed, apart)
-        (C, whole), (_, d, _) = told, crossed.whole
-        # of the columns, by the base without a block
-        seen = [np.empty_like(D) for D in crossed.D]
-        left = np.empty_like(crossed.d)
-        for k, (factor, theta) in enumerate(self._without):
-            rest = C - crossed.C[k]
-            Z, left[k] = self._halved(factor, rest), d - crossed.d[k] - rest.T @ theta
-            for S, at in zip(seen, crossed.where, strict=True):
-                S[k] = Z[:, at].T @ Z[:, at]
-        rows, found = self.rows.independent, list[Predicted]()
-        for i, (term, at, own) in enumerate(
-            zip(terms, crossed.where, crossed.D, strict=True)
-        ):
-            others = algebra.bayes_factor(
-                whole[i] - own - seen[i], left[:, at], term.precision
-            )[0]
-            density, here = (
-                every[i].evidence - others,
-                rows[sorted(term.columns)].sum(axis=0),
-            )
-            found.append(
-                Predicted(density, here, every[i].evidence - alone[i].evidence)
-            )
-        return found
 
-    def _with_file(
-        self, crossed: _Crossed, *, file: bool = True
-    ) -> tuple[Array, list[Array]]:
-        """C (p, m) and D (k, k) of all blocks and of what is held, with or without the file."""
-        C, _, whole = crossed.whole
-        if not any(term.in_file for term in crossed.terms):
-            return C, whole
+        crossed = self._crossed(terms, self.rows.block_slices)
+        with_file = self._coupled_products(crossed)
+        without_file = self._coupled_products(crossed, file=False)
+        fits = self._fits_beside(self._all_rows, crossed, with_file)
+        fits_without_file = self._fits_beside(self._without_file, crossed, without_file)
+
+        # What the base, fitted without a block, explains of columns and of rows.
+        explained = [np.empty_like(D) for D in crossed.D]
+        residual_product = np.empty_like(crossed.d)
+        d = crossed.total.d
+        for block, (factor, theta) in enumerate(self._without_block):
+            C = with_file.C - crossed.C[block]
+            Z = self._halved(factor, C)
+            residual_product[block] = d - crossed.d[block] - C.T @ theta
+            for of_term, at in zip(explained, crossed.where, strict=True):
+                of_term[block] = Z[:, at].T @ Z[:, at]
+
+        scores = []
+        for number, term in enumerate(crossed.terms):
+            at = crossed.where[number]
+            without_block = algebra.bayes_factor(
+                with_file.D[number] - crossed.D[number] - explained[number],
+                residual_product[:, at],
+                term.precision,
+            )
+            log_factor = fits[number].log_bayes_factor
+            scores.append(
+                Score(
+                    block_gains=log_factor - without_block.log_factor,
+                    rows=self._independent_rows(term),
+                    file_gain=log_factor - fits_without_file[number].log_bayes_factor,
+                )
+            )
+        return scores
+
+    def _coupled_products(self, crossed: _Crossed, *, file: bool = True) -> _Products:
+        """Return the products of all blocks and of what is held to the file.
+
+        Without `file` what the parameter file says is left out.
+        """
+        C = crossed.total.C
+        D = crossed.total.D
+        if not any(term.absorbed_by_file for term in crossed.terms):
+            return _Products(C=C, D=D)
+
         R = np.hstack([self.in_file(term) for term in crossed.terms])
-        PR = self._blocks(file=file) @ R
-        own = [
-            D + R[:, at].T @ PR[:, at]
-            for D, at in zip(whole, crossed.where, strict=True)
+        PR = self._held_precision(file=file) @ R
+        D_coupled = [
+            of_term + R[:, at].T @ PR[:, at]
+            for of_term, at in zip(D, crossed.where, strict=True)
         ]
-        return C + self.lift.T @ PR, own
+        return _Products(C=C + self.lift.T @ PR, D=D_coupled)
 
-    def _given(
-        self, solved: Solved, crossed: _Crossed, told: tuple[Array, list[Array]]
-    ) -> list[Gained]:
-        """What each term by itself does to a solved model, with the products C and D."""
-        (factor, theta), (C, coupled), (_, d, whole) = solved, told, crossed.whole
-        Z, left = self._halved(factor, C), d - C.T @ theta
-        found = []
-        for term, at, D, own in zip(
-            crossed.terms, crossed.where, coupled, whole, strict=True
+    def _fits_beside(
+        self, solution: _Solution, crossed: _Crossed, products: _Products
+    ) -> list[TermFit]:
+        """Return what each term by itself does to a solved model."""
+        Z = self._halved(solution.factor, products.C)
+        residual_product = crossed.total.d - products.C.T @ solution.theta
+        fits = []
+        for term, at, D, D_rows in zip(
+            crossed.terms, crossed.where, products.D, crossed.total.D, strict=True
         ):
             S = D - Z[:, at].T @ Z[:, at]
-            value, a, covariance = algebra.bayes_factor(S, left[at], term.precision)
-            visible = float(np.trace(S) / max(float(np.trace(own)), 1e-300))
-            found.append(Gained(float(value), a, covariance, max(visible, 0.0)))
-        return found
+            factors = algebra.bayes_factor(S, residual_product[at], term.precision)
+            visible = float(np.trace(S) / max(float(np.trace(D_rows)), 1e-300))
+            fits.append(
+                TermFit(
+                    log_bayes_factor=float(factors.log_factor),
+                    coefficients=factors.coefficients,
+                    covariance=factors.covariance,
+                    visible_share=max(visible, 0.0),
+                )
+            )
+        return fits
 
     def _crossed(
-        self, terms: Sequence[Part], at: Sequence[Sequence[slice]]
+        self, terms: Sequence[ColumnGroup], rows: Sequence[Sequence[slice]]
     ) -> _Crossed:
-        """Products of terms with all else, over some slices of each channel's rows."""
+        """Return products of terms with all else, over slices of each channel's rows.
+
+        Terms with the same columns share their products: these take most of the time.
+        """
         where = _slices(term.size for term in terms)
-        count, wide = len(at[0]), where[-1].stop
-        C, d = np.zeros((count, self.size, wide)), np.zeros((count, wide))
-        D = [np.zeros((count, term.size, term.size)) for term in terms]
-        first = dict[tuple[int, ...], int]()  # one of the terms with the same columns
+        n_slices = len(rows[0])
+        n_columns = where[-1].stop
+        C = np.zeros((n_slices, self.size, n_columns))
+        d = np.zeros((n_slices, n_columns))
+        D = [np.zeros((n_slices, term.size, term.size)) for term in terms]
+
+        # The first of the terms with the same columns, for every term.
+        first_of = dict[tuple[int, ...], int]()
         keys = [(term.size, *map(id, term.columns.values())) for term in terms]
-        same = [first.setdefault(key, i) for i, key in enumerate(keys)]
-        for c, (index, known) in enumerate(self._own):
-            here = [i for i in first.values() if c in terms[i].columns]
-            if not here:
+        original = [first_of.setdefault(key, i) for i, key in enumerate(keys)]
+
+        for channel, base in enumerate(self._columns):
+            present = [i for i in first_of.values() if channel in terms[i].columns]
+            if not present:
                 continue
-            places = [
-                np.arange(where[i].start, where[i].stop)[terms[i].at(c)] for i in here
-            ]
-            columns, edge = (
-                np.concatenate(places),
-                np.cumsum([len(own) for own in places])[:-1],
-            )
-            square = np.ix_(index, columns)
-            for k, rows in enumerate(at[c]):
-                for part in tiles(rows.stop, rows.start):
-                    every = [terms[i].columns[c][part] for i in here]
-                    wX = _times(self.weight[c][part], every)
-                    if known:  # none above a cut-off
-                        C[k][square] += np.vstack([B[part].T @ wX for B in known])
-                    d[k, columns] += self.rows.y[c][part] @ wX
-                    for i, X, own in zip(
-                        here, every, np.split(wX, edge, axis=1), strict=True
-                    ):
-                        at_c = terms[i].at(c)
-                        D[i][k, at_c, at_c] += X.T @ own
-        for i, other in ((i, other) for i, other in enumerate(same) if other != i):
-            C[:, :, where[i]], d[:, where[i]] = (
-                C[:, :, where[other]],
-                d[:, where[other]],
-            )
-            D[i] = D[other]
-        return _Crossed(terms, where, C, d, D)
+            places = []
+            for i in present:
+                of_term = np.arange(where[i].start, where[i].stop)
+                places.append(of_term[terms[i].at(channel)])
+            columns = np.concatenate(places)
+            edges = np.cumsum([len(place) for place in places])[:-1]
+            block = np.ix_(base.index, columns)
+
+            for k, in_slice in enumerate(rows[channel]):
+                for tile in tiles(in_slice.stop, in_slice.start):
+                    X_each = [terms[i].columns[channel][tile] for i in present]
+                    wX = _weighted(self.weight[channel][tile], X_each)
+                    if base.groups:  # none above a cut-off
+                        C[k][block] += np.vstack([B[tile].T @ wX for B in base.groups])
+                    d[k, columns] += self.rows.y[channel][tile] @ wX
+                    wX_each = np.split(wX, edges, axis=1)
+                    for i, X, wX_of_term in zip(present, X_each, wX_each, strict=True):
+                        at = terms[i].at(channel)
+                        D[i][k, at, at] += X.T @ wX_of_term
+
+        for i, first in enumerate(original):
+            if i != first:
+                C[:, :, where[i]] = C[:, :, where[first]]
+                d[:, where[i]] = d[:, where[first]]
+                D[i] = D[first]
+        return _Crossed(terms=terms, where=where, C=C, d=d, D=D)
 
 
-@dataclass(frozen=True)
+class _Products(NamedTuple):
+    """Products C (p, m) of terms with the base, and D (k, k) of each with itself."""
+
+    C: Array
+    D: list[Array]
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Crossed:
-    """Products of terms with the model's columns, the rows and themselves, block by block."""
+    """Products of terms with the model's columns, the rows and themselves, by block."""
 
-    terms: Sequence[Part]
+    terms: Sequence[ColumnGroup]
     where: list[slice]
     C: Array  # (blocks, p, m)
     d: Array  # (blocks, m)
     D: list[Array]  # (blocks, k, k) of each term
 
     @cached_property
-    def whole(self) -> tuple[Array, Array, list[Array]]:
-        """C (p, m), d (m,) and D (k, k) of all blocks."""
-        return (
-            self.C.sum(axis=0),
-            self.d.sum(axis=0),
-            [own.sum(axis=0) for own in self.D],
+    def total(self) -> _Total:
+        """The products of all blocks."""
+        return _Total(
+            C=self.C.sum(axis=0),
+            d=self.d.sum(axis=0),
+            D=[of_term.sum(axis=0) for of_term in self.D],
         )
 
 
+class _Total(NamedTuple):
+    """Products C (p, m), d (m,), and D (k, k) of each term, of all blocks."""
+
+    C: Array
+    d: Array
+    D: list[Array]
+
+
 def _slices(sizes: Iterable[int]) -> list[slice]:
-    """Places of so many numbers each, one after the other."""
+    """Return places of so many numbers each, one after the other."""
     edges: list[int] = np.cumsum([0, *sizes]).tolist()
-    return [slice(a, b) for a, b in pairwise(edges)]
+    return [slice(start, stop) for start, stop in pairwise(edges)]
 
 
-def _times(root: Array, columns: Sequence[Array]) -> Array:
-    """Columns (M, k) each, side by side and times root (M,)."""
-    result = np.empty((len(root), sum(own.shape[1] for own in columns)))
-    for own, at in zip(columns, _slices(own.shape[1] for own in columns), strict=True):
-        np.multiply(own, root[:, None], out=result[:, at])
+def _weighted(weight: Array, columns: Sequence[Array]) -> Array:
+    """Return columns (M, k) each, side by side and times a weight (M,)."""
+    sizes = [group.shape[1] for group in columns]
+    result = np.empty((len(weight), sum(sizes)))
+    for group, at in zip(columns, _slices(sizes), strict=True):
+        np.multiply(group, weight[:, None], out=result[:, at])
     return result

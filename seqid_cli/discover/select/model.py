@@ -1,4 +1,10 @@
-"""A model under selection: the base as free as its hold says, terms, and the noise they leave."""
+"""A model under selection: a base, terms, and the noise that they leave.
+
+The base is held to the file by a scale of the file's standard errors, which the
+evidence chooses. Channels, and the shapes M_c and k, are those of `select.rows`; p is
+the number of all parameters, M_j the number of rows of joint j, and N that of the
+samples of a data set.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +16,22 @@ import numpy as np
 
 from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import Base, base_of
-from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
+from seqid_cli.discover.candidates import (
+    Candidate,
+    CandidateColumns,
+    DriveRows,
+    candidates_of,
+)
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
-from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.noise import Noise, settled
-from seqid_cli.discover.select.rows import Part, Rows
+from seqid_cli.discover.select.rows import ColumnGroup, Observations
 from seqid_cli.discover.select.smooth import smooth_functions, smooth_products
 from seqid_cli.discover.select.terms import Term, effects, smooth_term
 from seqid_cli.discover.select.tuning import NEAR, Tuner
-from seqid_cli.discover.survey.rows import Rows as SurveyRows
+from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.motion.torque_noise import DETAIL
 from seqid_cli.params.schema import Stages
 from seqid_cli.typing import Array
@@ -29,80 +40,132 @@ SCALES = (1.0, 3.0, 10.0, 30.0)  # of the file's errors, of which the evidence c
 
 
 @dataclass(frozen=True)
-class Hold:
-    """By how many of the file's errors rigid body and `own` friction of each joint may move."""
+class PriorScale:
+    """By how many of the file's errors rigid body and each joint's friction may move.
+
+    Attributes
+    ----------
+    rigid : float
+        Of the rigid body.
+    friction : tuple of float
+        Of each joint's friction; empty where it is that of the rigid body.
+    """
 
     rigid: float = 1.0
-    own: tuple[float, ...] = ()
+    friction: tuple[float, ...] = ()
 
     def of(self, joint: int) -> float:
-        """By how much friction of a joint may move."""
-        return self.own[joint] if self.own else self.rigid
+        """Return by how much friction of a joint may move."""
+        return self.friction[joint] if self.friction else self.rigid
 
-    def others(
+    def alternatives(
         self, number: int, joints: int, loosest: float = SCALES[-1]
-    ) -> Iterator[Hold]:
-        """The same with the rigid body (0), or friction of a joint (from 1), held otherwise.
+    ) -> Iterator[PriorScale]:
+        """Yield scales that differ in the rigid body (0), or one joint's friction.
 
-        None by more than `loosest` of the file's errors.
+        Parameters
+        ----------
+        number : int
+            0 for the rigid body, from 1 on for the friction of a joint.
+        joints : int
+            Number of joints.
+        loosest : float
+            The largest scale that is yielded.
         """
-        own = [self.of(j) for j in range(joints)]
-        for scale in (scale for scale in SCALES if scale <= loosest):
-            if scale != [self.rigid, *own][number]:
-                each = [*own[: number - 1], scale, *own[number:]] if number else own
-                yield replace(
-                    self, rigid=self.rigid if number else scale, own=tuple(each)
-                )
+        friction = [self.of(joint) for joint in range(joints)]
+        scale_now = [self.rigid, *friction][number]
+        for scale in SCALES:
+            if scale > loosest or scale == scale_now:
+                continue
+            if number == 0:
+                yield replace(self, rigid=scale, friction=tuple(friction))
+            else:
+                changed = [*friction[: number - 1], scale, *friction[number:]]
+                yield replace(self, friction=tuple(changed))
 
-    def capped(self, most: float) -> Hold:
-        """The same where nothing may move by more than so many of the file's errors."""
-        own = tuple(min(scale, most) for scale in self.own)
-        return replace(self, rigid=min(self.rigid, most), own=own)
+    def capped(self, most: float) -> PriorScale:
+        """Return the scale where nothing may move by more than so many errors."""
+        friction = tuple(min(scale, most) for scale in self.friction)
+        return replace(self, rigid=min(self.rigid, most), friction=friction)
 
     def doubt(self, joints: int, *, spread: float = 0.8) -> float:
-        """Log odds against standard errors that are so many times too small, part by part.
+        """Return the log odds against standard errors that are so many times too small.
 
-        ln s of a scale s is normal, with `spread`. Zero where all is held as the file
-        says.
+        The logarithm of each scale is normal, with `spread`. They are zero where all is
+        held as the file says.
         """
         scales = (self.rigid, *map(self.of, range(joints)))
-        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / (
-            2.0 * spread**2
-        )
+        squares = sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)
+        return float(squares) / (2.0 * spread**2)
 
 
-HELD = Hold()
-FREE = Hold(max(SCALES))
-FIRM = Hold(0.1)
+HELD = PriorScale()
+FREE = PriorScale(max(SCALES))
+FIRM = PriorScale(0.1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Ground:
-    """What does not change during a selection: rows of all joints, below and above the cut-off."""
+    """The problem of a selection: what does not change while terms are taken.
 
-    stage: Stage
+    Attributes
+    ----------
+    stage : CandidateColumns
+        The data sets, and the columns of candidates on their rows.
+    base : Base
+        What is free to take up the residual before any effect is blamed.
+    rows : Observations
+        Rows of all joints below and above the cut-off, and of drives.
+    size : (channels,) array
+        RMS that the file leaves [N m; N where prismatic].
+    """
+
+    stage: CandidateColumns
     base: Base
-    rows: Rows
-    size: Array  # (channels,) N m, what the file leaves
+    rows: Observations
+    size: Array
     _smooth: dict[tuple[int, bool], list[Term]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, own: SurveyRows, stages: Stages) -> Ground:
-        """Rows of all logs, and what they have to be explained by beside the file's stages."""
-        base = base_of(own, stages)
-        stage = Stage(own, FileTrials(own.scenes[0], base, stages))
-        high, drive = stage.high, stage.drive
-        below, y = (
-            [own.blocks_of(j) for j in range(own.n)],
-            (*base.y, *high.y, *drive.y),
+    def of(cls, kept_rows: Rows, stages: Stages) -> Ground:
+        """Set the problem of a selection.
+
+        Parameters
+        ----------
+        kept_rows : Rows
+            The rows of all logs below the cut-off.
+        stages : Stages
+            The parameter file's.
+        """
+        base = base_of(kept_rows, stages)
+        stage = CandidateColumns(
+            kept_rows, FileTrials(kept_rows.scenes[0], base, stages)
         )
-        seen = [b[: len(v)] for b, v in zip(below, drive.y, strict=False)]
-        size = np.array([np.sqrt(np.mean(v**2)) if len(v) else 1.0 for v in y])
-        views = tuple(
-            1 + (c // own.n != 1 and drive.of(c % own.n)) for c in range(len(y))
+        n = kept_rows.n
+        y = (*base.y, *stage.high.y, *stage.drive.y)
+
+        # A drive has the rows of its joint below the cut-off, or none.
+        blocks_below = [kept_rows.blocks_of(joint) for joint in range(n)]
+        blocks_of_drive = [
+            block[: len(of_drive)]
+            for block, of_drive in zip(blocks_below, stage.drive.y, strict=False)
+        ]
+        rows = Observations(
+            y=y,
+            block=(*blocks_below, *stage.high.block, *blocks_of_drive),
+            blocks=len(kept_rows.fold),
+            views=tuple(_views(channel, n, stage.drive) for channel in range(len(y))),
         )
-        rows = Rows(y, (*below, *high.block, *seen), len(own.fold), views)
-        return cls(stage, base, rows, np.maximum(size, 1e-12))
+        rms_left = [
+            np.sqrt(np.mean(of_channel**2)) if len(of_channel) else 1.0
+            for of_channel in y
+        ]
+        return cls(
+            stage=stage,
+            base=base,
+            rows=rows,
+            size=np.maximum(np.array(rms_left), 1e-12),
+        )
 
     @property
     def n(self) -> int:
@@ -113,154 +176,212 @@ class Ground:
     def torque(self) -> tuple[Array, ...]:
         """Torque (M_j,) N m of the file's model at each joint's rows."""
         rows = self.stage.rows
-        every = [scene.modelled_filtered for scene in rows.scenes]
-        return tuple(
-            rows.torque(j, [tau[:, j] for tau in every]) for j in range(rows.n)
-        )
+        torque_by_scene = [scene.modelled_filtered for scene in rows.scenes]
+        torque = []
+        for joint in range(rows.n):
+            of_joint = [tau[:, joint] for tau in torque_by_scene]
+            torque.append(rows.torque(joint, of_joint))
+        return tuple(torque)
 
     def smooth_terms(self, joint: int, *, products: bool = False) -> list[Term]:
-        """Smooth functions of everything measured, or of two quantities, for one joint."""
-        key, make = (joint, products), smooth_products if products else smooth_functions
+        """Return smooth functions of everything measured for one joint.
+
+        With `products` they are functions of two quantities instead of one.
+        """
+        key = (joint, products)
         if key not in self._smooth:
-            made = make(self.stage.rows, joint) if self.stage.rows.count(joint) else []
-            self._smooth[key] = [
-                smooth_term(self.stage, one, self.size) for one in made
-            ]
+            self._smooth[key] = self._new_smooth_terms(joint, products=products)
         return self._smooth[key]
 
-    def precision(self, hold: Hold, number: int) -> Array:
-        """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""
+    def _new_smooth_terms(self, joint: int, *, products: bool) -> list[Term]:
+        if not self.stage.rows.count(joint):
+            return []
+        make = smooth_products if products else smooth_functions
+        return [
+            smooth_term(self.stage, function, self.size)
+            for function in make(self.stage.rows, joint)
+        ]
+
+    def precision(self, hold: PriorScale, number: int) -> Array:
+        """Return the precision (k, k) beforehand of a part of the base.
+
+        The part is the rigid body (0), or the friction of a joint (from 1).
+        """
         scale = hold.of(number - 1) if number else hold.rigid
         rows = np.vstack(
             [self.base.prior[number] / scale, np.diag(self.base.bounds[number])]
         )
         return rows.T @ rows
 
-    def parts(self, hold: Hold, free: Sequence[bool]) -> list[Part]:
-        """The base: rigid body, friction by joint, nuisance terms where they are `free`."""
-        base, stage, joints, n = self.base, self.stage, range(self.n), self.n
-        drives = [j for j in joints if stage.drive.of(j)]
-        rigid, *friction = [self.precision(hold, number) for number in range(1 + n)]
-        bare, *own = [np.diag(bound**2) for bound in base.bounds]
+    def parts(self, hold: PriorScale, free: Sequence[bool]) -> list[ColumnGroup]:
+        """Return the base as groups of columns.
+
+        They are the rigid body, the friction of each joint, the nuisance terms, which
+        have columns where they are `free`, and what is free of each drive.
+        """
+        base = self.base
+        stage = self.stage
+        rigid = ColumnGroup(
+            columns=dict(enumerate(base.rigid)),
+            precision=self.precision(hold, 0),
+            precision_without_file=np.diag(base.bounds[0] ** 2),
+        )
+        friction = [
+            ColumnGroup(
+                columns=stage.with_drive({joint: base.friction[joint]}),
+                precision=self.precision(hold, 1 + joint),
+                precision_without_file=np.diag(base.bounds[1 + joint] ** 2),
+            )
+            for joint in range(self.n)
+        ]
         nuisances = [
-            Part(dict(rows.columns) if shown else {}, base.nuisance_precision(rows))
-            for rows, shown in zip(base.nuisances, free, strict=True)
+            ColumnGroup(
+                columns=dict(of_term.columns) if is_free else {},
+                precision=base.nuisance_precision(of_term),
+            )
+            for of_term, is_free in zip(base.nuisances, free, strict=True)
         ]
-        return [
-            Part(dict(enumerate(base.rigid)), rigid, bare),
-            *(
-                Part(stage.with_drive({j: base.friction[j]}), friction[j], own[j])
-                for j in joints
-            ),
-            *nuisances,
-            *(stage.drive.part(j, 2 * n + j, self.size[2 * n + j]) for j in drives),
-        ]
+        drives = []
+        for joint in range(self.n):
+            if stage.drive.of(joint):
+                channel = 2 * self.n + joint
+                drives.append(stage.drive.part(joint, channel, self.size[channel]))
+        return [rigid, *friction, *nuisances, *drives]
+
+
+def _views(channel: int, n: int, drive: DriveRows) -> int:
+    """Return how many channels show what one does: two where a drive has its rows."""
+    above_cutoff = channel // n == 1
+    if not above_cutoff and drive.of(channel % n):
+        return 2
+    return 1
 
 
 class Model:
-    """Base and terms, fitted together with the noise that they leave."""
+    """Base and terms, fitted together with the noise that they leave.
+
+    Parameters
+    ----------
+    ground : Ground
+        The problem.
+    hold : PriorScale
+        How loosely the base is held to the file.
+    candidates : sequence of Candidate, optional
+        Effects to begin with.
+
+    Attributes
+    ----------
+    terms : list of Term
+        May be changed; `settle` fits all anew.
+    free : tuple of bool
+        Which of the nuisance terms belong to the base.
+    linear : LinearModel
+        The fit.
+    noise : Noise
+        What it leaves.
+    """
 
     def __init__(
-        self, ground: Ground, hold: Hold, candidates: Sequence[Candidate] = ()
+        self, ground: Ground, hold: PriorScale, candidates: Sequence[Candidate] = ()
     ) -> None:
-        self.ground, self.hold = ground, hold
+        self.ground = ground
+        self.hold = hold
         self.terms: list[Term] = []
         self.free = (True,) * len(ground.base.nuisances)
         self.settle()
         if candidates:
             self.add(candidates)
 
+    # ---- fitting
+
     def settle(self) -> None:
-        """Fit all anew; a nuisance that is larger than any drive has it is left to effects."""
-        g = self.ground
-        self._base = g.parts(self.hold, self.free)
+        """Fit all anew; a nuisance larger than any drive has it is left to effects."""
+        ground = self.ground
+        self._base = ground.parts(self.hold, self.free)
         parts = [*self._base, *(term.part for term in self.terms)]
-        self.linear, self.noise = settled(g.stage, g.rows, g.size, parts)
+        self.linear, self.noise = settled(ground.stage, ground.rows, ground.size, parts)
         self._fitted = tuple(self.terms)
         self.__dict__.pop("deviation", None)  # of the model before
-        free = tuple(
-            shown and abs(size) <= rows.term.largest
-            for shown, size, rows in zip(
-                self.free, self.nuisance_sizes, g.base.nuisances, strict=True
-            )
-        )
-        if free != self.free:
-            self.free = free
+
+        free = []
+        for was_free, size, of_term in zip(
+            self.free, self.nuisance_sizes, ground.base.nuisances, strict=True
+        ):
+            free.append(was_free and abs(size) <= of_term.term.largest)
+        if tuple(free) != self.free:
+            self.free = tuple(free)
             self.settle()
 
     def rescale(self) -> bool:
-        """Hold the base as loosely as the evidence says; return whether anything changes."""
-        first, best = self.hold, self._best_hold(self.linear)[0]
+        """Hold the base as loosely as the evidence says; return whether that is new."""
+        hold_before = self.hold
+        best, _ = self._best_hold(self.linear)
         self.hold = best if best.doubt(self.ground.n) else HELD
         self.settle()
-        return best is not first
+        return best is not hold_before
 
-    def margin(self, without: Linear, loosest: float = SCALES[-1]) -> float:
-        """Log evidence against the model without a term, its base held as explains it best.
+    def margin(self, without: LinearModel, loosest: float = SCALES[-1]) -> float:
+        """Return the log evidence against the model without a term.
 
-        It may leave the file by up to `loosest` of the file's errors.
+        The base of that model is held as explains it best.
+
+        Parameters
+        ----------
+        without : LinearModel
+            The model without the term.
+        loosest : float
+            By how many of the file's errors its base may leave the file.
         """
-        own = self.linear.evidence - self.hold.doubt(self.ground.n)
-        return own - self._best_hold(without, loosest)[1]
+        evidence = self.linear.evidence - self.hold.doubt(self.ground.n)
+        _, evidence_without = self._best_hold(without, loosest)
+        return evidence - evidence_without
 
     def _best_hold(
-        self, linear: Linear, loosest: float = SCALES[-1]
-    ) -> tuple[Hold, float]:
-        """The hold that the evidence prefers, part by part, and its evidence less its doubt."""
+        self, linear: LinearModel, loosest: float = SCALES[-1]
+    ) -> tuple[PriorScale, float]:
+        """Return the scale that the evidence prefers, and its evidence less its doubt.
+
+        The parts of the base are loosened one after the other.
+        """
         n = self.ground.n
-        best, most = self.hold, linear.evidence - self.hold.doubt(n)
-        model, known = Loosened(linear), most + self.hold.doubt(n)
+        best = self.hold
+        best_worth = linear.evidence - self.hold.doubt(n)
+        evidence = best_worth + self.hold.doubt(n)
+        update = PriorUpdate(linear)
         for number, at in enumerate(linear.where[: 1 + n]):
-            first = best
-            held, gains = self.ground.precision(first, number), {first: 0.0}
-            for hold in first.others(number, n, loosest):
-                gains[hold] = model.gained(
-                    at, held, self.ground.precision(hold, number)
+            hold_before = best
+            precision_before = self.ground.precision(hold_before, number)
+            gains = {hold_before: 0.0}
+            for hold in hold_before.alternatives(number, n, loosest):
+                gains[hold] = update.evidence_gain(
+                    at, precision_before, self.ground.precision(hold, number)
                 )
-                if known + gains[hold] - hold.doubt(n) > most:
-                    best, most = hold, known + gains[hold] - hold.doubt(n)
-            if best is not first:
-                model.hold(at, held, self.ground.precision(best, number))
-                known += gains[best]
-        return best, most
+                worth = evidence + gains[hold] - hold.doubt(n)
+                if worth > best_worth:
+                    best = hold
+                    best_worth = worth
+            if best is not hold_before:
+                update.hold(at, precision_before, self.ground.precision(best, number))
+                evidence += gains[best]
+        return best, best_worth
 
-    @property
-    def nuisance_sizes(self) -> list[float]:
-        """Deviation of each nuisance term from what was known of it, in its own unit."""
-        first = 1 + self.ground.n
-        where = self.linear.where[first : first + len(self.free)]
-        return [float(self.linear.theta[at][0]) for at in where]
+    def under(self, noise: Noise, terms: Sequence[Term] | None = None) -> LinearModel:
+        """Return the model, or the base and some terms, under another noise."""
+        chosen = self.terms if terms is None else terms
+        parts = [
+            *self._base,
+            *(term.part for term in chosen),
+            *noise.slow(self.ground.stage),
+        ]
+        return LinearModel(self.ground.rows, parts, noise.weight)
 
-    @property
-    def delays(self) -> dict[int, float]:
-        """Time [s] by which each joint's torque is late, where that is the joint's own nuisance."""
-        found = dict[int, float]()
-        for size, shown, rows in zip(
-            self.nuisance_sizes, self.free, self.ground.base.nuisances, strict=True
-        ):
-            term = rows.term
-            if shown and term.name == DELAY and term.joint is not None:
-                found[term.joint] = size
-        return found
-
-    def where(self, term: Term) -> slice:
-        """Where a term's coefficients stand in the solution."""
-        return self.linear.where[len(self._base) + self.terms.index(term)]
-
-    def under(self, noise: Noise, terms: Sequence[Term] | None = None) -> Linear:
-        """The model, or the base and some terms, under another noise."""
-        own = [term.part for term in (self.terms if terms is None else terms)]
-        parts = [*self._base, *own, *noise.slow(self.ground.stage)]
-        return Linear(self.ground.rows, parts, noise.weight)
-
-    def beside(self, *terms: Term) -> Linear:
-        """The model without some terms, the noise as it is."""
-        rest = [one for one in self.terms if one not in terms]
-        if not set(rest) <= set(self._fitted):
-            return self.under(self.noise, rest)
-        return self.linear.without(
-            *(one.part for one in self._fitted if one not in rest)
-        )
+    def beside(self, *terms: Term) -> LinearModel:
+        """Return the model without some terms, the noise as it is."""
+        remaining = [term for term in self.terms if term not in terms]
+        if not set(remaining) <= set(self._fitted):
+            return self.under(self.noise, remaining)
+        removed = [term.part for term in self._fitted if term not in remaining]
+        return self.linear.without(*removed)
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Take in effects, and search their settings once more."""
@@ -271,153 +392,240 @@ class Model:
     def polish(self) -> None:
         """Search the settings of all effects again, with all others in place."""
         for number, term in enumerate(self.terms):
-            if isinstance(what := term.what, Candidate):
-                tuner, some = (
-                    Tuner(self.ground.stage, self.beside(term), self.ground.size),
-                    [what],
-                )
-                # a line in time, a ripple: where what is left without it says
-                if what.effect.wide:
-                    given = tuner.stage.scenes, [what.effect], self.left(without=term)
-                    near = (
-                        x
-                        for x in candidates_of(*given, {what.joint})
-                        if x.is_same_as(what)
-                    )
-                    some += [one for one in near if one.apart == what.apart]
-                if every := tuner.tried(some):
-                    best = max(every, key=lambda one: one.evidence)
-                    self.terms[number] = tuner.tuned(best, NEAR).term
+            if isinstance(term.what, Candidate):
+                self.terms[number] = self._polished(term, term.what)
         self.settle()
 
-    def squares(self, term: Term, channels: frozenset[int]) -> float:
-        """Weighted square of a term's torque beside the file at some channels."""
-        torque, weight = self.linear.torque_beside_file, self.noise.weight
-        there = term.channels & channels
-        return sum(float(weight[c] @ torque(term.part, c) ** 2) for c in there)
+    def _polished(self, term: Term, candidate: Candidate) -> Term:
+        """Return an effect of the model at its best settings."""
+        tuner = Tuner(self.ground.stage, self.beside(term), self.ground.size)
+        starts = [candidate]
+        # A line in time, a ripple: what is left without it says where it is.
+        if candidate.effect.wide:
+            guided = candidates_of(
+                tuner.stage.scenes,
+                [candidate.effect],
+                self.left(without=term),
+                {candidate.joint},
+            )
+            starts += [
+                line
+                for line in guided
+                if line.is_same_as(candidate) and line.apart == candidate.apart
+            ]
+        fitted = tuner.tried(starts)
+        if not fitted:
+            return term
+        best = max(fitted, key=lambda each: each.evidence)
+        return tuner.tuned(best, NEAR).term
 
-    def beyond(self, before: Sequence[Array], channels: frozenset[int]) -> float:
-        """Share of the squared error that goes where it was not fitted, of `before`, (M_c,) N m.
+    # ---- what is known of the base and the terms
 
-        Of what the file leaves: a model of a log that is too short takes off what its
-        own freedom has added.
-        """
-        scale, parts = self.noise.sigma, (self.linear.left_out, before)
-        left, first = (
-            sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in channels) for r in parts
-        )
-        return float(1.0 - left / max(first, 1e-300))
+    @property
+    def nuisance_sizes(self) -> list[float]:
+        """Deviation of each nuisance term from what was known, in its own unit."""
+        return self._nuisances_in(self.linear.theta)
 
-    def is_detail(self, term: Term) -> bool:
-        """Whether a term is small beside the torque of the model, which ends at the cut-off."""
-        channels, torque, n = term.channels, self.ground.torque, self.ground.n
-        if any(c // n == 1 for c in channels):
-            return False
-        whole = sum(float(self.noise.weight[c] @ torque[c % n] ** 2) for c in channels)
-        return self.squares(term, channels) < DETAIL**2 * whole
-
-    @cached_property
-    def deviation(self) -> list[Array]:
-        """What the base adds to the file's model (N, n) N m, at all samples of every scene."""
-        return self._deviation(self.linear.held)
-
-    def _deviation(self, theta: Array) -> list[Array]:
-        rigid, *friction = [theta[at] for at in self.linear.where[: 1 + self.ground.n]]
+    def _nuisances_in(self, theta: Array) -> list[float]:
+        """Return the nuisance terms' part of parameters (p,)."""
         first = 1 + self.ground.n
         where = self.linear.where[first : first + len(self.free)]
-        return self.ground.base.deviation(
-            rigid, friction, [float(theta[at][0]) for at in where]
-        )
+        return [float(theta[at][0]) for at in where]
+
+    @property
+    def delays(self) -> dict[int, float]:
+        """Time [s] by which a joint's torque is late, where it is the joint's own."""
+        delays: dict[int, float] = {}
+        for size, is_free, of_term in zip(
+            self.nuisance_sizes, self.free, self.ground.base.nuisances, strict=True
+        ):
+            term = of_term.term
+            if is_free and term.name == DELAY and term.joint is not None:
+                delays[term.joint] = size
+        return delays
 
     @property
     def candidates(self) -> list[Candidate]:
         """The effects among the terms."""
         return [term.what for term in self.terms if isinstance(term.what, Candidate)]
 
-    def shown(self, without: Term | None = None) -> list[Array]:
-        """Torque (N, n) N m of all terms but one beside the file, at all samples of every scene."""
-        scenes, linear = self.ground.stage.scenes, self.linear
-        total, absorbed = (
-            [np.zeros_like(x.motion.q) for x in scenes],
-            np.zeros(linear.size),
-        )
-        for term in (one for one in self.terms if one is not without):
-            for torque, scene in zip(total, scenes, strict=True):
-                for j, own in term.what.torques(scene, self.coefficients(term)).items():
-                    torque[:, j] += own
-            absorbed += linear.in_file(term.part) @ linear.theta[self.where(term)]
-        if np.any(absorbed):
-            parts = zip(total, self._deviation(absorbed), strict=True)
-            total = [torque - in_file for torque, in_file in parts]
-        return total
-
-    def left(self, without: Term | None = None) -> list[Array]:
-        """What is left (N, n) N m without a term, by scene; zero where a joint may stick."""
-        parts = zip(
-            self.ground.base.whole, self.deviation, self.shown(without), strict=True
-        )
-        return [
-            np.where(own.scene.slides, own.residual - b - t, 0.0) for own, b, t in parts
-        ]
-
-    def rms(self) -> Array:
-        """RMS (n,) N m of each joint's residual where it was not fitted."""
-        return np.array(list(map(rms, self.linear.left_out[: self.ground.n])))
+    def where(self, term: Term) -> slice:
+        """Return where a term's coefficients stand in the solution."""
+        return self.linear.where[len(self._base) + self.terms.index(term)]
 
     def coefficients(self, term: Term) -> Array:
-        """A term's coefficients (k,), those below the cut-off where it has others above."""
+        """Return a term's coefficients (k,), of two sets those below the cut-off."""
         return self.linear.theta[self.where(term)][: term.what.size]
 
     def variances(self, term: Term) -> Array:
-        """Variance (k,) of these coefficients given all rows, by the noise alone."""
+        """Return the variance (k,) of these coefficients by the noise alone."""
         first = self.where(term).start
         return np.asarray(
             np.diag(self.linear.covariance)[first : first + term.what.size]
         )
 
     def covariance(self, term: Term) -> Array:
-        """Covariance (k, k) of these coefficients, no narrower than they scatter over blocks."""
+        """Return the covariance (k, k) of these coefficients.
+
+        It is no narrower than they scatter over blocks.
+        """
         first = self.where(term).start
         at = slice(first, first + term.what.size)
-        white, scattered = (
-            self.linear.covariance[at, at],
-            np.diag(self.linear.jackknife(at)),
-        )
-        wider = np.sqrt(np.maximum(scattered / np.maximum(np.diag(white), 1e-300), 1.0))
-        return np.asarray(white * np.outer(wider, wider))
+        by_noise = self.linear.covariance[at, at]
+        scatter = np.diag(self.linear.jackknife(at))
+        ratio = scatter / np.maximum(np.diag(by_noise), 1e-300)
+        widening = np.sqrt(np.maximum(ratio, 1.0))
+        return np.asarray(by_noise * np.outer(widening, widening))
+
+    def squares(self, term: Term, channels: frozenset[int]) -> float:
+        """Return the weighted square of a term's torque beside the file at channels."""
+        total = 0.0
+        for channel in term.channels & channels:
+            torque = self.linear.torque_beside_file(term.part, channel)
+            total += float(self.noise.weight[channel] @ torque**2)
+        return total
+
+    def is_detail(self, term: Term) -> bool:
+        """Return whether a term is small beside the torque of the model.
+
+        That torque ends at the cut-off: a term above it is no detail.
+        """
+        n = self.ground.n
+        if any(channel // n == 1 for channel in term.channels):
+            return False
+        square_of_model = 0.0
+        for channel in term.channels:
+            torque = self.ground.torque[channel % n]
+            square_of_model += float(self.noise.weight[channel] @ torque**2)
+        return self.squares(term, term.channels) < DETAIL**2 * square_of_model
+
+    # ---- what the model adds and leaves
+
+    def beyond(self, before: Sequence[Array], channels: frozenset[int]) -> float:
+        """Return the share of the squared error that goes where it was not fitted.
+
+        Of what the file leaves: a model of a log that is too short takes off what its
+        own freedom has added.
+
+        Parameters
+        ----------
+        before : sequence of (M_c,) arrays
+            By channel, the residual without the model [N m; N where prismatic].
+        channels : frozenset of int
+            Those that count.
+        """
+        sigma = self.noise.sigma
+
+        def scaled_square(residual: Sequence[Array]) -> float:
+            total = 0.0
+            for channel in channels:
+                r = residual[channel]
+                total += float(r @ r) / float(sigma[channel]) ** 2
+            return total
+
+        square_left = scaled_square(self.linear.left_out)
+        square_before = scaled_square(before)
+        return float(1.0 - square_left / max(square_before, 1e-300))
+
+    @cached_property
+    def deviation(self) -> list[Array]:
+        """What the base adds to the file's torque (N, n) N m, at all samples."""
+        return self._deviation(self.linear.held)
+
+    def _deviation(self, theta: Array) -> list[Array]:
+        """Return the torque (N, n) N m of the base's part of parameters (p,)."""
+        rigid, *friction = [theta[at] for at in self.linear.where[: 1 + self.ground.n]]
+        return self.ground.base.deviation(rigid, friction, self._nuisances_in(theta))
+
+    def shown(self, without: Term | None = None) -> list[Array]:
+        """Return the torque (N, n) N m of all terms but one, by data set.
+
+        It is what they are beside the file, which may have absorbed a part of them.
+        """
+        scenes = self.ground.stage.scenes
+        total = [np.zeros_like(scene.motion.q) for scene in scenes]
+        absorbed = np.zeros(self.linear.size)
+        for term in self.terms:
+            if term is without:
+                continue
+            for torque, scene in zip(total, scenes, strict=True):
+                of_term = term.what.torques(scene, self.coefficients(term))
+                for joint, of_joint in of_term.items():
+                    torque[:, joint] += of_joint
+            R = self.linear.in_file(term.part)
+            absorbed += R @ self.linear.theta[self.where(term)]
+
+        if not np.any(absorbed):
+            return total
+        in_file = self._deviation(absorbed)
+        return [torque - part for torque, part in zip(total, in_file, strict=True)]
+
+    def left(self, without: Term | None = None) -> list[Array]:
+        """Return what is left (N, n) N m without a term, by data set.
+
+        It is zero where a joint may stick.
+        """
+        residuals = []
+        for of_scene, deviation, of_terms in zip(
+            self.ground.base.scene_bases,
+            self.deviation,
+            self.shown(without),
+            strict=True,
+        ):
+            residual = of_scene.residual - deviation - of_terms
+            residuals.append(np.where(of_scene.scene.slides, residual, 0.0))
+        return residuals
+
+    def rms(self) -> Array:
+        """Return the RMS (n,) N m of each joint's residual where it was not fitted."""
+        below_cutoff = self.linear.left_out[: self.ground.n]
+        return np.array([rms(residual) for residual in below_cutoff])
 
 
-class Loosened:
-    """A solved model while parts of what is held get other precisions, one after the other.
+class PriorUpdate:
+    """A solved model while parts of what is held get other precisions, one by one.
 
-    With C the covariance of some of it, t their values and D what their precision grows
-    by, all by those of before, the log evidence grows by (log det(P + D) - log det P -
-    log det(1 + D C) - t' (1 + D C)^-1 D t) / 2.
+    With C the covariance of some of it, t their values and D what their precision P
+    grows by, all by those of before, the log evidence grows by
+
+        (log det(P + D) - log det P - log det(1 + D C) - t' (1 + D C)^-1 D t) / 2.
     """
 
-    def __init__(self, linear: Linear) -> None:
+    def __init__(self, linear: LinearModel) -> None:
         self.theta = linear.held
         self.covariance = linear.lift @ linear.covariance @ linear.lift.T
-        self._told = np.diag(linear.sums[0])  # by the rows
+        self._rows_diagonal = np.diag(linear.sums[0])
 
-    def gained(self, at: slice, before: Array, after: Array) -> float:
-        """Log evidence that other precisions (k, k) of some parameters gain."""
-        t, K, spread = self.theta[at], *self._change(at, after - before)
-        grown = self._half_log_det(at, after) - self._half_log_det(at, before)
-        return grown - 0.5 * float(spread + t @ K @ t)
+    def evidence_gain(self, at: slice, before: Array, after: Array) -> float:
+        """Return the log evidence that another precision of some parameters gains.
+
+        Parameters
+        ----------
+        at : slice
+            The k parameters.
+        before, after : (k, k) arrays
+            Their precisions.
+        """
+        t = self.theta[at]
+        change, log_det = self._change(at, after - before)
+        prior_gain = self._half_log_det(at, after) - self._half_log_det(at, before)
+        return prior_gain - 0.5 * float(log_det + t @ change @ t)
 
     def hold(self, at: slice, before: Array, after: Array) -> None:
-        """Have them hold from now on."""
-        C, K = self.covariance[:, at], self._change(at, after - before)[0]
-        self.theta -= C @ (K @ self.theta[at])
-        self.covariance -= C @ K @ C.T
+        """Give some parameters another precision (k, k) from now on."""
+        C = self.covariance[:, at]
+        change, _ = self._change(at, after - before)
+        self.theta -= C @ (change @ self.theta[at])
+        self.covariance -= C @ change @ C.T
 
     def _half_log_det(self, at: slice, precision: Array) -> float:
-        scale = scale_of(np.diag(precision) + self._told[at])
+        """Return half the log determinant of a precision (k, k)."""
+        scale = scale_of(np.diag(precision) + self._rows_diagonal[at])
         factor = factored(precision * np.outer(scale, scale))
         return half_log_det(factor) - float(np.log(scale).sum())
 
-    def _change(self, at: slice, more: Array) -> tuple[Array, float]:
-        """(1 + D C)^-1 D and the logarithm of the determinant of 1 + D C."""
-        M = np.eye(len(more)) + more @ self.covariance[at, at]
-        return np.asarray(np.linalg.solve(M, more)), float(np.linalg.slogdet(M)[1])
+    def _change(self, at: slice, growth: Array) -> tuple[Array, float]:
+        """Return (1 + D C)^-1 D, and the logarithm of the determinant of 1 + D C."""
+        M = np.eye(len(growth)) + growth @ self.covariance[at, at]
+        log_det = float(np.linalg.slogdet(M)[1])
+        return np.asarray(np.linalg.solve(M, growth)), log_det

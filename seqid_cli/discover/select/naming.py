@@ -10,7 +10,7 @@ is exactly the effect's, and of a large effect the rows tell laws apart that dif
 less than the effect's own does from its law. Smooth functions have no part in it: where
 one is clearly better than all effects, it is what the selection takes. An effect that
 looks alike and that these logs lack the channels for cannot be ruled out: it is as
-likely as the name. Effects of `Taken.instead` count by their evidence.
+likely as the name. Effects of `TermResult.alternatives` count by their evidence.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import expit, logit
 
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Taken
+from seqid_cli.discover.select.results import TermResult
 from seqid_cli.typing import Array
 
 TOLD = 0.7  # probability from which something is told
@@ -30,8 +30,19 @@ BEHIND = -float(logit(Options.doubt))  # log odds against a rival that is not to
 
 
 @dataclass(frozen=True)
-class Named:
-    """How sure a name is: it or one of `others`, and it by itself."""
+class NameConfidence:
+    """How sure a term's name is.
+
+    Attributes
+    ----------
+    confidence : float
+        Probability that the term is there, and is what its name or one of `others`
+        says.
+    by_itself : float
+        Probability that it is what its name says.
+    others : tuple of str
+        Names that these logs cannot rule out.
+    """
 
     confidence: float
     by_itself: float
@@ -39,79 +50,124 @@ class Named:
 
 
 def tempered(gain: Array | float) -> Array:
-    """By what gains are divided, so that a rival that lacks a small share of `gain` is not told."""
-    return np.maximum(Options.small * np.asarray(gain) / BEHIND, 1.0)  # never enlarged
+    """Return what gains are divided by before names compete.
+
+    A rival that lacks a small share of `gain` is just not told then. Differences are
+    never enlarged.
+    """
+    return np.maximum(Options.small * np.asarray(gain) / BEHIND, 1.0)
 
 
 def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
-    """Probability that a term is more than the errors of a model that lacks nothing.
+    """Return the probability that a term is more than the errors of a right model.
 
-    `share` is what it takes away of the squared error, `gain` the log evidence for it.
-    The log odds are `of_share` of its logit and the gain's logarithm to base 10.
+    Parameters
+    ----------
+    share : float
+        Share of the squared error that it takes away.
+    gain : float
+        Log evidence for it.
+    of_share : float
+        Log odds per logit of the share; those of the gain's logarithm to base 10 are 1.
     """
-    odds = of_share * logit(float(np.clip(share, 1e-3, 1.0 - 1e-3)))
-    return float(expit(odds + np.log10(max(gain, 1.0))))
+    log_odds_of_share = of_share * logit(float(np.clip(share, 1e-3, 1.0 - 1e-3)))
+    return float(expit(log_odds_of_share + np.log10(max(gain, 1.0))))
 
 
-def steadiness(varied: float, share: float, left: float) -> float:
-    """Probability that a term is no error of another law: an effect always has the same size.
+def steadiness(varied: float, share: float, floors_left: float) -> float:
+    """Return the probability that a term is no error of another law.
 
-    `varied` is the log evidence that its size is another one in every block, `share`
-    what it takes away of the squared error, `left` what the model leaves in noise
-    floors. Odds are even where its size varies, and as much as there was without it is
-    left above the floor.
+    An effect always has the same size. Odds are even where its size varies, and as much
+    as there was without it is left above the floor.
+
+    Parameters
+    ----------
+    varied : float
+        Log evidence that its size is another one in every block.
+    share : float
+        Share of the squared error that it takes away.
+    floors_left : float
+        RMS that the model leaves, in noise floors.
     """
-    above = np.sqrt(1.0 - np.clip(share, 0.0, 1.0)) * (1.0 - 1.0 / max(left, 1.0))
-    return float(1.0 - 0.5 * expit(varied) * above)
+    share_left = np.sqrt(1.0 - np.clip(share, 0.0, 1.0))
+    share_above_floor = share_left * (1.0 - 1.0 / max(floors_left, 1.0))
+    return float(1.0 - 0.5 * expit(varied) * share_above_floor)
 
 
-def named(taken: Taken, left: float = 1.0) -> Named:
-    """How sure a term is to be there, and to be what its name says; `left` as in `steadiness`."""
-    shares = _shares(taken)
-    own = shares.pop(taken.term.name, 0.0)
-    others = {name: share for name, share in shares.items() if share > Options.doubt}
-    there = reality(taken.share, taken.evidence) * steadiness(
-        taken.varied, taken.share, left
+def named(result: TermResult, floors_left: float = 1.0) -> NameConfidence:
+    """Return how sure a term is to be there, and to be what its name says.
+
+    Parameters
+    ----------
+    result : TermResult
+        The term and its rivals.
+    floors_left : float
+        RMS that the model leaves at its joints, in noise floors.
+    """
+    shares = _name_probabilities(result)
+    by_name = shares.pop(result.term.name, 0.0)
+    likely = {name: share for name, share in shares.items() if share > Options.doubt}
+
+    is_there = reality(result.share, result.evidence) * steadiness(
+        result.log_evidence_of_variation, result.share, floors_left
     )
-    every = (*others, *(name for name in taken.untried if name not in others))
-    by_itself = there * own / (1.0 + len(taken.untried))
-    return Named(there * (own + sum(others.values())), by_itself, every)
+    # What these logs lack the channels for is as likely as the name itself.
+    untried = [name for name in result.untried if name not in likely]
+    return NameConfidence(
+        confidence=is_there * (by_name + sum(likely.values())),
+        by_itself=is_there * by_name / (1.0 + len(result.untried)),
+        others=(*likely, *untried),
+    )
 
 
-def probable_names(taken: Taken, *, of_most: float = 0.5) -> set[str]:
-    """Names that may head a finding; all of them, unless the most probable one is a change.
+def probable_names(result: TermResult, *, of_most: float = 0.5) -> set[str]:
+    """Return the names that may head a finding.
 
-    A change of the file's values adds no law: its parameters are the model's own. So a
-    law with fewer parameters is no simpler, and heads the finding only if it is
-    `of_most` as probable.
+    They are all of them, unless the most probable one is a change of the file's values.
+    Such a change adds no law: its parameters are the model's own. So a law with fewer
+    parameters is no simpler, and heads the finding only if it is `of_most` as probable.
     """
-    names = {rival.term.name for rival in taken.rivals}
-    if taken.term.smooth:
+    names = {rival.term.name for rival in result.rivals}
+    if result.term.smooth:
         return names
-    shares = _shares(taken)
-    first = max(shares, key=lambda name: shares[name])
-    changes = {rival.term.name for rival in taken.rivals if rival.term.change}
-    if first not in changes:
+
+    shares = _name_probabilities(result)
+    most_probable = max(shares, key=lambda name: shares[name])
+    changes = {rival.term.name for rival in result.rivals if rival.term.change}
+    if most_probable not in changes:
         return names
-    return {name for name, share in shares.items() if share >= of_most * shares[first]}
+    least = of_most * shares[most_probable]
+    return {name for name, share in shares.items() if share >= least}
 
 
-def _shares(taken: Taken) -> dict[str, float]:
-    """Probability of each name."""
-    scale, gains = tempered(taken.one.predicted.total), dict[str, Array]()
-    for rival in (rival for rival in taken.rivals if not rival.term.smooth):
-        name, own = rival.term.name, rival.predicted.drawn / scale
-        gains[name] = np.maximum(gains.get(name, own), own)
-    if taken.term.name in gains:
-        for name, behind in taken.instead.items():
-            own = gains[taken.term.name] - behind / scale
-            gains[name] = np.maximum(gains.get(name, own), own)
+def _name_probabilities(result: TermResult) -> dict[str, float]:
+    """Return the probability of each name, over drawn weights of the blocks."""
+    scale = tempered(result.scored.score.total)
+    gains: dict[str, Array] = {}
+    for rival in result.rivals:
+        if rival.term.smooth:
+            continue
+        name = rival.term.name
+        drawn = rival.score.drawn / scale
+        gains[name] = np.maximum(gains.get(name, drawn), drawn)
+
+    # Effects of other finished models take part by how far these are behind.
+    if result.term.name in gains:
+        for name, lag in result.alternatives.items():
+            drawn = gains[result.term.name] - lag / scale
+            gains[name] = np.maximum(gains.get(name, drawn), drawn)
     return shares_of(gains)
 
 
 def shares_of(gains: Mapping[str, Array]) -> dict[str, float]:
-    """Probability of each name, from tempered gains (DRAWS,) over drawn weights of the blocks."""
-    best = np.stack(list(gains.values()), axis=1)
-    odds = np.exp(best - best.max(axis=1, keepdims=True))
+    """Return the probability of each name.
+
+    Parameters
+    ----------
+    gains : mapping of str to (DRAWS,) array
+        Tempered gains over drawn weights of the blocks.
+    """
+    by_name = np.stack(list(gains.values()), axis=1)
+    odds = np.exp(by_name - by_name.max(axis=1, keepdims=True))
     shares = np.mean(odds / odds.sum(axis=1, keepdims=True), axis=0)
     return dict(zip(gains, shares.tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""How precise rows are: each joint's noise, and where residuals are larger than noise makes them.
+"""How precise rows are: each joint's noise, and where residuals are larger than it.
 
 Residuals have long tails, near reversals above all, and a Gaussian likelihood takes
 those for evidence. Over a fraction of a second rows share a weight as under Student's
@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from seqid_cli.discover.candidates import Stage
-from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.rows import ALIKE, Part, Rows
+from seqid_cli.discover.candidates import CandidateColumns
+from seqid_cli.discover.select.linear import LinearModel
+from seqid_cli.discover.select.rows import ALIKE, ColumnGroup, Observations
 from seqid_cli.typing import Array, Index
 
 ROUNDS = 3
@@ -25,100 +25,156 @@ INNER = 5
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviation (channels,) N m, and the precision [1 / (N m)^2] of each row."""
+    """The noise of every channel.
+
+    Attributes
+    ----------
+    sigma : (channels,) array
+        Standard deviation [N m; N where prismatic].
+    weight : tuple of (M_c,) arrays
+        Precision of each row [1 / (N m)^2].
+    """
 
     sigma: Array
     weight: tuple[Array, ...]
 
-    def slow(self, stage: Stage) -> list[Part]:
-        """What of it is slower than a block of time, by joint."""
+    def slow(self, stage: CandidateColumns) -> list[ColumnGroup]:
+        """Return the part of it that is slower than a block of time, by channel."""
         n = stage.rows.n
-        below = [
-            c for c in range(len(self.sigma)) if c // n != 1 and stage.rows.count(c % n)
-        ]
-        seen = [c for c in below if c < n or stage.drive.of(c % n)]
-        return [slow_noise(stage, c, self.sigma[c]) for c in seen]
+        groups = []
+        for channel, sigma in enumerate(self.sigma):
+            joint = channel % n
+            if channel // n == 1 or not stage.rows.count(joint):
+                continue  # above the cut-off nothing is slow
+            if channel < n or stage.drive.of(joint):
+                groups.append(slow_noise(stage, channel, sigma))
+        return groups
 
 
 def settled(
-    stage: Stage, rows: Rows, size: Array, parts: Sequence[Part]
-) -> tuple[Linear, Noise]:
-    """Fit a model and its noise in turn."""
-    windows, every = _windows(stage), zip(rows.y, size, strict=True)
-    noise = Noise(size, tuple(np.full(len(y), 1.0 / s**2) for y, s in every))
-    linear = Linear(rows, parts, noise.weight)
+    stage: CandidateColumns,
+    rows: Observations,
+    size: Array,
+    parts: Sequence[ColumnGroup],
+) -> tuple[LinearModel, Noise]:
+    """Fit a model and its noise in turn.
+
+    Parameters
+    ----------
+    stage : CandidateColumns
+        The data sets.
+    rows : Observations
+        What is to be explained.
+    size : (channels,) array
+        Standard deviation [N m; N where prismatic] to begin with.
+    parts : sequence of ColumnGroup
+        What explains it; slow noise is added.
+    """
+    windows = _windows(stage)
+    weight = [
+        np.full(len(y), 1.0 / sigma**2) for y, sigma in zip(rows.y, size, strict=True)
+    ]
+    noise = Noise(sigma=size, weight=tuple(weight))
+    linear = LinearModel(rows, parts, noise.weight)
     for _ in range(ROUNDS):
         noise = _of_residual(
             linear.residual(), noise.sigma, windows, stage, rows.shared
         )
-        linear = Linear(rows, [*parts, *noise.slow(stage)], noise.weight)
+        linear = LinearModel(rows, [*parts, *noise.slow(stage)], noise.weight)
     return linear, noise
 
 
 def _of_residual(
-    left: Sequence[Array],
+    residual: Sequence[Array],
     sigma: Array,
     windows: Sequence[Index],
-    stage: Stage,
+    stage: CandidateColumns,
     views: Array,
 ) -> Noise:
-    """Noise of every channel; what two channels show counts half in each."""
-    n, found, weight = len(windows), sigma.copy(), []
-    for c, r in enumerate(left):
+    """Return the noise of every channel; what two channels show counts half in each."""
+    n = len(windows)
+    new_sigma = sigma.copy()
+    weight = []
+    for channel, r in enumerate(residual):
         if not len(r):
             weight.append(r)
-        elif c // n == 1:
-            found[c] = max(float(np.sqrt(np.mean(r**2))), 1e-12)
-            own = found[c] * stage.high.weight[c - n]
-            weight.append(np.full(len(r), 1.0 / (ALIKE * own**2)))
+        elif channel // n == 1:
+            # Above the cut-off bursts are left out already: the plain RMS.
+            new_sigma[channel] = max(float(np.sqrt(np.mean(r**2))), 1e-12)
+            scaled = new_sigma[channel] * stage.high.weight[channel - n]
+            weight.append(np.full(len(r), 1.0 / (ALIKE * scaled**2)))
         else:
-            found[c], shared = _student(r, sigma[c], windows[c % n])
-            weight.append(shared / (views[c] * ALIKE * found[c] ** 2))
-    return Noise(found, tuple(weight))
+            new_sigma[channel], relative = _student(
+                r, sigma[channel], windows[channel % n]
+            )
+            variance = views[channel] * ALIKE * new_sigma[channel] ** 2
+            weight.append(relative / variance)
+    return Noise(sigma=new_sigma, weight=tuple(weight))
 
 
 def _student(
     r: Array, sigma: float, window: Index, *, nu: float = 4.0
 ) -> tuple[float, Array]:
-    """Scale of Student's distribution with `nu` degrees of freedom, and the weights (M,)."""
+    """Return the scale of Student's distribution, and the weights (M,) of rows r (M,).
+
+    `nu` are its degrees of freedom, `window` (M,) says which rows share a weight.
+    """
     count = np.maximum(np.bincount(window), 1)
-    square = np.bincount(window, weights=r**2) / count
+    mean_square = np.bincount(window, weights=r**2) / count
     weight = np.ones(len(r))
     for _ in range(INNER):
-        weight = ((nu + 1.0) / (nu + square / sigma**2))[window]
+        weight = ((nu + 1.0) / (nu + mean_square / sigma**2))[window]
         sigma = max(float(np.sqrt(np.mean(weight * r**2))), 1e-12)
     return sigma, weight
 
 
 def slow_noise(
-    stage: Stage, channel: int, size: float, *, slow: float = 0.3, waves: int = 4
-) -> Part:
-    """Torque noise that is slower than a block of time: an offset and cosines, of 1/f power.
+    stage: CandidateColumns,
+    channel: int,
+    size: float,
+    *,
+    slow: float = 0.3,
+    waves: int = 4,
+) -> ColumnGroup:
+    """Return torque noise that is slower than a block of time, of 1/f power.
 
-    Each log has its own `waves` functions, whose torque is `slow` times `size`, the
-    standard deviation [N m] of the channel's noise. Blocks that are left out tell
-    nothing of it, and a function of time would pass for an effect.
+    It is an offset and cosines. Each log has its own `waves` functions, whose torque is
+    `slow` times `size`, the standard deviation [N m] of the channel's noise. Blocks
+    that are left out tell nothing of it, and a function of time would pass for an
+    effect.
     """
-    rows, order, own = stage.rows, np.arange(waves), []
-    for scene, picked, used in zip(rows.scenes, rows.picked, rows.used, strict=True):
-        t = scene.motion.t[picked[used[:, channel % rows.n]]] / float(
-            scene.motion.t[-1]
-        )
-        own.append(np.cos(np.pi * np.outer(t, order)))
-    wide = np.asarray(block_diag(*own))
+    rows = stage.rows
+    joint = channel % rows.n
+    order = np.arange(waves)
+    by_log = []
+    for scene, samples, used in zip(rows.scenes, rows.samples, rows.used, strict=True):
+        motion = scene.motion
+        share_of_log = motion.t[samples[used[:, joint]]] / float(motion.t[-1])
+        by_log.append(np.cos(np.pi * np.outer(share_of_log, order)))
+
     power = 1.0 / np.maximum(order, 0.5)
     variance = 2.0 * (slow * size) ** 2 * power / np.sum(power)
-    return Part({channel: wide}, np.diag(np.tile(1.0 / variance, len(rows.scenes))))
+    return ColumnGroup(
+        columns={channel: np.asarray(block_diag(*by_log))},
+        precision=np.diag(np.tile(1.0 / variance, len(rows.scenes))),
+    )
 
 
-def _windows(stage: Stage, *, window_s: float = 0.3) -> list[Index]:
-    """Window (M_j,) of every row of a joint, whose rows share a weight."""
-    rows, every, first = stage.rows, list[Index](), 0
-    for scene, picked in zip(rows.scenes, rows.picked, strict=True):
-        every.append((scene.motion.t[picked] / window_s).astype(np.intp) + first)
-        first += int(scene.motion.t[-1] / window_s) + 1
-    own = [
-        [x[u[:, j]] for x, u in zip(every, rows.used, strict=True)]
-        for j in range(rows.n)
-    ]
-    return [np.concatenate(parts) for parts in own]
+def _windows(stage: CandidateColumns, *, window_s: float = 0.3) -> list[Index]:
+    """Return the window (M_j,) of every row of a joint, whose rows share a weight."""
+    rows = stage.rows
+    window_by_scene: list[Index] = []
+    first = 0
+    for scene, samples in zip(rows.scenes, rows.samples, strict=True):
+        t = scene.motion.t
+        window_by_scene.append((t[samples] / window_s).astype(np.intp) + first)
+        first += int(t[-1] / window_s) + 1
+
+    windows = []
+    for joint in range(rows.n):
+        parts = [
+            window[used[:, joint]]
+            for window, used in zip(window_by_scene, rows.used, strict=True)
+        ]
+        windows.append(np.concatenate(parts))
+    return windows

@@ -1,12 +1,12 @@
-"""What the selection ranks, and what it ends with."""
+"""What the selection scores, and what it ends with."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import Model
-from seqid_cli.discover.select.rows import Gained, Predicted
+from seqid_cli.discover.select.rows import Score, TermFit
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.typing import Array
 
@@ -14,101 +14,136 @@ Key = tuple[str, int | None]
 
 
 @dataclass(frozen=True)
-class Ranked:
-    """A term, what it gains given all rows, and on blocks that were left out."""
+class ScoredTerm:
+    """A term, its fit given all rows, and its score on blocks that were left out."""
 
     term: Term
-    gained: Gained
-    predicted: Predicted
+    fit: TermFit
+    score: Score
 
 
-def again(term: Term, model: Model) -> Ranked:
-    """A taken term as it gains beside all others."""
-    return Ranked(term, *model.linear.again(term.part))
+def again(term: Term, model: Model) -> ScoredTerm:
+    """Score a term of a model, as if it were to be added to all others."""
+    fit, score = model.linear.again(term.part)
+    return ScoredTerm(term=term, fit=fit, score=score)
 
 
-class Weighed:
-    """What a term does beside all others: the less of beside a free base, and beside the file."""
+class TermInModel:
+    """How much a term of a model is worth beside all others, worked out as it is asked.
+
+    Parameters
+    ----------
+    term : Term
+        One of the model's.
+    model : Model
+        With the term.
+    """
 
     def __init__(self, term: Term, model: Model) -> None:
-        self.term, self.model = term, model
+        self.term = term
+        self.model = model
 
     @cached_property
-    def one(self) -> Ranked:
-        """It, as it was tried before it was taken."""
+    def scored(self) -> ScoredTerm:
+        """The term, scored as it was before it was taken."""
         return again(self.term, self.model)
 
     @cached_property
-    def linear(self) -> Linear:
+    def linear(self) -> LinearModel:
         """The model without it."""
         return self.model.beside(self.term)
 
     @cached_property
     def evidence(self) -> float:
-        """Log evidence for it."""
-        return min(self.one.predicted.total, self.model.margin(self.linear))
+        """Log evidence for it: the less of its score and of that beside a free base."""
+        return min(self.scored.score.total, self.model.margin(self.linear))
 
     @cached_property
     def share(self) -> float:
-        """Share of the squared error that it takes away.
+        """Share of the squared error that it takes away, beyond the file as it is.
 
         Of a smooth function by the squares of blocks that were left out as well: it
         follows large errors of a few blocks which an effect's law does not.
         """
-        model = self.model
-        first = [
-            model.ground.rows.y,
-            *([self.linear.left_out] if self.term.smooth else []),
+        residuals_before = [self.model.ground.rows.y]
+        if self.term.smooth:
+            residuals_before.append(tuple(self.linear.left_out))
+        beyond = [
+            self.model.beyond(residual, self.term.channels)
+            for residual in residuals_before
         ]
-        beyond = [model.beyond(left, self.term.channels) for left in first]
-        return min(self.one.predicted.share, *beyond)
+        return min(self.scored.score.share, *beyond)
 
 
-@dataclass(frozen=True)
-class Taken:
-    """A term of the finished model.
+@dataclass(frozen=True, kw_only=True)
+class TermResult:
+    """A term of the finished model, with what may stand in its place.
 
-    `evidence` (log) and `share` of the squared error are no more than beside a base
-    that may leave the file, and beyond the file as it is.
+    Attributes
+    ----------
+    scored : ScoredTerm
+        The term.
+    rivals : tuple of ScoredTerm
+        All that touches its channels, itself included, in its place.
+    left_without : sequence of (M_c,) arrays
+        By channel, what the model without it leaves of left-out blocks [N m].
+    evidence : float
+        Log evidence for it, no more than beside a base that may leave the file.
+    share : float
+        Share of the squared error, no more than beyond the file as it is.
+    model : Model
+        The model that it is judged in.
+    alternatives : mapping of str to float
+        Effects that may stand in its place, with the log evidence that they lack.
+    log_evidence_of_variation : float
+        For its size to be another one in every block.
+    untried : tuple of str
+        Effects that look like it, but these logs lack the channels to look for them.
     """
 
-    one: Ranked
-    # all that touches its channels, itself included, in its place
-    rivals: tuple[Ranked, ...]
-    # (M_c,) N m by channel: left-out blocks by the model without it
-    left: Sequence[Array]
+    scored: ScoredTerm
+    rivals: tuple[ScoredTerm, ...]
+    left_without: Sequence[Array]
     evidence: float
     share: float
-    model: Model  # that it is judged in
-    # effects that may stand in its place, log evidence they lack
-    instead: Mapping[str, float]
-    varied: float  # log evidence that its size is another one in every block
-    # look alike, but these logs lack the channels to look for them
+    model: Model
+    alternatives: Mapping[str, float]
+    log_evidence_of_variation: float
     untried: tuple[str, ...] = ()
 
     @property
     def term(self) -> Term:
         """The term."""
-        return self.one.term
+        return self.scored.term
 
 
 @dataclass(frozen=True)
-class Selected:
-    """The finished model, the terms that are told, and what the model hides."""
+class SelectionResult:
+    """The finished model, the terms that are told, and what the model hides.
+
+    Attributes
+    ----------
+    model : Model
+        With all its terms, told or not.
+    terms : tuple of TermResult
+        Those that are told.
+    visible_shares : mapping of Key to float
+        Share of each other effect's torque that the model does not absorb.
+    untaken : tuple of ScoredTerm
+        What was tried last, beside all that was taken, the largest gain first.
+    """
 
     model: Model
-    taken: tuple[Taken, ...]
-    # share of each other effect's torque that it does not absorb
-    visible: Mapping[Key, float]
-    # last, beside all that was taken, the largest gain first
-    tried: tuple[Ranked, ...] = ()
+    terms: tuple[TermResult, ...]
+    visible_shares: Mapping[Key, float]
+    untaken: tuple[ScoredTerm, ...] = ()
 
     @property
-    def effects(self) -> list[Taken]:
-        """Those of the catalogue."""
-        return [one for one in self.taken if not one.term.smooth]
+    def effects(self) -> list[TermResult]:
+        """Effects of the catalogue among the terms."""
+        return [result for result in self.terms if not result.term.smooth]
 
     @property
-    def smooth(self) -> list[Taken]:
-        """Smooth functions."""
-        return [one for one in self.taken if one.term.smooth]
+    def smooth(self) -> list[TermResult]:
+        """Smooth functions among the terms."""
+        return [result for result in self.terms if result.term.smooth]

@@ -3,6 +3,11 @@
 How sure a gain is over blocks that differ is told by drawn weights of the blocks (D. B.
 Rubin, "The Bayesian bootstrap", Annals of Statistics 9, 1981): what shows in a few
 blocks alone may still be sure, if nothing speaks against it elsewhere.
+
+A *channel* is one kind of rows of a joint. With n joints, channel j is the torque of
+joint j below its cut-off, n + j what lies above the cut-off, and 2 n + j its drive
+alone. In shapes, M_c is the number of rows of channel c, k the number of columns of one
+group, and "blocks" the number of blocks of time.
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,14 +28,24 @@ DRAWS, SEED = 400, 0  # of weights of the blocks
 
 
 @dataclass(frozen=True)
-class Rows:
-    """What is to be explained."""
+class Observations:
+    """What is to be explained.
 
-    y: tuple[Array, ...]  # (M_c,) by channel, torque [N m; N where prismatic]
-    # (M_c,) by channel, the block of time of each row, ascending
+    Attributes
+    ----------
+    y : tuple of (M_c,) arrays
+        By channel, torque [N m; N where prismatic].
+    block : tuple of (M_c,) index arrays
+        By channel, the block of time of each row, ascending.
+    blocks : int
+        Number of blocks.
+    views : tuple of int
+        How many channels show the same as each does; empty where each shows its own.
+    """
+
+    y: tuple[Array, ...]
     block: tuple[Index, ...]
     blocks: int
-    # how many channels show the same as each does; empty: one
     views: tuple[int, ...] = ()
 
     @cached_property
@@ -43,35 +58,44 @@ class Rows:
 
     @property
     def shared(self) -> Array:
-        """`views` of all channels."""
+        """Number (channels,) of channels that show the same as each does."""
         return np.array(self.views or (1,) * len(self.y), dtype=np.float64)
 
     @cached_property
-    def at(self) -> tuple[tuple[slice, ...], ...]:
+    def block_slices(self) -> tuple[tuple[slice, ...], ...]:
         """The rows of every block, channel by channel."""
-        every = np.arange(self.blocks + 1)
-        edges = [np.searchsorted(block, every) for block in self.block]
-        return tuple(
-            tuple(slice(int(a), int(b)) for a, b in pairwise(edge)) for edge in edges
-        )
+        return tuple(self._block_slices_of(block) for block in self.block)
+
+    def _block_slices_of(self, block: Index) -> tuple[slice, ...]:
+        edges = np.searchsorted(block, np.arange(self.blocks + 1))
+        return tuple(slice(int(start), int(stop)) for start, stop in pairwise(edges))
 
 
-@dataclass(frozen=True)
-class Part:
-    """Columns that are fitted together, and the precision (k, k) that their coefficients had.
+@dataclass(frozen=True, kw_only=True)
+class ColumnGroup:
+    """Columns that are fitted together, and what is known of their coefficients.
 
-    `in_file` are coefficients (., k) of other parts of the model, by their number, that
-    stand for the part in a parameter file: held to the file is what they are more than
-    that.
+    Attributes
+    ----------
+    columns : mapping of channel to (M_c, k_c) array
+        Torque per unit coefficient [N m; N where prismatic].
+    precision : (k, k) array
+        Inverse covariance of the coefficients beforehand.
+    precision_without_file : (k, k) array, optional
+        The part of it that no parameter file says; None for all of it.
+    first_column : mapping of channel to int
+        Which of the k columns a channel's first one is, where it is not 0.
+    absorbed_by_file : mapping of int to (p, k) array
+        Coefficients of other groups of the model, by the number of the group, that
+        stand for this one in a parameter file. Held to the file is what these are more
+        than that.
     """
 
     columns: Channels
     precision: Array
-    # of the precision what is no parameter file's; None: all
-    apart: Array | None = None
-    # channel -> its first column, if not 0
-    first: Mapping[int, int] = field(default_factory=dict)
-    in_file: Mapping[int, Array] = field(default_factory=dict)
+    precision_without_file: Array | None = None
+    first_column: Mapping[int, int] = field(default_factory=dict)
+    absorbed_by_file: Mapping[int, Array] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -79,42 +103,65 @@ class Part:
         return len(self.precision)
 
     def at(self, channel: int) -> slice:
-        """Which of the columns a channel has."""
-        first = self.first.get(channel, 0)
+        """Return which of the columns a channel has."""
+        first = self.first_column.get(channel, 0)
         return slice(first, first + self.columns[channel].shape[1])
 
     def torque(self, channel: int, theta: Array) -> Array:
-        """Torque (M_c,) N m of coefficients (k,) at a channel."""
+        """Return the torque (M_c,) N m of coefficients (k,) at a channel."""
         return np.asarray(self.columns[channel] @ theta[self.at(channel)])
 
 
-@dataclass(frozen=True)
-class Gained:
-    """What one term does to a model that does not have it."""
+@dataclass(frozen=True, kw_only=True)
+class TermFit:
+    """What one term does to a model that does not have it, given all rows.
 
-    evidence: float  # log Bayes factor
-    coefficients: Array  # (k,)
-    covariance: Array  # (k, k)
-    visible: float  # share of the columns' square that the model does not absorb
+    Attributes
+    ----------
+    log_bayes_factor : float
+        Of the model with the term against the one without.
+    coefficients : (k,) array
+        Of the term.
+    covariance : (k, k) array
+        Of the coefficients.
+    visible_share : float
+        Share of the columns' square that the model does not absorb.
+    """
+
+    log_bayes_factor: float
+    coefficients: Array
+    covariance: Array
+    visible_share: float
 
 
-@dataclass(frozen=True)
-class Predicted:
-    """What one term does to blocks that were left out."""
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """How much better blocks are predicted with a term that was fitted to the others.
 
-    density: Array  # (blocks,) gain in log predictive density
-    rows: Array  # (blocks,) number of independent rows at its channels
-    file: float = 0.0  # gain in the density of what the parameter file says
+    Attributes
+    ----------
+    block_gains : (blocks,) array
+        Gain in log predictive density.
+    rows : (blocks,) array
+        Number of independent rows at the term's channels.
+    file_gain : float
+        Gain in the log density of what the parameter file says.
+    """
+
+    block_gains: Array
+    rows: Array
+    file_gain: float = 0.0
 
     @property
     def total(self) -> float:
         """Gain of all blocks and of the file."""
-        return float(self.density.sum()) + self.file
+        return float(self.block_gains.sum()) + self.file_gain
 
     @cached_property
     def drawn(self) -> Array:
-        """The same (DRAWS,) over drawn weights of the blocks; there is one file."""
-        return np.asarray(weights_of(len(self.density)) @ self.density + self.file)
+        """Total gains (DRAWS,) over drawn weights of the blocks; there is one file."""
+        weights = weights_of(len(self.block_gains))
+        return np.asarray(weights @ self.block_gains + self.file_gain)
 
     @property
     def doubt(self) -> float:
@@ -139,31 +186,29 @@ class Predicted:
         return float(low), float(high)
 
     def _share_of(self, gain: float | Array) -> Array:
-        rows = max(float(self.rows.sum()), 1.0)
-        return np.asarray(2.0 * np.asarray(gain) / (2.0 * np.maximum(gain, 0.0) + rows))
+        n_rows = max(float(self.rows.sum()), 1.0)
+        gained = np.maximum(gain, 0.0)
+        return np.asarray(2.0 * np.asarray(gain) / (2.0 * gained + n_rows))
 
 
 def joints_below(channels: Iterable[int], n: int) -> list[int]:
-    """Joints of n whose torque below the cut-off some channels show.
-
-    Channel j is that of joint j, n + j what lies above its cut-off, 2 n + j its drive
-    alone.
-    """
-    return sorted({c % n for c in channels if c // n != 1})
+    """Return the joints of n whose torque below the cut-off some channels show."""
+    return sorted({channel % n for channel in channels if channel // n != 1})
 
 
 @lru_cache
 def weights_of(blocks: int) -> Array:
-    """Weights (DRAWS, blocks) of the Bayesian bootstrap."""
+    """Return weights (DRAWS, blocks) of the Bayesian bootstrap."""
     return np.random.default_rng(SEED).exponential(size=(DRAWS, blocks))
 
 
 def doubt_of(gains: Array) -> float:
-    """Probability that gains of blocks (B,) come to nothing, over drawn weights of the blocks."""
+    """Return the probability that gains of blocks (blocks,) come to nothing."""
     return float(np.mean(weights_of(len(gains)) @ gains <= 0.0))
 
 
 def scatter(values: Array) -> float:
-    """Standard error of the sum of independent values (blocks,)."""
-    many = len(values) > 1
-    return float(np.std(values, ddof=1) * np.sqrt(len(values))) if many else np.inf
+    """Return the standard error of the sum of independent values (blocks,)."""
+    if len(values) < 2:
+        return np.inf
+    return float(np.std(values, ddof=1) * np.sqrt(len(values)))

@@ -1,19 +1,20 @@
-"""What a model may lack next: effects at their best settings and smooth functions, joint by joint.
+"""What a model may lack next: effects at their best settings and smooth functions.
 
-Where a term was taken or taken back all is searched anew. Elsewhere what came first
-stays, and only what it gains is another now.
+Where a term was added or removed all is searched anew. Elsewhere the terms that were
+the best of their joint stay candidates, and only what they gain is worked out again.
 """
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
-from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, shape_of
+from seqid_cli.discover.select.tuning import FittedTerm, Tuner, best_of, shape_of
 from seqid_cli.model.effects.effect import Effect
 
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
@@ -23,148 +24,211 @@ SMOOTH_SHORTLIST = 3  # smooth functions per joint
 
 @dataclass
 class _Shape:
-    """An effect at a joint with settings of one kind; whether the others have been searched."""
+    """An effect at a joint with settings of one kind; whether others were searched."""
 
     term: Term
-    searched: bool = False
+    is_searched: bool = False
 
 
 class Search:
-    """Candidates for a model's next term; `visible` is the largest share of each effect."""
+    """Candidates for a model's next term.
+
+    Parameters
+    ----------
+    model : Model
+        The model as it grows.
+    catalogue : sequence of Effect
+        What it may lack.
+
+    Attributes
+    ----------
+    visible : dict of Key to float
+        The largest share of each effect's square that the base does not absorb.
+    """
 
     def __init__(self, model: Model, catalogue: Sequence[Effect]) -> None:
-        self.model, self.catalogue = model, catalogue
+        self.model = model
+        self.catalogue = catalogue
         self.visible: dict[Key, float] = {}
         self._shapes: dict[int | None, list[_Shape]] = {}
         self._smooth: dict[int | None, list[Term]] = {}
 
     def changed(self, term: Term) -> None:
-        """Forget the candidates at joints of which a term is taken or taken back."""
+        """Forget the candidates at joints of which a term is added or removed."""
         for joint in self._joints_of(term):
             self._shapes.pop(joint, None)
             self._smooth.pop(joint, None)
 
     def _joints_of(self, term: Term) -> set[int | None]:
-        return {None, *(c % self.model.ground.n for c in term.channels)}
+        n = self.model.ground.n
+        return {None, *(channel % n for channel in term.channels)}
 
-    def everywhere(self) -> list[Tried]:
-        """What may be taken next at all joints; nothing that the model has."""
-        terms = self.model.terms
-        effects = self._effects({term.key for term in terms if not is_wide(term)})
-        return [*effects, *self._functions({term.key for term in terms})]
+    def everywhere(self) -> list[FittedTerm]:
+        """Return what may be taken next at all joints; nothing that the model has."""
+        # A joint may have several ripples, and lines in time: one more may be taken.
+        keys = {term.key for term in self.model.terms}
+        single_keys = {term.key for term in self.model.terms if not is_wide(term)}
+        return [*self._effects(single_keys), *self._functions(keys)]
 
-    def near(self, term: Term, linear: Linear) -> list[Tried]:
-        """What may be at the place of a term, beside a model without it."""
-        candidates = self._candidates(self._joints_of(term), but=term)
+    def near(self, term: Term, linear: LinearModel) -> list[FittedTerm]:
+        """Return what may be in the place of a term, beside a model without it."""
+        candidates = self._candidates(self._joints_of(term), without=term)
         return [
             *self._best_of(candidates, linear),
             *self._first_functions(linear, term.channels),
         ]
 
-    def at(self, joint: int | None, bare: Model) -> list[Tried]:
-        """What may be at a joint (None: of the whole arm) beside a model that has nothing there."""
+    def at(self, joint: int | None, bare: Model) -> list[FittedTerm]:
+        """Return what may be at a joint (None: the whole arm) beside a bare model."""
         joints = range(bare.ground.n) if joint is None else (joint,)
         functions = self._first_functions(bare.linear, frozenset(joints))
         return [*self.effects_at(joint, bare), *functions]
 
-    def effects_at(self, joint: int | None, bare: Model) -> list[Tried]:
-        """The effects among these."""
+    def effects_at(self, joint: int | None, bare: Model) -> list[FittedTerm]:
+        """Return the effects that may be at a joint beside a bare model."""
         scenes = bare.ground.stage.scenes
         candidates = list(candidates_of(scenes, self.catalogue, bare.left(), {joint}))
         return self._best_of(candidates, bare.linear)
 
-    def _best_of(self, candidates: Sequence[Candidate], linear: Linear) -> list[Tried]:
-        """Effects at their best settings beside a model."""
+    def _best_of(
+        self, candidates: Sequence[Candidate], linear: LinearModel
+    ) -> list[FittedTerm]:
+        """Return the best candidates beside a model, each at its best settings."""
         tuner = self._tuner(linear)
-        first, reach = _shortlist(best_of(tuner.tried(candidates), shape_of))
-        found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
-        return _best_settings(found)
+        shortlist, reach = _shortlist(best_of(tuner.tried(candidates), shape_of))
+        tuned = [
+            tuner.tuned(fitted) if fitted.evidence > reach else fitted
+            for fitted in shortlist
+        ]
+        return _best_settings(tuned)
 
-    def _effects(self, had: Collection[Key]) -> list[Tried]:
-        """Effects, each at its best settings."""
-        tuner, n = self._tuner(self.model.linear), self.model.ground.n
-        known = {shape.term: shape for some in self._shapes.values() for shape in some}
-        now = tuner.gained(known)
-        joints = {j for j in (None, *range(n)) if j not in self._shapes}
-        if joints:
-            tried = tuner.tried(self._candidates(joints))
-            visible = dict[Key, float]()
-            for one in (one for one in tried if not one.candidate.absorbed):
-                visible[one.term.key] = max(
-                    visible.get(one.term.key, 0.0), one.gained.visible
-                )
-            self.visible |= visible
-            self._shapes |= {joint: [] for joint in joints}
-            for one in best_of(tried, shape_of):
-                known[one.term] = _Shape(one.term)
-                self._shapes[one.term.joint].append(known[one.term])
-                now.append(one)
-        first, reach = _shortlist([one for one in now if one.term.key not in had])
-        for number, one in enumerate(first):
-            shape = known[one.term]
-            if not shape.searched and one.evidence > reach:
-                first[number] = tuner.tuned(one)
-                shape.term, shape.searched = first[number].term, True
-        return _best_settings(first)
+    def _effects(self, excluded: Collection[Key]) -> list[FittedTerm]:
+        """Return the best effects, each at its best settings."""
+        tuner = self._tuner(self.model.linear)
+        shape_of_term = {
+            shape.term: shape for shapes in self._shapes.values() for shape in shapes
+        }
+        fitted = tuner.fitted(shape_of_term)
 
-    def _functions(self, had: Collection[Key]) -> list[Tried]:
-        """Smooth functions, the first ones of every joint."""
-        linear, n = self.model.linear, self.model.ground.n
-        changed = frozenset(j for j in range(n) if j not in self._smooth)
-        anew = self._first_functions(linear, changed, had)
-        same = [t for some in self._smooth.values() for t in some if t.key not in had]
-        for j in changed:
-            self._smooth[j] = [one.term for one in anew if one.term.joint == j]
-        return [*anew, *_tried(linear, same)]
+        # Joints at which something has changed are searched anew, over the whole grid.
+        joints: set[int | None] = {None, *range(self.model.ground.n)}
+        stale_joints = {joint for joint in joints if joint not in self._shapes}
+        if stale_joints:
+            tried = tuner.tried(self._candidates(stale_joints))
+            self.visible |= _largest_visible_shares(tried)
+            for joint in stale_joints:
+                self._shapes[joint] = []
+            for best in best_of(tried, shape_of):
+                shape = _Shape(best.term)
+                shape_of_term[best.term] = shape
+                self._shapes[best.term.joint].append(shape)
+                fitted.append(best)
+
+        free = [each for each in fitted if each.term.key not in excluded]
+        shortlist, reach = _shortlist(free)
+        for number, each in enumerate(shortlist):
+            shape = shape_of_term[each.term]
+            if not shape.is_searched and each.evidence > reach:
+                shortlist[number] = tuner.tuned(each)
+                shape.term = shortlist[number].term
+                shape.is_searched = True
+        return _best_settings(shortlist)
+
+    def _functions(self, excluded: Collection[Key]) -> list[FittedTerm]:
+        """Return the best smooth functions of every joint."""
+        linear = self.model.linear
+        stale_joints = frozenset(
+            joint for joint in range(self.model.ground.n) if joint not in self._smooth
+        )
+        new = self._first_functions(linear, stale_joints, excluded)
+        earlier = [
+            term
+            for terms in self._smooth.values()
+            for term in terms
+            if term.key not in excluded
+        ]
+        for joint in stale_joints:
+            self._smooth[joint] = [
+                fitted.term for fitted in new if fitted.term.joint == joint
+            ]
+        return [*new, *_fitted(linear, earlier)]
 
     def _first_functions(
-        self, linear: Linear, channels: frozenset[int], had: Collection[Key] = ()
-    ) -> list[Tried]:
-        """The smooth functions of the largest evidence at some joints.
+        self,
+        linear: LinearModel,
+        channels: frozenset[int],
+        excluded: Collection[Key] = (),
+    ) -> list[FittedTerm]:
+        """Return the smooth functions of the largest evidence at some joints.
 
         Functions of two quantities are asked for where one of a single quantity
         explains anything (marginality: J. A. Nelder, Journal of the Royal Statistical
         Society A 140, 1977).
         """
-        ground, found = self.model.ground, list[Tried]()
-        for j in joints_below(channels, ground.n):
-            own = list[Tried]()
+        ground = self.model.ground
+        best: list[FittedTerm] = []
+        for joint in joints_below(channels, ground.n):
+            at_joint: list[FittedTerm] = []
             for products in (False, True):
-                if not products or any(one.evidence > 0.0 for one in own):
-                    terms = ground.smooth_terms(j, products=products)
-                    own += _tried(
-                        linear, [term for term in terms if term.key not in had]
-                    )
-            found += sorted(own, key=lambda one: -one.evidence)[:SMOOTH_SHORTLIST]
-        return found
+                if products and not any(each.evidence > 0.0 for each in at_joint):
+                    continue
+                terms = ground.smooth_terms(joint, products=products)
+                free = [term for term in terms if term.key not in excluded]
+                at_joint += _fitted(linear, free)
+            at_joint.sort(key=lambda each: -each.evidence)
+            best += at_joint[:SMOOTH_SHORTLIST]
+        return best
 
-    def _tuner(self, linear: Linear) -> Tuner:
+    def _tuner(self, linear: LinearModel) -> Tuner:
         return Tuner(self.model.ground.stage, linear, self.model.ground.size)
 
     def _candidates(
-        self, joints: Collection[int | None], but: Term | None = None
+        self, joints: Collection[int | None], without: Term | None = None
     ) -> list[Candidate]:
-        left, scenes = self.model.left(without=but), self.model.ground.stage.scenes
-        return list(candidates_of(scenes, self.catalogue, left, joints))
+        residual = self.model.left(without=without)
+        scenes = self.model.ground.stage.scenes
+        return list(candidates_of(scenes, self.catalogue, residual, joints))
 
 
-def _tried(linear: Linear, terms: Sequence[Term]) -> list[Tried]:
-    return list(map(Tried, terms, linear.gained([term.part for term in terms])))
+def _fitted(linear: LinearModel, terms: Sequence[Term]) -> list[FittedTerm]:
+    """Fit terms beside a model."""
+    fits = linear.fits([term.part for term in terms])
+    return [FittedTerm(term, fit) for term, fit in zip(terms, fits, strict=True)]
 
 
-def _best_settings(tried: Sequence[Tried]) -> list[Tried]:
-    return best_of(tried, lambda t: (*t.term.key, t.candidate.apart))
+def _largest_visible_shares(tried: Iterable[FittedTerm]) -> dict[Key, float]:
+    """Return the largest visible share of each effect that no file has absorbed."""
+    largest: dict[Key, float] = {}
+    for fitted in tried:
+        if not fitted.candidate.absorbed:
+            key = fitted.term.key
+            largest[key] = max(largest.get(key, 0.0), fitted.fit.visible_share)
+    return largest
 
 
-def _shortlist(
-    tried: Iterable[Tried], *, close: float = 0.5
-) -> tuple[list[Tried], float]:
-    """Those of the largest evidence that are seen, and the evidence from which one is `close`."""
-    seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE]
-    first = sorted(seen, key=lambda t: -t.evidence)[:SHORTLIST]
-    return first, close * max((t.evidence for t in first), default=0.0)
+def _best_settings(fitted: Sequence[FittedTerm]) -> list[FittedTerm]:
+    """Return each effect once at each joint, together with and apart from above."""
+    return best_of(fitted, lambda each: (*each.term.key, each.candidate.apart))
+
+
+class _Shortlist(NamedTuple):
+    """The best effects, and the evidence above which settings are worth a search."""
+
+    terms: list[FittedTerm]
+    reach: float
+
+
+def _shortlist(fitted: Iterable[FittedTerm], *, close: float = 0.5) -> _Shortlist:
+    """Return the effects of the largest evidence that the base does not absorb.
+
+    Settings of those are searched whose evidence is a share `close` of the best one's.
+    """
+    visible = [each for each in fitted if each.fit.visible_share > LEAST_VISIBLE]
+    best = sorted(visible, key=lambda each: -each.evidence)[:SHORTLIST]
+    largest = max((each.evidence for each in best), default=0.0)
+    return _Shortlist(terms=best, reach=close * largest)
 
 
 def is_wide(term: Term) -> bool:
-    """Whether it is an effect of which a joint may have several: a ripple, a line in time."""
+    """Return whether a joint may have several of it: a ripple, a line in time."""
     return isinstance(term.what, Candidate) and term.what.effect.wide

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
@@ -19,23 +20,23 @@ from scipy.special import ndtri
 from seqid_cli.discover.base import has_trials
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.changes import MOST_ERRORS, value_changes
-from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
+from seqid_cli.discover.select.linear import LinearModel
+from seqid_cli.discover.select.model import FREE, HELD, Ground, Model, PriorScale
 from seqid_cli.discover.select.naming import TOLD, probable_names, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import (
     Key,
-    Ranked,
-    Selected,
-    Taken,
-    Weighed,
+    ScoredTerm,
+    SelectionResult,
+    TermInModel,
+    TermResult,
     again,
 )
-from seqid_cli.discover.select.rows import Part, scatter
+from seqid_cli.discover.select.rows import ColumnGroup, scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.select.tuning import Tried, Tuner
+from seqid_cli.discover.select.tuning import FittedTerm, Tuner
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 from seqid_cli.model.effects.scene import Scene
@@ -53,96 +54,155 @@ def select(
     held in both ways at first, and the evidence chooses. A loose base takes up friction
     that has changed: terms of such a model are tried with the base held as the file
     says, too.
+
+    Parameters
+    ----------
+    ground : Ground
+        The problem.
+    options : Options, optional
+        What decides.
+    catalogue : sequence of Effect, optional
+        What the model may lack; by default all effects.
     """
-    catalogue = _known(ground) if catalogue is None else catalogue
+    catalogue = _known_effects(ground) if catalogue is None else catalogue
     options = options or Options()
-    first = Selection(Model(ground, HELD), options, catalogue)
-    first.finish()
+    held = Selection(Model(ground, HELD), options, catalogue)
+    held.finish()
     if has_trials(ground.stage.scenes[0], None):
-        return _best_of_all([first]).merged()
-    other = Selection(Model(ground, FREE), options, catalogue)
-    other.run()
-    changes = other.model.rescale()
-    best = _best_of_all([first, other])
-    if other.keys == first.keys and best is first:
+        return _best_of_all([held]).merged()
+
+    free = Selection(Model(ground, FREE), options, catalogue)
+    free.run()
+    is_rescaled = free.model.rescale()
+    best = _best_of_all([held, free])
+    if free.keys == held.keys and best is held:
         return best.merged()
-    if changes:
-        other.eliminate()
-        other.run()
-        best = _best_of_all([first, other])
-    if best.model.hold.doubt(ground.n) and best.keys != first.keys:
-        held = Selection(Model(ground, HELD), options, catalogue)
-        held.model.terms, held._tied = list(best.model.terms), dict(best._tied)
-        held.model.settle()
-        held.finish()
-        best = _best_of_all([held, first, other])
+
+    if is_rescaled:
+        free.eliminate()
+        free.run()
+        best = _best_of_all([held, free])
+    if best.model.hold.doubt(ground.n) and best.keys != held.keys:
+        again_held = Selection(Model(ground, HELD), options, catalogue)
+        again_held.model.terms = list(best.model.terms)
+        again_held.tied = dict(best.tied)
+        again_held.model.settle()
+        again_held.finish()
+        best = _best_of_all([again_held, held, free])
     return best.merged()
 
 
-def _best_of_all(every: Sequence[Selection]) -> Selection:
-    """The selection of the best model, all under the noise of the one that leaves least."""
-    below = every[0].model.ground.n  # channels below the cut-off
-    noises = [one.model.noise for one in every]
+def _best_of_all(selections: Sequence[Selection]) -> Selection:
+    """Return the selection of the best model.
+
+    All are compared under the noise of the one that leaves least. The best one learns
+    what the others have, and how far they are behind.
+    """
+    below = selections[0].model.ground.n  # channels below the cut-off
+    noises = [selection.model.noise for selection in selections]
     least = min(noises, key=lambda noise: float(np.mean(np.log(noise.sigma[:below]))))
-    worth = [one.worth(least) for one in every]
+    worth = [selection.worth(least) for selection in selections]
     number = int(np.argmax(worth))
-    best, behind = every[number], (worth[number] - value for value in worth)
+    best = selections[number]
     best.others = [
-        (max(b, 0.0), tuple(x.model.terms)) for b, x in zip(behind, every, strict=True)
+        _OtherModel(
+            lag=max(worth[number] - worth_of_other, 0.0),
+            terms=tuple(other.model.terms),
+        )
+        for other, worth_of_other in zip(selections, worth, strict=True)
     ]
     return best
 
 
 def select_among(
-    ground: Ground, hold: Hold, candidates: Sequence[Candidate]
+    ground: Ground, hold: PriorScale, candidates: Sequence[Candidate]
 ) -> Selection:
-    """Begin with effects, and take back those that the model does not need."""
-    among = Selection(Model(ground, hold, candidates), Options(), _known(ground))
-    among.eliminate()
-    return among
+    """Begin with effects, and remove those that the model does not need.
+
+    Parameters
+    ----------
+    ground : Ground
+        The problem.
+    hold : PriorScale
+        How loosely the base is held to the file.
+    candidates : sequence of Candidate
+        The effects.
+    """
+    model = Model(ground, hold, candidates)
+    selection = Selection(model, Options(), _known_effects(ground))
+    selection.eliminate()
+    return selection
 
 
-def _known(ground: Ground) -> tuple[Effect, ...]:
+def _known_effects(ground: Ground) -> tuple[Effect, ...]:
     return tuple(catalogue_of(ground.stage.scenes[0].robot).values())
 
 
+class _OtherModel(NamedTuple):
+    """Terms of another finished model, and the log evidence by which it is behind."""
+
+    lag: float
+    terms: tuple[Term, ...]
+
+
 class Selection:
-    """Terms are taken and taken back, one by one; the model may have some to begin with."""
+    """A model whose terms are added and removed, one by one.
+
+    Parameters
+    ----------
+    model : Model
+        It may have some terms to begin with.
+    options : Options
+        What decides.
+    catalogue : sequence of Effect
+        What the model may lack.
+
+    Attributes
+    ----------
+    tied : dict of Key to list of Term
+        By a term that was taken, the effects that were as good as it then.
+    others : list of _OtherModel
+        Other finished models.
+    """
 
     def __init__(
         self, model: Model, options: Options, catalogue: Sequence[Effect]
     ) -> None:
-        self.model, self.options, self.catalogue = model, options, catalogue
+        self.model = model
+        self.options = options
+        self.catalogue = catalogue
+        self.tied: dict[Key, list[Term]] = {}
+        self.others: list[_OtherModel] = []
         self._search = Search(model, catalogue)
-        self._tried: list[Tried] = []
-        self._tied: dict[Key, list[Term]] = {}
-        # Terms of other finished models, and the log evidence by which these are
-        # behind.
-        self.others: list[tuple[float, tuple[Term, ...]]] = []
-        # terms that are told whatever stands beside
-        self._value_changes: dict[Term, Taken] = {}
-        self._stood_for: set[Key] = set()  # what they are told in place of
+        self._last_tried: list[FittedTerm] = []
+        # Changes of the file's values are told whatever stands beside, and some terms
+        # of the model are not told because of them.
+        self._value_changes: dict[Term, TermResult] = {}
+        self._replaced_keys: set[Key] = set()
 
     def worth(self, noise: Noise) -> float:
-        """Evidence under a noise, less what simpler models are granted.
+        """Return the evidence under a noise, less what simpler models are granted.
 
         Every term must be better than chance, a smooth function better than effects by
         what is a tie, and standard errors of the file are not likely to be far too
         small.
         """
-        model, options = self.model, self.options
-        gained = [
-            again(term, model).predicted.total for term in model.terms if term.smooth
-        ]
-        granted = options.small * sum(gained) + options.chance * len(model.terms)
-        return model.under(noise).evidence - (
-            granted + model.hold.doubt(model.ground.n)
+        model = self.model
+        smooth_gain = sum(
+            again(term, model).score.total for term in model.terms if term.smooth
         )
+        granted = self.options.small * smooth_gain + self.options.chance * len(
+            model.terms
+        )
+        doubt = model.hold.doubt(model.ground.n)
+        return model.under(noise).evidence - (granted + doubt)
 
     @property
     def keys(self) -> set[Key]:
-        """What the model has."""
+        """Names and joints of the model's terms."""
         return {term.key for term in self.model.terms}
+
+    # ---- forward and backward
 
     def finish(self) -> None:
         """Select, hold the base as the evidence says, and go on."""
@@ -151,335 +211,461 @@ class Selection:
             self.eliminate()
             self.run()
 
+    def run(self) -> None:
+        """Add terms, and after each step remove those that are not needed."""
+        refused: set[Key] = set()
+        while len(self.model.terms) < self.options.most:
+            term = self._next_term(refused)
+            if term is None:
+                return
+            self._search.changed(term)
+            self.model.terms.append(term)
+            self.model.settle()
+            self.model.polish()
+            refused |= self.eliminate()
+
+    def _next_term(self, refused: set[Key]) -> Term | None:
+        """Return the term to take next; None where none is worth it."""
+        gaining = [
+            fitted for fitted in self._search.everywhere() if fitted.evidence > 0.0
+        ]
+        self._last_tried = [
+            fitted for fitted in gaining if fitted.term.key not in refused
+        ]
+        # Only these are scored: no fewer are worth it, and a score takes its time.
+        likely = [
+            fitted
+            for fitted in self._last_tried
+            if fitted.evidence > self.options.chance
+        ]
+        scored = _scored(self.model.linear, likely)
+        passing = [candidate for candidate in scored if self._passes(candidate)]
+        chosen = self._simplest(passing)
+        if chosen is None:
+            return None
+
+        self.tied[chosen.term.key] = [
+            candidate.term
+            for candidate in passing
+            if self.as_good(candidate, passing[0]) and not candidate.term.smooth
+        ]
+        return chosen.term
+
+    def _simplest(self, scored: Sequence[ScoredTerm]) -> ScoredTerm | None:
+        """Return the term with the fewest parameters among those as good as the first.
+
+        Of two with as many the one of the larger Bayes factor is taken.
+        """
+        near = [candidate for candidate in scored if self.as_good(candidate, scored[0])]
+        return min(
+            near,
+            key=lambda each: (each.term.freedom, -each.fit.log_bayes_factor),
+            default=None,
+        )
+
+    def _passes(self, candidate: ScoredTerm) -> bool:
+        """Return whether a term is worth it."""
+        options = self.options
+        score = candidate.score
+        is_sure = (
+            candidate.fit.log_bayes_factor > options.chance
+            and score.doubt < options.doubt
+        )
+        return is_sure and score.share > options.improvement
+
+    def as_good(self, candidate: ScoredTerm, best: ScoredTerm) -> bool:
+        """Return whether a term at one of the same channels is not clearly behind."""
+        options = self.options
+        lag = best.score.total - candidate.score.total
+        # Standard errors by which the doubt is no more than that.
+        n_errors = -float(ndtri(options.doubt))
+        difference = best.score.block_gains - candidate.score.block_gains
+        chance = n_errors * scatter(difference)
+        is_near = lag <= max(chance, options.small * best.score.total, 1.0)
+        return is_near and bool(candidate.term.channels & best.term.channels)
+
+    def eliminate(self) -> set[Key]:
+        """Remove, the weakest first, what is not worth it beside all others."""
+        model = self.model
+        removed: set[Key] = set()
+        while model.terms:
+            scored = [again(term, model) for term in model.terms]
+            failing = [each for each in scored if not self._passes(each)]
+            if not failing:
+                break
+            weakest = min(failing, key=lambda each: each.score.total)
+            self._search.changed(weakest.term)
+            model.terms.remove(weakest.term)
+            removed.add(weakest.term.key)
+            model.settle()
+        return removed
+
+    # ---- one term in the place of two
+
     def merged(self) -> Selection:
         """Put one term in the place of two at one joint where it explains as much."""
         model = self.model
         for a, b in combinations(model.terms, 2):
-            there = a in model.terms and b in model.terms
-            one = self._instead(a, b) if there and a.channels & b.channels else None
-            if one is not None:
+            both_stay = a in model.terms and b in model.terms
+            if not both_stay or not a.channels & b.channels:
+                continue
+            replacement = self._replacement_of(a, b)
+            if replacement is not None:
                 self._search.changed(a)
-                model.terms[model.terms.index(a)] = one
+                model.terms[model.terms.index(a)] = replacement
                 model.terms.remove(b)
                 model.settle()
                 model.polish()
         return self
 
-    def _instead(self, a: Term, b: Term) -> Term | None:
-        """What was as good as one of two terms, and explains as much as both."""
-        tied = [
-            c
-            for one in (a, b)
-            for c in self._tied.get(one.key, ())
-            if c.key not in self.keys
+    def _replacement_of(self, a: Term, b: Term) -> Term | None:
+        """Return a tied alternative that explains as much as both terms, or None."""
+        alternatives = []
+        for taken in (a, b):
+            for term in self.tied.get(taken.key, ()):
+                if term.key not in self.keys:
+                    alternatives.append(term)
+
+        without_both = self.model.beside(a, b)
+        gain_of_both = self.model.linear.evidence - without_both.evidence
+        least = gain_of_both - self.options.chance
+        fits = without_both.fits([term.part for term in alternatives])
+        able = [
+            term
+            for term, fit in zip(alternatives, fits, strict=True)
+            if fit.log_bayes_factor >= least
         ]
-        linear = self.model.beside(a, b)
-        least = self.model.linear.evidence - linear.evidence - self.options.chance
-        gained = linear.gained([c.part for c in tied])
-        able = [c for c, g in zip(tied, gained, strict=True) if g.evidence >= least]
         return min(able, key=lambda term: term.freedom, default=None)
 
-    def run(self) -> None:
-        """Forward, and backward after each step."""
-        refused: set[Key] = set()
-        while len(self.model.terms) < self.options.most:
-            best = self._best(refused)
-            if best is None:
-                return
-            self._search.changed(best)
-            self.model.terms.append(best)
-            self.model.settle()
-            self.model.polish()
-            refused |= self.eliminate()
+    # ---- what is told
 
-    def _best(self, refused: set[Key]) -> Term | None:
-        """The term to take next; none where none is worth it."""
-        every = [one for one in self._search.everywhere() if one.evidence > 0.0]
-        self._tried = [one for one in every if one.term.key not in refused]
-        likely = [one for one in self._tried if one.evidence > self.options.chance]
-        able = [one for one in _ranked(self.model.linear, likely) if self._passes(one)]
-        best = self._simplest(able)
-        if best is None:
-            return None
-        tied = [one.term for one in able if self.as_good(one, able[0])]
-        self._tied[best.term.key] = [term for term in tied if not term.smooth]
-        return best.term
+    def told(self, least: float = TOLD) -> SelectionResult:
+        """Return what was taken, each term with its rivals.
 
-    def _simplest(self, ranked: Sequence[Ranked]) -> Ranked | None:
-        """Of the best and those that are as good the one with the fewest parameters."""
-        near = [one for one in ranked if self.as_good(one, ranked[0])]
-        return min(
-            near, key=lambda one: (one.term.freedom, -one.gained.evidence), default=None
+        What may be the error of another term's law stays in the model, for that term's
+        sake, and is not told. A simpler rival that does as well takes a term's place. A
+        change of the file's values stands for what hides it.
+
+        Parameters
+        ----------
+        least : float
+            Probability to be there from which a term is told.
+        """
+        scored = _scored(self.model.linear, self._last_tried)
+        results = self._with_value_changes(self._results_by_simplest(least), least)
+        return SelectionResult(
+            model=self.model,
+            terms=results,
+            visible_shares={
+                key: share
+                for key, share in self._search.visible.items()
+                if key not in self.keys
+            },
+            untaken=tuple(each for each in scored if each.term.key not in self.keys),
         )
 
-    def _passes(self, one: Ranked) -> bool:
-        """Whether a term is worth it."""
-        options, told = self.options, one.predicted
-        sure = one.gained.evidence > options.chance and told.doubt < options.doubt
-        return sure and told.share > options.improvement
+    def largest(self) -> SelectionResult:
+        """Return the effect of the largest gain, and the same at other joints."""
+        judged = [
+            TermInModel(term, self.model)
+            for term in self.model.terms
+            if not term.smooth
+        ]
+        told = [each for each in judged if self.is_told(each, 0.0)]
+        told.sort(key=lambda each: _by_gain(each.scored))
+        same = [each for each in told if each.term.name == told[0].term.name]
+        return SelectionResult(
+            model=self.model,
+            terms=tuple(self.result_of(each) for each in same),
+            visible_shares={},
+        )
 
-    def as_good(self, one: Ranked, best: Ranked) -> bool:
-        """Whether a term at one of the same channels is not clearly behind the best."""
-        options, first, own = self.options, best.predicted, one.predicted
-        # standard ones, by which doubt is no more than that
-        errors = -float(ndtri(options.doubt))
-        chance = errors * scatter(first.density - own.density)
-        near = first.total - own.total <= max(chance, options.small * first.total, 1.0)
-        return near and bool(one.term.channels & best.term.channels)
+    def alone_at(self, joint: int | None, bare: Model) -> list[ScoredTerm]:
+        """Return what may be at a joint (None: the whole arm) beside a bare model.
 
-    def eliminate(self) -> set[Key]:
-        """Take back, the weakest first, what is not worth it beside all others."""
-        model, gone = self.model, set[Key]()
-        while model.terms:
-            every = [again(term, model) for term in model.terms]
-            weak = [one for one in every if not self._passes(one)]
-            if not weak:
-                break
-            weakest = min(weak, key=lambda one: one.predicted.total)
-            self._search.changed(weakest.term)
-            model.terms.remove(weakest.term)
-            gone.add(weakest.term.key)
-            model.settle()
-        return gone
-
-    def told(self, least: float = TOLD) -> Selected:
-        """What was taken, each term with its rivals.
-
-        Without what is less likely than `least` to be there. What may be the error of
-        another term's law stays in the model, for that term's sake, and is not told. A
-        simpler rival that does as well takes a term's place. A change of the file's
-        values stands for what hides it.
+        The largest gain comes first.
         """
-        tried = _ranked(self.model.linear, self._tried)
-        told = self._with_value_changes(self._all_taken(least), least)
-        hidden = {
-            k: share for k, share in self._search.visible.items() if k not in self.keys
-        }
-        left = tuple(one for one in tried if one.term.key not in self.keys)
-        return Selected(self.model, told, hidden, left)
+        return _scored(bare.linear, self._search.at(joint, bare))
+
+    def is_told(self, judged: TermInModel, least: float) -> bool:
+        """Return whether a term is worth it beside all others, likely, and by itself.
+
+        Parameters
+        ----------
+        judged : TermInModel
+            The term in its model.
+        least : float
+            Probability to be there from which it is likely.
+        """
+        model = judged.model
+        scored = judged.scored
+        is_worth_it = self._passes(scored) and judged.share > self.options.improvement
+        if not is_worth_it:
+            return False
+        is_likely = reality(judged.share, judged.evidence) >= least
+        if not is_likely:
+            return False
+
+        # Not the error of a law either: the model's, or a term's that gains more.
+        is_hidden = any(self._hides(other, scored, model) for other in model.terms)
+        return not (is_hidden or model.is_detail(scored.term))
 
     def _with_value_changes(
-        self, told: tuple[Taken, ...], least: float
-    ) -> tuple[Taken, ...]:
+        self, told: tuple[TermResult, ...], least: float
+    ) -> tuple[TermResult, ...]:
         """Tell changes of the file's values in place of the terms that hide them.
 
         These stay in the model, for the sake of the other terms.
         """
-        found = value_changes(self, told, least)
-        if not found:
+        changes = value_changes(self, told, least)
+        if not changes:
             return told
+
         model = self.model
-        for change in found:
-            term = change.taken.term
-            keys = [one.key for one in model.terms]
+        for change in changes:
+            term = change.result.term
+            keys = [term_of_model.key for term_of_model in model.terms]
             if term.key in keys:
                 model.terms[keys.index(term.key)] = term
             else:
                 model.terms.append(term)
-            self._value_changes[term] = change.taken
-            self._stood_for |= {one.key for one in change.instead_of}
+            self._value_changes[term] = change.result
+            self._replaced_keys |= {other.key for other in change.instead_of}
             self._search.changed(term)
-        # what made it leave the file is a term now
+
+        # What made the base leave the file is a term now.
         model.hold = model.hold.capped(MOST_ERRORS)
         model.settle()
         model.rescale()
-        return tuple(self._told_now(least).values())
+        return tuple(self._results(least).values())
 
-    def alone_at(self, joint: int | None, bare: Model) -> list[Ranked]:
-        """What may be at a joint (None: the whole arm) beside a model, the largest gain first."""
-        return _ranked(bare.linear, self._search.at(joint, bare))
-
-    def largest(self) -> Selected:
-        """Return the effect of the largest gain, with its rivals, and the same at other joints."""
-        weighed = [
-            Weighed(term, self.model) for term in self.model.terms if not term.smooth
-        ]
-        told = [own for own in weighed if self.is_told(own, 0.0)]
-        told.sort(key=lambda own: _by_gain(own.one))
-        alike = [own for own in told if own.term.name == told[0].term.name]
-        return Selected(self.model, tuple(map(self.taken_of, alike)), {})
-
-    def is_told(self, own: Weighed, least: float) -> bool:
-        """Whether a term is worth it beside all others, likely, and by itself."""
-        model, one = own.model, own.one
-        worth = self._passes(one) and own.share > self.options.improvement
-        if not (worth and reality(own.share, own.evidence) >= least):
-            return False
-        # Not the error of a law either: the model's, or a term's that gains more.
-        hidden = any(self._hides(other, one, model) for other in model.terms)
-        return not (hidden or model.is_detail(one.term))
-
-    def _all_taken(self, least: float) -> tuple[Taken, ...]:
-        """Terms that are told, with their rivals; they give way to simpler ones."""
-        model, told, better = self.model, self._told_now(least), dict[Term, Term]()
-        for term, one in told.items():
-            law = self._law_of(term, told) if term.smooth else None
-            better[term] = law or self._better(
-                one, {other.key for other in better.values()}
-            )
+    def _results_by_simplest(self, least: float) -> tuple[TermResult, ...]:
+        """Return the terms that are told, after they have given way to simpler ones."""
+        model = self.model
+        results = self._results(least)
+        better: dict[Term, Term] = {}
+        for term, result in results.items():
+            law = self._law_behind(term, results) if term.smooth else None
+            if law is not None:
+                better[term] = law
+            else:
+                taken_keys = {other.key for other in better.values()}
+                better[term] = self._simplest_name(result, taken_keys)
         if all(best is term for term, best in better.items()):
-            return tuple(told.values())
-        anew = {best.key for term, best in better.items() if best is not term}
-        kept = [term for term in model.terms if term in told or term.key not in anew]
-        model.terms = [better.get(term, term) for term in kept]
-        model.settle()
-        return tuple(self._told_now(least).values())
+            return tuple(results.values())
 
-    def _told_now(self, least: float) -> dict[Term, Taken]:
-        told = dict[Term, Taken]()
+        new_keys = {best.key for term, best in better.items() if best is not term}
+        staying = [
+            term for term in model.terms if term in results or term.key not in new_keys
+        ]
+        model.terms = [better.get(term, term) for term in staying]
+        model.settle()
+        return tuple(self._results(least).values())
+
+    def _results(self, least: float) -> dict[Term, TermResult]:
+        """Return the result of every term of the model that is told."""
+        results: dict[Term, TermResult] = {}
         for term in self.model.terms:  # one at a time: memory
             if term in self._value_changes:
-                told[term] = self._value_changes[term]
+                results[term] = self._value_changes[term]
                 continue
-            weighed = Weighed(term, self.model)
-            if term.key not in self._stood_for and self.is_told(weighed, least):
-                told[term] = self.taken_of(weighed)
-        return told
+            judged = TermInModel(term, self.model)
+            if term.key not in self._replaced_keys and self.is_told(judged, least):
+                results[term] = self.result_of(judged)
+        return results
 
-    def _law_of(self, smooth: Term, told: Collection[Term]) -> Term | None:
-        """An effect that a function hides, though it alone explains as much: its law errs."""
-        model, found = self.model, list[Tried]()
+    def _law_behind(self, smooth: Term, told: Collection[Term]) -> Term | None:
+        """Return an effect that a function hides, though it alone explains as much.
+
+        Its law errs a little then, as no law is exactly the catalogue's. None where
+        there is no such effect.
+        """
+        model = self.model
+        able: list[FittedTerm] = []
         for term in model.terms:
-            what, beside = term.what, term.channels & smooth.channels
-            if isinstance(what, Candidate) and beside and term not in told:
-                neither = model.beside(smooth, term)
-                least = (1.0 - self.options.small) * (
-                    model.linear.evidence - neither.evidence
-                )
-                tuner = Tuner(model.ground.stage, neither, model.ground.size)
-                alone = [tuner.tuned(one) for one in tuner.tried([what])]
-                found += [one for one in alone if one.evidence >= least]
-        return max(found, key=lambda one: one.evidence).term if found else None
+            is_beside = bool(term.channels & smooth.channels)
+            if not isinstance(term.what, Candidate) or not is_beside or term in told:
+                continue
+            neither = model.beside(smooth, term)
+            gain_of_both = model.linear.evidence - neither.evidence
+            least = (1.0 - self.options.small) * gain_of_both
+            tuner = Tuner(model.ground.stage, neither, model.ground.size)
+            for start in tuner.tried([term.what]):
+                alone = tuner.tuned(start)
+                if alone.evidence >= least:
+                    able.append(alone)
+        if not able:
+            return None
+        return max(able, key=lambda fitted: fitted.evidence).term
 
-    def _better(self, taken: Taken, gone: set[Key]) -> Term:
-        """The simplest of a term and of its rivals that do as well."""
-        terms = self.model.terms
-        keys = gone | {
-            one.key for one in terms if one is not taken.term and not is_wide(one)
-        }
-        probable = probable_names(taken)
+    def _simplest_name(self, result: TermResult, taken_keys: set[Key]) -> Term:
+        """Return the term of fewest parameters among it and rivals that do as well."""
+        keys = set(taken_keys)
+        for term in self.model.terms:
+            if term is not result.term and not is_wide(term):
+                keys.add(term.key)
+        probable = probable_names(result)
         free = [
             rival
-            for rival in taken.rivals
+            for rival in result.rivals
             if rival.term.key not in keys
             and self._passes(rival)
             and (rival.term.smooth or rival.term.name in probable)
         ]
-        return (self._simplest(free) or taken.one).term
+        simplest = self._simplest(free) or result.scored
+        return simplest.term
 
-    def taken_of(self, own: Weighed) -> Taken:
-        """A term and its rivals."""
-        term, linear, one = own.term, own.linear, own.one
-        near = [
-            x
-            for x in self._search.near(term, linear)
-            if x.term.channels & term.channels
+    def result_of(self, judged: TermInModel) -> TermResult:
+        """Return a term with its rivals."""
+        term = judged.term
+        rivals = [
+            fitted
+            for fitted in self._search.near(term, judged.linear)
+            if fitted.term.channels & term.channels
+            and fitted.evidence > 0.0
+            and fitted.term.key != term.key
         ]
-        rivals = [x for x in near if x.evidence > 0.0 and x.term.key != term.key]
-        ranked = tuple(sorted([one, *_ranked(linear, rivals)], key=_by_gain))
-        instead = self._instead_of(term) | self._as_share(own)
-        return Taken(
-            one=one,
-            rivals=ranked,
-            left=linear.left_out,
-            evidence=own.evidence,
-            share=own.share,
-            model=own.model,
-            instead=instead,
-            varied=own.model.linear.varied(term.part),
-            untried=self._untried(term, own.model),
+        scored_rivals = _scored(judged.linear, rivals)
+        in_place = sorted([judged.scored, *scored_rivals], key=_by_gain)
+        return TermResult(
+            scored=judged.scored,
+            rivals=tuple(in_place),
+            left_without=judged.linear.left_out,
+            evidence=judged.evidence,
+            share=judged.share,
+            model=judged.model,
+            alternatives=self._in_other_models(term) | self._as_shares(judged),
+            log_evidence_of_variation=judged.model.linear.varied(term.part),
+            untried=self._untried(term, judged.model),
         )
 
-    def _instead_of(self, term: Term) -> dict[str, float]:
-        """Effects that other finished models have instead; how far these are behind, by name."""
-        found = dict[str, float]()
-        for behind, terms in self.others:
-            other = term.key not in {one.key for one in terms}
-            for one in (
-                x for x in terms if other and not x.smooth and x.key not in self.keys
-            ):
-                if one.channels & term.channels:
-                    found[one.name] = min(behind, found.get(one.name, np.inf))
-        return found
+    def _in_other_models(self, term: Term) -> dict[str, float]:
+        """Return effects that other finished models have in a term's place.
 
-    def _as_share(self, own: Weighed) -> dict[str, float]:
-        """Effects that may be a share of another term of the joint; how far these are behind.
-
-        In log evidence, by name. What differs between the directions goes with friction
-        over the position, which a file without friction trials does not have.
+        By name, with the log evidence by which these models are behind.
         """
-        model, j, found = own.model, own.term.joint, dict[str, float]()
-        for effect in (one for one in self.catalogue if own.term.name in one.alike):
-            whole = [one for one in model.terms if one.key == (effect.share_of, j)]
-            if whole and j is not None:
-                share = own.linear.predicted(
-                    [self._share_of(whole[0], effect, j, model)]
-                )[0]
-                found[effect.name] = own.one.predicted.total - share.total
-        return found
+        lags: dict[str, float] = {}
+        for lag, other_terms in self.others:
+            if term.key in {other.key for other in other_terms}:
+                continue
+            for other in other_terms:
+                is_new = not other.smooth and other.key not in self.keys
+                if is_new and other.channels & term.channels:
+                    lags[other.name] = min(lag, lags.get(other.name, np.inf))
+        return lags
 
-    def _share_of(self, whole: Term, effect: Effect, j: int, model: Model) -> Part:
-        """An effect of a joint as shares of a term, of the file's friction, and of the speed."""
-        what = whole.what
-        assert isinstance(what, Candidate)
+    def _as_shares(self, judged: TermInModel) -> dict[str, float]:
+        """Return effects that may be a share of another term of the joint.
+
+        By name, with the log evidence by which they are behind. What differs between
+        the directions goes with friction over the position, which a file without
+        friction trials does not have.
+        """
+        model = judged.model
+        joint = judged.term.joint
+        lags: dict[str, float] = {}
+        for effect in self.catalogue:
+            if judged.term.name not in effect.alike or joint is None:
+                continue
+            key = (effect.share_of, joint)
+            whole = next((term for term in model.terms if term.key == key), None)
+            if whole is not None:
+                part = self._shares_of(whole, effect, joint, model)
+                (score,) = judged.linear.scores([part])
+                lags[effect.name] = judged.scored.score.total - score.total
+        return lags
+
+    def _shares_of(
+        self, whole: Term, effect: Effect, joint: int, model: Model
+    ) -> ColumnGroup:
+        """Return an effect as shares of a term, of friction, and of speed."""
+        candidate = whole.what
+        assert isinstance(candidate, Candidate)
 
         def columns(scene: Scene) -> dict[int, Array]:
-            own, friction = (
-                what.columns(scene)[j] @ model.coefficients(whole),
-                scene.friction[:, j],
-            )
-            speed = scene.motion.dq[:, j]
-            speed = (
+            of_term = candidate.columns(scene)[joint] @ model.coefficients(whole)
+            friction = scene.friction[:, joint]
+            speed = scene.motion.dq[:, joint]
+            # in the size of friction
+            scaled_speed = (
                 speed * np.linalg.norm(friction) / max(np.linalg.norm(speed), 1e-300)
             )
-            return {j: scene.sign[:, [j]] * np.stack([own, friction, speed], axis=1)}
+            along = np.stack([of_term, friction, scaled_speed], axis=1)
+            return {joint: scene.sign[:, [joint]] * along}
 
         rows = model.ground.stage.rows
-        return Part(rows.columns(map(columns, rows.scenes), effect.passes), np.eye(3))
+        return ColumnGroup(
+            columns=rows.columns(map(columns, rows.scenes), effect.passes),
+            precision=np.eye(3),
+        )
 
     def _untried(self, term: Term, model: Model) -> tuple[str, ...]:
-        """Effects like a term that cannot be looked for there, or stand beside it as its error."""
+        """Return effects like a term that are no rivals and cannot be ruled out.
+
+        These logs lack the channels to look for them, or they stand beside the term as
+        the error of its law.
+        """
+        if not isinstance(term.what, Candidate):
+            return ()
         scenes = model.ground.stage.scenes
-        alike = term.what.effect.alike if isinstance(term.what, Candidate) else ()
-        likely = (one for one in self.catalogue if one.name in alike)
-        names = [one.name for one in likely if one.possible(scenes, term.joint)]
+        alike = term.what.effect.alike
+        names = [
+            effect.name
+            for effect in self.catalogue
+            if effect.name in alike and effect.possible(scenes, term.joint)
+        ]
         beside = [
-            one for one in model.terms if one.name in alike and one.joint == term.joint
+            other
+            for other in model.terms
+            if other.name in alike and other.joint == term.joint
         ]
-        names += [
-            one.name for one in beside if self._hides(term, again(one, model), model)
-        ]
+        for other in beside:
+            if self._hides(term, again(other, model), model):
+                names.append(other.name)
         return tuple(dict.fromkeys(names))
 
-    def _hides(self, term: Term, one: Ranked, model: Model) -> bool:
-        """Whether a smaller one may be the error of the law of a model's term."""
-        channels, gain = one.term.channels, one.predicted.total
-        if term is one.term or not term.channels & channels:
+    def _hides(self, term: Term, smaller: ScoredTerm, model: Model) -> bool:
+        """Return whether a smaller term may be the error of a term's law."""
+        channels = smaller.term.channels
+        gain = smaller.score.total
+        if term is smaller.term or not term.channels & channels:
             return False
-        law = self._known_to(term, one.term) ** 2 * model.squares(term, channels)
-        return bool(2.0 * gain < law and again(term, model).predicted.total > gain)
+        relative_error = self._error_of_law(term, smaller.term)
+        square_of_error = relative_error**2 * model.squares(term, channels)
+        # A gain of g nats stands for squares of 2 g.
+        is_within_error = bool(2.0 * gain < square_of_error)
+        return is_within_error and again(term, model).score.total > gain
 
-    def _known_to(self, term: Term, beside: Term) -> float:
-        """Share of a term's torque to which its law is known; less well beside a like term."""
-        what, other, small = term.what, beside.what, self.options.small
-        if not isinstance(what, Candidate):
+    def _error_of_law(self, term: Term, beside: Term) -> float:
+        """Return the share of a term's torque to which its law is known.
+
+        It is known less well beside a term that looks like it.
+        """
+        small = self.options.small
+        if not isinstance(term.what, Candidate):
             return small
-        if isinstance(other, Candidate):
-            elsewhere = term.name == beside.name and term.joint != beside.joint
-            alike = beside.name in what.effect.alike or term.name in other.effect.alike
-            if elsewhere or alike:
-                return (
-                    self.options.apart if what.effect.apart else float(np.sqrt(small))
-                )
-        return 0.0 if what.effect.exact else small
+        effect = term.what.effect
+        if isinstance(beside.what, Candidate):
+            is_elsewhere = term.name == beside.name and term.joint != beside.joint
+            is_alike = (
+                beside.name in effect.alike or term.name in beside.what.effect.alike
+            )
+            if is_elsewhere or is_alike:
+                return self.options.apart if effect.apart else float(np.sqrt(small))
+        return 0.0 if effect.exact else small
 
 
-def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:
-    """What was tried, the largest gain on blocks that were left out first."""
-    told = linear.predicted([t.term.part for t in tried])
-    ranked = [Ranked(t.term, t.gained, f) for t, f in zip(tried, told, strict=True)]
-    return sorted(ranked, key=_by_gain)
+def _scored(
+    linear: LinearModel, fitted_terms: Sequence[FittedTerm]
+) -> list[ScoredTerm]:
+    """Score terms, the largest gain on blocks that were left out first."""
+    scores = linear.scores([fitted.term.part for fitted in fitted_terms])
+    scored = [
+        ScoredTerm(term=fitted.term, fit=fitted.fit, score=score)
+        for fitted, score in zip(fitted_terms, scores, strict=True)
+    ]
+    return sorted(scored, key=_by_gain)
 
 
-def _by_gain(one: Ranked) -> float:
-    return -one.predicted.total
+def _by_gain(scored: ScoredTerm) -> float:
+    return -scored.score.total

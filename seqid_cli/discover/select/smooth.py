@@ -5,6 +5,7 @@ that each bends more than the one before (eigenvectors of the second differences
 Demmler and Reinsch 1975), the constant first: not every base has an offset.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -30,22 +31,38 @@ EDGE = 0.01
 STILL = 1e-9  # range of a quantity, relative to its size, below which it has not moved
 RIDGE = 1e-6  # of the splines' mean square: for pieces that hold no rows
 SLOW = {"position", "velocity", "temperature", "time", "session_time"}
+# what other joints may do to a joint: where they are, and how they move
+MOTION: tuple[Measure, ...] = ("position", "velocity", "acceleration")
 SIZE = 12  # functions of one quantity, the constant among them
 TENSOR_SIZE = 6  # the same per quantity of a product
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SmoothFunction:
-    """A smooth function that might be what the residual of a joint is."""
+    """A smooth function that might be what the residual of a joint is.
+
+    Attributes
+    ----------
+    joint : int
+        Whose residual.
+    quantities : tuple of str
+        As the contract spells them, the strongest meaning first.
+    label : str
+        The same in words.
+    axes : tuple of Axis
+        The quantities that it is a function of.
+    factor : {"one", "direction"}
+        What the function is multiplied by (see `model.effects.smooth.shape`).
+    mixing : (K, k) array
+        Combinations of the splines over the axes.
+    """
 
     joint: int
-    # as the contract spells them, the strongest meaning first
     quantities: tuple[str, ...]
-    label: str  # the same in words
-    # functions of these and `factor` (see `model.effects.smooth.shape`)
+    label: str
     axes: tuple[Axis, ...]
     factor: Factor
-    mixing: Array  # (K, k) combinations of them
+    mixing: Array
 
     @property
     def size(self) -> int:
@@ -53,30 +70,34 @@ class SmoothFunction:
         return int(self.mixing.shape[1])
 
     def columns(self, rows: Rows) -> Array:
-        """Compute the columns (M, k) on the joint's rows.
+        """Compute the columns (M_j, k) on the joint's rows.
 
         Functions of what is slow beside the low-pass pass it as they are: only the
         direction has steps. Low-passed one by one, they cost as much as all effects.
         """
-        j, scenes = self.joint, rows.scenes
+        joint = self.joint
+        scenes = rows.scenes
         if not {axis.measure for axis in self.axes} <= SLOW:
-            whole = ({j: shape(scene, j, self.axes, self.factor)} for scene in scenes)
-            return rows.columns(whole, passes=2)[j] @ self.mixing
-        values = [
-            [v for x in scenes if (v := axis.values(x)) is not None]
-            for axis in self.axes
-        ]
-        every = zip(values, self.axes, strict=True)
-        basis = reduce(
-            tensor, [splines(rows.of(j, v), axis.knots) for v, axis in every]
-        )
+            per_scene = (
+                {joint: shape(scene, joint, self.axes, self.factor)} for scene in scenes
+            )
+            return rows.columns(per_scene, passes=2)[joint] @ self.mixing
+
+        of_axes = []
+        for axis in self.axes:
+            values = _values_of(axis, scenes)
+            of_axes.append(splines(rows.of(joint, values), axis.knots))
+        basis = reduce(tensor, of_axes)
         if self.factor == "direction":
-            sign = [s.motion.filtered(s.sign[:, [j]], times=2) for s in scenes]
-            basis = basis * rows.of(j, sign)
-        return rows.whitened(j, basis @ self.mixing)
+            sign = [
+                scene.motion.filtered(scene.sign[:, [joint]], times=2)
+                for scene in scenes
+            ]
+            basis = basis * rows.of(joint, sign)
+        return rows.whitened(joint, basis @ self.mixing)
 
     def torques(self, scene: Scene, c: Array) -> dict[int, Array]:
-        """Torque (N,) N m of coefficients c (k,) by joint, low-passed."""
+        """Return the low-passed torque (N,) N m of coefficients c (k,), by joint."""
         torque = shape(scene, self.joint, self.axes, self.factor) @ (self.mixing @ c)
         return {self.joint: scene.motion.filtered(torque, times=2)}
 
@@ -87,121 +108,217 @@ class SmoothFunction:
         )
 
 
+@dataclass(frozen=True)
+class _Question:
+    """A function of one quantity that is to be looked for, for one joint's torque."""
+
+    measure: Measure
+    owner: int  # the joint whose quantity it is
+    quantities: tuple[str, ...]
+    label: str
+
+
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
-    """Return functions of everything measured, of one quantity each, for a joint's torque."""
-    own: tuple[Measure, ...] = (
-        "position",
-        "velocity",
-        "acceleration",
-        "load",
-        "temperature",
+    """Return functions of everything measured, of one quantity each.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows of all data sets.
+    joint : int
+        Whose torque they might explain.
+    """
+    questions = [
+        *_questions_of_own_motion(joint),
+        *_questions_of_other_joints(rows, joint),
+        *_questions_of_time(rows, joint),
+    ]
+    functions = []
+    for question in questions:
+        function = _smooth_function(rows, joint, question)
+        if function is not None:
+            functions.append(function)
+    return functions
+
+
+def _questions_of_own_motion(joint: int) -> Iterator[_Question]:
+    """Yield what a joint's own motion and load may explain, one-sided and two-sided."""
+    measures: tuple[Measure, ...] = (*MOTION, "load", "temperature")
+    for measure in measures:
+        yield _Question(measure, joint, (measure,), measure)
+
+    sided: tuple[tuple[Measure, str], ...] = (
+        ("position", "position"),
+        ("load_size", "load"),
+        ("speed", "velocity"),
+        ("temperature", "temperature"),
     )
-    every: list[tuple[Measure, int, tuple[str, ...], str]]
-    every = [(measure, joint, (measure,), measure) for measure in own]
-    sided: tuple[Measure, ...] = ("position", "load_size", "speed", "temperature")
-    names = ("position", "load", "velocity", "temperature")
-    for measure, name in zip(sided, names, strict=True):
-        every.append((measure, joint, (name, "direction"), f"{name} x direction"))
-    for k, name in enumerate(rows.scenes[0].robot.joint_names):
-        if k != joint:
-            other = f"other_joint:{name}"
-            every += [(m, k, (other,), f"{m} of {name}") for m in own[:3]]
-            # rubs more where another joint stands, as rails do that are not parallel
-            label = f"position of {name} x direction"
-            every.append(("position", k, (other, "direction"), label))
+    for measure, name in sided:
+        yield _Question(measure, joint, (name, "direction"), f"{name} x direction")
+
+
+def _questions_of_other_joints(rows: Rows, joint: int) -> Iterator[_Question]:
+    """Yield what the motion of other joints may explain."""
+    for other, name in enumerate(rows.scenes[0].robot.joint_names):
+        if other == joint:
+            continue
+        quantity = f"other_joint:{name}"
+        for measure in MOTION:
+            yield _Question(measure, other, (quantity,), f"{measure} of {name}")
+        # It rubs more where another joint stands, as rails do that are not parallel.
+        label = f"position of {name} x direction"
+        yield _Question("position", other, (quantity, "direction"), label)
+
+
+def _questions_of_time(rows: Rows, joint: int) -> Iterator[_Question]:
+    """Yield what time may explain: that of each log, and that of several logs."""
     clocks: list[tuple[Measure, str]] = [("time", "time since the log's start")]
-    clocks += [("session_time", "time of all logs")] if len(rows.scenes) > 1 else []
+    if len(rows.scenes) > 1:
+        clocks.append(("session_time", "time of all logs"))
     for measure, label in clocks:
-        every.append((measure, joint, ("time",), label))
-        every.append((measure, joint, ("time", "direction"), f"{label} x direction"))
-    return [found for one in every if (found := _smooth(rows, joint, *one)) is not None]
+        yield _Question(measure, joint, ("time",), label)
+        yield _Question(measure, joint, ("time", "direction"), f"{label} x direction")
 
 
-def _smooth(
-    rows: Rows,
-    joint: int,
-    measure: Measure,
-    owner: int,
-    quantities: tuple[str, ...],
-    label: str,
+def _smooth_function(
+    rows: Rows, joint: int, question: _Question
 ) -> SmoothFunction | None:
-    """A function of one quantity; none where that is not known or constant."""
-    axis, x = _axis(rows, joint, measure, owner, SIZE - 1)
+    """Return a function of one quantity; None where that is not known or constant."""
+    axis, x = _axis(rows, joint, question.measure, question.owner, SIZE - 1)
     if axis is None:
         return None
-    factor: Factor = "direction" if "direction" in quantities else "one"
-    mixing = smoothest(splines(x, axis.knots), greville(axis.knots))[:, :SIZE]
-    return SmoothFunction(joint, quantities, label, (axis,), factor, mixing)
+    combinations = smoothest(splines(x, axis.knots), greville(axis.knots))
+    return SmoothFunction(
+        joint=joint,
+        quantities=question.quantities,
+        label=question.label,
+        axes=(axis,),
+        factor="direction" if "direction" in question.quantities else "one",
+        mixing=combinations[:, :SIZE],
+    )
+
+
+def _values_of(axis: Axis, scenes: Sequence[Scene]) -> list[Array]:
+    """Return a quantity (N,) of the data sets that have it."""
+    values = [axis.values(scene) for scene in scenes]
+    return [of_scene for of_scene in values if of_scene is not None]
 
 
 def _axis(
     rows: Rows, joint: int, measure: Measure, owner: int, size: int
 ) -> tuple[Axis | None, Array]:
-    """Axis with `size` + 1 splines over the joint's rows, and the quantity there."""
-    bare = Axis(measure, owner)
-    known = [v for scene in rows.scenes if (v := bare.values(scene)) is not None]
-    if len(known) < len(rows.scenes):
+    """Return an axis with `size` + 1 splines over the joint's rows, and the quantity.
+
+    The axis is None where some data set lacks the quantity, or it hardly varies.
+    """
+    without_knots = Axis(measure, owner)
+    values = _values_of(without_knots, rows.scenes)
+    if len(values) < len(rows.scenes):
         return None, np.zeros(0)
-    x = rows.of(joint, known)
+    x = rows.of(joint, values)
     knots = knots_of(x, rows.fold[rows.blocks_of(joint)], size - 1)
-    return (None if knots is None else Axis(measure, owner, knots)), x
+    if knots is None:
+        return None, x
+    return Axis(measure, owner, knots), x
 
 
 def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
     """Return functions of a joint's and another's position, and of both velocities."""
-    names, found = rows.scenes[0].robot.joint_names, []
+    names = rows.scenes[0].robot.joint_names
     measures: tuple[Measure, ...] = ("position", "velocity")
+    functions = []
     for measure in measures:
-        own, x = _axis(rows, j, measure, j, TENSOR_SIZE - 1)
+        axis, x = _axis(rows, j, measure, j, TENSOR_SIZE - 1)
         for k in range(rows.n):
-            other, z = _axis(rows, j, measure, k, TENSOR_SIZE - 1)
-            if k == j or own is None or other is None:
+            other_axis, z = _axis(rows, j, measure, k, TENSOR_SIZE - 1)
+            if k == j or axis is None or other_axis is None:
                 continue
-            U = smoothest(splines(x, own.knots), greville(own.knots))
-            V = smoothest(splines(z, other.knots), greville(other.knots))
-            told = (
-                (measure, f"other_joint:{names[k]}"),
-                f"{measure} and that of {names[k]}",
+            U = smoothest(splines(x, axis.knots), greville(axis.knots))
+            V = smoothest(splines(z, other_axis.knots), greville(other_axis.knots))
+            functions.append(
+                SmoothFunction(
+                    joint=j,
+                    quantities=(measure, f"other_joint:{names[k]}"),
+                    label=f"{measure} and that of {names[k]}",
+                    axes=(axis, other_axis),
+                    factor="one",
+                    mixing=np.asarray(np.kron(U[:, :TENSOR_SIZE], V[:, :TENSOR_SIZE])),
+                )
             )
-            mixing = np.asarray(np.kron(U[:, :TENSOR_SIZE], V[:, :TENSOR_SIZE]))
-            found.append(SmoothFunction(j, *told, (own, other), "one", mixing))
-    return found
+    return functions
 
 
 def knots_of(x: Array, fold: Index, count: int) -> tuple[float, ...] | None:
-    """Knots half way between equal steps and equal shares of x (M,); None if x hardly varies.
+    """Choose knots half way between equal steps and equal shares of a quantity.
 
     Equal shares alone would crowd at rest and turning points, equal steps leave pieces
-    empty. The outer knots are such that without any one `fold` (M,) some rows still lie
-    beyond them: what one fold alone has seen cannot be judged by leaving it out.
+    empty. The outer knots are such that without any one fold some rows still lie beyond
+    them: what one fold alone has seen cannot be judged by leaving it out.
+
+    Parameters
+    ----------
+    x : (M_j,) array
+        The quantity at a joint's rows.
+    fold : (M_j,) index array
+        The fold of each row.
+    count : int
+        Number of knots.
+
+    Returns
+    -------
+    tuple of float, or None
+        None if x hardly varies.
     """
     if len(x) < 10 * count:
         return None
-    left = [x[fold != f] for f in np.unique(fold)]
-    edges = np.array(
-        [np.quantile(rest, (EDGE, 1.0 - EDGE)) for rest in left if len(rest)]
-    )
-    if not len(edges):
+    ends = []
+    for number in np.unique(fold):
+        elsewhere = x[fold != number]
+        if len(elsewhere):
+            ends.append(np.quantile(elsewhere, (EDGE, 1.0 - EDGE)))
+    if not ends:
         return None
-    low, high = float(edges[:, 0].max()), float(edges[:, 1].min())
+
+    by_end = np.array(ends)
+    low = float(by_end[:, 0].max())
+    high = float(by_end[:, 1].min())
     if high - low <= STILL * max(1.0, float(np.max(np.abs(x)))):
         return None
-    shares = np.quantile(x[(x >= low) & (x <= high)], np.linspace(0.0, 1.0, count))
-    return tuple((0.5 * (shares + np.linspace(low, high, count))).tolist())
+    between = x[(x >= low) & (x <= high)]
+    equal_shares = np.quantile(between, np.linspace(0.0, 1.0, count))
+    equal_steps = np.linspace(low, high, count)
+    return tuple((0.5 * (equal_shares + equal_steps)).tolist())
 
 
 def smoothest(basis: Array, abscissae: Array) -> Array:
-    """Combinations (K, K) of splines at rows (M, K), orthonormal over these, smoothest first.
+    """Combine splines so that each combination bends more than the one before.
 
-    The splines sum to one; `abscissae` (K,) are Greville's. One combination per column:
-    the constant, nearly the straight line, and so on.
+    The splines sum to one. With G their mean products, combinations orthogonal to the
+    constant are the eigenvectors of the second differences against G.
+
+    Parameters
+    ----------
+    basis : (M, K) array
+        Splines at rows.
+    abscissae : (K,) array
+        Greville's, in the quantity's unit.
+
+    Returns
+    -------
+    (K, K) array
+        One combination per column, orthonormal over the rows: the constant, nearly the
+        straight line, and so on.
     """
     K = basis.shape[1]
     G = basis.T @ basis / len(basis)
     G[np.diag_indices(K)] += RIDGE * np.trace(G) / K
-    one = np.ones(K)
-    null = np.linalg.qr(np.column_stack([G @ one, np.eye(K)[:, : K - 1]]))[0][:, 1:]
-    first = np.diff(np.eye(K), axis=0) / np.diff(abscissae)[:, None]
-    bend = np.ptp(abscissae) * np.diff(first, axis=0) @ null  # second differences
-    _, vectors = eigh(bend.T @ bend, null.T @ G @ null)
-    return np.column_stack([one / np.sqrt(one @ G @ one), null @ vectors])
+
+    constant = np.ones(K)
+    directions = np.column_stack([G @ constant, np.eye(K)[:, : K - 1]])
+    varying = np.linalg.qr(directions)[0][:, 1:]
+
+    slopes = np.diff(np.eye(K), axis=0) / np.diff(abscissae)[:, None]
+    bend = np.ptp(abscissae) * np.diff(slopes, axis=0) @ varying
+    _, vectors = eigh(bend.T @ bend, varying.T @ G @ varying)
+    unit_constant = constant / np.sqrt(constant @ G @ constant)
+    return np.column_stack([unit_constant, varying @ vectors])

@@ -1,4 +1,4 @@
-"""What a model may lack as terms of one list: effects with settings, and smooth functions."""
+"""What a model may lack, as terms: effects with settings, and smooth functions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from seqid_cli.discover.base import LIKELY
-from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.select.rows import Channels, Part
+from seqid_cli.discover.candidates import Candidate, CandidateColumns
+from seqid_cli.discover.select.rows import Channels, ColumnGroup
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.typing import Array
 
@@ -20,16 +20,23 @@ UNSHOWN = 1e-6
 class Term:
     """An effect at a joint (None: the whole arm) or a smooth function, and its columns.
 
-    `came_since` says that friction trials of the file would have shown it, and did not.
+    Attributes
+    ----------
+    what : Candidate or SmoothFunction
+        What the model may lack.
+    part : ColumnGroup
+        Its columns on the rows, and its prior.
+    came_since : bool
+        Friction trials of the file would have shown it, and did not.
     """
 
     what: Candidate | SmoothFunction
-    part: Part
+    part: ColumnGroup
     came_since: bool = False
 
     @property
     def joint(self) -> int | None:
-        """Whose it is."""
+        """The joint that it is of; None for the whole arm."""
         return self.what.joint
 
     @property
@@ -40,11 +47,9 @@ class Term:
     @cached_property
     def name(self) -> str:
         """Effect, or what the function depends on."""
-        return (
-            self.what.label
-            if isinstance(self.what, SmoothFunction)
-            else self.what.effect.name
-        )
+        if isinstance(self.what, SmoothFunction):
+            return self.what.label
+        return self.what.effect.name
 
     @property
     def freedom(self) -> int:
@@ -61,12 +66,12 @@ class Term:
 
     @property
     def change(self) -> bool:
-        """Whether it says that the file's values do not hold: the form of the model has it."""
+        """Whether it says that the file's values do not hold."""
         return isinstance(self.what, Candidate) and self.what.effect.change
 
     @property
     def key(self) -> tuple[str, int | None]:
-        """What it is, whatever the settings."""
+        """Name and joint, whatever the settings."""
         return self.name, self.joint
 
     @property
@@ -75,55 +80,111 @@ class Term:
         return frozenset(self.part.columns)
 
 
-def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[Term]:
-    """Make terms of candidates; none is likely to be much more than `size` (channels,) N m."""
-    known, found, n = stage.known, list[Term](), stage.rows.n
-    for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
-        if (
-            columns
-            and next(iter(columns.values())).shape[1]
-            and any(map(len, columns.values()))
-        ):
-            first = {
-                c: candidate.size for c in columns if candidate.apart and c // n == 1
-            }
-            if candidate.address not in known:
-                in_file, beside = stage.in_file(candidate, columns)
-                known[candidate.address] = (
-                    np.diag(_precision(beside, size, first)),
-                    in_file,
-                )
-            precision, in_file = known[candidate.address]
-            part = Part(columns, precision, first=first, in_file=in_file)
-            found.append(Term(candidate, part, came_since=stage.came_since(candidate)))
-    return found
+def effects(
+    stage: CandidateColumns, candidates: Sequence[Candidate], size: Array
+) -> list[Term]:
+    """Make terms of candidates that have columns on any row.
 
-
-def smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
-    """Make a term of a function; of a drive it is another one, with coefficients of its own.
-
-    A measured load holds all that acts on the link: of that it explains the drive
-    alone.
+    Parameters
+    ----------
+    stage : CandidateColumns
+        The data sets; it keeps what has been worked out.
+    candidates : sequence of Candidate
+        Effects at joints with their settings.
+    size : (channels,) array
+        What the file leaves [N m; N where prismatic]. No term is likely to be much
+        more.
     """
-    j = one.joint
-    columns = stage.with_drive({j: one.columns(stage.rows)})
-    if len(columns) > 1 and "load" in one.quantities:
-        del columns[j]
-    first = {c: one.size for c in columns if c != j and j in columns}
-    # among the smoothest: how much each column bends
-    place = np.arange(1.0, one.size + 1.0)
-    bending = np.tile(np.sqrt(place) if len(one.axes) > 1 else place, len(columns))
-    precision = _precision(columns, size, first) * bending**2
-    return Term(one, Part(columns, np.diag(precision), first=first))
+    known = stage.known
+    terms: list[Term] = []
+    for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
+        if not _has_columns(columns):
+            continue
+
+        # An effect apart has coefficients of its own above the cut-off.
+        first_column = {}
+        if candidate.apart:
+            first_column = {
+                channel: candidate.size
+                for channel in columns
+                if channel // stage.rows.n == 1
+            }
+        if candidate.address not in known:
+            in_file, beside_file = stage.in_file(candidate, columns)
+            precision = np.diag(_precision(beside_file, size, first_column))
+            known[candidate.address] = precision, in_file
+        precision, in_file = known[candidate.address]
+        part = ColumnGroup(
+            columns=columns,
+            precision=precision,
+            first_column=first_column,
+            absorbed_by_file=in_file,
+        )
+        terms.append(Term(candidate, part, came_since=stage.came_since(candidate)))
+    return terms
 
 
-def _precision(columns: Channels, size: Array, first: Mapping[int, int] = {}) -> Array:
-    """Inverse variance (k,) of coefficients whose torque is about `LIKELY` times `size`."""
-    result = np.full(
-        max(first.get(c, 0) + X.shape[1] for c, X in columns.items()), 1e-300
+def _has_columns(columns: Channels) -> bool:
+    """Return whether there is a column, with a row at any channel."""
+    if not columns:
+        return False
+    has_column = next(iter(columns.values())).shape[1] > 0
+    return has_column and any(len(of_channel) for of_channel in columns.values())
+
+
+def smooth_term(stage: CandidateColumns, function: SmoothFunction, size: Array) -> Term:
+    """Make a term of a smooth function.
+
+    Of a drive it is another one, with coefficients of its own. A measured load holds
+    all that acts on the link: of that it explains the drive alone.
+
+    Parameters
+    ----------
+    stage : CandidateColumns
+        The data sets.
+    function : SmoothFunction
+        What the residual might be.
+    size : (channels,) array
+        What the file leaves [N m; N where prismatic].
+    """
+    joint = function.joint
+    columns = stage.with_drive({joint: function.columns(stage.rows)})
+    if len(columns) > 1 and "load" in function.quantities:
+        del columns[joint]
+    first_column = {
+        channel: function.size
+        for channel in columns
+        if channel != joint and joint in columns
+    }
+
+    # Columns that bend more are likely to be smaller: of two quantities the square root
+    # counts, as each alone bends less.
+    place = np.arange(1.0, function.size + 1.0)
+    of_columns = np.sqrt(place) if len(function.axes) > 1 else place
+    bending = np.tile(of_columns, len(columns))
+    precision = _precision(columns, size, first_column) * bending**2
+    part = ColumnGroup(
+        columns=columns, precision=np.diag(precision), first_column=first_column
     )
-    for c, X in columns.items():
+    return Term(function, part)
+
+
+def _precision(
+    columns: Channels, size: Array, first_column: Mapping[int, int]
+) -> Array:
+    """Return the inverse variance (k,) of coefficients beforehand.
+
+    Their torque is about `LIKELY` times `size` (channels,) N m; of channels that share
+    a coefficient the one that allows least counts.
+    """
+    n_coefficients = max(
+        first_column.get(channel, 0) + X.shape[1] for channel, X in columns.items()
+    )
+    precision = np.full(n_coefficients, 1e-300)
+    for channel, X in columns.items():
         if len(X):
-            own = result[first.get(c, 0) :][: X.shape[1]]
-            np.maximum(own, np.mean(X**2, axis=0) / (LIKELY * size[c]) ** 2, out=own)
-    return np.asarray(np.maximum(result, UNSHOWN**2 * result.max()))
+            first = first_column.get(channel, 0)
+            of_channel = precision[first : first + X.shape[1]]
+            likely = np.mean(X**2, axis=0) / (LIKELY * size[channel]) ** 2
+            np.maximum(of_channel, likely, out=of_channel)
+    return np.asarray(np.maximum(precision, UNSHOWN**2 * precision.max()))

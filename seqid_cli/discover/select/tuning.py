@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.candidates import Candidate, CandidateColumns
+from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.rows import Gained
+from seqid_cli.discover.select.rows import TermFit
 from seqid_cli.discover.select.terms import Term, effects
 from seqid_cli.model.effects.effect import SPACING, Setting
 from seqid_cli.typing import Array
@@ -20,16 +20,16 @@ SHARPENED = 3  # times that settings are moved to where the coefficients say
 
 
 @dataclass(frozen=True)
-class Tried:
-    """A term and what it gains."""
+class FittedTerm:
+    """A term and its fit beside a model that does not have it."""
 
     term: Term
-    gained: Gained
+    fit: TermFit
 
     @property
     def evidence(self) -> float:
         """Log Bayes factor."""
-        return self.gained.evidence
+        return self.fit.log_bayes_factor
 
     @property
     def candidate(self) -> Candidate:
@@ -40,131 +40,199 @@ class Tried:
 
 @dataclass(frozen=True)
 class Tuner:
-    """Where settings are searched: a model that has all other terms."""
+    """Where settings are searched: a model that has all other terms.
 
-    stage: Stage
-    linear: Linear
+    Attributes
+    ----------
+    stage : CandidateColumns
+        The data sets.
+    linear : LinearModel
+        The model.
+    size : (channels,) array
+        What the file leaves [N m; N where prismatic].
+    """
+
+    stage: CandidateColumns
+    linear: LinearModel
     size: Array
 
-    def tried(self, candidates: Sequence[Candidate]) -> list[Tried]:
-        """Try candidates; those whose coefficients are not physical are left out."""
-        return self.gained(effects(self.stage, candidates, self.size))
+    def tried(self, candidates: Sequence[Candidate]) -> list[FittedTerm]:
+        """Fit candidates; those whose coefficients are not physical are left out."""
+        return self.fitted(effects(self.stage, candidates, self.size))
 
-    def gained(self, terms: Iterable[Term]) -> list[Tried]:
-        """Try terms; those whose coefficients are not physical are left out."""
-        terms, found = list(terms), list[Tried]()
-        for one in map(Tried, terms, self.linear.gained([term.part for term in terms])):
-            c, values = one.candidate, one.gained.coefficients[: one.candidate.size]
-            if c.effect.plausible(self.stage.scenes, c.joint, c.settings, values):
-                found.append(one)
-        return found
+    def fitted(self, terms: Iterable[Term]) -> list[FittedTerm]:
+        """Fit terms; those whose coefficients are not physical are left out."""
+        terms = list(terms)
+        fits = self.linear.fits([term.part for term in terms])
+        plausible: list[FittedTerm] = []
+        for term, fit in zip(terms, fits, strict=True):
+            fitted_term = FittedTerm(term, fit)
+            candidate = fitted_term.candidate
+            coefficients = fit.coefficients[: candidate.size]
+            if candidate.effect.plausible(
+                self.stage.scenes, candidate.joint, candidate.settings, coefficients
+            ):
+                plausible.append(fitted_term)
+        return plausible
 
-    def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
-        """Search the continuous settings, then follow those that have more values."""
-        best = self._opened(tried)
+    def tuned(self, start: FittedTerm, spacing: float = SPACING) -> FittedTerm:
+        """Search the continuous settings, then follow those that have more values.
+
+        `spacing` is the ratio of neighbouring values of the grid.
+        """
+        best = self._with_lacking_setting(start)
         for setting in best.candidate.effect.between(best.candidate.settings):
-            best = self._usual(self._searched(best, setting, spacing), setting)
+            searched = self._searched(best, setting, spacing)
+            best = self._with_usual_value(searched, setting)
         return self._sharpened(self._followed(best))
 
-    def _opened(self, tried: Tried) -> Tried:
-        """The same with a setting that it lacks, at the best of its first values."""
-        c = tried.candidate
-        more = [
-            s
-            for s in c.effect.beyond(self.stage.scenes, c.joint)
-            if not s.keys() & c.settings
+    def _with_lacking_setting(self, start: FittedTerm) -> FittedTerm:
+        """Add a setting that the effect lacks, at the best of its first values."""
+        candidate = start.candidate
+        extended = [
+            replace(candidate, settings={**candidate.settings, **more})
+            for more in candidate.effect.beyond(self.stage.scenes, candidate.joint)
+            if not more.keys() & candidate.settings
         ]
-        lacking = [replace(c, settings={**c.settings, **s}) for s in more]
-        return max([tried, *self.tried(lacking)], key=lambda one: one.evidence)
+        return max([start, *self.tried(extended)], key=_by_evidence)
 
-    def _moved(self, tried: Tried, but: str = "", /, **settings: float) -> Tried | None:
-        """The same with other values of some settings, and without one."""
-        now = {name: x for name, x in tried.candidate.settings.items() if name != but}
-        found = self.tried([replace(tried.candidate, settings={**now, **settings})])
-        return found[0] if found else None
+    def _moved(
+        self, start: FittedTerm, removed: str = "", /, **settings: float
+    ) -> FittedTerm | None:
+        """Fit the effect with other values of some settings, and without one.
 
-    def _searched(self, tried: Tried, setting: Setting, spacing: float) -> Tried:
-        """Golden-section search over one setting, by ratio where it is logarithmic."""
-        best = tried
+        Returns None where the coefficients are not physical.
+        """
+        remaining = {
+            name: value
+            for name, value in start.candidate.settings.items()
+            if name != removed
+        }
+        moved = replace(start.candidate, settings={**remaining, **settings})
+        fitted = self.tried([moved])
+        return fitted[0] if fitted else None
 
-        def gain(x: float) -> float:
+    def _searched(
+        self, start: FittedTerm, setting: Setting, spacing: float
+    ) -> FittedTerm:
+        """Search one setting by golden sections, by ratio where it is logarithmic."""
+        best = start
+
+        def evidence(x: float) -> float:
             nonlocal best
-            found = self._moved(tried, **{setting.name: setting.at(x)})
-            if found is None:
+            moved = self._moved(start, **{setting.name: setting.at(x)})
+            if moved is None:
                 return -np.inf
-            best = max(best, found, key=lambda one: one.evidence)
-            return found.evidence
+            best = max(best, moved, key=_by_evidence)
+            return moved.evidence
 
-        a, b = setting.bracket(tried.candidate.settings[setting.name], spacing)
-        x, y = a + GOLDEN * (b - a), b - GOLDEN * (b - a)
-        at_x, at_y = gain(x), gain(y)
+        low, high = setting.bracket(start.candidate.settings[setting.name], spacing)
+        x = low + GOLDEN * (high - low)
+        y = high - GOLDEN * (high - low)
+        at_x = evidence(x)
+        at_y = evidence(y)
         for _ in range(STEPS):
             if at_x > at_y:
-                b, y, at_y = y, x, at_x
-                x = a + GOLDEN * (b - a)
-                at_x = gain(x)
+                high = y
+                y = x
+                at_y = at_x
+                x = low + GOLDEN * (high - low)
+                at_x = evidence(x)
             else:
-                a, x, at_x = x, y, at_y
-                y = b - GOLDEN * (b - a)
-                at_y = gain(y)
+                low = x
+                x = y
+                at_x = at_y
+                y = high - GOLDEN * (high - low)
+                at_y = evidence(y)
         return best
 
-    def _usual(self, tried: Tried, setting: Setting) -> Tried:
-        """The same with a usual value of a setting, or none, where no other does clearly better."""
-        every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
-        least = (1.0 - Options.small) * tried.evidence
-        near = [one for one in every if one and one.evidence > least]
-        bare = None if setting.asked else self._moved(tried, setting.name)
-        if bare is not None and bare.evidence > tried.evidence - Options.chance:
-            return bare
-        return max(near, key=lambda one: one.evidence, default=tried)
+    def _with_usual_value(self, start: FittedTerm, setting: Setting) -> FittedTerm:
+        """Prefer a usual value of a setting, or none, where it does nearly as well.
 
-    def _followed(self, tried: Tried) -> Tried:
+        A setting that is not needed goes: it must gain as much as a term does by
+        chance.
+        """
+        without = None if setting.asked else self._moved(start, setting.name)
+        usual = [self._moved(start, **{setting.name: x}) for x in setting.usual]
+        if without is not None and without.evidence > start.evidence - Options.chance:
+            return without
+
+        least = (1.0 - Options.small) * start.evidence
+        near = [
+            moved for moved in usual if moved is not None and moved.evidence > least
+        ]
+        return max(near, key=_by_evidence, default=start)
+
+    def _followed(self, start: FittedTerm) -> FittedTerm:
         """Take the next values of settings that have some while the evidence grows."""
-        best, effect = tried, tried.candidate.effect
+        best = start
+        effect = start.candidate.effect
         for setting in effect.settings:
-            now = tried.candidate.settings.get(setting.name)
-            first = setting.then.index(now) + 1 if now in setting.then else 0
-            for value in setting.then[first:]:
-                found = self._moved(best, **{setting.name: value})
-                for other in effect.between(found.candidate.settings) if found else ():
-                    found = found and self._searched(found, other, NEAR)
-                if found is None or found.evidence <= best.evidence:
+            value_now = start.candidate.settings.get(setting.name)
+            next_values = setting.then
+            if value_now in next_values:
+                next_values = next_values[next_values.index(value_now) + 1 :]
+            for value in next_values:
+                moved = self._moved_and_searched(best, setting.name, value)
+                if moved is None or moved.evidence <= best.evidence:
                     break
-                best = found
+                best = moved
         return best
 
-    def _sharpened(self, tried: Tried) -> Tried:
+    def _moved_and_searched(
+        self, start: FittedTerm, name: str, value: float
+    ) -> FittedTerm | None:
+        """Give a setting another value, and search the others near by."""
+        moved = self._moved(start, **{name: value})
+        if moved is None:
+            return None
+        for setting in moved.candidate.effect.between(moved.candidate.settings):
+            moved = self._searched(moved, setting, NEAR)
+        return moved
+
+    def _sharpened(self, start: FittedTerm) -> FittedTerm:
         """Move settings to where the coefficients say.
 
         Of effects that are looked for to first order the first step stands though it
         gains less: a lag would pass for a delay.
         """
-        best = tried
+        best = start
         for number in range(SHARPENED):
-            c = best.candidate
-            settings = c.effect.sharpened(
-                c.settings, best.gained.coefficients[: c.size]
+            candidate = best.candidate
+            settings = candidate.effect.sharpened(
+                candidate.settings, best.fit.coefficients[: candidate.size]
             )
-            found = None if settings is None else self._moved(best, **settings)
-            stands = number == 0 and c.effect.first_order
-            if found is None or (found.evidence <= best.evidence and not stands):
+            if settings is None:
                 return best
-            best = found
+            moved = self._moved(best, **settings)
+            stands_anyway = number == 0 and candidate.effect.first_order
+            if moved is None or (moved.evidence <= best.evidence and not stands_anyway):
+                return best
+            best = moved
         return best
 
 
-def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:
-    """The one of the largest evidence for each key, the largest first."""
-    best: dict[Hashable, Tried] = {}
-    for one in sorted(tried, key=lambda t: -t.evidence):
-        best.setdefault(key(one), one)
+def _by_evidence(fitted: FittedTerm) -> float:
+    return fitted.evidence
+
+
+def best_of(
+    fitted: Sequence[FittedTerm], key: Callable[[FittedTerm], Hashable]
+) -> list[FittedTerm]:
+    """Return the term of the largest evidence for each key, the largest first."""
+    best: dict[Hashable, FittedTerm] = {}
+    for term in sorted(fitted, key=lambda each: -each.evidence):
+        best.setdefault(key(term), term)
     return list(best.values())
 
 
-def shape_of(tried: Tried) -> Hashable:
-    """An effect at a joint with settings that are not searched between the grid's values."""
-    one = tried.candidate
-    grid = [s.name for s in one.effect.settings if not s.continuous and not s.then]
-    kind = tuple(one.settings.get(name, 0.0) for name in grid)
-    return *tried.term.key, one.apart, one.absorbed, kind
+def shape_of(fitted: FittedTerm) -> Hashable:
+    """Return an effect at a joint with settings that only the grid has values of."""
+    candidate = fitted.candidate
+    of_grid = [
+        setting.name
+        for setting in candidate.effect.settings
+        if not setting.continuous and not setting.then
+    ]
+    kind = tuple(candidate.settings.get(name, 0.0) for name in of_grid)
+    return *fitted.term.key, candidate.apart, candidate.absorbed, kind

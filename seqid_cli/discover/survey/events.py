@@ -12,11 +12,13 @@ push on link k moves the joints up to k, so their evidence is taken together.
 m_w is the mean of the residual over the window, med_c and s_c median and robust size of
 such means over the comparison c; s is of unit size for Gaussian noise, so z counts
 robust sigmas.
+
+In shapes, M is the number of kept samples of a log, W the number of windows, L that of
+the windows which are looked at closely, and n the number of joints.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -27,115 +29,202 @@ from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array, Index, Mask
 
+# ---- windows
+
 OVERLAP = 4  # windows that cover each moment
 USED = 0.6  # share of a window's samples that must count
 STEEP = 0.1  # of the largest speed: below it directions and reversals are told apart
 
 
 @dataclass(frozen=True)
-class Windows:
-    """Windows of one length over all data sets."""
-
-    length_s: float
-    scene: Index  # (W,), the data set
-    centre: Array  # (W,) s
-    mean: Array  # (W, n) of the scaled residual, NaN where too few samples count
-    state: Array  # (W, 4n) position, speed, acceleration and load of each joint, scaled
-    speed: Array  # (W, n)
-    # (W, 2n), whether each joint's velocity and each joint's load change sign
-    reverses: Mask
-
-
-@dataclass(frozen=True)
 class Track:
-    """Samples of one log, and what each joint does there."""
+    """Samples of one log, and what each joint does there.
 
-    t: Array  # (M,) s
-    # (5, M, n): position, velocity, acceleration, load, residual (NaN: no count)
+    Attributes
+    ----------
+    t : (M,) array
+        Time since the log's start [s].
+    values : (5, M, n) array
+        Position, velocity, acceleration, load, and the residual, which is NaN where a
+        joint does not count.
+    cutoff_hz : float
+        Cut-off of the log's low-pass.
+    """
+
+    t: Array
     values: Array
     cutoff_hz: float
 
-    def __getitem__(self, some: slice) -> "Track":
-        """Some of the samples."""
-        return Track(self.t[some], self.values[:, some], self.cutoff_hz)
+    def __getitem__(self, samples: slice) -> "Track":
+        """Return some of the samples."""
+        return Track(
+            t=self.t[samples],
+            values=self.values[:, samples],
+            cutoff_hz=self.cutoff_hz,
+        )
 
 
 def joined(tracks: Sequence[Track]) -> Track:
-    """Tracks of one log, one after the other."""
-    values = np.concatenate([track.values for track in tracks], axis=1)
+    """Join tracks of one log, one after the other."""
     return Track(
-        np.concatenate([track.t for track in tracks]), values, tracks[0].cutoff_hz
+        t=np.concatenate([track.t for track in tracks]),
+        values=np.concatenate([track.values for track in tracks], axis=1),
+        cutoff_hz=tracks[0].cutoff_hz,
     )
 
 
 def tracks_of(rows: Rows, left_out: Sequence[Array]) -> list[Track]:
-    """The kept samples of every data set with each joint's scaled residual (M_j,) in its rows."""
-    ends = np.cumsum([used.sum(axis=0) for used in rows.used], axis=0)
-    own = [np.split(left_out[j], ends[:-1, j]) for j in range(rows.n)]
-    tracks, logs = list[Track](), zip(rows.scenes, rows.picked, rows.used, strict=True)
-    for number, (scene, at, used) in enumerate(logs):
-        motion, residual = scene.motion, np.full(used.shape, np.nan)
-        residual.T[used.T] = np.concatenate([parts[number] for parts in own])
-        values = [motion.q[at], motion.dq[at], motion.ddq[at], scene.load[at], residual]
-        t = motion.t[at] - motion.t[0]
-        tracks.append(Track(t, np.stack(values), motion.lowpass.cutoff_hz))
+    """Return the kept samples of every data set with the residual in its rows.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows of all data sets.
+    left_out : sequence of (M_j,) arrays
+        Each joint's residual in units of its noise, on blocks left out of the fit.
+    """
+    n_rows = np.array([used.sum(axis=0) for used in rows.used])
+    ends = np.cumsum(n_rows, axis=0)
+    by_joint = [np.split(left_out[j], ends[:-1, j]) for j in range(rows.n)]
+
+    tracks: list[Track] = []
+    for number, scene in enumerate(rows.scenes):
+        samples = rows.samples[number]
+        used = rows.used[number]
+        residual = np.full(used.shape, np.nan)
+        for joint, parts in enumerate(by_joint):
+            residual[used[:, joint], joint] = parts[number]
+
+        motion = scene.motion
+        values = [
+            motion.q[samples],
+            motion.dq[samples],
+            motion.ddq[samples],
+            scene.load[samples],
+            residual,
+        ]
+        tracks.append(
+            Track(
+                t=motion.t[samples] - motion.t[0],
+                values=np.stack(values),
+                cutoff_hz=motion.lowpass.cutoff_hz,
+            )
+        )
     return tracks
 
 
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """Windows of one length over all data sets.
+
+    Attributes
+    ----------
+    length_s : float
+        Length of each window.
+    `scene` : (W,) index array
+        The data set of each.
+    centre : (W,) array
+        Its middle since the start of the log [s].
+    mean : (W, n) array
+        Mean of the scaled residual; NaN where too few samples count.
+    state : (W, 4 n) array
+        Means of position, speed, acceleration and load of each joint. `windows_of`
+        scales each to unit spread.
+    speed : (W, n) array
+        Mean speed of each joint [rad/s; m/s].
+    reverses : (W, 2 n) mask
+        Whether each joint's velocity and each joint's load change sign.
+    """
+
+    length_s: float
+    scene: Index
+    centre: Array
+    mean: Array
+    state: Array
+    speed: Array
+    reverses: Mask
+
+
 def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
-    """Cut logs into overlapping windows of one length."""
-    top = np.max([np.max(np.abs(track.values[1]), axis=0) for track in tracks], axis=0)
-    top = np.maximum(top, 1e-12)
+    """Cut logs into overlapping windows of one length.
+
+    Windows in which no joint counts are left out.
+    """
+    top_speed = np.max(
+        [np.max(np.abs(track.values[1]), axis=0) for track in tracks], axis=0
+    )
+    top_speed = np.maximum(top_speed, 1e-12)
     parts = [
-        _windows_of_track(number, x, top, length_s) for number, x in enumerate(tracks)
+        _windows_of_track(number, track, top_speed, length_s)
+        for number, track in enumerate(tracks)
     ]
-    every = [np.concatenate(part) for part in zip(*parts, strict=True)]
-    known = np.isfinite(every[2]).any(axis=1)
-    scene, centre, mean, state, speed, reverses = (part[known] for part in every)
+
+    mean = np.concatenate([part.mean for part in parts])
+    counts = np.isfinite(mean).any(axis=1)
+    state = np.concatenate([part.state for part in parts])[counts]
     spread = np.std(state, axis=0) if len(state) else np.ones(state.shape[1])
-    state = state / np.where(spread > 0, spread, 1.0)
-    return Windows(length_s, scene, centre, mean, state, speed, reverses)
+    return Windows(
+        length_s=length_s,
+        scene=np.concatenate([part.scene for part in parts])[counts],
+        centre=np.concatenate([part.centre for part in parts])[counts],
+        mean=mean[counts],
+        state=state / np.where(spread > 0, spread, 1.0),
+        speed=np.concatenate([part.speed for part in parts])[counts],
+        reverses=np.concatenate([part.reverses for part in parts])[counts],
+    )
 
 
 def _windows_of_track(
-    number: int, track: Track, top: Array, length_s: float
-) -> tuple[Any, ...]:
-    """Data set, centre, mean, state, speed and reversals of one log's windows."""
-    t, (q, v, a, load, residual) = track.t, track.values
-    step = float(np.min(np.diff(t), initial=np.inf))
-    begin = np.arange(t[0], t[-1] - length_s + 1e-9, length_s / OVERLAP)
-    low, high = np.searchsorted(t, begin), np.searchsorted(t, begin + length_s)
+    number: int, track: Track, top_speed: Array, length_s: float
+) -> Windows:
+    """Return the windows of one log, their state not scaled yet."""
+    t = track.t
+    q, v, a, load, residual = track.values
+    sample_s = float(np.min(np.diff(t), initial=np.inf))
+    start = np.arange(t[0], t[-1] - length_s + 1e-9, length_s / OVERLAP)
+    low = np.searchsorted(t, start)
+    high = np.searchsorted(t, start + length_s)
+
+    # A reversal near the window reaches into it through the low-pass.
     reach = 0.5 / track.cutoff_hz
-    wide = (
-        np.searchsorted(t, begin - reach),
-        np.searchsorted(t, begin + length_s + reach),
-    )
-    own = [q, np.arcsinh(v / (STEEP * top)), a, load]
-    turns = np.hstack([_changes(v), _changes(load)])
-    return (
-        np.full(len(begin), number),
-        begin + 0.5 * length_s,
-        _means(residual, low, high, USED * length_s / step),
-        _means(np.hstack(own), low, high, 1.0),
-        _means(np.abs(v), low, high, 1.0),
-        _means(turns, *wide, 1.0) > 0,
+    wide_low = np.searchsorted(t, start - reach)
+    wide_high = np.searchsorted(t, start + length_s + reach)
+    turns = np.hstack([_sign_changes(v), _sign_changes(load)])
+
+    # Slow motion is spread out: there friction differs most from speed to speed.
+    state = np.hstack([q, np.arcsinh(v / (STEEP * top_speed)), a, load])
+    return Windows(
+        length_s=length_s,
+        scene=np.full(len(start), number),
+        centre=start + 0.5 * length_s,
+        mean=_means(residual, low, high, fewest=USED * length_s / sample_s),
+        state=_means(state, low, high, fewest=1.0),
+        speed=_means(np.abs(v), low, high, fewest=1.0),
+        reverses=_means(turns, wide_low, wide_high, fewest=1.0) > 0,
     )
 
 
-def _changes(values: Array) -> Array:
-    """One (M, k) where a column's sign differs from that of the row before, else zero."""
+def _sign_changes(values: Array) -> Array:
+    """Return one (M, k) where a sign differs from the row before, else zero."""
     sign = np.sign(values)
     return np.asarray(np.diff(sign, axis=0, prepend=sign[:1]) != 0, dtype=np.float64)
 
 
-def _means(values: Array, low: Index, high: Index, fewest: float) -> Array:
-    """Means (W, k) over half-open ranges of the finite values, NaN where fewer than `fewest`."""
-    there, none = np.isfinite(values), np.zeros(values.shape[1])
-    sums = np.vstack([none, np.cumsum(np.where(there, values, 0.0), axis=0)])
-    counts = np.vstack([none, np.cumsum(there, axis=0)])
-    total, count = sums[high] - sums[low], counts[high] - counts[low]
+def _means(values: Array, low: Index, high: Index, *, fewest: float) -> Array:
+    """Return means (W, k) of the finite values (M, k) in half-open ranges.
+
+    They are NaN where fewer than `fewest` values are finite.
+    """
+    is_finite = np.isfinite(values)
+    zero = np.zeros(values.shape[1])
+    sums = np.vstack([zero, np.cumsum(np.where(is_finite, values, 0.0), axis=0)])
+    counts = np.vstack([zero, np.cumsum(is_finite, axis=0)])
+    total = sums[high] - sums[low]
+    count = counts[high] - counts[low]
     return np.where(count >= max(fewest, 1.0), total / np.maximum(count, 1.0), np.nan)
 
+
+# ---- events
 
 LENGTHS_S = (0.15, 0.3, 0.6)
 GATE = 5.2  # robust sigmas that an event must reach
@@ -153,9 +242,21 @@ USUAL = 0.95  # share of the windows whose neighbours count as near
 MOST = 1.645  # magnitude that one in ten exceeds, per standard deviation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Interval:
-    """One event: a stretch of one data set, in seconds since its first sample."""
+    """One event: a stretch of one data set.
+
+    Attributes
+    ----------
+    `scene` : int
+        Number of the data set.
+    start, end : float
+        Seconds since its first sample.
+    joints : tuple of int
+        Joints at which it stands out.
+    score : float
+        Robust sigmas of its peak.
+    """
 
     scene: int
     start: float
@@ -165,199 +266,322 @@ class Interval:
 
     @property
     def certainty(self) -> float:
-        """How sure it is that no noise made it, by its score alone: a half at the gate."""
+        """Probability by its score that no noise made it: a half at the gate."""
         return float(1.0 - 0.5 ** (self.score / GATE) ** 2)
 
     def inside(self, scene: Scene, margin: float = 0.0) -> Mask:
-        """Samples (N,) between its start and its end, and so many seconds more."""
+        """Return which samples (N,) lie in it, or within a margin [s] of it."""
         t = scene.motion.t - scene.motion.t[0]
         return np.asarray((t >= self.start - margin) & (t <= self.end + margin))
 
     def squares(self, scene: Scene, residual: Array) -> float:
-        """Sum of the squared residual (N, n) of its joints in it, where they slide."""
-        there = np.where(scene.slides, residual, 0.0)[self.inside(scene)]
-        return float(np.sum(there[:, list(self.joints)] ** 2))
+        """Return the squares of a residual (N, n) in it, where its joints slide."""
+        sliding = np.where(scene.slides, residual, 0.0)[self.inside(scene)]
+        return float(np.sum(sliding[:, list(self.joints)] ** 2))
 
     def energy(self, scene: Scene, scaled: Array) -> float:
-        """Squared residual (N, n), in units of noise, of its joints in it beyond noise."""
+        """Return the squares of its joints' residual beyond noise.
+
+        Parameters
+        ----------
+        `scene` : `Scene`
+            Its data set.
+        scaled : (N, n) array
+            Residual in units of each joint's noise.
+
+        Returns
+        -------
+        float
+            Sum over independent samples in it.
+        """
         motion = scene.motion
-        thin = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz
-        own = scaled[self.inside(scene)][:, list(self.joints)]
-        return thin * float(np.sum(np.maximum(own**2 - 1.0, 0.0)))
+        independent = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz
+        of_joints = scaled[self.inside(scene)][:, list(self.joints)]
+        return independent * float(np.sum(np.maximum(of_joints**2 - 1.0, 0.0)))
 
 
 def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
-    """Find what stands out in joints' scaled residuals (M_j,), unless it fills much of a log."""
-    tracks, found = tracks_of(rows, left_out), list[Interval]()
-    every = [windows_of(tracks, length) for length in LENGTHS_S]
-    scored = [(windows, scores(windows)) for windows in every]
+    """Find what stands out, unless it fills much of a log.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows of all data sets.
+    left_out : sequence of (M_j,) arrays
+        Each joint's residual in units of its noise, on blocks left out of the fit.
+
+    Returns
+    -------
+    list of Interval
+        By data set, then by time.
+    """
+    tracks = tracks_of(rows, left_out)
+    windows_by_length = [windows_of(tracks, length_s) for length_s in LENGTHS_S]
+    scored = [(windows, scores(windows)) for windows in windows_by_length]
+
+    events: list[Interval] = []
     for number in range(len(rows.scenes)):
-        events = places(number, scored)
-        length = max(
-            w.length_s * np.count_nonzero(w.scene == number) / OVERLAP for w in every
+        in_log = places(number, scored)
+        log_s = max(
+            windows.length_s * np.count_nonzero(windows.scene == number) / OVERLAP
+            for windows in windows_by_length
         )
-        taken = sum(end - start for start, end in _occasions(events))
-        found += events if taken <= max(MOST_TIME * length, LONGEST_S) else []
-    return found
+        filled_s = sum(end - start for start, end in _occasions(in_log))
+        if filled_s <= max(MOST_TIME * log_s, LONGEST_S):
+            events += in_log
+    return events
 
 
 def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
-    """Start and end of what stands out, where events nearer than `BLOCK_S` are one."""
-    found: list[tuple[float, float]] = []
+    """Return start and end of what stands out, events nearer than `BLOCK_S` joined."""
+    occasions: list[tuple[float, float]] = []
     for event in events:
-        near = found and event.start - found[-1][1] <= BLOCK_S
-        start, end = found.pop() if near else (event.start, event.end)
-        found.append((start, max(end, event.end)))
-    return found
+        start, end = event.start, event.end
+        if occasions and event.start - occasions[-1][1] <= BLOCK_S:
+            start, end = occasions.pop()
+        occasions.append((start, max(end, event.end)))
+    return occasions
 
 
 def scores(windows: Windows) -> Array:
-    """Robust sigmas (W, n), signed, by which every window stands out; zero where unknown."""
+    """Return the robust sigmas (W, n), signed, by which every window stands out.
+
+    They are zero where nothing is known. Only windows that stand out within their class
+    are compared with those of like state: that takes most of the time.
+    """
     n = windows.mean.shape[1]
-    sizes = np.stack([_class_size(windows, j) for j in range(n)], axis=1)
-    z = np.nan_to_num(windows.mean / np.maximum(sizes, 1e-300))
-    looked = np.flatnonzero(combined(z) > LOOKED_AT)
-    if len(looked) == 0:
+    class_size = np.stack([_class_size(windows, j) for j in range(n)], axis=1)
+    z = np.nan_to_num(windows.mean / np.maximum(class_size, 1e-300))
+    suspects = np.flatnonzero(combined(z) > LOOKED_AT)
+    if len(suspects) == 0:
         return z
-    whole = _neighbours(windows, looked, [*range(2 * n)])[0]
+
+    position = 0
+    velocity = n
+    acceleration = 2 * n
+    load = 3 * n
+    all_joints = _neighbours(windows, suspects, [*range(2 * n)])[0]
     for j in range(n):
-        place, far = _neighbours(windows, looked, [j])
-        motion, farther = _neighbours(windows, looked, [n + j, 2 * n + j])
-        load, farthest = _neighbours(windows, looked, [3 * n + j])
-        size = sizes[looked, j] * np.max([far, farther, farthest], axis=0)
-        z[looked, j] = _compared(
-            windows.mean[:, j], size, looked, [whole, place, motion, load]
+        place, place_gap = _neighbours(windows, suspects, [position + j])
+        motion, motion_gap = _neighbours(
+            windows, suspects, [velocity + j, acceleration + j]
+        )
+        loaded, load_gap = _neighbours(windows, suspects, [load + j])
+
+        # What is remote from all others may err by more than others show.
+        gap = np.max([place_gap, motion_gap, load_gap], axis=0)
+        z[suspects, j] = _compared(
+            windows.mean[:, j],
+            class_size[suspects, j] * gap,
+            suspects,
+            [all_joints, place, motion, loaded],
         )
     return z
 
 
-def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> Array:
-    """Robust sigmas (L,) of some windows' means of m (W,) beside each set of like windows."""
-    rest = m[looked]
-    for index in likes:
-        near = np.where(index >= 0, m[index], np.nan)
-        count = np.count_nonzero(np.isfinite(near), axis=1)
-        median = np.where(count >= FEWEST, _medians(near, count), 0.0)
-        deviation = _medians(np.abs(near - median[:, None]), count)
-        size = np.maximum(size, np.where(count >= FEWEST, PER_MEDIAN * deviation, 0.0))
-        shifted = m[looked] - median
-        rest = np.where(np.abs(shifted) < np.abs(rest), shifted, rest)
-    return np.asarray(np.nan_to_num(rest / np.maximum(size, 1e-300)))
+def _compared(
+    mean: Array, size: Array, suspects: Index, comparisons: Sequence[Index]
+) -> Array:
+    """Return the robust sigmas (L,) of some windows beside each set of like windows.
+
+    Parameters
+    ----------
+    mean : (W,) array
+        Means of all windows.
+    size : (L,) array
+        Robust size that the means have at least.
+    suspects : (L,) index array
+        The windows that are compared.
+    comparisons : sequence of (L, k) index arrays
+        Windows like each of them, -1 for none.
+    """
+    smallest = mean[suspects]
+    for index in comparisons:
+        like_means = np.where(index >= 0, mean[index], np.nan)
+        count = np.count_nonzero(np.isfinite(like_means), axis=1)
+        is_enough = count >= FEWEST
+        median = np.where(is_enough, _medians(like_means, count), 0.0)
+        deviation = _medians(np.abs(like_means - median[:, None]), count)
+        size = np.maximum(size, np.where(is_enough, PER_MEDIAN * deviation, 0.0))
+
+        shifted = mean[suspects] - median
+        smallest = np.where(np.abs(shifted) < np.abs(smallest), shifted, smallest)
+    return np.asarray(np.nan_to_num(smallest / np.maximum(size, 1e-300)))
 
 
 def combined(z: Array) -> Array:
-    """Score (W,) of windows from z (W, n): the largest of one joint or of the first k together."""
+    """Return the score (W,) of windows from z (W, n).
+
+    It is the largest of one joint, or of the first k joints together. Those are the
+    normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931).
+    """
     k = np.arange(2, z.shape[1] + 1)
-    # Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty
-    # 1931).
-    spread = 2.0 / (9.0 * k)
-    deviate = (np.cbrt(np.cumsum(z**2, axis=1)[:, 1:] / k) - 1.0 + spread) / np.sqrt(
-        spread
-    )
+    variance = 2.0 / (9.0 * k)
+    mean_square = np.cumsum(z**2, axis=1)[:, 1:] / k
+    deviate = (np.cbrt(mean_square) - 1.0 + variance) / np.sqrt(variance)
     return np.asarray(np.max(np.hstack([np.abs(z), deviate]), axis=1))
 
 
 def _neighbours(
-    windows: Windows, looked: Index, columns: list[int]
+    windows: Windows, suspects: Index, columns: list[int]
 ) -> tuple[Index, Array]:
-    """Windows (L, NEIGHBOURS) nearest to some in columns of the state, -1 where too near in time.
+    """Find the windows nearest to some in columns of the state.
 
-    And how remote each of those looked at is (L,): 1 where its neighbours are as near
-    as usual, more beyond what other windows have seen. Only every few windows serve as
-    references: they overlap, and logs may be long.
+    Only every few windows serve as references: they overlap, and logs may be long.
+
+    Returns
+    -------
+    (L, NEIGHBOURS) index array
+        The nearest windows, -1 where one is too near in time.
+    (L,) array
+        How remote each window is: 1 where its neighbours are as near as usual, more
+        beyond what other windows have seen.
     """
-    stride = max(OVERLAP, len(windows.centre) // MOST_REFERENCES)
-    reference, state = (
-        np.arange(0, len(windows.centre), stride),
-        windows.state[:, columns],
-    )
-    overlapping = 2 * int(np.ceil(BLOCK_S * OVERLAP / windows.length_s / stride))
-    asked = [*range(1, min(NEIGHBOURS + overlapping, len(reference)) + 1)]
+    n_windows = len(windows.centre)
+    stride = max(OVERLAP, n_windows // MOST_REFERENCES)
+    reference = np.arange(0, n_windows, stride)
+    state = windows.state[:, columns]
+
+    # Those too near in time may all be among the nearest: so many more are asked for.
+    n_overlapping = 2 * int(np.ceil(BLOCK_S * OVERLAP / windows.length_s / stride))
+    n_asked = min(NEIGHBOURS + n_overlapping, len(reference))
+    ranks = [*range(1, n_asked + 1)]
     tree = cKDTree(state[reference])
-    distance, at = tree.query(state[looked], k=asked)
-    index = reference[at]
-    close = np.abs(windows.centre[index] - windows.centre[looked, None]) < BLOCK_S
-    close &= windows.scene[index] == windows.scene[looked, None]
-    order = np.argsort(close, axis=1, kind="stable")[:, :NEIGHBOURS]
-    picked: Index = np.take_along_axis(np.where(close, -1, index), order, axis=1)
-    reached = np.median(np.take_along_axis(np.asarray(distance), order, axis=1), axis=1)
-    usual = np.quantile(
-        np.median(tree.query(state[reference], k=asked)[0], axis=1), USUAL
-    )
-    return picked, np.maximum(1.0, reached / max(float(usual), 1e-300))
+    distance, nearest = tree.query(state[suspects], k=ranks)
+    index = reference[nearest]
+
+    same_log = windows.scene[index] == windows.scene[suspects, None]
+    apart_s = np.abs(windows.centre[index] - windows.centre[suspects, None])
+    too_near = (apart_s < BLOCK_S) & same_log
+    order = np.argsort(too_near, axis=1, kind="stable")[:, :NEIGHBOURS]
+    neighbours: Index = np.take_along_axis(np.where(too_near, -1, index), order, axis=1)
+
+    reached = np.take_along_axis(np.asarray(distance), order, axis=1)
+    median_reach = np.median(reached, axis=1)
+    among_references = np.median(tree.query(state[reference], k=ranks)[0], axis=1)
+    usual_reach = float(np.quantile(among_references, USUAL))
+    return neighbours, np.maximum(1.0, median_reach / max(usual_reach, 1e-300))
 
 
 def _medians(values: Array, count: Index) -> Array:
-    """Medians (L,) of the `count` numbers of each row; NaN come last in order."""
+    """Return medians (L,) of the `count` numbers of each row; NaN come last."""
     ordered = np.sort(values, axis=1)
-    low, high = (
-        np.maximum(count - 1, 0) // 2,
-        np.minimum(count // 2, values.shape[1] - 1),
-    )
+    low = np.maximum(count - 1, 0) // 2
+    high = np.minimum(count // 2, values.shape[1] - 1)
     row = np.arange(len(values))
     return np.asarray(0.5 * (ordered[row, low] + ordered[row, high]))
 
 
-def _class_size(windows: Windows, j: int) -> Array:
-    """Robust size (W,) of the means of joint j in windows of like speed and like reversals."""
-    m, known = windows.mean[:, j], np.isfinite(windows.mean[:, j])
-    if np.count_nonzero(known) < FEWEST:
-        return np.full(len(m), np.inf)
-    edges = np.quantile(windows.speed[known, j], np.linspace(0, 1, SPEEDS + 1)[1:-1])
-    speed, size = np.searchsorted(edges, windows.speed[:, j]), np.zeros(len(m))
-    for members in (*(speed == k for k in range(SPEEDS)), *windows.reverses.T):
-        inside = np.abs(m[members & known])
-        if len(inside):
-            median, most = np.quantile(inside, (0.5, 0.9))  # of bursts as well
-            few = len(inside) < FEWEST
-            own = np.max(inside) if few else max(PER_MEDIAN * median, most / MOST)
-            size[members] = np.maximum(size[members], own)
+def _class_size(windows: Windows, joint: int) -> Array:
+    """Return the robust size (W,) of a joint's means in windows of like motion.
+
+    Classes are four of speed, and one for each joint that reverses. The largest of a
+    window's classes counts.
+    """
+    mean = windows.mean[:, joint]
+    is_known = np.isfinite(mean)
+    if np.count_nonzero(is_known) < FEWEST:
+        return np.full(len(mean), np.inf)
+
+    shares = np.linspace(0, 1, SPEEDS + 1)[1:-1]
+    edges = np.quantile(windows.speed[is_known, joint], shares)
+    speed_class = np.searchsorted(edges, windows.speed[:, joint])
+    classes = [speed_class == number for number in range(SPEEDS)]
+    classes += list(windows.reverses.T)
+
+    size = np.zeros(len(mean))
+    for members in classes:
+        magnitude = np.abs(mean[members & is_known])
+        if len(magnitude) == 0:
+            continue
+        if len(magnitude) < FEWEST:
+            class_size = np.max(magnitude)
+        else:
+            # Of bursts, which a median does not see, as well.
+            median, one_in_ten = np.quantile(magnitude, (0.5, 0.9))
+            class_size = max(PER_MEDIAN * median, one_in_ten / MOST)
+        size[members] = np.maximum(size[members], class_size)
     return size
 
 
 def places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
-    """Where one data set stands out, over windows of all lengths with their scores."""
-    found = list[Interval]()
+    """Find where one data set stands out.
+
+    Parameters
+    ----------
+    number : int
+        Of the data set.
+    scored : sequence of (Windows, (W, n) array)
+        Windows of every length over all data sets, with their `scores`.
+    """
+    peaks: list[Interval] = []
     for windows, z in scored:
-        here = windows.scene == number
-        found += _joined(number, windows.length_s, z[here], windows.centre[here])
-    return _merged(found)
+        in_log = windows.scene == number
+        peaks += _peaks(number, windows.length_s, z[in_log], windows.centre[in_log])
+    return _merged(peaks)
 
 
-def _joined(number: int, length_s: float, z: Array, centre: Array) -> list[Interval]:
-    """Peaks above the gate with the windows around that reach a share of their height."""
-    score, found, margin = combined(z), list[Interval](), 0.25 * length_s
+def _peaks(number: int, length_s: float, z: Array, centre: Array) -> list[Interval]:
+    """Return peaks above the gate, with the windows around that belong to them."""
+    score = combined(z)
+    margin = 0.25 * length_s
+    peaks: list[Interval] = []
     while len(score) and float(np.max(score)) > GATE:
         peak = int(np.argmax(score))
         top = float(score[peak])
-        along = score * (np.abs(centre - centre[peak]) < LONGEST_S) > EDGE_SHARE * top
-        first, stop = next((a, b) for a, b in runs(along, len(along)) if a <= peak < b)
-        weight = np.abs(z[first:stop]).max(axis=0)
-        joints = np.flatnonzero(weight > 0.5 * max(GATE, weight.max())).tolist()
-        start, end = (
-            max(float(centre[first]) - margin, 0.0),
-            float(centre[stop - 1]) + margin,
+
+        # Windows around belong to it while they reach a share of its height.
+        is_near = np.abs(centre - centre[peak]) < LONGEST_S
+        is_high = np.where(is_near, score, 0.0) > EDGE_SHARE * top
+        first, stop = next(
+            (begin, end)
+            for begin, end in runs(is_high, len(is_high))
+            if begin <= peak < end
         )
+        start = max(float(centre[first]) - margin, 0.0)
+        end = float(centre[stop - 1]) + margin
+
+        height = np.abs(z[first:stop]).max(axis=0)
+        joints = np.flatnonzero(height > 0.5 * max(GATE, height.max())).tolist()
         if end - start <= LONGEST_S:
-            joints = joints or [int(np.argmax(weight))]
-            found.append(Interval(number, start, end, tuple(joints), top))
+            # A push may stand out in several joints together and in none of them.
+            joints = joints or [int(np.argmax(height))]
+            peaks.append(
+                Interval(
+                    scene=number,
+                    start=start,
+                    end=end,
+                    joints=tuple(joints),
+                    score=top,
+                )
+            )
         score[max(first - 2, 0) : stop + 2] = 0.0
-    return found
+    return peaks
 
 
-def _merged(found: Sequence[Interval]) -> list[Interval]:
-    """Join what overlaps, to the interval of the higher score, and what nearly touches."""
-    kept: list[Interval] = []
-    for event in sorted(found, key=lambda e: -e.score):
-        apart = [max(event.start - e.end, e.start - event.end) for e in kept]
-        k = int(np.argmin(apart)) if kept else 0
-        if not kept or apart[k] >= LENGTHS_S[0]:
-            kept.append(event)
+def _merged(peaks: Sequence[Interval]) -> list[Interval]:
+    """Join what overlaps to the interval of the higher score, or nearly touches it."""
+    merged: list[Interval] = []
+    for event in sorted(peaks, key=lambda peak: -peak.score):
+        gaps_s = [
+            max(event.start - higher.end, higher.start - event.end) for higher in merged
+        ]
+        nearest = int(np.argmin(gaps_s)) if merged else 0
+        if not merged or gaps_s[nearest] >= LENGTHS_S[0]:
+            merged.append(event)
             continue
-        old, start, end = kept[k], kept[k].start, kept[k].end
-        wide = min(start, event.start), max(end, event.end)
-        if apart[k] >= 0.0 and wide[1] - wide[0] <= LONGEST_S:
-            start, end = wide
-        joints = tuple(sorted({*old.joints, *event.joints}))
-        kept[k] = Interval(event.scene, start, end, joints, old.score)
-    return sorted(kept, key=lambda e: e.start)
+
+        higher = merged[nearest]
+        start = min(higher.start, event.start)
+        end = max(higher.end, event.end)
+        touches = gaps_s[nearest] >= 0.0
+        if not touches or end - start > LONGEST_S:
+            start, end = higher.start, higher.end
+        merged[nearest] = Interval(
+            scene=event.scene,
+            start=start,
+            end=end,
+            joints=tuple(sorted({*higher.joints, *event.joints})),
+            score=higher.score,
+        )
+    return sorted(merged, key=lambda event: event.start)

@@ -29,51 +29,88 @@ BURST = 4.0  # times the usual RMS, over a period of the cut-off
 
 @dataclass(frozen=True)
 class HighBand:
-    """Rows above the cut-off."""
+    """Rows above the cut-off.
 
-    used: tuple[Mask, ...]  # (N, n) by data set, at the log's own rate
-    block: tuple[Index, ...]  # (M_j,) by joint, of each row
-    y: tuple[Array, ...]  # (M_j,) by joint, measured torque above the cut-off [N m]
-    weight: Array  # (n,), a factor on each joint's noise
+    Attributes
+    ----------
+    used : tuple of (N, n) masks
+        By data set, at the log's own rate.
+    block : tuple of (M_j,) index arrays
+        By joint, the block of each row.
+    y : tuple of (M_j,) arrays
+        By joint, the measured torque above the cut-off less the model's [N m; N].
+    weight : (n,) array
+        A factor on each joint's noise.
+    """
+
+    used: tuple[Mask, ...]
+    block: tuple[Index, ...]
+    y: tuple[Array, ...]
+    weight: Array
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
-        """Stack the joint's rows of values (N, ...), one array per data set at its own rate."""
-        return np.concatenate(
-            [v[u[:, joint]] for v, u in zip(values, self.used, strict=True)]
-        )
+        """Stack the joint's rows of values (N, ...) at each data set's own rate."""
+        parts = [
+            of_scene[used[:, joint]]
+            for of_scene, used in zip(values, self.used, strict=True)
+        ]
+        return np.concatenate(parts)
 
 
 def high_band(rows: Rows) -> HighBand:
     """Take the rows above the cut-off where joints slide, in blocks of `rows`."""
-    used, blocks, high = [], [], []
-    thin = max(
-        1,
-        -(-sum((scene.full or scene).samples for scene in rows.scenes) // MOST_SAMPLES),
-    )
-    parts = zip(rows.scenes, rows.picked, rows.used, rows.block, strict=True)
-    for scene, picked, counts, block in parts:
+    used_by_scene: list[Mask] = []
+    block_by_scene: list[Index] = []
+    torque_by_scene: list[Array] = []
+
+    # Of long logs every second block counts, or every third, ...: memory.
+    total_samples = sum((scene.full or scene).samples for scene in rows.scenes)
+    block_stride = max(1, -(-total_samples // MOST_SAMPLES))
+
+    for scene, samples, counts, block in zip(
+        rows.scenes, rows.samples, rows.used, rows.block, strict=True
+    ):
         full = scene.full or scene
-        every = round(full.motion.rate_hz / scene.motion.rate_hz)
-        at, own = picked * every, np.arange(full.samples)
-        nearest = np.clip(np.searchsorted(at, own, side="right") - 1, 0, len(at) - 1)
-        kept = np.abs(at[nearest] - own) < stride_of(scene.motion) * every
-        kept &= block[nearest] % thin == 0
-        counting = full.slides & kept[:, None] & counts.any(axis=0)
-        high.append(_above(full))
-        used.append(counting & ~_bursts(high[-1], counting, full))
-        blocks.append(block[nearest])
-    of, y = list[Index](), list[Array]()
-    for j in range(rows.n):
-        of.append(
-            np.concatenate([b[u[:, j]] for b, u in zip(blocks, used, strict=True)])
-        )
-        y.append(
-            np.concatenate([h[u[:, j], j] for h, u in zip(high, used, strict=True)])
-        )
+        factor = round(full.motion.rate_hz / scene.motion.rate_hz)
+
+        # Every sample at the log's own rate belongs to the kept sample before it.
+        kept_samples = samples * factor
+        sample = np.arange(full.samples)
+        previous = np.searchsorted(kept_samples, sample, side="right") - 1
+        nearest = np.clip(previous, 0, len(kept_samples) - 1)
+        distance = np.abs(kept_samples[nearest] - sample)
+        is_kept = distance < stride_of(scene.motion) * factor
+        is_kept &= block[nearest] % block_stride == 0
+
+        counting = full.slides & is_kept[:, None] & counts.any(axis=0)
+        torque = _above(full)
+        torque_by_scene.append(torque)
+        used_by_scene.append(counting & ~_bursts(torque, counting, full))
+        block_by_scene.append(block[nearest])
+
+    block_by_joint: list[Index] = []
+    torque_by_joint: list[Array] = []
+    for joint in range(rows.n):
+        masks = [used[:, joint] for used in used_by_scene]
+        blocks = [b[mask] for b, mask in zip(block_by_scene, masks, strict=True)]
+        torques = [
+            torque[mask, joint]
+            for torque, mask in zip(torque_by_scene, masks, strict=True)
+        ]
+        block_by_joint.append(np.concatenate(blocks))
+        torque_by_joint.append(np.concatenate(torques))
+
+    # There are many more rows above the cut-off: together they count as those below.
     weight = [
-        np.sqrt(max(len(own), 1) / max(rows.count(j), 1)) for j, own in enumerate(y)
+        np.sqrt(max(len(torque), 1) / max(rows.count(joint), 1))
+        for joint, torque in enumerate(torque_by_joint)
     ]
-    return HighBand(tuple(used), tuple(of), tuple(y), np.array(weight))
+    return HighBand(
+        used=tuple(used_by_scene),
+        block=tuple(block_by_joint),
+        y=tuple(torque_by_joint),
+        weight=np.array(weight),
+    )
 
 
 def both_bands(
@@ -81,55 +118,82 @@ def both_bands(
 ) -> dict[int, Array]:
     """Split columns at the logs' own rates into rows below and above the cut-off.
 
-    Rows above it belong to channel n + joint, in single precision. Of a log in which
-    nearly all of a column lies above, what is left below comes from where the joint
-    reverses, and there its law is known least: then that log's rows above alone count.
+    Of a log in which nearly all of a column lies above, what is left below comes from
+    where the joint reverses, and there its law is known least: then that log's rows
+    above alone count.
+
+    Parameters
+    ----------
+    rows : Rows
+        The rows below the cut-off.
+    high : HighBand
+        The rows above it.
+    per_scene : sequence of mappings of joint to (N, k) array
+        Torque per unit coefficient [N m; N where prismatic], unfiltered.
+
+    Returns
+    -------
+    dict of channel to (M_c, k) array
+        Rows below the cut-off belong to channel `joint`, those above it to channel
+        n + joint, in single precision.
     """
-    below, above = (
-        defaultdict[int, list[Array]](list),
-        defaultdict[int, list[Array]](list),
-    )
+    below = defaultdict[int, list[Array]](list)
+    above = defaultdict[int, list[Array]](list)
     for scene, columns in zip(rows.scenes, per_scene, strict=True):
         full = scene.full or scene
-        every = round(full.motion.rate_hz / scene.motion.rate_hz)
+        factor = round(full.motion.rate_hz / scene.motion.rate_hz)
         for joint, X in columns.items():
             low = full.motion.filtered(X, times=2)
-            passing = np.mean(low**2) < PASSING * np.mean((X - low) ** 2)
-            below[joint].append(low[::every] * (not passing))
+            lies_above = np.mean(low**2) < PASSING * np.mean((X - low) ** 2)
+            slow = low[::factor]
+            below[joint].append(np.zeros_like(slow) if lies_above else slow)
             above[joint].append(X - low)
+
     result = {}
-    for joint, slow in below.items():
-        result[joint] = rows.torque(joint, slow)
+    for joint, slow_by_scene in below.items():
+        result[joint] = rows.torque(joint, slow_by_scene)
         # There are many rows above, and hundreds of candidates that keep theirs.
-        result[rows.n + joint] = cast(
-            Array, high.of(joint, above[joint]).astype(np.float32)
-        )
+        fast = high.of(joint, above[joint]).astype(np.float32)
+        result[rows.n + joint] = cast(Array, fast)
     return result
 
 
+def full_residual(scene: Scene, residual: Array) -> Array:
+    """Return a residual at the log's own rate, with what lies above the cut-off.
+
+    Parameters
+    ----------
+    `scene` : `Scene`
+        The data set.
+    residual : (N, n) array
+        The low-passed residual at the data set's rate [N m; N where prismatic].
+
+    Returns
+    -------
+    (N_full, n) array
+        Zero where no sample is usable.
+    """
+    full = scene.full or scene
+    slow = [
+        np.interp(full.motion.t, scene.motion.t, of_joint) for of_joint in residual.T
+    ]
+    total: Array = _above(full) + np.stack(slow, axis=1)
+    total[~full.motion.usable] = 0.0
+    return total
+
+
 def _above(full: Scene) -> Array:
-    """Measured torque (N, n) above the cut-off, that of the model taken away."""
+    """Return the measured torque (N, n) above the cut-off less the model's."""
     assert full.measured is not None
-    left = full.measured - full.modelled
-    return np.asarray(left - full.motion.filtered(left, times=2))
+    residual = full.measured - full.modelled
+    return np.asarray(residual - full.motion.filtered(residual, times=2))
 
 
 def _bursts(above: Array, counting: Mask, full: Scene) -> Mask:
-    """Samples (N, n) about which there is far more above the cut-off than is usual in the log."""
-    size = max(round(full.motion.rate_hz / full.motion.lowpass.cutoff_hz), 3)
-    local = uniform_filter1d(above**2, size, axis=0)
-    every = zip(local.T, counting.T, strict=True)
-    usual = np.array([np.median(x[c]) if c.any() else np.inf for x, c in every])
-    return np.asarray(local > BURST**2 * usual)
-
-
-def full_residual(scene: Scene, left: Array) -> Array:
-    """Residual (N, n) at the log's own rate: `left` (N', n), above the cut-off the measured."""
-    full = scene.full or scene
-    slow = [
-        np.interp(full.motion.t, scene.motion.t, left[:, j])
-        for j in range(left.shape[1])
-    ]
-    total = _above(full) + np.stack(slow, axis=1)
-    total[~full.motion.usable] = 0.0
-    return total
+    """Return about which samples (N, n) there is far more than is usual in the log."""
+    period = max(round(full.motion.rate_hz / full.motion.lowpass.cutoff_hz), 3)
+    local_power = uniform_filter1d(above**2, period, axis=0)
+    usual_power = []
+    for of_joint, counts in zip(local_power.T, counting.T, strict=True):
+        usual_power.append(np.median(of_joint[counts]) if counts.any() else np.inf)
+    return np.asarray(local_power > BURST**2 * np.array(usual_power))

@@ -1,4 +1,4 @@
-"""Reversal uncertainty: what is not known of friction where a joint turns back or rests.
+"""Reversals: what is not known of friction where a joint turns back or rests.
 
 A joint that turns back sticks until its drive has overcome friction twice. When it
 stopped and when it broke loose is known to a share of the time for which it does not
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,138 +44,247 @@ THIRD = np.sqrt(20.0)
 
 @dataclass(frozen=True)
 class Reversal:
-    """What is uncertain in some rows, from `first` on."""
+    """What is uncertain in some rows, from `first` on.
+
+    Attributes
+    ----------
+    first : int
+        The first of the joint's rows that feels the reversal.
+    directions : (m, k) array
+        Orthonormal directions of the uncertain torque, over these m rows.
+    shrinkage : (k,) array
+        Share by which each direction is shrunk: 1 - 1 / sqrt(1 + s^2), with its
+        standard deviation s in units of torque noise.
+    """
 
     first: int
-    directions: Array  # (m, k)
-    # (k,) of each: 1 - 1 / sqrt(1 + s^2), its uncertainty s times torque noise
-    taken: Array
+    directions: Array
+    shrinkage: Array
 
     @classmethod
-    def of(cls, first: int, uncertain: Array) -> Reversal:
-        """From standard deviations (m, k), in units of torque noise."""
-        U, s, _ = np.linalg.svd(uncertain, full_matrices=False)
-        return cls(first, U, 1.0 - 1.0 / np.sqrt(1.0 + s**2))
+    def of(cls, first: int, std: Array) -> Reversal:
+        """Return it from standard deviations (m, k), in units of torque noise."""
+        directions, s, _ = np.linalg.svd(std, full_matrices=False)
+        return cls(
+            first=first,
+            directions=directions,
+            shrinkage=1.0 - 1.0 / np.sqrt(1.0 + s**2),
+        )
 
     def whiten(self, values: Array) -> None:
-        """Whiten values (M, k) in place."""
-        part = values[self.first : self.first + len(self.directions)]
-        part -= self.directions @ (self.taken[:, None] * (self.directions.T @ part))
+        """Whiten values (M_j, k) in place."""
+        rows = values[self.first : self.first + len(self.directions)]
+        along = self.directions.T @ rows
+        rows -= self.directions @ (self.shrinkage[:, None] * along)
 
 
-def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Reversal]:
-    """Find what is uncertain in one joint's rows: samples `picked` (M,), where `used` (M,)."""
-    noise, number = _noise(scene, joint), np.cumsum(used) - 1
-    uncertain = [(start, pulses / noise) for start, pulses in _uncertain(scene, joint)]
-    found: list[Reversal] = []
-    for row, every in low_passed(scene.motion, picked, uncertain):
-        counts = np.flatnonzero(used[row : row + len(every)])
-        size = np.abs(seen := every[counts])
-        felt = np.flatnonzero(
-            size.max(axis=1, initial=0.0) > SEEN * size.max(initial=0.0)
-        )
-        # not where friction is small beside torque noise, or either is unknown
+class Pulses(NamedTuple):
+    """Torque from a sample, or a row, on: each column is one uncertain direction.
+
+    Attributes
+    ----------
+    first : int
+        Sample or row of the first value.
+    values : (m, k) array
+        Standard deviations, N m or in units of torque noise.
+    """
+
+    first: int
+    values: Array
+
+
+def reversals_of(
+    scene: Scene, samples: Index, used: Mask, joint: int
+) -> list[Reversal]:
+    """Find what is uncertain in one joint's rows of a data set.
+
+    Parameters
+    ----------
+    `scene` : `Scene`
+        The data set.
+    samples : (M,) index array
+        The samples that are kept.
+    used : (M,) mask
+        At which of these the joint counts.
+    joint : int
+        Index of the joint.
+
+    Returns
+    -------
+    list of Reversal
+        In the order of time, counted in the joint's rows.
+    """
+    noise = _noise(scene, joint)
+    uncertain = [
+        Pulses(first=pulses.first, values=pulses.values / noise)
+        for pulses in _uncertain(scene, joint)
+    ]
+    row_number = np.cumsum(used) - 1
+
+    reversals: list[Reversal] = []
+    for first, std in low_passed(scene.motion, samples, uncertain):
+        counting = np.flatnonzero(used[first : first + len(std)])
+        std_of_rows = std[counting]
+        size = np.abs(std_of_rows)
+        is_felt = size.max(axis=1, initial=0.0) > SEEN * size.max(initial=0.0)
+        felt = np.flatnonzero(is_felt)
+        # None is felt where friction is small beside torque noise or either is unknown.
         if len(felt):
-            first = int(number[row + counts[felt[0]]])
-            found.append(Reversal.of(first, seen[felt[0] : felt[-1] + 1]))
-    return sorted(found, key=lambda one: one.first)
+            first_row = int(row_number[first + counting[felt[0]]])
+            reversals.append(
+                Reversal.of(first_row, std_of_rows[felt[0] : felt[-1] + 1])
+            )
+    return sorted(reversals, key=lambda reversal: reversal.first)
 
 
 def low_passed(
-    motion: Motion, picked: Index, uncertain: Sequence[tuple[int, Array]]
-) -> Iterator[tuple[int, Array]]:
-    """Low-pass pulses (m, k) from a sample on, twice; first row and rows (r, k) that feel each."""
-    lowpass, alike = motion.lowpass, dict[int, list[tuple[int, Array]]]()
+    motion: Motion, samples: Index, uncertain: Sequence[Pulses]
+) -> Iterator[Pulses]:
+    """Low-pass pulses twice, and yield of each the kept samples that feel it.
+
+    Parameters
+    ----------
+    motion : Motion
+        The motion of the data set.
+    samples : (M,) index array
+        The samples that are kept.
+    uncertain : sequence of Pulses
+        Each from a sample on.
+
+    Yields
+    ------
+    Pulses
+        From the first of the kept samples on that feels it, in no certain order.
+    """
+    lowpass = motion.lowpass
     reach = lowpass.memory
-    for first, pulses in uncertain:
-        low, high = first - reach, first + len(pulses) + reach
-        if low >= 0 and high <= motion.samples and motion.valid[low:high].all():
-            alike.setdefault(len(pulses), []).append((low, pulses))
+    by_length: dict[int, list[Pulses]] = {}
+    for pulses in uncertain:
+        low = pulses.first - reach
+        high = pulses.first + len(pulses.values) + reach
+        is_within = low >= 0 and high <= motion.samples
+        if is_within and motion.valid[low:high].all():
+            shifted = Pulses(first=low, values=pulses.values)
+            by_length.setdefault(len(pulses.values), []).append(shifted)
             continue
-        low, high = max(0, low), min(motion.samples, high)
-        values = np.zeros((high - low, pulses.shape[1]))
-        start, stop = max(first, 0), min(first + len(pulses), motion.samples)
-        values[start - low : stop - low] = pulses[start - first : stop - first]
+
+        # At the ends of the log and about gaps each is low-passed by itself.
+        low = max(0, low)
+        high = min(motion.samples, high)
+        padded = np.zeros((high - low, pulses.values.shape[1]))
+        start = max(pulses.first, 0)
+        stop = min(pulses.first + len(pulses.values), motion.samples)
+        padded[start - low : stop - low] = pulses.values[
+            start - pulses.first : stop - pulses.first
+        ]
         valid = motion.valid[low:high]
-        yield _at_rows(picked, low, lowpass(lowpass(values, valid), valid))
-    for own in alike.values():  # of one length, with nothing missing: at once
-        values = np.pad(
-            np.hstack([pulses for _, pulses in own]), ((reach, reach), (0, 0))
-        )
-        valid = np.ones(len(values), dtype=bool)
-        values = lowpass(lowpass(values, valid), valid)
-        ends = np.cumsum([pulses.shape[1] for _, pulses in own])
-        for (low, _), part in zip(
-            own, np.split(values, ends[:-1], axis=1), strict=True
-        ):
-            yield _at_rows(picked, low, part)
+        yield _at_rows(samples, low, lowpass(lowpass(padded, valid), valid))
+
+    # Pulses of one length with nothing missing around are low-passed side by side.
+    for same_length in by_length.values():
+        side_by_side = np.hstack([pulses.values for pulses in same_length])
+        padded = np.pad(side_by_side, ((reach, reach), (0, 0)))
+        valid = np.ones(len(padded), dtype=bool)
+        padded = lowpass(lowpass(padded, valid), valid)
+
+        ends = np.cumsum([pulses.values.shape[1] for pulses in same_length])
+        of_each = np.split(padded, ends[:-1], axis=1)
+        for pulses, values in zip(same_length, of_each, strict=True):
+            yield _at_rows(samples, pulses.first, values)
 
 
-def _at_rows(picked: Index, low: int, values: Array) -> tuple[int, Array]:
-    """The first row, and the rows, of values (m, k) from sample `low` on."""
-    row, end = np.searchsorted(picked, [low, low + len(values)])
-    return int(row), values[picked[row:end] - low]
+def _at_rows(samples: Index, low: int, values: Array) -> Pulses:
+    """Return those of values (m, k), from sample `low` on, that lie at kept samples."""
+    row, end = np.searchsorted(samples, [low, low + len(values)])
+    return Pulses(first=int(row), values=values[samples[row:end] - low])
 
 
-def _uncertain(scene: Scene, joint: int) -> Iterator[tuple[int, Array]]:
-    """First sample and standard deviations (m, k) N m of friction, for all that is uncertain."""
-    v, friction = scene.motion.dq[:, joint], scene.friction[:, joint]
-    rate = scene.motion.rate_hz
-    period = rate / scene.motion.lowpass.cutoff_hz
+def _uncertain(scene: Scene, joint: int) -> Iterator[Pulses]:
+    """Yield the standard deviations [N m] of friction, for all that is uncertain."""
+    v = scene.motion.dq[:, joint]
+    friction = scene.friction[:, joint]
+    rate_hz = scene.motion.rate_hz
+    period = rate_hz / scene.motion.lowpass.cutoff_hz
+
     for start, stop in runs(~scene.slides[:, joint], len(v)):
-        first, last = max(start - 1, 0), min(stop, len(v) - 1)
-        turned = start > 0 and stop < len(v) and v[first] * v[last] < 0
-        if turned:
-            step, length = abs(friction[last] - friction[first]), (last - first) / rate
-            for at in _crossings(v[first : last + 1]):
-                yield _displaced(first + at, step, length, rate)
-        if not turned or last - first >= period:
-            size = ANYTHING * max(abs(friction[first]), abs(friction[last]))
-            yield from _free(start, stop, size, max(1, round(SPACING * period)))
+        last_before = max(start - 1, 0)
+        first_after = min(stop, len(v) - 1)
+        is_within = start > 0 and stop < len(v)
+        turns_back = is_within and v[last_before] * v[first_after] < 0
+        if turns_back:
+            step = abs(friction[first_after] - friction[last_before])
+            duration_s = (first_after - last_before) / rate_hz
+            for crossing in _crossings(v[last_before : first_after + 1]):
+                yield _displaced_step(last_before + crossing, step, duration_s, rate_hz)
+
+        # At a longer rest friction may be anything as well, whether it turns or not.
+        if not turns_back or first_after - last_before >= period:
+            size = ANYTHING * max(
+                abs(friction[last_before]), abs(friction[first_after])
+            )
+            spacing = max(1, round(SPACING * period))
+            yield from _ends_of_rest(start, stop, size, spacing)
 
 
 def _crossings(v: Array) -> list[float]:
-    """Where velocities (N,) change their sign for the first and for the last time, in samples."""
-    at = np.flatnonzero(v[:-1] * v[1:] <= 0)
-    both = np.unique([at[0], at[-1]])
-    apart = np.where(v[both] == v[both + 1], 1.0, v[both] - v[both + 1])
-    return [float(x) for x in both + v[both] / apart]
+    """Return the first and the last change of sign of velocities (N,), in samples."""
+    changes = np.flatnonzero(v[:-1] * v[1:] <= 0)
+    first_and_last = np.unique([changes[0], changes[-1]])
+    fall = v[first_and_last] - v[first_and_last + 1]
+    fall = np.where(v[first_and_last] == v[first_and_last + 1], 1.0, fall)
+    return [float(sample) for sample in first_and_last + v[first_and_last] / fall]
 
 
-def _displaced(at: float, step: float, length: float, rate: float) -> tuple[int, Array]:
-    """What a step that is off, and one that takes its time, add to friction (4, 2)."""
-    low = int(at)
-    pulse = rate * np.array([0.0, 0.0, 1.0 - (at - low), at - low, 0.0, 0.0])
-    slope = 0.5 * rate * (pulse[2:] - pulse[:-2])
-    off, long = OFF * length, (ANYTHING * length) ** 2 / 24.0
+def _displaced_step(
+    crossing: float, step: float, duration_s: float, rate_hz: float
+) -> Pulses:
+    """Return what a step of friction that is off, and one that takes its time, add.
+
+    The values are (4, 2) N m: the first column for the time of the step, the second
+    for how long it takes.
+    """
+    sample = int(crossing)
+    fraction = crossing - sample
+    pulse = rate_hz * np.array([0.0, 0.0, 1.0 - fraction, fraction, 0.0, 0.0])
+    slope = 0.5 * rate_hz * (pulse[2:] - pulse[:-2])
+    std_of_time = OFF * duration_s
+    std_of_spread = (ANYTHING * duration_s) ** 2 / 24.0
+
+    columns = np.stack([std_of_time * pulse[1:-1], std_of_spread * slope], axis=1)
     # The first of the four samples may lie before the log; its weight is none then.
-    return low - 1, step * np.stack([off * pulse[1:-1], long * slope], axis=1)
+    return Pulses(first=sample - 1, values=step * columns)
 
 
-def _free(
-    start: int, stop: int, size: float, every: int
-) -> Iterator[tuple[int, Array]]:
-    """Pulses (m, k) of friction that may be anything, from both ends of a rest inwards."""
-    width = min(every, max(1, (stop - start) // 2))
+def _ends_of_rest(start: int, stop: int, size: float, spacing: int) -> Iterator[Pulses]:
+    """Yield pulses of friction that may be anything, from a rest's ends inwards."""
+    width = min(spacing, max(1, (stop - start) // 2))
     count = min(EDGE, max(1, (stop - start) // (2 * width)))
     reach = min(width * count, stop - start)
+
     pulses = np.zeros((reach, count))
-    pulses[
-        np.minimum(width * np.arange(count) + width // 2, reach - 1), np.arange(count)
-    ] = width
-    yield start, size * pulses
-    yield stop - reach, size * pulses[::-1]
+    number = np.arange(count)
+    middle = np.minimum(width * number + width // 2, reach - 1)
+    pulses[middle, number] = width
+    yield Pulses(first=start, values=size * pulses)
+    yield Pulses(first=stop - reach, values=size * pulses[::-1])
 
 
 def _noise(scene: Scene, joint: int) -> float:
-    """RMS [N m] that torque noise has in the rows, if as white as it is fast, and a detail."""
+    """Return the RMS [N m] that torque noise and a detail have in the rows.
+
+    The noise is taken to be as white as it is fast. It is infinite where no torque was
+    measured.
+    """
     full = scene.full or scene
     if full.measured is None or scene.motion.tau is None:
         return np.inf
+
+    # Third differences hold next to nothing of the motion, and all of white noise.
     quick = np.diff(full.measured[full.motion.valid, joint], n=3)
     white = float(gaussian_spread(quick)) / THIRD if len(quick) else 0.0
     frequency = np.linspace(0.0, 0.5 * full.motion.rate_hz, GRID)
     passed = float(np.sqrt(np.mean(power_gain(full.motion.lowpass, frequency, 2))))
+
     torque = scene.motion.tau[scene.motion.usable, joint]
     detail = DETAIL * float(np.linalg.norm(torque)) / np.sqrt(max(len(torque), 1))
     return max(float(np.hypot(white * passed, detail)), 1e-12)

@@ -1,4 +1,4 @@
-"""The samples that count, as rows: per joint, low-passed, thinned to what the band holds.
+"""The samples that count, as rows: per joint, low-passed, thinned to the band.
 
 Twice low-passed signals hold nothing above about twice the cut-off, so four samples per
 period of it lose nothing. Samples at which a joint does not certainly slide are left
@@ -8,6 +8,10 @@ the friction's.
 Rows belong to blocks of about two seconds, longer than the memory of the residual, and
 blocks to folds, which are left out in turn: whatever is said to help must help where it
 was not fitted.
+
+In shapes, N is the number of samples of a data set, M that of the samples which are
+kept of it, M_j the number of rows of joint j over all data sets, and n the number of
+joints.
 """
 
 from __future__ import annotations
@@ -43,15 +47,29 @@ SIMPLE = 2  # coefficients: Coulomb and viscous
 MOST_OUTSIDE = 0.6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Which samples of each data set count, joint by joint."""
+    """Which samples of each data set count, joint by joint.
+
+    Attributes
+    ----------
+    `scenes` : tuple of `Scene`
+        The data sets, one per log.
+    samples : tuple of (M,) index arrays
+        By data set: the samples that are kept of all N.
+    used : tuple of (M, n) masks
+        By data set: whether each joint counts at a kept sample.
+    block : tuple of (M,) index arrays
+        By data set: the block of each kept sample, counted over all data sets.
+    fold : (blocks,) index array
+        The fold of each block.
+    """
 
     scenes: tuple[Scene, ...]
-    picked: tuple[Index, ...]  # (M,) by data set: the samples that are kept of all N
-    used: tuple[Mask, ...]  # (M, n): whether each joint counts there
-    block: tuple[Index, ...]  # (M,): the block of each, counted over all data sets
-    fold: Index  # (blocks,), of each block
+    samples: tuple[Index, ...]
+    used: tuple[Mask, ...]
+    block: tuple[Index, ...]
+    fold: Index
 
     @property
     def n(self) -> int:
@@ -59,163 +77,277 @@ class Rows:
         return self.scenes[0].robot.n
 
     def count(self, joint: int) -> int:
-        """Number of rows of a joint."""
+        """Return the number of rows of a joint."""
         return sum(int(used[:, joint].sum()) for used in self.used)
 
     def blocks_of(self, joint: int) -> Index:
-        """Block of every row of a joint."""
-        return np.concatenate(
-            [b[u[:, joint]] for b, u in zip(self.block, self.used, strict=True)]
-        )
+        """Return the block (M_j,) of every row of a joint."""
+        parts = [
+            block[used[:, joint]]
+            for block, used in zip(self.block, self.used, strict=True)
+        ]
+        return np.concatenate(parts)
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
-        """Stack the joint's rows of filtered values (N, ...), one array per data set."""
+        """Stack the joint's rows of filtered values.
+
+        Parameters
+        ----------
+        joint : int
+            Index of the joint.
+        values : sequence of (N, ...) arrays
+            One per data set, in any unit.
+
+        Returns
+        -------
+        (M_j, ...) array
+            By data set, then by time.
+        """
         parts = [
-            v[p][u[:, joint]]
-            for v, p, u in zip(values, self.picked, self.used, strict=True)
+            of_scene[samples][used[:, joint]]
+            for of_scene, samples, used in zip(
+                values, self.samples, self.used, strict=True
+            )
         ]
         return np.concatenate(parts)
 
     def torque(self, joint: int, values: Sequence[Array]) -> Array:
-        """Stack the joint's rows of filtered torques (N, ...), whitened at reversals."""
+        """Stack the joint's rows of filtered torques, and whiten them at reversals.
+
+        Parameters
+        ----------
+        joint : int
+            Index of the joint.
+        values : sequence of (N, ...) arrays
+            One per data set, torque [N m; N where prismatic] or columns of it.
+
+        Returns
+        -------
+        (M_j, ...) array
+            In the same unit.
+        """
         return self.whitened(joint, self.of(joint, values))
 
     def whitened(self, joint: int, values: Array) -> Array:
-        """Whiten a joint's rows (M, ...) for what reversals leave open."""
+        """Whiten a joint's rows for what reversals leave open.
+
+        Parameters
+        ----------
+        joint : int
+            Index of the joint.
+        values : (M_j, ...) array
+            Torque [N m; N where prismatic] or columns of it; it stays as it is.
+        """
         result = np.array(values, dtype=np.float64)
-        wide = result.reshape(len(result), math.prod(result.shape[1:]))
+        n_columns = math.prod(result.shape[1:])
+        side_by_side = result.reshape(len(result), n_columns)  # a view of the result
         for reversal in self._reversals[joint]:
-            reversal.whiten(wide)
+            reversal.whiten(side_by_side)
         return result
 
     @cached_property
     def _reversals(self) -> list[list[Reversal]]:
-        result: list[list[Reversal]] = [[] for _ in range(self.n)]
-        for j, found in enumerate(result):
-            first = 0
-            for scene, picked, used in zip(
-                self.scenes, self.picked, self.used, strict=True
-            ):
-                own = reversals_of(scene, picked, used[:, j], j)
-                found += [
-                    replace(reversal, first=reversal.first + first) for reversal in own
-                ]
-                first += int(used[:, j].sum())
-        return result
+        """Reversals of each joint, counted in its rows over all data sets."""
+        return [self._reversals_of(joint) for joint in range(self.n)]
+
+    def _reversals_of(self, joint: int) -> list[Reversal]:
+        reversals: list[Reversal] = []
+        first_row = 0
+        for scene, samples, used in zip(
+            self.scenes, self.samples, self.used, strict=True
+        ):
+            for reversal in reversals_of(scene, samples, used[:, joint], joint):
+                reversals.append(replace(reversal, first=reversal.first + first_row))
+            first_row += int(used[:, joint].sum())
+        return reversals
 
     def columns(
         self, per_scene: Iterable[Mapping[int, Array]], passes: int
     ) -> dict[int, Array]:
-        """Low-pass an effect's columns, log by log, and keep the rows of each joint."""
+        """Low-pass an effect's columns, log by log, and keep the rows of each joint.
+
+        Parameters
+        ----------
+        per_scene : iterable of mappings of joint to (N, k) array
+            Torque per unit coefficient [N m; N where prismatic], unfiltered, in the
+            order of the data sets. Each is low-passed before the next one is asked for.
+        passes : int
+            How often the low-pass is applied.
+
+        Returns
+        -------
+        dict of joint to (M_j, k) array
+            Whitened at reversals.
+        """
         rows: dict[int, list[Array]] = {}
         for number, columns in enumerate(per_scene):
             motion = self.scenes[number].motion
-            every = stride_of(motion)
-            at, used = self.picked[number] // every, self.used[number]
+            stride = stride_of(motion)
+            kept_rows = self.samples[number] // stride
+            used = self.used[number]
             for joint, values in columns.items():
-                low = motion.filtered(values, passes, every=every)[at]
+                low = motion.filtered(values, passes, every=stride)[kept_rows]
                 rows.setdefault(joint, []).append(low[used[:, joint]])
         return {
-            j: self.whitened(j, np.concatenate(values)) for j, values in rows.items()
+            joint: self.whitened(joint, np.concatenate(values))
+            for joint, values in rows.items()
         }
 
     def without(self, masks: Sequence[Mask]) -> Rows:
-        """The same rows without some samples (N, n) of each data set."""
-        parts = zip(self.used, masks, self.picked, strict=True)
-        return replace(self, used=tuple(u & ~m[p] for u, m, p in parts))
+        """Return the same rows without some samples (N, n) of each data set."""
+        used_elsewhere = [
+            used & ~mask[samples]
+            for used, mask, samples in zip(self.used, masks, self.samples, strict=True)
+        ]
+        return replace(self, used=tuple(used_elsewhere))
 
 
 def stride_of(motion: Motion) -> int:
-    """Every how many samples of a motion one is kept."""
+    """Return every how many samples of a motion one is kept."""
     return max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
 
 
 def rows_of(scenes: Sequence[Scene]) -> Rows:
-    """Choose the rows of all logs, their blocks and folds."""
-    picked, used, block, lengths = (
-        list[Index](),
-        list[Mask](),
-        list[Index](),
-        list[int](),
+    """Choose the rows of all logs, their blocks and folds.
+
+    Parameters
+    ----------
+    `scenes` : sequence of `Scene`
+        The data sets, one per log.
+
+    Returns
+    -------
+    Rows
+        A joint counts where it certainly slides, at speeds and positions at which its
+        friction was identified, in logs and folds in which it moves enough.
+    """
+    samples_by_scene: list[Index] = []
+    used_by_scene: list[Mask] = []
+    block_by_scene: list[Index] = []
+    n_blocks_by_scene: list[int] = []
+
+    # Of very long logs every second block is kept, or every third, ...: memory.
+    periods = sum(
+        float(scene.motion.t[-1]) * scene.motion.lowpass.cutoff_hz for scene in scenes
     )
-    periods = sum(float(s.motion.t[-1]) * s.motion.lowpass.cutoff_hz for s in scenes)
-    # very long logs: memory
-    thin = max(1, math.ceil(SAMPLES_PER_CUTOFF * periods / MOST_ROWS))
+    block_stride = max(1, math.ceil(SAMPLES_PER_CUTOFF * periods / MOST_ROWS))
+
     for scene, outside in zip(scenes, extrapolated(scenes), strict=True):
         motion = scene.motion
-        at = np.arange(0, motion.samples, stride_of(motion))
-        count = max(1, round(motion.t[-1] / BLOCK_S))
-        own = np.minimum((at * count) // motion.samples, count - 1)
-        kept = own % thin == 0
-        picked.append(at[kept])
-        used.append((scene.slides & ~outside)[at[kept]])
-        block.append(own[kept] + sum(lengths))
-        lengths.append(count)
-    folds = _folds(lengths)
-    counts = _predictable(_moved(scenes, picked, used), block, folds)
-    return Rows(tuple(scenes), tuple(picked), counts, tuple(block), folds)
+        samples = np.arange(0, motion.samples, stride_of(motion))
+        n_blocks = max(1, round(motion.t[-1] / BLOCK_S))
+        block = np.minimum((samples * n_blocks) // motion.samples, n_blocks - 1)
+
+        is_kept = block % block_stride == 0
+        samples_by_scene.append(samples[is_kept])
+        used_by_scene.append((scene.slides & ~outside)[samples[is_kept]])
+        block_by_scene.append(block[is_kept] + sum(n_blocks_by_scene))
+        n_blocks_by_scene.append(n_blocks)
+
+    fold = _folds(n_blocks_by_scene)
+    moving = _without_shaken_joints(scenes, samples_by_scene, used_by_scene)
+    return Rows(
+        scenes=tuple(scenes),
+        samples=tuple(samples_by_scene),
+        used=_without_unpredictable_joints(moving, block_by_scene, fold),
+        block=tuple(block_by_scene),
+        fold=fold,
+    )
 
 
 def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:
-    """Samples (N, n) where a friction surface is only held, or bent, beyond what was identified.
+    """Return where a friction surface goes beyond what was identified.
 
-    Nothing that the model lacks is left there. Not masked are joints that are hardly
-    ever inside, of which a surface is all there is, and Coulomb and viscous friction,
-    whose columns go on.
+    There it is only held, or bent, and what is left is no lack of the model. Not masked
+    are joints that are hardly ever inside, of which a surface is all there is, and
+    Coulomb and viscous friction, whose columns go on.
+
+    Parameters
+    ----------
+    `scenes` : sequence of `Scene`
+        The data sets, one per log.
+
+    Returns
+    -------
+    list of (N, n) masks
+        One per data set, with the samples that the low-pass reaches from there.
     """
-    found, surfaces = list[Mask](), scenes[0].model.surfaces
+    outside_by_scene: list[Mask] = []
     for scene in scenes:
-        motion, outside = scene.motion, scene.model.outside(scene.motion)
-        for j, surface in enumerate(scene.model.surfaces):
+        motion = scene.motion
+        outside = scene.model.outside(motion)
+        for joint, surface in enumerate(scene.model.surfaces):
             if surface is not None:
-                outside[:, j] |= surface.vague(motion.q[:, j], motion.dq[:, j])
-        # of the low-pass
+                outside[:, joint] |= surface.vague(
+                    motion.q[:, joint], motion.dq[:, joint]
+                )
+
+        # What the model does there passes the low-pass into the samples around.
         reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
-        found.append(binary_dilation(outside, np.ones((2 * reach + 1, 1), dtype=bool)))
-    share = np.mean(np.concatenate(found), axis=0)
-    simple = np.array([s is None or s.positive.size <= SIMPLE for s in surfaces])
-    return [outside & ~(simple | (share > MOST_OUTSIDE)) for outside in found]
+        neighbourhood = np.ones((2 * reach + 1, 1), dtype=bool)
+        outside_by_scene.append(binary_dilation(outside, neighbourhood))
+
+    share_outside = np.mean(np.concatenate(outside_by_scene), axis=0)
+    is_simple = np.array(
+        [
+            surface is None or surface.positive.size <= SIMPLE
+            for surface in scenes[0].model.surfaces
+        ]
+    )
+    counts_anyway = is_simple | (share_outside > MOST_OUTSIDE)
+    return [outside & ~counts_anyway for outside in outside_by_scene]
 
 
-def _moved(
-    scenes: Sequence[Scene], picked: Sequence[Index], used: Sequence[Mask]
-) -> tuple[Mask, ...]:
-    """Leave out joints in logs in which they are only shaken or hardly move, or of next to no rows.
+def _without_shaken_joints(
+    scenes: Sequence[Scene], samples: Sequence[Index], used: Sequence[Mask]
+) -> list[Mask]:
+    """Leave out joints in logs in which they are only shaken or hardly move.
 
     A held joint that gives way a little shows its brake or stiction; a single move of a
-    joint no other log predicts: left out, it would count for more than all of them.
+    joint no other log predicts: left out, it would count for more than all of them. A
+    joint of next to no rows is left out everywhere.
     """
-    travel = np.zeros((len(scenes), used[0].shape[1]))
-    for own, scene, at, counts in zip(travel, scenes, picked, used, strict=True):
-        for j in np.flatnonzero(counts.any(axis=0)):
-            own[j] = np.ptp(scene.motion.q[at[counts[:, j]], j])
-    often = np.array([u.mean(axis=0) for u in used])
-    moves = (travel > SHAKEN * travel.max(axis=0)) & (
-        often > SELDOM * often.max(axis=0)
-    )
-    kept = [u & m for u, m in zip(used, moves, strict=True)]
-    enough = sum(u.sum(axis=0) for u in kept) >= FEWEST_ROWS
-    return tuple(u & enough for u in kept)
+    n_joints = used[0].shape[1]
+    travel = np.zeros((len(scenes), n_joints))
+    for number, scene in enumerate(scenes):
+        counts = used[number]
+        for joint in np.flatnonzero(counts.any(axis=0)):
+            positions = scene.motion.q[samples[number][counts[:, joint]], joint]
+            travel[number, joint] = np.ptp(positions)
+
+    share_of_time = np.array([counts.mean(axis=0) for counts in used])
+    travels = travel > SHAKEN * travel.max(axis=0)
+    moves_often = share_of_time > SELDOM * share_of_time.max(axis=0)
+    moves = travels & moves_often
+
+    moving = [counts & in_log for counts, in_log in zip(used, moves, strict=True)]
+    has_enough_rows = sum(counts.sum(axis=0) for counts in moving) >= FEWEST_ROWS
+    return [counts & has_enough_rows for counts in moving]
 
 
-def _predictable(
-    used: Sequence[Mask], block: Sequence[Index], folds: Index
+def _without_unpredictable_joints(
+    used: Sequence[Mask], block: Sequence[Index], fold: Index
 ) -> tuple[Mask, ...]:
-    """Leave out joints that move in too few folds: the other folds would not predict them."""
-    counts = np.zeros((int(folds.max()) + 1, used[0].shape[1]))
-    for u, b in zip(used, block, strict=True):
-        np.add.at(counts, folds[b], u)
-    share = counts / np.maximum(counts.sum(axis=0), 1)
-    enough = (share > LEAST_OF_FOLD).sum(axis=0) >= min(FEWEST_FOLDS, len(counts))
+    """Leave out joints that move in so few folds that others do not predict them."""
+    n_folds = int(fold.max()) + 1
+    rows_in_fold = np.zeros((n_folds, used[0].shape[1]))
+    for counts, block_of_sample in zip(used, block, strict=True):
+        np.add.at(rows_in_fold, fold[block_of_sample], counts)
+
+    share = rows_in_fold / np.maximum(rows_in_fold.sum(axis=0), 1)
+    n_filled_folds = (share > LEAST_OF_FOLD).sum(axis=0)
+    enough = n_filled_folds >= min(FEWEST_FOLDS, n_folds)
+    # Where no joint has enough, all stay: logs that are so short are said to be.
     enough |= not enough.any()
-    return tuple(u & enough for u in used)
+    return tuple(counts & enough for counts in used)
 
 
-def _folds(lengths: Sequence[int]) -> Index:
-    """Folds of contiguous blocks: about FOLDS over all logs, and two in each at the least."""
+def _folds(n_blocks_by_scene: Sequence[int]) -> Index:
+    """Return the fold of each block: about FOLDS in all, two a log at least."""
+    total = sum(n_blocks_by_scene)
     folds: list[Index] = []
-    for length in lengths:
-        pieces = max(min(2, length), round(FOLDS * length / sum(lengths)))
-        start = folds[-1][-1] + 1 if folds else 0
-        folds.append(start + (np.arange(length) * pieces) // length)
+    for n_blocks in n_blocks_by_scene:
+        n_folds = max(min(2, n_blocks), round(FOLDS * n_blocks / total))
+        first_fold = folds[-1][-1] + 1 if folds else 0
+        folds.append(first_fold + (np.arange(n_blocks) * n_folds) // n_blocks)
     return np.concatenate(folds).astype(np.intp)

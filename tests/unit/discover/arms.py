@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.select.model import FREE, Ground, Hold, Model
+from seqid_cli.discover.select.model import FREE, Ground, Model, PriorScale
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Selected
+from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.effect import Effect
@@ -92,14 +92,14 @@ def selected(
     effects: Iterable[str | Effect],
     options: Options | None = None,
     stages: Stages | None = None,
-) -> Selected:
+) -> SelectionResult:
     """Return what is selected of some effects of the catalogue, or of others."""
     chosen = [CATALOGUE[one] if isinstance(one, str) else one for one in effects]
     return select(ground_of(scenes, stages), options, chosen).told()
 
 
 def model_of(
-    scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None = None
+    scenes: Sequence[Scene], hold: PriorScale = FREE, stages: Stages | None = None
 ) -> Model:
     return Model(ground_of(scenes, stages), hold)
 

@@ -134,4 +134,4 @@ def stages_of(trial: Recording, other: Recording, robot: Robot) -> Stages:
 
 def test_a_file_without_trials_has_absorbed_nothing() -> None:
     found = selected(arm_scenes(at_joint(0, drag)), ["quadratic_drag"])
-    assert [one.term.what.absorbed for one in found.taken] == [""]
+    assert [one.term.what.absorbed for one in found.terms] == [""]

@@ -25,7 +25,7 @@ def scenes() -> list[Scene]:
 
 
 def heavier(scene: Scene) -> tuple[Array, Array]:
-    """Torque (N, n) of links changed at random, and the change of base parameters (b,)."""
+    """Torque (N, n) of links changed at random, and what parameters changed by (b,)."""
     delta = np.random.default_rng(2).normal(size=scene.model.phi.shape)
     motion, model = scene.motion, replace(scene.model, phi=scene.model.phi + delta)
     more = model.rigid(motion.q, motion.dq, motion.ddq) - scene.rigid

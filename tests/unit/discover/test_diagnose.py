@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from seqid_cli.discover.candidates import Stage
+from seqid_cli.discover.candidates import CandidateColumns
 from seqid_cli.discover.diagnosis import described, diagnose
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.floor import NoiseFloor
@@ -282,16 +282,14 @@ def test_less_than_a_sample_between_torque_and_position_is_a_note() -> None:
     assert 3.0 < float(told[1]) < 6.0  # this arm's own is up to a millisecond
 
 
-def test_what_noise_does_not_account_for_is_said_and_shown_though_nothing_is_taken() -> (
-    None
-):
+def test_more_than_noise_is_said_and_shown_though_nothing_is_taken() -> None:
     """A hump that no effect is allowed to explain."""
     found = investigated(HUMP)
     assert excess_residuals(found, expected(found)) == {}
     model = copy(found.model)
     model.terms = []
     model.settle()
-    bare = replace(found, found=replace(found.found, model=model, taken=()))
+    bare = replace(found, selection=replace(found.selection, model=model, terms=()))
     said = described(bare, given(HUMP).robot)
     assert said.verdict == "unexplained"
     rest = next(one for one in said.unexplained if one.joint == "elbow")
@@ -331,8 +329,11 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     (slow,) = file_notes(found, robot, ordinary * np.array([0.2, 1.0]), ())
     assert re.search("shoulder.*go with the motion", slow)
 
-    shoulder, elbow = found.file.residual
-    off = replace(found, file=replace(found.file, residual=(shoulder, 10.0 * elbow)))
+    shoulder, elbow = found.file_residual.residual
+    off = replace(
+        found,
+        file_residual=replace(found.file_residual, residual=(shoulder, 10.0 * elbow)),
+    )
     said = described(off, robot)
     (changed,) = said.changed
     assert (said.verdict, changed.joint, changed.since) == (
@@ -340,7 +341,7 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
         "elbow",
         None,
     )
-    assert changed.rmse == pytest.approx(10.0 * found.start[1])
+    assert changed.rmse == pytest.approx(10.0 * found.file_rms[1])
     assert changed.floors == pytest.approx(changed.rmse / found.floor.rms[1])
     assert changed.rmse_refitted == pytest.approx(found.model.rms()[1])
     assert said.joints["elbow"].rmse == changed.rmse
@@ -351,7 +352,7 @@ def on(found: Investigation, ground: Ground) -> Investigation:
     """The same with its fitted model in other scenes, or beside another file."""
     model = copy(found.model)
     model.ground = ground
-    return replace(found, found=replace(found.found, model=model))
+    return replace(found, selection=replace(found.selection, model=model))
 
 
 def beyond_friction(found: Investigation, times: float) -> Investigation:
@@ -366,13 +367,15 @@ def beyond_friction(found: Investigation, times: float) -> Investigation:
     model = replace(scene.model, surfaces=(scene.model.surfaces[0], curve))
     scenes = tuple(replace(s, model=model) for s in rows.scenes)
     whole = []
-    for scene, part in zip(scenes, ground.base.whole, strict=True):
+    for scene, part in zip(scenes, ground.base.scene_bases, strict=True):
         fast = np.abs(scene.motion.dq[:, 1:]) > 0.5 * top
         whole.append(replace(part, residual=part.residual * np.where(fast, times, 1.0)))
-    stage = Stage(replace(rows, scenes=scenes))
+    stage = CandidateColumns(replace(rows, scenes=scenes))
     return on(
         found,
-        replace(ground, stage=stage, base=replace(ground.base, whole=tuple(whole))),
+        replace(
+            ground, stage=stage, base=replace(ground.base, scene_bases=tuple(whole))
+        ),
     )
 
 

@@ -33,17 +33,17 @@ class Left:
     by_file: float
     fitted: float
     samples: int = BLOCKS * EACH
-    touched: set[int] = field(default_factory=set)
+    explained_joints: set[int] = field(default_factory=set)
     floor: NoiseFloor = field(
         default_factory=lambda: NoiseFloor(*(np.array([x]) for x in (FLOOR, 0.9, HIGH)))
     )
 
     @property
-    def start(self) -> Array:
+    def file_rms(self) -> Array:
         return np.array([self.by_file])
 
     @property
-    def file(self) -> SimpleNamespace:
+    def file_residual(self) -> SimpleNamespace:
         return SimpleNamespace(samples=[self.samples])
 
     @property
@@ -97,7 +97,7 @@ def test_the_first_log_in_which_values_do_not_hold_is_told(
 ) -> None:
     ground = ground_of(worn_since(first))
     found = SimpleNamespace(
-        file=FileResidual.of(ground),
+        file_residual=FileResidual.of(ground),
         floor=NoiseFloor(*(np.full(2, x) for x in (0.2, 0.1, 0.4))),
         ground=ground,
         logs=[SimpleNamespace(path=Path(str(number))) for number in range(3)],
@@ -133,7 +133,7 @@ def test_a_delay_that_the_file_knows_is_no_skew(
 ) -> None:
     scenes = arm_scenes(late)
     keys = {
-        taken.term.name for taken in selected(scenes, ["time_skew", "spring"]).taken
+        taken.term.name for taken in selected(scenes, ["time_skew", "spring"]).terms
     }
     assert keys == {"time_skew"}
 
@@ -141,14 +141,14 @@ def test_a_delay_that_the_file_knows_is_no_skew(
         return [replace(one, mean=LATE_S) for one in nuisances_of(scenes, stages)]
 
     monkeypatch.setattr(base, "nuisances_of", known)
-    assert selected(scenes, ["time_skew", "spring"]).taken == ()
+    assert selected(scenes, ["time_skew", "spring"]).terms == ()
 
 
 def test_a_delay_in_the_model_is_taken_off_before_anything_is_looked_for() -> None:
     scenes = arm_scenes(late)
     delays = np.full(2, LATE_S)
     told = [replace(x, model=replace(x.model, delays_s=delays)) for x in scenes]
-    assert selected(told, ["time_skew", "spring"]).taken == ()
+    assert selected(told, ["time_skew", "spring"]).terms == ()
 
 
 def test_one_delay_may_be_that_of_all_joints(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,4 +164,4 @@ def test_one_delay_may_be_that_of_all_joints(monkeypatch: pytest.MonkeyPatch) ->
     (rows,) = ground.base.nuisances
     assert rows.term.joint is None
     assert sorted(rows.columns) == [0, 1]
-    assert selected(scenes, ["time_skew", "spring"]).taken == ()
+    assert selected(scenes, ["time_skew", "spring"]).terms == ()

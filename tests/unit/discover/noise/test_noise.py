@@ -46,7 +46,7 @@ LOOSE = 3.0  # what the residual is larger by than noise
 def floor_of(
     log: Recording, left: Array, seen: tuple[Scene, Rows], echo: Array | None = None
 ) -> NoiseFloor:
-    """The floor of one log, what is left of its torque, and what encoders make of it."""
+    """The floor of one log, from what is left of its torque and what encoders make."""
     encoder = np.zeros_like(left) if echo is None else echo
     return noise_floor([log], seen[:1], [left], [encoder], rows=seen[1])
 
@@ -135,7 +135,7 @@ def test_less_than_the_interval_makes_the_floor_doubtful() -> None:
 def test_a_controller_that_hunts_at_rest_is_no_noise(
     hunting: float, off: float
 ) -> None:
-    """Held at a count's edge a joint's torque goes to and fro; in motion it does not."""
+    """Held at a count's edge a joint's torque goes to and fro, in motion not."""
     found, floor = ratio(resting(80.0, 6.0, 6), seed=6, hunting=hunting)
     np.testing.assert_allclose(found, 1.0, atol=off)
     np.testing.assert_array_less(floor.low / floor.rms * found, 1.0)

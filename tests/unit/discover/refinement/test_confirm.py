@@ -26,7 +26,7 @@ REVERSED = ("quadratic_drag", 1, -1.0)
 
 @pytest.mark.slow
 def test_what_the_held_out_logs_do_not_confirm_does_not_stay() -> None:
-    """While the held-out logs are recorded, the elbow has the reverse of what it had."""
+    """While held-out logs are recorded, the elbow has the reverse of what it had."""
     before, later = recorded((SHOULDER, ELBOW)), recorded((SHOULDER, REVERSED))
     robot, file = before.robot, before.file()
     found = refine(
@@ -120,7 +120,7 @@ class Path:
 
     steps: list[Step]
     fitted: list[tuple[str, ...]] = field(default_factory=list)
-    came = frozenset[str]()
+    incoming_stages = frozenset[str]()
     material = SimpleNamespace(robot=SimpleNamespace(n=1, joint_names=("joint",)))
 
     def without(self, steps: list[Step]) -> frozenset[str]:
@@ -140,7 +140,9 @@ def step_of(*names: str, before: frozenset[str] = frozenset()) -> Step:
     rounds = tuple(RefinementRound(effect=name, joint="joint") for name in names)
     model = before | set(names)
     beside = tuple(model - {name} for name in names) if len(names) > 1 else ()
-    return Step(rounds=rounds, effects=names, kept=True, model=model, beside=beside)
+    return Step(
+        rounds=rounds, effects=names, keeps_stages=True, model=model, beside=beside
+    )
 
 
 class Errors:
@@ -210,7 +212,7 @@ def test_a_smooth_term_is_fitted_again_to_the_training_logs() -> None:
     step = Step(
         rounds=(RefinementRound(effect="unexplained", joint="elbow"),),
         smooth=speed,
-        kept=True,
+        keeps_stages=True,
         model=before,
     )
 

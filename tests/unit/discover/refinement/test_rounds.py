@@ -14,7 +14,7 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import Gain
-from seqid_cli.discover.refinement.loop import Account, Decision, Judgement
+from seqid_cli.discover.refinement.loop import CandidateModel, Decision, Judgement
 from seqid_cli.discover.refinement.rounds import refine
 from seqid_cli.model.effects.fitted import FittedEffect
 from seqid_cli.model.effects.position_dependent_friction import (
@@ -78,7 +78,7 @@ def candidate(waves: float, joint: int = 0) -> Candidate:
 
 
 def sized(effect: Candidate, size: float) -> float:
-    """Return the size that a round sees of an effect: each coefficient over its error."""
+    """Return the size that a round sees of an effect: coefficients over errors."""
     count = effect.size
     fitted = FittedEffect(
         effect.effect,
@@ -87,9 +87,11 @@ def sized(effect: Candidate, size: float) -> float:
         coefficients=np.full(count, size * 0.2),
         covariance=0.04 * np.eye(count),
     )
-    account = Account(loop=None, taken=(None,), added=(effect,), kept=False)
-    account.__dict__["model"] = SimpleNamespace(effects=(fitted,))
-    return account._size(0)
+    candidate_model = CandidateModel(
+        loop=None, results=(None,), effects=(effect,), keeps_stages=False
+    )
+    candidate_model.__dict__["model"] = SimpleNamespace(effects=(fitted,))
+    return candidate_model._size(0)
 
 
 @pytest.mark.parametrize("size", [0.5, 3.0])
@@ -99,42 +101,43 @@ def test_coefficients_are_measured_by_their_errors(size: float) -> None:
 
 @dataclass(frozen=True)
 class Round:
-    """Stands in for an account: `gains` and `sizes` of its effects, by effect and form."""
+    """Stands in for a candidate model: `gains` by joint and `sizes` by form."""
 
-    added: tuple[Candidate, ...]
+    effects: tuple[Candidate, ...]
     gains: dict[int, float]  # by joint
     sizes: dict[float, float]  # by number of waves
-    taken: tuple[Candidate, ...] = field(init=False)
+    results: tuple[Candidate, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "taken", self.added)
+        object.__setattr__(self, "results", self.effects)
 
     @property
     def judgements(self) -> tuple[Judgement, ...]:
-        gains = [self.gains[effect.joint] for effect in self.added]
+        gains = [self.gains[effect.joint] for effect in self.effects]
         return tuple(
             Judgement(
                 change=Gain(gain, gain - 0.01, gain + 0.01),
-                by_chance=0.0 if gain > 0.0 else 1.0,
-                likely=True,
-                shown=self.sizes.get(effect.settings.get("waves", 0.0), 9.0) > 1.0,
-                unjudged=False,
+                chance_probability=0.0 if gain > 0.0 else 1.0,
+                is_likely=True,
+                is_determined=self.sizes.get(effect.settings.get("waves", 0.0), 9.0)
+                > 1.0,
+                is_unjudged=False,
             )
-            for effect, gain in zip(self.added, gains, strict=True)
+            for effect, gain in zip(self.effects, gains, strict=True)
         )
 
     losing = ()
-    accepted, weakest = Account.accepted, Account.weakest
-    with_simpler = Account.with_simpler
+    accepted, weakest = CandidateModel.accepted, CandidateModel.weakest
+    with_simpler = CandidateModel.with_simpler
 
     def fault_of(self, number: int) -> str:
         return self.judgements[number].fault
 
     @property
-    def others(self) -> tuple[Round, ...]:
-        every = range(len(self.added))
-        rest = [tuple(self.added[k] for k in every if k != gone) for gone in every]
-        return tuple(replace(self, added=added) for added in rest)
+    def without_each(self) -> tuple[Round, ...]:
+        every = range(len(self.effects))
+        rest = [tuple(self.effects[k] for k in every if k != gone) for gone in every]
+        return tuple(replace(self, effects=added) for added in rest)
 
 
 def decided(*effects: Candidate, gains: dict[int, float], **sizes: float) -> Decision:
@@ -146,7 +149,7 @@ def test_an_effect_that_is_not_worth_it_at_one_joint_is_refused_there_alone() ->
     law = CATALOGUE["load_dependent_friction"]
     effects = [Candidate(law, joint, {}) for joint in range(3)]
     done = decided(*effects, gains={0: 0.5, 1: 0.01, 2: 0.3})
-    assert [effect.joint for effect in done.account.added] == [0, 2]
+    assert [effect.joint for effect in done.candidate_model.effects] == [0, 2]
     ((refused, _, reason),) = done.refused
     assert refused.joint == 1
     assert reason == "the model identified anew with it is not certainly better"
@@ -154,7 +157,7 @@ def test_an_effect_that_is_not_worth_it_at_one_joint_is_refused_there_alone() ->
 
 def test_waves_below_their_errors_give_way_to_fewer() -> None:
     done = decided(candidate(5.0), gains={0: 0.5}, of_5=0.6, of_3=0.8, of_2=2.5)
-    (effect,) = done.account.added
+    (effect,) = done.candidate_model.effects
     assert effect.settings["waves"] == 2.0
     assert not done.refused
 
@@ -162,6 +165,6 @@ def test_waves_below_their_errors_give_way_to_fewer() -> None:
 def test_coefficients_smaller_than_their_errors_are_not_added() -> None:
     none = {"of_5": 0.6, "of_3": 0.8, "of_2": 0.9, "of_1": 0.5}
     done = decided(candidate(5.0), gains={0: 0.5}, **none)
-    assert not done.account.added
+    assert not done.candidate_model.effects
     ((_, _, reason),) = done.refused
     assert reason == "its coefficients are smaller than their errors"

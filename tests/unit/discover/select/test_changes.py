@@ -58,7 +58,7 @@ def test_friction_that_has_grown_is_told_by_its_name_and_size(
     scenes: list[Scene],
 ) -> None:
     found = selected(scenes, LAWS, stages=known_friction(scenes[0]))
-    told = {taken.term.key: taken for taken in found.taken}
+    told = {taken.term.key: taken for taken in found.terms}
     assert ("friction_change", 0) in told
     change = told["friction_change", 0]
     coulomb, viscous = change.model.coefficients(change.term)
@@ -68,7 +68,7 @@ def test_friction_that_has_grown_is_told_by_its_name_and_size(
 
 def test_nothing_has_changed_where_the_file_holds() -> None:
     scenes = arm_scenes(noise=(0.02, 0.02))
-    assert selected(scenes, LAWS, stages=known_friction(scenes[0])).taken == ()
+    assert selected(scenes, LAWS, stages=known_friction(scenes[0])).terms == ()
 
 
 def test_causes_compete_beside_the_file_as_it_is(scenes: list[Scene]) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.model import Loosened
-from seqid_cli.discover.select.rows import Part, Rows
+from seqid_cli.discover.select.linear import LinearModel
+from seqid_cli.discover.select.model import PriorUpdate
+from seqid_cli.discover.select.rows import ColumnGroup, Observations
 from tests import Array
 
 BLOCKS = 4
@@ -20,11 +20,11 @@ def columns(seed: int, size: int, channels: int = 2) -> dict[int, Array]:
     return {c: rng.standard_normal((m, size)) for c, m in enumerate(LENGTHS[:channels])}
 
 
-def drawn_rows() -> Rows:
+def drawn_rows() -> Observations:
     """Two channels in four blocks of time."""
     rng = np.random.default_rng(1)
     block = tuple(np.sort(rng.integers(0, BLOCKS, m)).astype(np.intp) for m in LENGTHS)
-    return Rows(tuple(rng.standard_normal(m) for m in LENGTHS), block, BLOCKS)
+    return Observations(tuple(rng.standard_normal(m) for m in LENGTHS), block, BLOCKS)
 
 
 ROWS = drawn_rows()
@@ -33,17 +33,17 @@ WEIGHT = [
 ]
 # Three parameters that both channels share, and two of the first channel's own.
 BASE = [
-    Part(columns(2, 3), np.diag([1.0, 2.0, 0.5])),
-    Part(columns(5, 2, channels=1), np.diag([0.3, 4.0])),
+    ColumnGroup(columns=columns(2, 3), precision=np.diag([1.0, 2.0, 0.5])),
+    ColumnGroup(columns=columns(5, 2, channels=1), precision=np.diag([0.3, 4.0])),
 ]
-TERM = Part(columns(3, 2), np.diag([0.7, 1.5]))
+TERM = ColumnGroup(columns=columns(3, 2), precision=np.diag([0.7, 1.5]))
 
 
-def linear(parts: list[Part]) -> Linear:
-    return Linear(ROWS, parts, WEIGHT)
+def linear(parts: list[ColumnGroup]) -> LinearModel:
+    return LinearModel(ROWS, parts, WEIGHT)
 
 
-def log_density(parts: list[Part], without: int | None = None) -> float:
+def log_density(parts: list[ColumnGroup], without: int | None = None) -> float:
     """Log density of the rows of all blocks but one, all parameters integrated out."""
     covariance = np.diag(1.0 / np.concatenate(WEIGHT))
     for part in parts:
@@ -61,36 +61,43 @@ IN_FILE = {
 }
 
 
-def _less_in_file(base: list[Part], part: Part) -> Part:
+def _less_in_file(base: list[ColumnGroup], part: ColumnGroup) -> ColumnGroup:
     """The part with what the file has of it taken off its columns instead."""
     columns = dict(part.columns)
-    for number, R in part.in_file.items():
+    for number, R in part.absorbed_by_file.items():
         for c, B in base[number].columns.items():
             columns[c] = columns.get(c, 0.0) - B[:, : len(R)] @ R
-    return replace(part, columns=columns, in_file={})
+    return replace(part, columns=columns, absorbed_by_file={})
 
 
 @pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside another"])
 def test_what_a_file_has_of_a_term_is_as_if_taken_off_its_columns(beside: bool) -> None:
-    base = [replace(part, apart=0.4 * part.precision) for part in BASE]
-    other = Part({0: np.ones((LENGTHS[0], 1))}, np.eye(1), in_file={0: np.ones((3, 1))})
-    absorbed, model = replace(TERM, in_file=IN_FILE), [*base, *[other] * beside]
+    base = [replace(part, precision_without_file=0.4 * part.precision) for part in BASE]
+    other = ColumnGroup(
+        columns={0: np.ones((LENGTHS[0], 1))},
+        precision=np.eye(1),
+        absorbed_by_file={0: np.ones((3, 1))},
+    )
+    absorbed, model = (
+        replace(TERM, absorbed_by_file=IN_FILE),
+        [*base, *[other] * beside],
+    )
     less, same = (
         _less_in_file(base, absorbed),
         [_less_in_file(base, part) for part in model],
     )
 
     tried, expected = linear(model), linear(same)
-    one, two = tried.gained([TERM, absorbed])[1], expected.gained([less])[0]
-    assert one.evidence == pytest.approx(two.evidence, abs=1e-6)
+    one, two = tried.fits([TERM, absorbed])[1], expected.fits([less])[0]
+    assert one.log_bayes_factor == pytest.approx(two.log_bayes_factor, abs=1e-6)
     np.testing.assert_allclose(one.coefficients, two.coefficients, atol=1e-7)
     np.testing.assert_allclose(one.covariance, two.covariance, atol=1e-7)
     left_out, as_well = (
-        tried.predicted([TERM, absorbed])[1],
-        expected.predicted([less])[0],
+        tried.scores([TERM, absorbed])[1],
+        expected.scores([less])[0],
     )
-    np.testing.assert_allclose(left_out.density, as_well.density, atol=1e-6)
-    assert left_out.file == pytest.approx(as_well.file, abs=1e-6)
+    np.testing.assert_allclose(left_out.block_gains, as_well.block_gains, atol=1e-6)
+    assert left_out.file_gain == pytest.approx(as_well.file_gain, abs=1e-6)
 
     taken, expected = linear([*model, absorbed]), linear([*same, less])
     assert taken.evidence == pytest.approx(expected.evidence, abs=1e-6)
@@ -99,15 +106,17 @@ def test_what_a_file_has_of_a_term_is_as_if_taken_off_its_columns(beside: bool) 
         np.testing.assert_allclose(r, s, atol=1e-6)
     torque = less.columns[1] @ expected.theta[-TERM.size :]
     np.testing.assert_allclose(taken.torque_beside_file(absorbed, 1), torque, atol=1e-6)
-    loosened, as_expected = (Loosened(model).covariance for model in (taken, expected))
+    loosened, as_expected = (
+        PriorUpdate(model).covariance for model in (taken, expected)
+    )
     np.testing.assert_allclose(loosened, as_expected, atol=1e-6)
 
 
 def test_evidence_is_the_ratio_of_two_densities() -> None:
     expected = log_density([*BASE, TERM]) - log_density(BASE)
     without, with_it = linear(BASE), linear([*BASE, TERM])
-    gained = without.gained([TERM])[0]
-    assert gained.evidence == pytest.approx(expected, abs=1e-6)
+    gained = without.fits([TERM])[0]
+    assert gained.log_bayes_factor == pytest.approx(expected, abs=1e-6)
     assert with_it.evidence - without.evidence == pytest.approx(expected, abs=1e-6)
     at = with_it.where[-1]
     np.testing.assert_allclose(gained.coefficients, with_it.theta[at], rtol=1e-6)
@@ -115,38 +124,43 @@ def test_evidence_is_the_ratio_of_two_densities() -> None:
 
 
 def test_gain_of_a_block_is_that_of_its_density_given_all_others() -> None:
-    told = linear(BASE).predicted([TERM])[0]
+    told = linear(BASE).scores([TERM])[0]
     for b in range(BLOCKS):
         without, with_it = (
             log_density(parts) - log_density(parts, without=b)
             for parts in (BASE, [*BASE, TERM])
         )
-        assert told.density[b] == pytest.approx(with_it - without, abs=1e-6)
+        assert told.block_gains[b] == pytest.approx(with_it - without, abs=1e-6)
 
 
 def test_gain_of_the_file_is_what_the_term_gains_less_without_it() -> None:
-    alone = [Part(part.columns, 0.1 * part.precision) for part in BASE]
+    alone = [
+        ColumnGroup(columns=part.columns, precision=0.1 * part.precision)
+        for part in BASE
+    ]
     held = [
-        Part(a.columns, b.precision, a.precision)
+        ColumnGroup(
+            columns=a.columns, precision=b.precision, precision_without_file=a.precision
+        )
         for a, b in zip(alone, BASE, strict=True)
     ]
     with_file, without = (
         log_density([*parts, TERM]) - log_density(parts) for parts in (BASE, alone)
     )
-    told = linear(held).predicted([TERM])[0]
-    assert told.file == pytest.approx(with_file - without, abs=1e-6)
-    assert told.total == pytest.approx(told.density.sum() + told.file)
+    told = linear(held).scores([TERM])[0]
+    assert told.file_gain == pytest.approx(with_file - without, abs=1e-6)
+    assert told.total == pytest.approx(told.block_gains.sum() + told.file_gain)
 
 
 def test_a_part_of_the_model_gains_what_it_did_before_it_was_taken() -> None:
     whole = linear([BASE[0], TERM, BASE[1]])
     before = whole.without(TERM)
     np.testing.assert_allclose(before.theta, linear(BASE).theta, rtol=1e-9)
-    (gained,), (told,) = before.gained([TERM]), before.predicted([TERM])
+    (gained,), (told,) = before.fits([TERM]), before.scores([TERM])
     again, told_again = whole.again(TERM)
-    np.testing.assert_allclose(told_again.density, told.density, atol=1e-6)
+    np.testing.assert_allclose(told_again.block_gains, told.block_gains, atol=1e-6)
     assert told_again.total == pytest.approx(told.total, abs=1e-6)
-    assert again.evidence == pytest.approx(gained.evidence, abs=1e-6)
-    assert again.visible == pytest.approx(gained.visible, rel=1e-6)
+    assert again.log_bayes_factor == pytest.approx(gained.log_bayes_factor, abs=1e-6)
+    assert again.visible_share == pytest.approx(gained.visible_share, rel=1e-6)
     np.testing.assert_allclose(again.coefficients, gained.coefficients, rtol=1e-6)
     np.testing.assert_allclose(again.covariance, gained.covariance, rtol=1e-6)

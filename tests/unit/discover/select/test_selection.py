@@ -9,7 +9,7 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select import terms
 from seqid_cli.discover.select.model import FREE, HELD, Model
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Selected
+from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import Selection
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.model.effects.registry import CATALOGUE
@@ -48,12 +48,12 @@ def waves(scene: Scene) -> Array:
     return 0.5 * np.cos(4.0 * scene.motion.q[:, 0]) * scene.motion.dq[:, 0] ** 2
 
 
-def keys(found: Selected) -> list[tuple[str, int | None]]:
-    return [one.term.key for one in found.taken]
+def keys(found: SelectionResult) -> list[tuple[str, int | None]]:
+    return [one.term.key for one in found.terms]
 
 
 @pytest.fixture(scope="module")
-def pair() -> Selected:
+def pair() -> SelectionResult:
     return selected(
         arm_scenes(lambda s: at_joint(0, drag)(s) + stribeck(SPEED)(s)), SOME
     )
@@ -63,9 +63,11 @@ def test_nothing_is_taken_where_the_model_is_right() -> None:
     assert keys(selected(arm_scenes(), SOME)) == []
 
 
-def test_both_effects_are_taken_with_their_settings_and_sizes(pair: Selected) -> None:
+def test_both_effects_are_taken_with_their_settings_and_sizes(
+    pair: SelectionResult,
+) -> None:
     assert sorted(keys(pair), key=str) == [("quadratic_drag", 0), ("stribeck", 1)]
-    found = {one.term.name: one.term for one in pair.taken}
+    found = {one.term.name: one.term for one in pair.terms}
     settings = found["stribeck"].what.settings
     assert settings["stribeck_speed"] == pytest.approx(SPEED, rel=0.1)
     model, drag = pair.model, found["quadratic_drag"]
@@ -75,9 +77,9 @@ def test_both_effects_are_taken_with_their_settings_and_sizes(pair: Selected) ->
 
 def test_what_no_effect_explains_is_a_smooth_function() -> None:
     found = selected(arm_scenes(at_joint(0, waves)), SOME)
-    one = found.taken[0]
+    one = found.terms[0]
     assert (one.term.smooth, one.term.joint) == (True, 0)
-    with_it, without = found.model.linear.left_out[0], one.left[0]
+    with_it, without = found.model.linear.left_out[0], one.left_without[0]
     assert (
         Options.improvement
         < one.share
@@ -125,8 +127,8 @@ def test_a_payload_of_all_logs_is_seen_where_the_file_was_before_it() -> None:
     model = model_of(scenes, FREE, stages)
     model.add([candidate("payload", None, from_log=0.0)])
     (term,) = model.terms
-    told = model.beside(term).predicted([term.part])[0]
-    assert told.file > 10.0 * max(float(told.density.sum()), 1.0)
+    told = model.beside(term).scores([term.part])[0]
+    assert told.file_gain > 10.0 * max(float(told.block_gains.sum()), 1.0)
 
 
 @pytest.mark.parametrize("drive", [0, 1])
@@ -139,7 +141,7 @@ def test_a_coupled_pair_is_named_once(drive: int) -> None:
         c = np.array([1.5, 0.3, 0.02])
         return np.stack([X[j] @ c for j in (0, 1)], axis=1)
 
-    (taken,) = selected(arm_scenes(coupled), ["transmission_coupling"]).taken
+    (taken,) = selected(arm_scenes(coupled), ["transmission_coupling"]).terms
     assert taken.term.name == "transmission_coupling"
     assert taken.term.what.settings["ratio"] == 1.0
 
@@ -156,7 +158,7 @@ def shaken(scene: Scene) -> Array:
 def test_a_ripple_is_told_where_the_drive_holds_against_it() -> None:
     found = selected(arm_scenes(at_joint(1, shaken)), ["torque_ripple"])
     assert keys(found)[0] == ("torque_ripple", 1)
-    term = found.taken[0].term
+    term = found.terms[0].term
     assert term.what.settings == {"order": 1.0, "law": 0.0, "lag": 0.0}
     amplitude = np.hypot(*found.model.coefficients(term))
     # above the cut-off the arm gives way
@@ -183,7 +185,7 @@ def stamped_late(scene: Scene) -> Array:
 def test_one_lag_of_all_drives_is_no_skew_of_the_log(extra: Extra, name: str) -> None:
     scenes = arm_scenes(extra, noise=(0.03, 0.01))
     found = selected(scenes, ["actuator_lag", "time_skew"])
-    term = found.taken[0].term
+    term = found.terms[0].term
     assert term.key == (name, None)
     assert found.model.coefficients(term)[0] == pytest.approx(LATE_S, rel=0.1)
 
@@ -212,7 +214,7 @@ def test_one_effect_goes_before_two_that_explain_as_much() -> None:
     found, before = Selection(model, Options(), []), list(model.terms)
     found.merged()
     assert model.terms == before
-    found._tied = {of_two.key: [one]}
+    found.tied = {of_two.key: [one]}
     found.merged()
     assert [term.name for term in model.terms] == ["drift"]
 

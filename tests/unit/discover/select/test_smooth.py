@@ -68,13 +68,13 @@ def test_the_right_quantity_is_named_first(
 
 @pytest.mark.parametrize("seed", range(2))
 def test_noise_depends_on_nothing(seed: int) -> None:
-    assert selection(seed, None).told().taken == ()
+    assert selection(seed, None).told().terms == ()
 
 
 def test_the_term_is_the_torque_that_was_put_in() -> None:
     """Up to a constant and a slope, which friction and gravity hold."""
     found = selection(1, at_joint(1, bump)).told()
-    what, c = found.taken[0].term.what, found.taken[0].one.gained.coefficients
+    what, c = found.terms[0].term.what, found.terms[0].scored.fit.coefficients
     scene = found.model.ground.stage.scenes[0]
     term = SmoothTerm(
         what.joint, what.quantities, what.axes, what.factor, what.mixing @ c

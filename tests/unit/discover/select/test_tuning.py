@@ -6,7 +6,7 @@ import pytest
 
 from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.select.model import Model
-from seqid_cli.discover.select.tuning import Tried, Tuner
+from seqid_cli.discover.select.tuning import FittedTerm, Tuner
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from tests.unit.discover.arms import HUMP, arm_scenes, candidate, model_of, stribeck
@@ -19,13 +19,13 @@ def tuner_in(model: Model) -> Tuner:
     return Tuner(model.ground.stage, model.linear, model.ground.size)
 
 
-def grid(model: Model, name: str, joint: int | None) -> list[Tried]:
+def grid(model: Model, name: str, joint: int | None) -> list[FittedTerm]:
     scenes = model.ground.stage.scenes
     every = candidates_of(scenes, [CATALOGUE[name]], model.left())
     return list(tuner_in(model).tried([c for c in every if c.joint == joint]))
 
 
-def best(model: Model, name: str, joint: int | None) -> Tried:
+def best(model: Model, name: str, joint: int | None) -> FittedTerm:
     return max(grid(model, name, joint), key=lambda tried: tried.evidence)
 
 
@@ -44,7 +44,7 @@ def test_a_stribeck_speed_between_the_grids_is_found(humped: Model) -> None:
         "stribeck_speed": pytest.approx(SPEED, rel=0.1),
         "exponent": 2.0,
     }
-    assert found.gained.coefficients[0] == pytest.approx(HUMP, rel=0.1)
+    assert found.fit.coefficients[0] == pytest.approx(HUMP, rel=0.1)
     assert found.evidence > tried.evidence
 
 
@@ -53,11 +53,11 @@ def test_implausible_points_are_not_taken(humped: Model, name: str, joint: int) 
     for tried in grid(humped, name, joint):
         end = tuner_in(humped).tuned(tried)
         c, scenes = end.candidate, humped.ground.stage.scenes
-        assert c.effect.plausible(scenes, joint, c.settings, end.gained.coefficients)
+        assert c.effect.plausible(scenes, joint, c.settings, end.fit.coefficients)
 
 
 def sprung(gear: Gear, seed: int) -> Scene:
-    """A log of motor and link with a spring between them, once the begin has died away."""
+    """A log of motor and link with a spring between, once the begin has died away."""
     log = run(gear, seed=seed, seconds=12.0)
     seen = scene(log, cutoff_hz=12.0)
     motion = replace(seen.motion, usable=seen.motion.usable & (seen.motion.t > 3.0))
@@ -80,7 +80,7 @@ def test_a_resonance_is_met_and_followed_to_its_damping() -> None:
     assert settings["damping_ratio"] <= met.candidate.settings["damping_ratio"]
     assert settings["damping_ratio"] in {0.03, 0.06}
     assert settings["trial_stiffness"] == pytest.approx(2500.0, rel=0.06)
-    assert 1.0 / found.gained.coefficients[0] == pytest.approx(2500.0, rel=0.03)
+    assert 1.0 / found.fit.coefficients[0] == pytest.approx(2500.0, rel=0.03)
     blunt = replace(found.candidate, settings=settings | {"damping_ratio": 0.15})
     (rival,) = tuner_in(model).tried([blunt])
     assert rival.evidence < found.evidence

@@ -161,6 +161,6 @@ def test_a_push_is_no_event_where_effects_may_have_any_torque(
 def test_terms_that_add_more_than_the_file_leaves_make_an_event(
     model: Model, monkeypatch: pytest.MonkeyPatch, times: float, expected: bool
 ) -> None:
-    left = [whole.residual for whole in model.ground.base.whole]
+    left = [whole.residual for whole in model.ground.base.scene_bases]
     monkeypatch.setattr(model, "left", lambda: [times * one for one in left])
     assert investigate.not_of_terms([PUSH], model) == ([] if expected else [PUSH])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from seqid_cli.discover.select.rows import Part
+from seqid_cli.discover.select.rows import ColumnGroup
 from seqid_cli.discover.survey.high_band import high_band
 from seqid_cli.discover.survey.rows import rows_of
 from tests.unit.discover.arms import arm_scenes, at_joint, measuring, selected
@@ -16,15 +16,15 @@ JOINT = 1
 def test_a_line_above_the_cutoff_is_found() -> None:
     line = at_joint(JOINT, lambda s: LINE * np.sin(2 * np.pi * LINE_HZ * s.time + 0.7))
     found = selected(arm_scenes(line), ["periodic_disturbance"])
-    (taken,) = found.taken
+    (taken,) = found.terms
     assert taken.term.joint == JOINT
     assert taken.term.what.settings["frequency"] == pytest.approx(LINE_HZ, abs=2e-3)
-    assert np.hypot(*taken.one.gained.coefficients) == pytest.approx(LINE, rel=0.05)
+    assert np.hypot(*taken.scored.fit.coefficients) == pytest.approx(LINE, rel=0.05)
     before, after = (
         sum(w @ r**2 for w, r in zip(found.model.noise.weight, left, strict=True))
-        for left in (taken.left, found.model.linear.left_out)
+        for left in (taken.left_without, found.model.linear.left_out)
     )
-    assert taken.one.predicted.share == pytest.approx(1.0 - after / before, abs=0.15)
+    assert taken.scored.score.share == pytest.approx(1.0 - after / before, abs=0.15)
 
 
 def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:
@@ -35,22 +35,24 @@ def test_a_ripple_is_found_below_and_above_the_cutoff() -> None:
         JOINT, lambda s: RIPPLE * np.cos(ORDER * s.gear[JOINT] * s.motion.q[:, JOINT])
     )
     found = selected(arm_scenes(ripple), ["torque_ripple"])
-    (taken,) = found.taken
+    (taken,) = found.terms
     term, beside = taken.term, found.model.beside(taken.term)
     assert term.joint == JOINT
     assert term.what.settings["order"] == pytest.approx(ORDER, abs=1e-2)
     assert term.what.settings["law"] == 0.0
-    assert taken.one.gained.coefficients == pytest.approx([0.0, RIPPLE], abs=0.03)
+    assert taken.scored.fit.coefficients == pytest.approx([0.0, RIPPLE], abs=0.03)
     for high in (False, True):
         columns = {j: X for j, X in term.part.columns.items() if (j > 1) == high}
-        (gained,) = beside.gained([Part(columns, term.part.precision)])
+        (gained,) = beside.fits(
+            [ColumnGroup(columns=columns, precision=term.part.precision)]
+        )
         assert gained.coefficients[1] == pytest.approx(RIPPLE, rel=0.25)
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_white_noise_has_no_line(seed: int) -> None:
     names = ["periodic_disturbance", "torque_ripple"]
-    assert selected(arm_scenes(seed=seed), names).taken == ()
+    assert selected(arm_scenes(seed=seed), names).terms == ()
 
 
 def test_a_stop_from_full_speed_is_no_row_above_the_cutoff() -> None:

@@ -33,10 +33,10 @@ def test_very_long_logs_are_thinned_by_whole_blocks(
 ) -> None:
     monkeypatch.setattr("seqid_cli.discover.survey.rows.MOST_ROWS", 1200)
     few = rows_of(scenes)
-    for whole, thin, own in zip(rows.block, few.block, few.picked, strict=True):
+    for whole, thin, own in zip(rows.block, few.block, few.samples, strict=True):
         np.testing.assert_array_equal(thin, whole[np.isin(whole, thin)])
         assert len(own) == len(thin)
-    assert sum(map(len, few.picked)) < 0.6 * sum(map(len, rows.picked))
+    assert sum(map(len, few.samples)) < 0.6 * sum(map(len, rows.samples))
 
 
 def test_a_single_move_of_a_joint_does_not_count() -> None:

@@ -40,7 +40,7 @@ from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
-from seqid_cli.model.effects.units import UNTOLD, Value
+from seqid_cli.model.effects.units import UNDETERMINED_STD_ERROR, Value
 from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import diagnosis
@@ -280,7 +280,9 @@ def _finding(
 
 def _parameter(value: Value) -> diagnosis.EffectParameter:
     """Return a physical parameter; null where the logs do not determine it."""
-    is_determined = np.isfinite(value.std_error) and value.std_error < UNTOLD
+    is_determined = (
+        np.isfinite(value.std_error) and value.std_error < UNDETERMINED_STD_ERROR
+    )
     return diagnosis.EffectParameter(
         name=value.name,
         value=value.value if is_determined else None,
@@ -304,7 +306,7 @@ def size_of(investigation: Investigation, result: TermResult) -> tuple[Array, Ar
     # determined.
     prior_variance = 1.0 / np.diag(term.part.precision)[: len(coefficients)]
     is_undetermined = result.model.variances(term) > UNTOLD_SHARE * prior_variance
-    covariance[is_undetermined, is_undetermined] = UNTOLD**2
+    covariance[is_undetermined, is_undetermined] = UNDETERMINED_STD_ERROR**2
 
     finished = investigation.model
     if result.model is finished or term not in finished.terms:

@@ -4,7 +4,11 @@ from collections.abc import Collection, Mapping, Sequence
 
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
-from seqid_cli.model.effects.units import UNEXPLAINED, UNTOLD, smooth_in_words
+from seqid_cli.model.effects.units import (
+    UNDETERMINED_STD_ERROR,
+    UNEXPLAINED,
+    smooth_in_words,
+)
 from seqid_cli.params.evidence_schema import EvidenceEntry, RefinementRound
 from seqid_cli.params.results import diagnosis, tables
 from seqid_cli.params.results.tables import values
@@ -203,7 +207,7 @@ def parameters_text(effect: diagnosis.FindingEntry | EffectOfJoint) -> str:
     undetermined = []
     for parameter in effect.parameters:
         std_error = parameter.std_error
-        if std_error is None or std_error >= UNTOLD:
+        if std_error is None or std_error >= UNDETERMINED_STD_ERROR:
             undetermined.append(parameter.name)
             continue
         value = f"{number(parameter.value)} +- {number(std_error, 2)}"

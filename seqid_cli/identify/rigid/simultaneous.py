@@ -51,7 +51,7 @@ from seqid_cli.identify.rigid.simultaneous_equations import (
 )
 from seqid_cli.identify.settings import OneStepSettings, SimultaneousSettings
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.units import UNTOLD
+from seqid_cli.model.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.model.friction import EXTENSION_SIZE, SLIDES
 from seqid_cli.model.torque import known_rotors, sliding
 from seqid_cli.motion.options import MotionOptions
@@ -239,7 +239,7 @@ class OneStepResult:
         wave = self.waving.theta[rows.waves[j]]
         covariance[0, 0] += float(wave @ wave) / 2.0  # its mean square over positions
         std_errors = np.sqrt(np.maximum(np.diag(self.posterior.stated)[places], 0.0))
-        std_errors[~self.solution.determined[places]] = UNTOLD
+        std_errors[~self.solution.determined[places]] = UNDETERMINED_STD_ERROR
 
         ahead, back = surface_entries(fastest, len(rows.terms))
         directional = len(rows.terms) == len(FRICTION_TERMS)

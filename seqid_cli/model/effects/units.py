@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 UNEXPLAINED = "unexplained"
 # Standard error from which on no sample shows a parameter; files hold no larger one.
-UNTOLD = 1e29
+UNDETERMINED_STD_ERROR = 1e29
 
 
 @dataclass(frozen=True)

@@ -194,7 +194,7 @@ def encoder_view(
     valid : Mask, optional
         (N,), false where a position is not to be believed.
     noisy : float
-        Share of code changes that are taken back at once, from which on noise hides the
+        Share of code changes that are undone at once, from which on noise hides the
         edges.
     """
     known: Mask = np.isfinite(q) if valid is None else np.isfinite(q) & valid

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.model.effects.units import UNTOLD
+from seqid_cli.model.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.params import io
 from seqid_cli.params.document import join, present, refined, stale_stages, with_stage
 from seqid_cli.params.encode import LARGEST, encode, plain
@@ -120,7 +120,7 @@ def test_what_no_sample_shows_is_written_as_a_file_may_hold_it(tmp_path: Path) -
     file.stages.gravity.parameters[0].std_error = 1e150
     (tmp_path / "p.json").write_text(encode(file))
     stage = read_parameters(tmp_path / "p.json").stages.gravity
-    assert stage.parameters[0].std_error == LARGEST == UNTOLD
+    assert stage.parameters[0].std_error == LARGEST == UNDETERMINED_STD_ERROR
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

@@ -12,8 +12,8 @@ from msgspec import structs
 from seqid_cli.__main__ import main
 from seqid_cli.export import export
 from seqid_cli.export import written as readers
+from seqid_cli.export.loss import lost_torque
 from seqid_cli.export.motions import FullModel, find_logs, motions_of
-from seqid_cli.export.reduced import lost_torque
 from seqid_cli.export.replay import failures, replayed
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.export import ExportFile, ReplayedJoint

@@ -116,7 +116,7 @@ def reduced(
         model = _refitted(model, stages, samples, made, added)
     others = list(motions.samples(full, held=exact, unseen=unseen, held_out=True))
     loss = Loss(
-        rms=stated_loss(model, samples, made, added),
+        rms=stated_loss(model, [*samples, *others], made, added),
         replayed_rms=lost_torque(model, others, added),
         logs=len(samples),
         made=motions.made,

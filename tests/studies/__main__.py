@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 from tests import ROOT
 from tests.benchmarks import discovery, exported, ingestion, kernels, whole_run
-from tests.studies import bands, recorded, tables, unseen
+from tests.studies import bands, exported_effects, recorded, tables, unseen
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
 from tests.studies.planned import errors, separation
@@ -37,6 +37,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "smoother": (COSTS, kernels.smoother),
     "discovery": (COSTS, discovery.study),
     "exported_step": ("export.md", exported.study),
+    "exported_effects": ("export.md", exported_effects.study),
 }
 SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig
 

@@ -1,4 +1,5 @@
-"""Every effect on arms of one, two and six joints: is exported code as good as its file?
+"""Every effect on arms of one, two and six joints: is exported code as good as its
+file?
 
 An effect is put at every joint that can have it, in all variants of its law in turn. The
 torque of a held-out motion is that of the whole file, by `predict`, with white noise of a
@@ -176,7 +177,9 @@ def _predicted(full: FullModel, log: Recording) -> Array:
 
 
 def _motion(n_joints: int) -> Array:
-    """Return positions (N, n) rad of a motion from rest, joints at incommensurate rates."""
+    """Return positions (N, n) rad of a motion from rest, joints at incommensurate
+    rates.
+    """
     t = np.arange(round(SECONDS * RATE_HZ))[:, None, None] / RATE_HZ
     rng = np.random.default_rng(23)
     hz = rng.uniform(0.2, 0.8, (8, n_joints))

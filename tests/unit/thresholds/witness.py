@@ -41,7 +41,9 @@ class Witness:
         return self.is_flagged(group, self.beyond), self.is_flagged(group, self.within)
 
     def check(self) -> None:
-        """Assert that the default lies between the sizes, and no number half as far off."""
+        """Assert that the default lies between the sizes, and no number half as far
+        off.
+        """
         assert self.sides(self.group) == (True, False)
         (field,) = (x for x in fields(self.group) if x.name == self.key[1])
         default = getattr(self.group, field.name)

@@ -1,4 +1,6 @@
-"""Friction that differs between logs is said, judged and makes the surface less certain."""
+"""Friction that differs between logs is said, judged and makes the surface less
+certain.
+"""
 
 from dataclasses import replace
 

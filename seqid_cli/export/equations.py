@@ -72,7 +72,7 @@ class JointSums:
     @property
     def n_base(self) -> int:
         """Number of base parameters."""
-        return self.right.shape[1] - FRICTION_TERMS
+        return int(self.right.shape[1]) - FRICTION_TERMS
 
     def unknowns(self, joint: int) -> list[int]:
         """Return where a joint's unknowns stand among those of the whole arm."""

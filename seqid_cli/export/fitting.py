@@ -30,7 +30,7 @@ from seqid_cli.model.bodies.nearest import (
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.regressor import PER_LINK
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Index
 
 # Weight of the file's parameters against what the motion tells: a thousandth moves
 # nothing that the motion determines, and is far above rounding.
@@ -217,7 +217,7 @@ def _solved(quadratic: _Quadratic, sums: JointSums, writes_offset: bool) -> Arra
     return values
 
 
-def _part_of(quadratic: _Quadratic, unknowns: Array) -> _Quadratic:
+def _part_of(quadratic: _Quadratic, unknowns: Index) -> _Quadratic:
     """Return the function of some unknowns, the others being zero."""
     return _Quadratic(
         matrix=quadratic.matrix[np.ix_(unknowns, unknowns)],
@@ -240,7 +240,7 @@ def _factor(quadratic: _Quadratic) -> _Factor:
     lower = np.linalg.cholesky(scaled + _ROUNDING * np.eye(len(scaled)))
     return _Factor(
         whitening=lower.T * sizes,
-        whitened_minimum=np.linalg.solve(lower, quadratic.right / sizes),
+        whitened_minimum=np.asarray(np.linalg.solve(lower, quadratic.right / sizes)),
     )
 
 

@@ -111,7 +111,7 @@ def _relative_error(pieces: _Pieces, mean: Array) -> Array:
     variance = np.sum(deviations**2, axis=0) / max(n_pieces - 1, 1) / n_pieces
     # Where nothing at all is lost, there is no ratio, and nothing to be told apart.
     relative = np.nan_to_num(np.sqrt(variance) / mean)
-    return np.maximum(relative, 1e-6)
+    return np.asarray(np.maximum(relative, 1e-6))
 
 
 def stated_loss(

@@ -259,22 +259,15 @@ def _other_track(position: Array, *, near: float = 0.2) -> Mask:
     begin = int(np.argmax(change)) + 1
     on_second = none.copy()
     on_second[begin] = True
+    first = position[begin - 1]
+    second = position[begin]
 
-    within: list[float] = []
-    between: list[float] = []
-    for rows in (range(begin + 1, len(position)), range(begin - 2, -1, -1)):
-        # The latest position of each motion, and the motion of the latest message.
-        latest = [position[begin - 1], position[begin]]
-        previous = int(on_second[rows.start - rows.step]) if len(rows) else 0
-        for k in rows:
-            distances = [float(np.abs(position[k] - q).max()) for q in latest]
-            motion = int(np.argmin(distances))
-            if motion != previous:
-                between.append(distances[1 - motion])
-            within.append(distances[motion])
-            latest[motion] = position[k]
-            on_second[k] = bool(motion)
-            previous = motion
+    forward = _followed(position[begin + 1 :], latest=(first, second), motion=1)
+    on_second[begin + 1 :] = forward.on_second
+    backward = _followed(position[: begin - 1][::-1], latest=(first, second), motion=0)
+    on_second[: begin - 1] = backward.on_second[::-1]
+    within = np.concatenate([forward.within, backward.within])
+    between = np.concatenate([forward.between, backward.between])
 
     if len(between) < 2 * FEWEST:
         return none
@@ -282,3 +275,87 @@ def _other_track(position: Array, *, near: float = 0.2) -> Mask:
         return none
     is_rarer = np.count_nonzero(on_second) <= len(on_second) // 2
     return on_second if is_rarer else ~on_second
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Followed:
+    """Messages (M,) of two motions: which are of the second, and changes of position.
+
+    `within` are changes to the latest message of the same motion, `between` those to
+    the latest of the other, where messages change from one to the other.
+    """
+
+    on_second: Mask
+    within: Array
+    between: Array
+
+
+def _followed(
+    position: Array, *, latest: tuple[Array, Array], motion: int
+) -> _Followed:
+    """Assign messages to the motion that each is nearer to.
+
+    Parameters
+    ----------
+    position : (M, n) array
+        Positions in the order in which they are followed.
+    latest : tuple of two (n,) arrays
+        Latest position of either motion.
+    motion : int
+        Motion of the message before the first, 0 or 1.
+    """
+    count = len(position)
+    on_second: Mask = np.zeros(count, dtype=np.bool_)
+    if not count:
+        return _Followed(on_second=on_second, within=np.zeros(0), between=np.zeros(0))
+    before = np.vstack([latest[motion], position[:-1]])
+    change = np.abs(position - before).max(axis=1)
+    positions = list(latest)
+    within: list[Array] = []
+    between: list[float] = []
+    start = 0
+    while start < count:
+        # The other motion stands still while messages go on with this one, so that a
+        # whole run of them is looked at at once.
+        other = positions[1 - motion]
+        turn = _first_nearer(
+            position, change, other, start=start, is_second=motion == 1
+        )
+        on_second[start:turn] = motion == 1
+        within.append(change[start:turn])
+        if turn == count:
+            break
+        if turn > start:
+            positions[motion] = position[turn - 1]
+        between.append(float(change[turn]))
+        within.append(np.abs(position[turn] - other).max(keepdims=True))
+        motion = 1 - motion
+        positions[motion] = position[turn]
+        on_second[turn] = motion == 1
+        start = turn + 1
+    return _Followed(
+        on_second=on_second, within=np.concatenate(within), between=np.array(between)
+    )
+
+
+def _first_nearer(
+    position: Array, change: Array, other: Array, *, start: int, is_second: bool
+) -> int:
+    """Return the first message from `start` on that is nearer to the other motion.
+
+    Of equal distances the first motion has it. Blocks grow, as most runs are short or
+    last to the end.
+    """
+    size = 64
+    while start < len(position):
+        stop = min(start + size, len(position))
+        distance = np.abs(position[start:stop] - other).max(axis=1)
+        if is_second:
+            is_nearer = distance <= change[start:stop]
+        else:
+            is_nearer = distance < change[start:stop]
+        if is_nearer.any():
+            return start + int(np.argmax(is_nearer))
+        start = stop
+        size *= 2
+    return len(position)

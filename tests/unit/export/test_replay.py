@@ -184,7 +184,8 @@ def test_the_command_says_what_it_checked(
     joint = document["replay"]["joints"]["joint_1"]
     assert set(joint) == {"file_rmse", "export_rmse", "loss", "samples"}
     lost = document["loss"]["joint_1"]
-    assert joint["loss"] == pytest.approx(lost, rel=0.35)  # one log of all
+    # The stated loss is that of many logs, of which one may lose half or twice as much.
+    assert 0.5 * lost < joint["loss"] < 2.0 * lost
     assert f"joint_1: loses {lost:.3g} N m" in Path(target).read_text(encoding="utf-8")
     code, out, err = run(case, "-o", target, "--no-replay", capsys=capsys)
     assert code == 0

@@ -43,7 +43,7 @@ FEWEST_SPEEDS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Errors (E,) N m of averages at scaled speeds `u`, with the friction measured there.
+    """Errors (E,) N m of averages at scaled speeds `u`, and the measured friction.
 
     `friction` is tau_d of Eq. 11. `noise` is the standard error that the white noise of
     its slices gives an average, `trial_error` the standard deviation of what its trial
@@ -68,12 +68,12 @@ class Errors:
 
     @property
     def relative_beyond_noise(self) -> float:
-        """The same after two standard errors of each average were taken off its error."""
+        """Relative error after two standard errors were taken off each average."""
         return float((self.missed / self._denominator).max())
 
     @property
     def relative_of_noise(self) -> float:
-        """What noise alone would make of Eq. 11, that of slices and of trials: the median.
+        """Median of Eq. 11 that the noise of slices and of trials alone would make.
 
         Of E independent normal errors the largest is below x with the probability
         prod erf(x / (sqrt(2) s_i)), s_i the standard deviation of average i over its
@@ -93,7 +93,10 @@ class Errors:
 
     @property
     def _denominator(self) -> Array:
-        """Measured friction (E,); where it approaches zero Eq. 11 asks for another form."""
+        """Measured friction (E,), held above a floor near zero.
+
+        Eq. 11 asks for another form there.
+        """
         floor = max(NEAR_ZERO * _rms(self.friction), 1e-300)
         return np.maximum(np.abs(self.friction), floor)
 
@@ -165,7 +168,10 @@ def errors_of(
 
 @dataclass(frozen=True)
 class Term:
-    """A term of a joint's drive, and the change `moves` (k,) N m of entries per unit of it."""
+    """A term of a joint's drive.
+
+    `moves` (k,) N m is the change of entries per unit of the term.
+    """
 
     value: float
     std_error: float
@@ -191,7 +197,7 @@ def summarise(
     options: FrictionOptions,
     settings: SurfaceSettings,
 ) -> tuple[FrictionJoint, Verdict, list[str]]:
-    """Describe the fit of joint j; `unpaired` trials had no twin in the other direction."""
+    """Describe the fit of joint j; `unpaired` trials had no opposite twin."""
     surface, gravity, described = fit.surface, fit.gravity, robot.joints[j]
     fitted = errors_of(fit.parts, fit.orders, unseen=False)
     unseen = errors_of(fit.parts, fit.orders, unseen=True)
@@ -268,7 +274,7 @@ def _with_nuisances(joint: FrictionJoint, name: str, fit: Fit) -> FrictionJoint:
 
 
 def mean_celsius(gravity: GravityFit) -> float | None:
-    """Return the mean temperature of a joint's trials; None where one of them has none."""
+    """Return the mean temperature of a joint's trials, None if one has none."""
     trials = [trial for group in gravity.groups for trial in group.trials]
     samples = [trial.weight * len(trial.q) for trial in trials]
     celsius = float(np.average([trial.celsius for trial in trials], weights=samples))
@@ -340,7 +346,10 @@ def _verdict(
 def _notes(
     name: str, joint: FrictionJoint, beyond: Chebyshev | None, unpaired: int
 ) -> Iterator[str]:
-    """What is to be said of a joint; `beyond` is torque over the position that is no gravity."""
+    """Return the notes on a joint.
+
+    `beyond` is torque over the position that is no gravity.
+    """
     if unpaired:
         yield (
             f"{name}: {unpaired} trial(s) have no twin in the other direction in the"

@@ -1,4 +1,4 @@
-"""Constant-velocity trials: averages over equal slices of time, which replace a low-pass."""
+"""Constant-velocity trials: averages over slices of time, which replace a low-pass."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -29,7 +29,10 @@ NONE: Array = np.zeros(0)
 
 
 class Ramps(NamedTuple):
-    """How a joint got up to speed and back: means (R,) under windows, `tau = I ddq + ...` holds."""
+    """A joint's ramps to speed and back: means (R,) under windows.
+
+    `tau = I ddq + ...` holds for them.
+    """
 
     q: Array = NONE  # rad
     dq: Array = NONE
@@ -84,7 +87,10 @@ class Trial:
 
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
-    """Constant-velocity trials of all logs, slowest first; InputError where one has no torque."""
+    """Return constant-velocity trials of all logs, slowest first.
+
+    Raises InputError where a log has no torque.
+    """
     logs = mapped(recordings, partial(trials_of, robot), open_if_long)
     return sorted(
         (trial for found in logs for trial in found), key=lambda trial: trial.speed
@@ -94,7 +100,10 @@ def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]
 def trials_of(
     robot: Robot, log: Recording | SurveyedLog, number: int, *, rows: int = 65_536
 ) -> list[Trial]:
-    """Constant-velocity trials of one log; a long one comes in pieces of `rows` samples."""
+    """Return constant-velocity trials of one log.
+
+    A long log comes in pieces of `rows` samples.
+    """
     survey, resolution = survey_of(log), encoder_resolution(robot)
     count = survey.count(resolution)
     temperature = _smooth_celsius(log) if isinstance(log, Recording) else None
@@ -201,7 +210,10 @@ def _trial(
 
 
 def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
-    """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts."""
+    """Fit a polynomial over [-1, 1] to positions averaged over slices (K,).
+
+    It is finer than counts.
+    """
     # Its order, two at least, is that of least BIC: gravity and friction that change
     # with the position leave their trace in the speed that a soft controller holds.
     most = max(2, min(most_order, len(q) // 3))
@@ -226,7 +238,10 @@ def _ramps(
     least_window: int = 8,
     zeros: int = 4,
 ) -> Ramps:
-    """Means of a move (N,) under raised cosines, which overlap by half, where it accelerates."""
+    """Average the accelerating part of a move (N,) under raised cosines.
+
+    The windows overlap by half.
+    """
     # With a window that ends in zeros the means of its derivatives are derivatives of
     # its means: sums over positions times the window's own differences, without
     # differentiating positions.
@@ -276,7 +291,7 @@ def _smooth_celsius(log: Recording, *, degree: int = 3) -> Array | None:
 
 
 def kelvin_of(trial: Trial, celsius: float | None) -> float:
-    """Return how much warmer a joint was in a trial than `celsius`; 0 where one is not known."""
+    """Return how much warmer than `celsius` a joint was in a trial, 0 if unknown."""
     if celsius is None or not np.isfinite(trial.celsius - celsius):
         return 0.0
     return float(trial.celsius - celsius)
@@ -286,7 +301,7 @@ S = TypeVar("S", bound=Any)  # what was measured at a `speed`, rad/s
 
 
 def speed_levels(trials: list[S], *, same_speed: float = 0.12) -> list[list[S]]:
-    """Group what was measured at speeds within 12 percent of the slowest of the group."""
+    """Group measurements at speeds within 12 percent of the slowest of a group."""
     levels: list[list[S]] = []
     for trial in sorted(trials, key=lambda t: t.speed):
         if not levels or trial.speed > levels[-1][0].speed * (1 + same_speed):

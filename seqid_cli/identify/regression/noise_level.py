@@ -168,7 +168,7 @@ def noise_of_rows(
     torque_squares: Array,
     friction: Array | None = None,
 ) -> NoiseLevel:
-    """Return what noise of torque and motion would leave of the torque in the used rows.
+    """Return the residual that noise of torque and motion leaves in the used rows.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Noise of averages over slices of slow trials: white, common to a trial, and 1/f over a log.
+"""Noise of averages over slices of slow trials: white, common to a trial, and 1/f.
 
 Averages leave little of white noise, so that what is slow decides: drift and 1/f noise
 of the drive in what neighbouring trials share, and what friction's surface misses in a
@@ -48,7 +48,10 @@ class Rows:
 
 
 def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
-    """Fit the noise of one joint's rows, more than columns; makes white rows (N, ...) of such."""
+    """Fit the noise of a joint's rows, and return the function that whitens rows.
+
+    There are more rows than columns. The function takes and returns rows (N, ...).
+    """
     # A part's strength against white noise counts from `least` on.
     order = np.lexsort((rows.t, rows.log))  # of each log, in time order
     logs = np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)

@@ -1,4 +1,4 @@
-"""The low-pass cut-off by the posterior: the one with the smallest error of the predicted torque.
+"""The low-pass cut-off by the posterior: it has the least error of predicted torque.
 
 Every cut-off keeps the equation exact and another share of its information. A low one
 throws away what quick motion says, and the samples around every reversal; a high one
@@ -94,12 +94,12 @@ class Trial(Protocol):
     def __call__(
         self, recordings: Sequence[Recording], cutoff_hz: float
     ) -> Candidate | None:
-        """Return what they tell below a cut-off [Hz]; None where it is too low to filter them."""
+        """Return the candidate at a cut-off [Hz], None where it is too low."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CutoffChoice:
-    """The chosen cut-off [Hz], the one it started from, and what was tried in ascending order."""
+    """The chosen cut-off [Hz], the start, and the tried cut-offs in ascending order."""
 
     cutoff_hz: float
     start_hz: float
@@ -271,7 +271,7 @@ def _chosen(
 
 
 def _standard_error(first: Candidate, second: Candidate, W: Array) -> float:
-    """Return the standard error of the difference of two errors, zero where blocks differ.
+    """Return the standard error of two errors' difference, 0 where blocks differ.
 
     Each block of time adds m' W m to an error, m its move of the estimate. Both
     candidates have the same blocks, so that the scatter of the differences says how
@@ -300,7 +300,7 @@ def _judged(tried: Sequence[Candidate], start_hz: float) -> tuple[Array, Array]:
 
 
 def _agrees(tried: Sequence[Candidate], W: Array, max_disagreement: float) -> Mask:
-    """Return whether each candidate agrees with the next lower or the next higher one."""
+    """Return whether each candidate agrees with its next lower or higher one."""
     agrees = np.zeros(len(tried), dtype=bool)
     for k in range(len(tried) - 1):
         if disagreement(tried[k], tried[k + 1], W) <= max_disagreement:
@@ -309,7 +309,10 @@ def _agrees(tried: Sequence[Candidate], W: Array, max_disagreement: float) -> Ma
 
 
 def disagreement(first: Candidate, second: Candidate, W: Array) -> float:
-    """Return what two estimates differ by beyond noise, as a share of the torque's RMS."""
+    """Return the difference of two estimates beyond noise.
+
+    It is a share of the torque's RMS.
+    """
     both = first.determined & second.determined
     difference = np.where(both, second.theta - first.theta, 0.0)
     if first.moves.shape == second.moves.shape:
@@ -431,7 +434,7 @@ class InertiaTrial:
 
 
 class SimultaneousTrial:
-    """Tries cut-offs for the classical least squares, friction's coefficients included."""
+    """Trials of cut-offs for classical least squares with friction's coefficients."""
 
     def __init__(
         self, robot: Robot, imu: ImuStage | None, source: str, *, offset: bool

@@ -1,4 +1,4 @@
-"""The joint posterior of all stages: what an error of an earlier stage does to a later one.
+"""The joint posterior of all stages: the effect of an earlier stage's error on a later.
 
 Every stage is a linear function of its own torque and of what earlier stages say,
 
@@ -18,7 +18,8 @@ The error e_k of a joint's torque constant, s_k its standard deviation, scales t
 side y_k of that joint's rows in every stage, friction c_k included. What it moves theta
 by is linear as well,
 
-    M_k = s_k dtheta_0/de_k + S_g M_gk,    stated cov(theta) = cov(theta) + sum_k M_k M_k',
+    M_k = s_k dtheta_0/de_k + S_g M_gk,
+    stated cov(theta) = cov(theta) + sum_k M_k M_k',
 
 one common error for all stages. It cancels in the torque of the same drive, so what is
 held against that torque uses cov(theta), and what is stated of physical values adds M.
@@ -46,7 +47,10 @@ Moves = dict[int, Array]
 def friction_covariance(
     sensitivity: Sensitivity, surfaces: Surfaces, size: int
 ) -> Array:
-    """Covariance (p, p) that the errors of the friction surfaces make: sum_j T_j cov(c_j) T_j'."""
+    """Return the covariance (p, p) by errors of the friction surfaces.
+
+    It is sum_j T_j cov(c_j) T_j'.
+    """
     total = np.zeros((size, size))
     for j, T in sensitivity.items():
         surface = surfaces[j]
@@ -89,7 +93,10 @@ class Posterior:
 
     @property
     def stated(self) -> Array:
-        """Covariance (p, p) of the physical values, with what cancels in predicted torques."""
+        """Covariance (p, p) of physical values.
+
+        It has what cancels in predicted torques.
+        """
         size = len(self.covariance)
         common = moves_covariance(self.constants, size) + moves_covariance(
             self.tolerances, size
@@ -98,10 +105,10 @@ class Posterior:
 
     @property
     def beside_tolerances(self) -> Array:
-        """Covariance (p, p) of a drive's terms, which take what the robot file has wrong.
+        """Covariance (p, p) of a drive's terms, with the robot file's own errors.
 
-        Gravity of another direction is a torque that does not turn with the motion, as an
-        offset is. Predicted torques do not feel it, the offset of the drive does.
+        Gravity of another direction is a torque that does not turn with the motion,
+        as an offset is. Predicted torques do not feel it, the drive's offset does.
         """
         size = len(self.covariance)
         return self.covariance + moves_covariance(self.tolerances, size)
@@ -116,7 +123,10 @@ class Posterior:
         known: Moves,
         prior: Prior | None = None,
     ) -> "Posterior":
-        """Join a solution's errors, `direct` ones with the prior held, with those it inherits."""
+        """Join a solution's errors with those that it inherits.
+
+        `direct` are those of friction with the prior held.
+        """
         # Its covariance counts the prior's rows as independent of friction.
         total, covariance, through = dict(direct), solution.covariance, {}
         if prior is not None:
@@ -147,7 +157,10 @@ class Posterior:
 def gravity_prior(
     gravity: RigidStage | None, basis: Basis, joints: Sequence[str]
 ) -> Prior:
-    """The gravity stage as rows of unit variance on the base parameters that it determined."""
+    """Return the gravity stage as rows of unit variance.
+
+    They are on the base parameters that the stage determined.
+    """
     if gravity is None or not gravity.parameters:
         return Prior(np.zeros((0, basis.size)), np.zeros(0))
     size = int(basis.gravity.sum())

@@ -1,4 +1,4 @@
-"""Whether rotors react on the links that carry them: the logs decide, or it is left open.
+"""Reaction of rotors on the links that carry them: decided by the logs, or left open.
 
 The torque of rotor i on its own joint is N_i^2 I_mi ddq_i (Eq. 43). A rotor that rides
 on a link feels that link's motion as well, and the link feels the rotor's: N_i I_mi
@@ -114,7 +114,10 @@ def decide(
 def _free_shares(
     equations: InertiaEquations, rows: Sequence[InertiaRows]
 ) -> list[FreeShare]:
-    """Return the free share at each cut-off at which it is determined; none unless at the first."""
+    """Return the free share at each cut-off that determines it.
+
+    The list is empty unless the first cut-off determines the share.
+    """
     place = equations.coupling_place
     shares = []
     for own_rows in rows:

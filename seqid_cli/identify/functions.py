@@ -324,7 +324,10 @@ def _added(
     *,
     imus: bool | None = None,
 ) -> ParameterFile:
-    """Find new stages, judge them, and add them to those before; `imus` is as of `LogSet.of`."""
+    """Find new stages, judge them, and add them to earlier ones.
+
+    `imus` is as of `LogSet.of`.
+    """
     from seqid_cli.identify.judging import judged
     from seqid_cli.identify.log_set import LogSet
 

@@ -1,4 +1,4 @@
-"""The logs of one call: read, checked, worked on one by one by whoever is asked to, accounted for.
+"""The logs of one call: read, checked, worked on one by one, and accounted for.
 
 Parts of different logs are independent of each other, so an executor may make them.
 They are taken here in the order of the logs; the result is the same to the last bit,
@@ -120,11 +120,11 @@ class LogSet:
         return list(self._times_s)
 
     def created(self, documents: Iterable[Written]) -> str:
-        """Return the date of a result that is made of the logs read so far and of documents."""
+        """Return the date of a result made of the logs read so far and of documents."""
         return created_from(documents, self.times_s(), otherwise=self.robot.source)
 
     def notes(self, known: Sequence[str] = ()) -> list[str]:
-        """Return notes on the logs for the result, but for those it has already (`known`)."""
+        """Return notes on the logs for the result, without its `known` ones."""
         said = USABLE_AT_MOST  # by the verdicts
         warnings = grouped(
             f for f in self.findings if f.severity == "warning" and f.code not in said
@@ -135,7 +135,9 @@ class LogSet:
         return [*(f"left out: {text}" for text in self.left_out), *self.said, *new]
 
     def verdicts(self) -> list[Verdict]:
-        """Return a verdict per code, channel and joint (IMU; empty: the log) of a finding.
+        """Return a verdict per code, channel and joint of a finding.
+
+        The joint may be an IMU; it is empty for a finding of the whole log.
 
         Errors make it poor, warnings after which nothing is good make it usable.
         """
@@ -162,7 +164,7 @@ class LogSet:
             self.on_progress(Progress(state, count, len(self.logs), **about))
 
     def mapped(self, part: PartOf[Any, P], opens: Opens | None = None) -> Iterator[P]:
-        """Yield the parts of all logs in their order; those that fail, and may, are left out."""
+        """Yield the parts of all logs in order, without logs that may fail and do."""
         # Raises SeqidError: a log cannot be used, the first in the order given; or none
         # can.
         task = _Task(self.robot, self.time_source, part, opens, self.imus, Path.cwd())
@@ -216,7 +218,7 @@ class LogSet:
         warn(f"left out: {text}")
 
     def _done(self, note: LogNote) -> None:
-        """Take account of a log that was read, and warn of what cannot wait for the result."""
+        """Record a log that was read, and warn of what cannot wait for the result."""
         self.read.append(note)
         self._date(note.path, note.stamps_s)
         self.findings += note.findings

@@ -1,4 +1,4 @@
-"""What a user may set per stage, and arguments that functions share; free of heavy imports."""
+"""Options of a user per stage, and shared arguments of functions; no heavy imports."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ SeqidError
 
 
 def documented(keywords: type[Keywords]) -> Callable[[F], F]:
-    """Show shared arguments, and those of `keywords`, in a function's signature and docstring."""
+    """Show shared arguments and `keywords` in a function's signature and docstring."""
 
     # That docstring ends with the parameters that are its own.
     def decorate(function: F) -> F:

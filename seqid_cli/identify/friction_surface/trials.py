@@ -80,10 +80,10 @@ class Trial:
         """Magnitude of the velocity, rad/s."""
         return abs(self.velocity)
 
-    def part(self, kept: Mask) -> "Trial":
-        """The trial with some of its slices (K,) alone."""
+    def part(self, chosen: Mask) -> "Trial":
+        """Return the trial with the chosen of its slices (K,) alone."""
         names = ("q", "dq", "ddq", "tau", "places", "t")
-        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
@@ -93,7 +93,7 @@ def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]
     """
     logs = mapped(recordings, partial(trials_of, robot), open_if_long)
     return sorted(
-        (trial for found in logs for trial in found), key=lambda trial: trial.speed
+        (trial for trials in logs for trial in trials), key=lambda trial: trial.speed
     )
 
 
@@ -104,13 +104,14 @@ def trials_of(
 
     A long log comes in pieces of `rows` samples.
     """
-    survey, resolution = survey_of(log), encoder_resolution(robot)
+    survey = survey_of(log)
+    resolution = encoder_resolution(robot)
     count = survey.count(resolution)
     temperature = _smooth_celsius(log) if isinstance(log, Recording) else None
     return [
-        _trial(block, each, log.rate_hz, number, temperature, count)
-        for block, own in pieces(log, survey.noise_step(resolution), rows=rows)
-        for each in own
+        _trial(block, stretch, log.rate_hz, number, temperature, count)
+        for block, stretches in pieces(log, survey.noise_step(resolution), rows=rows)
+        for stretch in stretches
     ]
 
 
@@ -127,23 +128,28 @@ def pieces(
     `step` (n,): encoder noise [rad], see `noise_step`. Yields samples, and stretches
     within them.
     """
-    rate, margin = log.rate_hz, motion_reach(log.rate_hz)
+    rate = log.rate_hz
+    margin = motion_reach(log.rate_hz)
     blocks: Iterable[Block] = ()
     if isinstance(log, Recording):
         held: Block | None = Block(0, log.q, torque_of(log), log.valid)
     else:
-        held, blocks = None, log.blocks()
+        held = None
+        blocks = log.blocks()
 
-    def found(block: Block, first: int, stop: int) -> tuple[Block, list[Stretch]]:
+    def searched(block: Block, first: int, stop: int) -> tuple[Block, list[Stretch]]:
         inside = block.valid.copy()
-        inside[:first], inside[stop:] = False, False
+        inside[:first] = False
+        inside[stop:] = False
         return block, constant_velocity(block.q, rate, step=step, valid=inside)
 
-    wait, start = rows, 0  # samples before `start` have been searched
+    wait = rows
+    start = 0  # samples before `start` have been searched
     for block in blocks:
         held = block if held is None else joined([held, block])
         if held.samples - start < wait + margin:
             continue
+
         # The last sample, away from the end, at which another joint moves than before
         # it.
         moving = moving_mask(held.q, rate, step)
@@ -155,12 +161,15 @@ def pieces(
         if not len(changes):  # one move that goes on and on
             wait = 2 * (held.samples - start)
             continue
+
         cut = start + int(changes[-1]) + 1
-        yield found(held, start, cut)
+        yield searched(held, start, cut)
         low = max(0, cut - margin)
-        held, start, wait = held.part(slice(low, held.samples)), cut - low, rows
+        held = held.part(slice(low, held.samples))
+        start = cut - low
+        wait = rows
     if held is not None:
-        yield found(held, start, held.samples)
+        yield searched(held, start, held.samples)
 
 
 def _trial(
@@ -171,16 +180,21 @@ def _trial(
     temperature: Array | None,
     count: Array,
 ) -> Trial:
+    """Return the trial of one stretch, with averages over its slices."""
     j = stretch.joint
     slices = int(np.clip(stretch.samples // 4, 4, SLICES))
     length = stretch.samples // slices
     stop = stretch.start + slices * length
-    own, move = slice(stretch.start, stop), slice(stretch.move_start, stretch.move_stop)
+    steady = slice(stretch.start, stop)
+    move = slice(stretch.move_start, stretch.move_stop)
+
+    # Time within the trial runs from -1 to 1.
     half = (stop - stretch.start) / rate_hz / 2
     middles = (np.arange(slices) + 0.5) / slices * 2 - 1
-    places = block.q[own].reshape(slices, length, -1).mean(axis=1)
+    places = block.q[steady].reshape(slices, length, -1).mean(axis=1)
     path = _path(middles, places[:, j])
     places[:, j] = path(middles)
+
     celsius = (
         np.zeros(0)
         if temperature is None
@@ -188,16 +202,19 @@ def _trial(
     )
     celsius = celsius[np.isfinite(celsius)]
     counts_hz = abs(stretch.velocity) / count[j] if count[j] > 0.0 else np.inf
+
     return Trial(
         joint=j,
         count=count,
-        swing=torque_swing(block.tau[own, j], rate_hz, counts_hz),
-        stopped=stops(block.q[own, j], rate_hz, abs(stretch.velocity), float(count[j])),
+        swing=torque_swing(block.tau[steady, j], rate_hz, counts_hz),
+        stopped=stops(
+            block.q[steady, j], rate_hz, abs(stretch.velocity), float(count[j])
+        ),
         velocity=stretch.velocity,
         q=places[:, j].copy(),
         dq=path.deriv()(middles) / half,
         ddq=path.deriv(2)(middles) / half**2,
-        tau=block.tau[own, j].reshape(slices, length).mean(axis=1),
+        tau=block.tau[steady, j].reshape(slices, length).mean(axis=1),
         ramps=_ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch),
         weight=float(length),
         configuration=np.array(stretch.configuration),
@@ -283,10 +300,10 @@ def _smooth_celsius(log: Recording, *, degree: int = 3) -> Array | None:
         return None
     smooth = log.temperature.copy()
     for j, celsius in enumerate(log.temperature.T):
-        known = np.isfinite(celsius)
-        if np.count_nonzero(known) > degree + 1:
-            fit = Chebyshev.fit(log.t[known], celsius[known], degree)
-            smooth[known, j] = fit(log.t[known])
+        is_logged = np.isfinite(celsius)
+        if np.count_nonzero(is_logged) > degree + 1:
+            fit = Chebyshev.fit(log.t[is_logged], celsius[is_logged], degree)
+            smooth[is_logged, j] = fit(log.t[is_logged])
     return smooth
 
 

@@ -139,7 +139,8 @@ def filtered_regressor(
     for start in range(first, last, chunk):
         stop = min(start + chunk, last)
         low, high = max(0, start - reach), min(stop + reach, motion.samples)
-        near, inner = motion.part(slice(low, high)), slice(start - low, stop - low)
+        near = motion.part(slice(low, high))
+        inner = slice(start - low, stop - low)
         base_regressor(robot, basis, near.q, near.dq, near.ddq, out=room)
         motion.lowpass.filter_rows(rows[:, : near.samples], near.valid, only=only)
         H = room.transpose(2, 0, 1)[inner]
@@ -172,8 +173,8 @@ def independent_share(motion: Motion) -> float:
 
 def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
     """Describe the motion of one log."""
-    own = motion.acceleration_error
-    before = own if motion.encoder_error is None else motion.encoder_error
+    used_error = motion.acceleration_error
+    encoder_error = used_error if motion.encoder_error is None else motion.encoder_error
     moving = np.flatnonzero(motion.moving.any(axis=0))
 
     def of_joints(values: Array | None) -> dict[str, float]:
@@ -186,8 +187,8 @@ def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
         source=motion.source,
         imus=list(motion.imus),
         cutoff_hz=float(motion.cutoff.hz),
-        acceleration_error=of_joints(own),
-        encoder_error=of_joints(before),
+        acceleration_error=of_joints(used_error),
+        encoder_error=of_joints(encoder_error),
         fused_error=of_joints(motion.fused_error),
         disagreement=of_joints(motion.disagreement),
         velocity_error=of_joints(motion.velocity_error),
@@ -196,7 +197,7 @@ def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
 
 
 def source_text(use: MotionUse) -> str:
-    """The source with the IMUs that took part: "encoder", "fused: imu_a, imu_b"."""
+    """Return the source with its IMUs, as in "encoder" or "fused: imu_a, imu_b"."""
     return f"{use.source}: {', '.join(use.imus)}" if use.imus else use.source
 
 

@@ -237,7 +237,7 @@ def _posterior(solution: Solution, rows: GravityRows, prior: Prior) -> Posterior
         rows.surfaces,
         rows.robot.torque_constant_errors,
         rows.sensitivity(solution),
-        known=_by_prior(solution, prior, rows.robot.n),
+        computed=_by_prior(solution, prior, rows.robot.n),
         prior=prior,
     ).with_error(np.reshape(unseen, (-1, rows.columns)).T)
     return replace(posterior, tolerances=rows.tolerance_moves(solution))

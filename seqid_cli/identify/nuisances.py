@@ -293,9 +293,11 @@ def with_term(
         # well.
         even = np.array(joint.nuisance_covariance)
         mean = (np.array(joint.positive) + np.array(joint.negative)) / 2.0
-        before = even_jacobian(mean)
-        after = even_jacobian((forward + backward) / 2.0)
-        covariance += after @ even @ after.T - before @ even @ before.T
+        old_jacobian = even_jacobian(mean)
+        new_jacobian = even_jacobian((forward + backward) / 2.0)
+        covariance += (
+            new_jacobian @ even @ new_jacobian.T - old_jacobian @ even @ old_jacobian.T
+        )
     term = replace(stated, value=value, std_error=std_error)
     return replace(
         joint,
@@ -385,10 +387,12 @@ def later_prior(
     """
     columns = NuisanceColumns(basis.size, len(names))
     gravity = stages.gravity if stages.gravity and stages.gravity.parameters else None
-    known = gravity_prior(gravity, basis, names)
-    friction, constants, tolerances = known.friction, known.constants, known.tolerances
-    blocks = [np.pad(known.A, ((0, 0), (0, columns.count)))]
-    values = [known.b]
+    of_gravity = gravity_prior(gravity, basis, names)
+    friction = of_gravity.friction
+    constants = of_gravity.constants
+    tolerances = of_gravity.tolerances
+    blocks = [np.pad(of_gravity.A, ((0, 0), (0, columns.count)))]
+    values = [of_gravity.b]
 
     stated: list[tuple[str, str]] = []
     if gravity is not None and gravity.nuisance_covariance:
@@ -407,12 +411,13 @@ def later_prior(
         wide[:, places] = rows
         # Changes are against what the surfaces hold, which gravity's trials have put
         # there.
-        inverse = np.linalg.pinv(known.A[:, places[:size]])
-        rows_of_known = rows[:, :size] @ inverse
-        blocks, values = [wide], [rows_of_known @ known.b]
-        friction = {j: rows_of_known @ T for j, T in known.friction.items()}
-        constants = {j: rows_of_known @ T for j, T in known.constants.items()}
-        tolerances = {k: rows_of_known @ T for k, T in known.tolerances.items()}
+        inverse = np.linalg.pinv(of_gravity.A[:, places[:size]])
+        to_rows = rows[:, :size] @ inverse
+        blocks = [wide]
+        values = [to_rows @ of_gravity.b]
+        friction = {j: to_rows @ T for j, T in of_gravity.friction.items()}
+        constants = {j: to_rows @ T for j, T in of_gravity.constants.items()}
+        tolerances = {k: to_rows @ T for k, T in of_gravity.tolerances.items()}
 
     for j, (name, surface) in enumerate(zip(names, surfaces, strict=True)):
         if ("offset", name) in stated:
@@ -503,7 +508,7 @@ def _known(surface: FrictionSurface | None) -> FrictionSurface:
 
 def shown(terms: Sequence[Nuisance], friction: Mapping[str, float]) -> list[Nuisance]:
     """Return the terms that logs show and that matter beside RMS `friction`."""
-    found = []
+    shown_terms = []
     for term in terms:
         least = SHOWN_SHARE
         if term.name not in DRIVE_NAMES:
@@ -515,26 +520,26 @@ def shown(terms: Sequence[Nuisance], friction: Mapping[str, float]) -> list[Nuis
         if term.name == "thermal":
             least = SHOWN_PER_KELVIN
         if abs(term.value) > max(SHOWN_SIGMA * term.std_error, least):
-            found.append(term)
-    return found
+            shown_terms.append(term)
+    return shown_terms
 
 
 def described(term: Nuisance) -> str:
     """Say a term in words, as a note on a stage has it."""
     if term.name == "delay":
-        way = "late" if term.value > 0.0 else "early"
+        direction = "late" if term.value > 0.0 else "early"
         size = f"{1e3 * abs(term.value):.2g} +- {1e3 * term.std_error:.1g} ms"
-        return f"{term.joint}: torque is {size} {way} against the positions"
+        return f"{term.joint}: torque is {size} {direction} against the positions"
     if term.name == "thermal":
         size = f"{100.0 * term.value:.2g} +- {100.0 * term.std_error:.1g} %"
         return f"{term.joint}: friction changes by {size} per kelvin"
     if term.name == "offset":
         size = f"{term.value:.3g} +- {term.std_error:.1g} {term.unit}"
         return f"{term.joint}: torque has an offset of {size}"
-    way = "forward" if term.value > 0.0 else "backward"
+    direction = "forward" if term.value > 0.0 else "backward"
     share = f"{100.0 * abs(term.value):.2g} +- {100.0 * term.std_error:.1g} %"
     kind = "viscous friction" if term.name == "viscous_asymmetry" else "friction"
-    return f"{term.joint}: {kind} is {share} of its mean larger {way}"
+    return f"{term.joint}: {kind} is {share} of its mean larger {direction}"
 
 
 def robot_friction_rms(

@@ -1,4 +1,4 @@
-"""From logs to parameters: friction, gravity, IMUs, inertia, prediction; a function for each.
+"""From logs to parameters: a function per stage, and one for predicted torques.
 
 Rooms, each above the ones before: `regression`, `friction_surface`, `rigid`,
 `prediction`; `imu_calibration` stands alone. `inputs`, `options` and `log_set` lie

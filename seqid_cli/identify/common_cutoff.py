@@ -126,7 +126,7 @@ def _survey(
 
 
 def _spread(length_s: float, wanted_s: float, *, piece_s: float = 16.0) -> list[Range]:
-    """Return pieces of `piece_s` spread evenly over a log; none of one that is short itself."""
+    """Return pieces of `piece_s` spread evenly over a log, none of a short log."""
     # Longer pieces would be reduced in chunks, whose blocks of time differ with the
     # cut-off.
     if length_s <= 1.5 * piece_s:
@@ -143,7 +143,10 @@ def _fewer(pieces: list[Recording], share: float) -> list[Recording]:
 
 
 def _summed(scores: Sequence[bandwidth.Score], allowed_hz: float) -> tuple[Array, int]:
-    """Return the sum of the logs' scores, and how many of the grid's cut-offs all allow."""
+    """Return the logs' summed scores, and the number of cut-offs that all logs allow.
+
+    The cut-offs are those of the grid.
+    """
     ordered = sorted(tuple(score.values) for score in scores)  # sums to the last bit
     highest_hz = bandwidth.highest_of(
         max(score.bandwidth_hz for score in scores),
@@ -266,7 +269,7 @@ def _by_posterior(
 
 
 def _noise_shares(surveys: Sequence[_Surveyed]) -> bandwidth.NoiseShares:
-    """Return how much of the motion of all logs is noise, by the motion that is used of each."""
+    """Return the share of noise in the motion that is used of all logs."""
     shares = [survey.used_score.shares for survey in surveys]
     return reduce(add, [share for share in shares if share is not None])
 
@@ -277,7 +280,7 @@ def _at(values: Array, hz: float) -> float:
 
 
 def inherited(stages: Stages, cutoff_hz: float | None) -> MotionOptions:
-    """Return how logs are filtered by what builds on stages: as these were, unless asked."""
+    """Return the motion options by `cutoff_hz`, else by the inertia stage."""
     if cutoff_hz is not None:
         return MotionOptions(cutoff_hz, origin="as given")
     if stages.inertia is None or stages.inertia.cutoff_hz is None:

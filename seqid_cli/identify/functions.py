@@ -73,8 +73,8 @@ def friction(
         identify_friction as identified,
     )
 
-    def find(given: LogSet) -> Identified:
-        stage = identified(given, inputs.robot, options=options, settings=settings)
+    def find(log_set: LogSet) -> Identified:
+        stage = identified(log_set, inputs.robot, options=options, settings=settings)
         return Identified(Stages(friction=stage))
 
     return _added(inputs, find, settings, settings.judging)
@@ -103,8 +103,8 @@ def gravity(
     inputs = prepare(logs, robot, parameters, options, needs=("friction",), **keywords)
     from seqid_cli.identify.rigid.gravity import identify_gravity as identified
 
-    def find(given: LogSet) -> Identified:
-        result = identified(given, inputs.robot, inputs.stages, settings)
+    def find(log_set: LogSet) -> Identified:
+        result = identified(log_set, inputs.robot, inputs.stages, settings)
         return Identified(
             Stages(gravity=result.gravity), Stages(friction=result.friction)
         )
@@ -133,22 +133,22 @@ def imu_calib(
     """
     inputs = prepare(logs, robot, parameters, options, **keywords)
     if not inputs.robot.imus:
-        where, hint = (
-            str(inputs.robot.source),
-            "Add an [[imu]] table with its accelerometers.",
+        raise ConfigError(
+            "the robot file names no IMU",
+            where=str(inputs.robot.source),
+            hint="Add an [[imu]] table with its accelerometers.",
         )
-        raise ConfigError("the robot file names no IMU", where=where, hint=hint)
     from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
     from seqid_cli.motion.imu.array import layout_statements
     from seqid_cli.motion.options import MotionOptions
 
-    def find(given: LogSet) -> Identified:
+    def find(log_set: LogSet) -> Identified:
         for imu in inputs.robot.imus:
             for text in layout_statements(imu):
-                given.tell("note", text=f"{imu.name}: {text}")
+                log_set.tell("note", text=f"{imu.name}: {text}")
         filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
         stage = calibrate_imus(
-            given, inputs.robot, options=filtering, settings=settings
+            log_set, inputs.robot, options=filtering, settings=settings
         )
         return Identified(Stages(imu=stage))
 
@@ -182,17 +182,25 @@ def inertia(
     from seqid_cli.identify.rigid.inertia import identify_inertia
     from seqid_cli.identify.rigid.parameters import made_consistent
 
-    def find(given: LogSet) -> Identified:
-        arm, known = inputs.robot, inputs.stages
-        trial = InertiaTrial(arm, known, options.source, settings)
+    def find(log_set: LogSet) -> Identified:
+        arm = inputs.robot
+        earlier_stages = inputs.stages
+        trial = InertiaTrial(arm, earlier_stages, options.source, settings)
         motion = identification_options(
-            inputs.logs, arm, options, known.imu, trial, limits=settings.cutoff
+            inputs.logs,
+            arm,
+            options,
+            earlier_stages.imu,
+            trial,
+            limits=settings.cutoff,
         )
         rigid = InertiaOptions(motion, options.source, settings=settings)
-        result = identify_inertia(given, arm, known, options=rigid, compare=True)
+        result = identify_inertia(
+            log_set, arm, earlier_stages, options=rigid, compare=True
+        )
         stage = result.inertia
         if options.consistent:
-            stage = made_consistent(stage, known, arm)
+            stage = made_consistent(stage, earlier_stages, arm)
         return Identified(Stages(inertia=stage), Stages(friction=result.friction))
 
     return _added(inputs, find, settings, settings.judging)
@@ -224,14 +232,15 @@ def simultaneous(
     from seqid_cli.identify.rigid.parameters import made_consistent
     from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
-    def find(given: LogSet) -> Identified:
-        arm, imu = inputs.robot, inputs.stages.imu
+    def find(log_set: LogSet) -> Identified:
+        arm = inputs.robot
+        imu = inputs.stages.imu
         trial = SimultaneousTrial(arm, imu, options.source, offset=options.offset)
         motion = identification_options(
             inputs.logs, arm, options, imu, trial, limits=settings.cutoff
         )
         friction, inertia = identify_simultaneous(
-            given,
+            log_set,
             arm,
             options=motion,
             imu=imu,
@@ -268,13 +277,19 @@ def predict(
     torques : path, optional
         Where the torques themselves go: as MCAP if it ends so, else Parquet.
     """
-    target, table = optional(keywords.get("output")), optional(torques)
+    target = optional(keywords.get("output"))
+    table = optional(torques)
     if target is not None and table is not None and target.resolve() == table.resolve():
         message = "-o and --torques name the same file"
         raise UsageError(message, where=str(target), hint="Give them different names.")
-    more, needs = [table] if table else [], imu_stage_for(options.source)
     inputs = prepare(
-        logs, robot, parameters, options, more_outputs=more, needs=needs, **keywords
+        logs,
+        robot,
+        parameters,
+        options,
+        more_outputs=[table] if table else [],
+        needs=imu_stage_for(options.source),
+        **keywords,
     )
     if not present(inputs.stages):
         where = inputs.models[0][0] if inputs.models else ""
@@ -287,21 +302,22 @@ def predict(
     from seqid_cli.identify.prediction.document import prediction_file
     from seqid_cli.identify.prediction.predict import predict as predicted
 
-    motion, given = inherited(inputs.stages, options.cutoff_hz), LogSet.of(inputs)
-    rigid, unexplained = (
-        InertiaOptions(motion, options.source),
-        options.with_unexplained,
-    )
-    found = predicted(
-        given, inputs.robot, inputs.stages, options=rigid, unexplained=unexplained
+    motion = inherited(inputs.stages, options.cutoff_hz)
+    log_set = LogSet.of(inputs)
+    predictions = predicted(
+        log_set,
+        inputs.robot,
+        inputs.stages,
+        options=InertiaOptions(motion, options.source),
+        unexplained=options.with_unexplained,
     )
     file = prediction_file(
         inputs,
-        given,
-        found,
+        log_set,
+        predictions,
         table,
         motion.origin,
-        unexplained=unexplained,
+        unexplained=options.with_unexplained,
         settings=settings,
     )
     if target is not None:
@@ -324,24 +340,27 @@ def _added(
     *,
     imus: bool | None = None,
 ) -> ParameterFile:
-    """Find new stages, judge them, and add them to those before; `imus` is as of `LogSet.of`."""
+    """Find new stages, judge them, and add them to earlier ones.
+
+    `imus` is as of `LogSet.of`.
+    """
     from seqid_cli.identify.judging import judged
     from seqid_cli.identify.log_set import LogSet
 
     logs = LogSet.of(inputs, imus=imus)
     identified = find(logs)
     improved = present(identified.improved)
-    before = replace(inputs.stages, **improved)
+    earlier_stages = replace(inputs.stages, **improved)
 
     noted: dict[str, Any] = {}
     for name in present(identified.stages):
         stage = getattr(identified.stages, name)
         notes = [*stage.notes, *logs.notes(stage.notes)]
         noted[name] = replace(stage, notes=notes, settings=used_settings(settings))
-    found = judged(
-        Stages(**noted), before, inputs.robot, logs.verdicts(), limits=judging
+    judged_stages = judged(
+        Stages(**noted), earlier_stages, inputs.robot, logs.verdicts(), limits=judging
     )
-    new = present(found)
+    new = present(judged_stages)
 
     for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")

@@ -217,7 +217,10 @@ def read_models(given: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]
 def robot_of(
     robot: PathLike | Robot, models: Sequence[tuple[str, ParameterFile]]
 ) -> Robot:
-    """Return the robot, after making sure that the parameter files are of it; warns of changes."""
+    """Return the robot, after a check that the parameter files are of it.
+
+    Warns of changes.
+    """
     loaded = load_robot(Path(robot)) if isinstance(robot, str | os.PathLike) else robot
     for name, file in models:
         for warning in check_robot(file, loaded, where=name):
@@ -235,7 +238,7 @@ def model_id(name: str, file: ParameterFile, paths: Sequence[Path]) -> FileId:
 def _logs(
     given: Sequence[Log], *, go_on: bool, stored: bool
 ) -> tuple[tuple[Path | Recording, ...], tuple[InputError, ...]]:
-    """Return the logs that are meant, and what stands for none where that is no reason to stop."""
+    """Return the logs, and errors of missing ones where `go_on` allows these."""
     present_logs: list[Log] = []
     missing: list[InputError] = []
     for log in given:

@@ -39,7 +39,7 @@ def judged(
     *,
     limits: JudgingSettings = JudgingSettings(),
 ) -> schema.Stages:
-    """Add to the verdicts of new stages those by physics, those `of_logs`, that of the whole."""
+    """Add to new stages the verdicts by physics, by `of_logs`, and of the whole."""
     known = schema.Stages(
         friction=new.friction or before.friction,
         gravity=new.gravity or before.gravity,
@@ -62,7 +62,7 @@ RESTS_ON = {"gravity": ("friction",), "inertia": ("friction", "gravity")}
 
 
 def _inherited(name: str, known: schema.Stages) -> Iterator[schema.Verdict]:
-    """Yield that a stage is no better than usable where one that it rests on is not good."""
+    """Yield that a stage is at most usable where one that it rests on is not good."""
     for earlier in RESTS_ON.get(name, ()):
         stage = getattr(known, earlier)
         level = worst_level(stage.verdicts) if stage is not None else None
@@ -75,7 +75,7 @@ def _inherited(name: str, known: schema.Stages) -> Iterator[schema.Verdict]:
 def physics_verdicts(
     stages: schema.Stages, robot: Robot, limits: JudgingSettings = JudgingSettings()
 ) -> list[schema.Verdict]:
-    """Judge stages that a command builds on as `judged` does, whatever logs they are used on."""
+    """Judge stages that a command builds on, as `judged` does, whatever the logs."""
     # By the robot as it is now: its gear ratios or gravity may not be those of the
     # identification. Each reason comes once per joint.
     there = (stages.friction, stages.gravity, stages.inertia)
@@ -89,7 +89,10 @@ def physics_verdicts(
 
 
 def as_a_whole(verdicts: Sequence[schema.Verdict]) -> list[schema.Verdict]:
-    """Return verdicts with one of the whole (joint empty) that is no better than any joint's."""
+    """Return verdicts with one of the whole, no better than any joint's.
+
+    The verdict of the whole has an empty joint.
+    """
     of_joints = [verdict for verdict in verdicts if verdict.joint]
     of_whole = [verdict for verdict in verdicts if not verdict.joint]
     level = worst_level(verdicts)
@@ -129,7 +132,7 @@ def friction_verdicts(
     robot: Robot,
     limits: JudgingSettings = JudgingSettings(),
 ) -> Iterator[schema.Verdict]:
-    """Judge whether friction brakes, and whether the gravity beside it is of the URDF's size."""
+    """Judge whether friction brakes, and whether gravity is of the URDF's size."""
     for name, joint in stage.joints.items():
         surface = FrictionSurface.from_stage(joint)
         low, high = joint.speed_range
@@ -191,7 +194,7 @@ def _measured(stage: schema.FrictionStage, robot: Robot) -> Samples:
 
 
 def _gravity(robot: Robot, stage: schema.RigidStage | None, q: Array) -> Array:
-    """Return the gravity torque (N, n) N m by a stage, or by the URDF's inertials for None."""
+    """Return gravity's torque (N, n) N m by a stage, or by URDF inertials for None."""
     phi = robot.nominal if stage is None else standard_parameters(stage, robot.n)[0]
     assert phi is not None
     still = np.zeros_like(q)
@@ -224,7 +227,7 @@ def _gravity_verdicts(
     text: str,
     limits: JudgingSettings,
 ) -> Iterator[schema.Verdict]:
-    """Judge gravity by a stage's, or by the URDF's inertials; `text` says how it differs."""
+    """Judge gravity by another stage's or by the URDF's; `text` says how it differs."""
     if not samples or (stage is None and robot.nominal is None):
         return
     largest = float(

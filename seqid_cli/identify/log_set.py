@@ -1,4 +1,4 @@
-"""The logs of one call: read, checked, worked on one by one by whoever is asked to, accounted for.
+"""The logs of one call: read, checked, worked on one by one, and accounted for.
 
 Parts of different logs are independent of each other, so an executor may make them.
 They are taken here in the order of the logs; the result is the same to the last bit,
@@ -67,17 +67,18 @@ class LogSet:
 
     @classmethod
     def of(cls, inputs: Inputs, *, imus: bool | None = None) -> "LogSet":
-        """The logs of a function; `imus` where the stages before do not say it."""
-        options, known = inputs.options, inputs.stages.imu is not None
-        reading = (
-            options.time_source,
-            known if imus is None else imus,
-            options.skip_failed,
-        )
+        """Return the logs of a function; without `imus` the imu stage decides it."""
+        has_imu_stage = inputs.stages.imu is not None
         logs = cls(
-            inputs.logs, inputs.robot, *reading, inputs.executor, inputs.on_progress
+            logs=inputs.logs,
+            robot=inputs.robot,
+            time_source=inputs.options.time_source,
+            imus=has_imu_stage if imus is None else imus,
+            skip_failed=inputs.options.skip_failed,
+            executor=inputs.executor,
+            on_progress=inputs.on_progress,
+            said=inputs.said,
         )
-        logs.said = inputs.said
         for error in inputs.missing:
             logs.left_out.append(str(error))
             logs.tell("failed", log=error.where, error=error)
@@ -120,51 +121,54 @@ class LogSet:
         return list(self._times_s)
 
     def created(self, documents: Iterable[Written]) -> str:
-        """Return the date of a result that is made of the logs read so far and of documents."""
+        """Return the date of a result made of the logs read so far and of documents."""
         return created_from(documents, self.times_s(), otherwise=self.robot.source)
 
     def notes(self, known: Sequence[str] = ()) -> list[str]:
-        """Return notes on the logs for the result, but for those it has already (`known`)."""
-        said = USABLE_AT_MOST  # by the verdicts
+        """Return notes on the logs for the result, without its `known` ones."""
+        # Findings of these codes are in the verdicts already.
         warnings = grouped(
-            f for f in self.findings if f.severity == "warning" and f.code not in said
+            finding
+            for finding in self.findings
+            if finding.severity == "warning" and finding.code not in USABLE_AT_MOST
         )
         new = [
-            _in_words(alike) for alike in warnings if alike[0].message not in set(known)
+            _in_words(group) for group in warnings if group[0].message not in set(known)
         ]
         return [*(f"left out: {text}" for text in self.left_out), *self.said, *new]
 
     def verdicts(self) -> list[Verdict]:
-        """Return a verdict per code, channel and joint (IMU; empty: the log) of a finding.
+        """Return a verdict per code, channel and joint of a finding.
 
-        Errors make it poor, warnings after which nothing is good make it usable.
+        The joint may be an IMU; it is empty for a finding of the whole log. Errors make
+        a verdict poor, warnings after which nothing is good make it usable.
         """
-        told = [
-            f
-            for f in self.findings
-            if f.severity == "error" or f.code in USABLE_AT_MOST
+        decisive = [
+            finding
+            for finding in self.findings
+            if finding.severity == "error" or finding.code in USABLE_AT_MOST
         ]
         return [
             Verdict(
                 joint=name,
                 good=False,
-                level="poor" if alike[0].severity == "error" else "usable",
-                reason=f"{_text(alike)}. {alike[0].remedy}",
+                level="poor" if group[0].severity == "error" else "usable",
+                reason=f"{_text(group)}. {group[0].remedy}",
             )
-            for alike in grouped(told)
-            for name in alike[0].joint.split(", ")
+            for group in grouped(decisive)
+            for name in group[0].joint.split(", ")
         ]
 
-    def tell(self, state: Any, **about: Any) -> None:
+    def tell(self, state: Any, **details: Any) -> None:
         """Report the progress."""
         if self.on_progress is not None:
             count = len(self.read) + len(self.left_out)
-            self.on_progress(Progress(state, count, len(self.logs), **about))
+            self.on_progress(Progress(state, count, len(self.logs), **details))
 
     def mapped(self, part: PartOf[Any, P], opens: Opens | None = None) -> Iterator[P]:
-        """Yield the parts of all logs in their order; those that fail, and may, are left out."""
-        # Raises SeqidError: a log cannot be used, the first in the order given; or none
-        # can.
+        """Yield the parts of all logs in order, without logs that may fail and do."""
+        # Raises SeqidError where a log cannot be used, the first in the order of the
+        # logs, or where none can.
         task = _Task(self.robot, self.time_source, part, opens, self.imus, Path.cwd())
         items = list(enumerate(self.logs))
         replies: Iterator[Reply[tuple[LogNote, P]]]
@@ -174,14 +178,15 @@ class LogSet:
             replies = (
                 answer(task, i) if self.skip_failed else Reply(task(i)) for i in items
             )
+
         errors: list[Exception] = []
-        for _, given in items:
-            log = str(given.path if isinstance(given, Recording) else given)
+        for _, source in items:
+            log = str(source.path if isinstance(source, Recording) else source)
             self.tell("reading", log=log)
             reply = next(replies)
             error = reply.error
             if error is None:
-                note, found = reply.get()
+                note, log_part = reply.get()
                 first = (
                     self._first.setdefault(note.sha256, note.path)
                     if note.sha256
@@ -189,7 +194,7 @@ class LogSet:
                 )
                 if first == note.path:
                     self._done(note)
-                    yield found
+                    yield log_part
                 else:
                     self._leave_out(
                         f"{log}: has the same content as {first} and would count twice"
@@ -200,6 +205,7 @@ class LogSet:
                 errors.append(error)
                 self._leave_out(str(error) if log in str(error) else f"{log}: {error}")
                 self.tell("failed", log=log, error=error)
+
         if errors and len(errors) == len(self.logs):
             hint = getattr(errors[0], "hint", "")
             raise InputError(
@@ -216,22 +222,23 @@ class LogSet:
         warn(f"left out: {text}")
 
     def _done(self, note: LogNote) -> None:
-        """Take account of a log that was read, and warn of what cannot wait for the result."""
+        """Record a log that was read, and warn of what cannot wait for the result."""
         self.read.append(note)
         self._date(note.path, note.stamps_s)
         self.findings += note.findings
         self.tell("done", log=str(note.path), note=note)
         for finding in note.findings:
             if finding.severity == "error":
-                about = " ".join(
+                place = " ".join(
                     part for part in (finding.joint, finding.channel) if part
                 )
-                text = f"{about}: {finding.message}" if about else finding.message
+                text = f"{place}: {finding.message}" if place else finding.message
                 warn(f"{note.path}: [{finding.code}] {text}")
             elif finding.message in note.warnings:
                 warn(_in_words([finding]))
-        known = {finding.message for finding in note.findings}
-        texts = [text for text in note.warnings if text not in known]
+
+        finding_texts = {finding.message for finding in note.findings}
+        texts = [text for text in note.warnings if text not in finding_texts]
         if note.partial:
             texts.append(f"only partly read: {note.partial}")
         for text in texts:
@@ -252,21 +259,24 @@ def mapped(
     return (part(log, number) for number, log in enumerate(logs))
 
 
-def _in_words(alike: Sequence[InspectionFinding]) -> str:
-    return (f"{alike[0].joint}: " if alike[0].joint else "") + _text(alike)
+def _in_words(group: Sequence[InspectionFinding]) -> str:
+    """Return the text of findings of one kind, after their joint."""
+    joint = group[0].joint
+    return (f"{joint}: " if joint else "") + _text(group)
 
 
-def _text(alike: Sequence[InspectionFinding]) -> str:
-    first = alike[0]
-    logs = list(dict.fromkeys(finding.log for finding in alike))
-    more = (
+def _text(group: Sequence[InspectionFinding]) -> str:
+    """Return the text of findings of one kind, with the first log and their count."""
+    first = group[0]
+    logs = list(dict.fromkeys(finding.log for finding in group))
+    further_logs = (
         f" and {len(logs) - 1} more log{'s' if len(logs) > 2 else ''}"
         if len(logs) > 1
         else ""
     )
     channel = f"{first.channel} " if first.channel else ""
-    said = first.message.removeprefix(f"{first.joint}: ")
-    return f"[{first.code}] {logs[0]}{more}: {channel}{said}"
+    message = first.message.removeprefix(f"{first.joint}: ")
+    return f"[{first.code}] {logs[0]}{further_logs}: {channel}{message}"
 
 
 def _note_of(log: Recording | SurveyedLog) -> LogNote:
@@ -310,21 +320,23 @@ class _Task(Generic[P]):
     folder: Path
 
     def __call__(self, item: tuple[int, Path | Recording]) -> tuple[LogNote, P]:
-        number, given = item
-        if isinstance(given, Recording):
-            return _note_of(given), self.part(given, number)
-        # Those that pass over a log read it again and again: a stored one's copy must
-        # last.
-        with local_copy(given) as file:
+        number, source = item
+        if isinstance(source, Recording):
+            return _note_of(source), self.part(source, number)
+
+        # Parts that stream a log read it again and again: the local copy of a stored
+        # log must last.
+        with local_copy(source) as file:
             place = file if self.folder == Path.cwd() else self.folder / file
             clock = self.time_source
             log: Recording | SurveyedLog
             opened = self.opens and self.opens(place, self.robot, time_source=clock)
             if opened is not None:
-                log, findings = screened_long(replace(opened, path=given), self.robot)
+                log, findings = screened_long(replace(opened, path=source), self.robot)
             else:
-                held, found = read_screened(
+                recording, unlocated = read_screened(
                     place, self.robot, time_source=clock, imus=self.imus
                 )
-                log, findings = replace(held, path=given), located(found, given)
+                log = replace(recording, path=source)
+                findings = located(unlocated, source)
             return replace(_note_of(log), findings=findings), self.part(log, number)

@@ -1,4 +1,4 @@
-"""What a drive adds to the torque that is logged, whatever the arm: one model for all stages.
+"""What a drive adds to the logged torque, whatever the arm: one model for all stages.
 
 A logged torque is late against the logged positions, has an offset, and friction is
 larger one way than the other. With the torque `tau` that acts at joint j, its friction
@@ -88,13 +88,13 @@ class NuisancePriors:
         return common + self.own_delay_s**2 * np.eye(joints)
 
     def even_std(self, friction_rms: float) -> Array:
-        """Standard deviations (3,) of offset [N m] and asymmetries beside a friction's RMS."""
+        """Return standard deviations (3,) of offset [N m] and asymmetries."""
         return np.array(
             [self.offset_share * friction_rms, self.asymmetry, self.asymmetry]
         )
 
     def session_std(self, friction_rms: float) -> Array:
-        """Standard deviations (3,) of what these change by from one session to the next."""
+        """Return standard deviations (3,) of their change from session to session."""
         return self.session_share * np.array([friction_rms, 1.0, 1.0])
 
 
@@ -136,7 +136,7 @@ class EvenPart:
 
 
 def dry_entries(entries: Array) -> Array:
-    """Return the entries (size, l + 1) N m of what a surface has at its slowest speed."""
+    """Return entries (size, l + 1) N m of a surface's value at its slowest speed."""
     # Chebyshev polynomials of the scaled speed are +1 and -1 there in turn.
     at_slowest = (-1.0) ** np.arange(entries.shape[1])
     dry = np.zeros_like(entries)
@@ -145,7 +145,7 @@ def dry_entries(entries: Array) -> Array:
 
 
 def even_jacobian(odd_entries: Array) -> Array:
-    """Return what offset and asymmetries change in the entries of both directions' surfaces.
+    """Return changes of both directions' entries by offset and asymmetries.
 
     Parameters
     ----------
@@ -207,13 +207,16 @@ def _of_both_directions(joint: FrictionJoint) -> dict[str, list[float]]:
 
 
 def term_of(joint: FrictionJoint, name: str) -> Nuisance | None:
-    """Return a term that a joint's friction was identified with, None where it has none."""
+    """Return a term that a joint's friction was identified with, else None."""
     return next((term for term in joint.nuisances if term.name == name), None)
 
 
 @dataclass(frozen=True)
 class FrictionChange:
-    """A term that a joint's friction was identified with, and friction's change per unit of it."""
+    """A term that a joint's friction was identified with, and friction's change.
+
+    The change is per unit of the term.
+    """
 
     value: float
     std_error: float
@@ -221,7 +224,7 @@ class FrictionChange:
 
 
 def change_of(joint: FrictionJoint, name: str) -> FrictionChange | None:
-    """Return a term of a joint's friction, and how friction goes with it; None without one."""
+    """Return a term of a joint's friction, and friction's change; None without one."""
     stated = term_of(joint, name)
     if stated is None or name not in joint.term_moves:
         return None
@@ -259,7 +262,7 @@ def thermal_column(
 def with_term(
     joint: FrictionJoint, name: str, value: float, std_error: float
 ) -> FrictionJoint:
-    """Return a joint's friction for a delay, or a thermal change, that other logs have shown.
+    """Return a joint's friction for the delay or thermal change of other logs.
 
     Parameters
     ----------
@@ -290,9 +293,11 @@ def with_term(
         # well.
         even = np.array(joint.nuisance_covariance)
         mean = (np.array(joint.positive) + np.array(joint.negative)) / 2.0
-        before = even_jacobian(mean)
-        after = even_jacobian((forward + backward) / 2.0)
-        covariance += after @ even @ after.T - before @ even @ before.T
+        old_jacobian = even_jacobian(mean)
+        new_jacobian = even_jacobian((forward + backward) / 2.0)
+        covariance += (
+            new_jacobian @ even @ new_jacobian.T - old_jacobian @ even @ old_jacobian.T
+        )
     term = replace(stated, value=value, std_error=std_error)
     return replace(
         joint,
@@ -304,7 +309,7 @@ def with_term(
 
 
 def friction_rms(surface: FrictionSurface, *, cells: int = 9) -> float:
-    """Return the RMS friction [N m] over the identified positions and speeds, both ways."""
+    """Return RMS friction [N m] over identified positions and speeds, both ways."""
     low, high = surface.scaling.position
     slow, fast = surface.scaling.speed
     places, speeds = np.meshgrid(
@@ -315,7 +320,10 @@ def friction_rms(surface: FrictionSurface, *, cells: int = 9) -> float:
 
 
 def even_surfaces(surface: FrictionSurface) -> list[FrictionSurface]:
-    """Return surfaces of the size of dry friction and of the rest, the same both ways."""
+    """Return surfaces with the sizes of dry friction and of the rest.
+
+    Each is the same both ways.
+    """
     odd = (surface.positive + surface.negative) / 2.0
     dry = dry_entries(odd)
     return [surface.of_size(dry), surface.of_size(odd - dry)]
@@ -359,7 +367,7 @@ def later_prior(
     basis: Basis,
     names: Sequence[str],
 ) -> Prior:
-    """Return what friction and gravity stages know, as rows of unit variance for a later stage.
+    """Return a prior of friction and gravity stages, as rows of unit variance.
 
     Parameters
     ----------
@@ -379,10 +387,12 @@ def later_prior(
     """
     columns = NuisanceColumns(basis.size, len(names))
     gravity = stages.gravity if stages.gravity and stages.gravity.parameters else None
-    known = gravity_prior(gravity, basis, names)
-    friction, constants, tolerances = known.friction, known.constants, known.tolerances
-    blocks = [np.pad(known.A, ((0, 0), (0, columns.count)))]
-    values = [known.b]
+    of_gravity = gravity_prior(gravity, basis, names)
+    friction = of_gravity.friction
+    constants = of_gravity.constants
+    tolerances = of_gravity.tolerances
+    blocks = [np.pad(of_gravity.A, ((0, 0), (0, columns.count)))]
+    values = [of_gravity.b]
 
     stated: list[tuple[str, str]] = []
     if gravity is not None and gravity.nuisance_covariance:
@@ -401,12 +411,13 @@ def later_prior(
         wide[:, places] = rows
         # Changes are against what the surfaces hold, which gravity's trials have put
         # there.
-        inverse = np.linalg.pinv(known.A[:, places[:size]])
-        rows_of_known = rows[:, :size] @ inverse
-        blocks, values = [wide], [rows_of_known @ known.b]
-        friction = {j: rows_of_known @ T for j, T in known.friction.items()}
-        constants = {j: rows_of_known @ T for j, T in known.constants.items()}
-        tolerances = {k: rows_of_known @ T for k, T in known.tolerances.items()}
+        inverse = np.linalg.pinv(of_gravity.A[:, places[:size]])
+        to_rows = rows[:, :size] @ inverse
+        blocks = [wide]
+        values = [to_rows @ of_gravity.b]
+        friction = {j: to_rows @ T for j, T in of_gravity.friction.items()}
+        constants = {j: to_rows @ T for j, T in of_gravity.constants.items()}
+        tolerances = {k: to_rows @ T for k, T in of_gravity.tolerances.items()}
 
     for j, (name, surface) in enumerate(zip(names, surfaces, strict=True)):
         if ("offset", name) in stated:
@@ -496,8 +507,8 @@ def _known(surface: FrictionSurface | None) -> FrictionSurface:
 
 
 def shown(terms: Sequence[Nuisance], friction: Mapping[str, float]) -> list[Nuisance]:
-    """Return the terms that logs show and that matter, beside the RMS `friction` of joints."""
-    found = []
+    """Return the terms that logs show and that matter beside RMS `friction`."""
+    shown_terms = []
     for term in terms:
         least = SHOWN_SHARE
         if term.name not in DRIVE_NAMES:
@@ -509,26 +520,26 @@ def shown(terms: Sequence[Nuisance], friction: Mapping[str, float]) -> list[Nuis
         if term.name == "thermal":
             least = SHOWN_PER_KELVIN
         if abs(term.value) > max(SHOWN_SIGMA * term.std_error, least):
-            found.append(term)
-    return found
+            shown_terms.append(term)
+    return shown_terms
 
 
 def described(term: Nuisance) -> str:
     """Say a term in words, as a note on a stage has it."""
     if term.name == "delay":
-        way = "late" if term.value > 0.0 else "early"
+        direction = "late" if term.value > 0.0 else "early"
         size = f"{1e3 * abs(term.value):.2g} +- {1e3 * term.std_error:.1g} ms"
-        return f"{term.joint}: torque is {size} {way} against the positions"
+        return f"{term.joint}: torque is {size} {direction} against the positions"
     if term.name == "thermal":
         size = f"{100.0 * term.value:.2g} +- {100.0 * term.std_error:.1g} %"
         return f"{term.joint}: friction changes by {size} per kelvin"
     if term.name == "offset":
         size = f"{term.value:.3g} +- {term.std_error:.1g} {term.unit}"
         return f"{term.joint}: torque has an offset of {size}"
-    way = "forward" if term.value > 0.0 else "backward"
+    direction = "forward" if term.value > 0.0 else "backward"
     share = f"{100.0 * abs(term.value):.2g} +- {100.0 * term.std_error:.1g} %"
     kind = "viscous friction" if term.name == "viscous_asymmetry" else "friction"
-    return f"{term.joint}: {kind} is {share} of its mean larger {way}"
+    return f"{term.joint}: {kind} is {share} of its mean larger {direction}"
 
 
 def robot_friction_rms(

@@ -1,4 +1,4 @@
-"""What a user may set per stage, and arguments that functions share; free of heavy imports."""
+"""Options of a user per stage, and shared arguments of functions; no heavy imports."""
 
 from __future__ import annotations
 
@@ -147,28 +147,30 @@ SeqidError
 
 
 def documented(keywords: type[Keywords]) -> Callable[[F], F]:
-    """Show shared arguments, and those of `keywords`, in a function's signature and docstring."""
+    """Show shared arguments and `keywords` in a function's signature and docstring."""
 
     # That docstring ends with the parameters that are its own.
     def decorate(function: F) -> F:
-        own = inspect.signature(function)
-        shown = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD]
+        signature = inspect.signature(function)
+        parameters = [
+            p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD
+        ]
         for name, hint in keywords.__annotations__.items():
             annotation = getattr(hint, "__forward_arg__", hint)
             shared = inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=None
             )
-            shown.append(shared.replace(annotation=annotation))
+            parameters.append(shared.replace(annotation=annotation))
         text = inspect.cleandoc(function.__doc__ or "")
         entries = [
             f"{p.name} : {ENTRIES[p.name].format(default=p.annotation)}"
-            for p in shown
+            for p in parameters
             if f"\n{p.name} : " not in text
         ]
         function.__doc__ = "\n".join(
-            [text, *entries, ENDING.format(result=own.return_annotation)]
+            [text, *entries, ENDING.format(result=signature.return_annotation)]
         )
-        function.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
+        function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         return function
 
     return decorate

@@ -1,4 +1,4 @@
-"""The settings of the stages, of `predict`, and of what they share; free of heavy imports."""
+"""Settings of the stages, of `predict`, and of what they share; no heavy imports."""
 
 from dataclasses import dataclass
 
@@ -227,7 +227,7 @@ class ImuCalibSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class CutoffSettings(Group):
-    """What makes a cut-off admissible, and when another one is worth leaving the start for."""
+    """Limits of an admissible cut-off, and of a gain that is worth another one."""
 
     max_acceleration_noise: float = setting(
         5e-3,

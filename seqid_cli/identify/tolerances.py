@@ -1,4 +1,4 @@
-"""What no log can show: by how much the robot file's geometry, gravity and zeros may be wrong.
+"""Errors of the robot file that no log can show: of geometry, gravity and zeros.
 
 Logs of an arm that is a little different from its robot file fit as well as any: the
 parameters take the difference. The robot file says how large it may be, one standard
@@ -40,7 +40,7 @@ class Deviation:
     shift: Array
 
     def as_robot(self) -> Robot:
-        """Return the arm with the shift in its frames, which joints then turn or slide on."""
+        """Return the arm with the shift in its frames, about which joints then move."""
         chain = self.robot.chain
         rotation = chain.rotation.copy()
         position = chain.position.copy()

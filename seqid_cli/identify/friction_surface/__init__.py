@@ -1,1 +1,1 @@
-"""Friction of each joint over position and velocity, from constant-velocity trials (Eq. 7-16)."""
+"""Friction of each joint over position and velocity, from steady trials (Eq. 7-16)."""

@@ -1,4 +1,4 @@
-"""What friction trials hold besides friction and gravity: acceleration left, joints that give way.
+"""Corrections of friction trials: residual acceleration, and joints that give way.
 
 A controller never holds a speed exactly. With one joint moving, the torque of its
 acceleration is d_kk ddq (Eq. 25), d_kk being one number per configuration of the other
@@ -19,7 +19,7 @@ Eq. 15 would take it for friction. Readings show it to a count: where a joint st
 within that has the standard deviation of a count over the root of 12. Both become
 torque by the base parameters of gravity, of which a first estimate is enough:
 
-    tau = H_g(q) pi_g + tau_f                                                             (17-19)
+    tau = H_g(q) pi_g + tau_f                                                  (17-19)
 """
 
 from collections.abc import Iterable, Sequence
@@ -76,7 +76,7 @@ class RampInertia:
 def without_acceleration(
     robot: Robot, groups: Sequence[list[Trial]], surface: FrictionSurface
 ) -> list[SteadyGroup]:
-    """Take the torque of what acceleration is left (Eq. 25) off a joint's `configurations`.
+    """Take the torque of residual acceleration (Eq. 25) off a joint's `configurations`.
 
     So is what friction, by a first estimate, differs by as the speed is not quite
     constant.
@@ -123,7 +123,7 @@ def _inflation(inertias: Sequence[RampInertia]) -> float:
 
 
 def _steady(trial: Trial, inertia: float, surface: FrictionSurface) -> Trial:
-    """Return the trial at its mean velocity, without slices that are pushed too much."""
+    """Return the trial at its mean velocity, without strongly accelerated slices."""
     # At its ends a trial settles faster than its path: what is taken off is as wrong as
     # large.
     mean_velocity = np.full(len(trial.q), trial.velocity)
@@ -178,7 +178,10 @@ def _inertia_of(
 
 @dataclass(frozen=True)
 class HeldJoints:
-    """A first estimate `theta` (p,) of gravity's base parameters; none where it loads no joint."""
+    """A first estimate `theta` (p,) of gravity's base parameters.
+
+    It is empty where gravity loads no joint.
+    """
 
     robot: Robot
     basis: Basis
@@ -191,7 +194,10 @@ class HeldJoints:
         trials: Iterable[Trial],
         surfaces: Sequence[FrictionSurface | None],
     ) -> "HeldJoints":
-        """Estimate gravity by the trials of joints whose friction is known, None of the others."""
+        """Estimate gravity by the trials of joints with known friction.
+
+        `surfaces` has None for a joint whose friction is not known yet.
+        """
         basis = base_parameters(robot, rotor=())
         size = int(basis.gravity.sum())
         unloaded = cls(robot, basis, np.zeros(size))
@@ -230,7 +236,7 @@ class HeldJoints:
         return np.split(H[:, joint], ends[:-1])
 
     def standing(self, group: Sequence[Trial]) -> list[Trial]:
-        """Return one joint's trials as if the others had stood where they did in the first."""
+        """Return a joint's trials as if held joints stood as in the first trial."""
         joint = group[0].joint
         is_moving = np.arange(self.robot.n) == joint
         first = group[0].configuration

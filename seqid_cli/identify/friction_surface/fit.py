@@ -1,4 +1,4 @@
-"""Step 2 of the friction surface: its entries over position and speed (Eq. 9-10), and its orders.
+"""Step 2 of the friction surface: entries over q and speed (Eq. 9-10), and orders.
 
 Both steps together are the generalised least squares of the whole surface, terms of
 high degree held back by what the data say of their size (`prior`). Such a surface may
@@ -75,7 +75,7 @@ class SurfaceFit:
 
     @cached_property
     def whole(self) -> EntryPosterior:
-        """Entries (k,) of the surface of the highest orders, with their covariance (k, k)."""
+        """Entries (k,) of the surface of the highest orders, and covariance (k, k)."""
         return self.normal.posterior(self.prior.ravel())
 
     def entries(self, orders: Orders) -> Array:
@@ -98,7 +98,7 @@ class SurfaceFit:
         )
 
     def shared_term(self, orders: Orders, place: int) -> "SharedTerm":
-        """Return an error that all trials share, and how the entries of a surface go with it.
+        """Return an error that all trials share, and its effect on a surface's entries.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class SurfaceFit:
         )
 
     def leaving_out(self, orders: Orders) -> Iterator[tuple[float, Array]]:
-        """Yield each inner speed u, with the entries of a surface fitted to the others."""
+        """Yield each inner speed u, and the entries fitted to all speeds but u."""
         for u in self.reduced.levels[1:-1]:
             at_speed = self.reduced.subset(self.reduced.u == u)
             part = Normal.of(at_speed, self.sizes, self.highest.velocity)
@@ -136,7 +136,11 @@ class SurfaceFit:
         return float(np.sqrt(np.mean((difference / self._grid.std_error) ** 2)))
 
     def distances(self, data: Sequence[SpeedData]) -> list[Array]:
-        """Return distances (K,) N m of slices from the whole surface and their trial's offset."""
+        """Return distances (K,) N m of slices from the surface plus trial's offset.
+
+        The surface has the highest orders. A trial's offset is the median of its
+        slices.
+        """
         over_position = self.reduced.scaling.over_position
         order = over_position.order(self.reduced.size)
         D = self.whole.mean.reshape(self.prior.shape)[: self.reduced.size]
@@ -149,13 +153,13 @@ class SurfaceFit:
         return distances
 
     def trial_columns(self, item: SpeedData) -> Array:
-        """Return functions (K, size + 2) of what a trial has for itself, at its slices."""
+        """Return functions (K, size + 2) of a trial's own terms, at its slices."""
         over_position = self.reduced.scaling.over_position
         values = over_position.values(item.q, over_position.order(self.reduced.size))
         return np.hstack([values, item.edges])
 
     def trial_variances(self, k: int) -> Array:
-        """Return variances (size + 2,) of the coefficients of `trial_columns` of trial k."""
+        """Return variances (size + 2,) of trial k's coefficients of `trial_columns`."""
         variances = self.sizes.trial_variances(
             self.reduced.scaling, self.reduced.size, self.reduced.speeds[[k]]
         )
@@ -240,7 +244,7 @@ def choose_orders(
     *,
     accept: Callable[[Orders], bool] | None = None,
 ) -> Orders:
-    """Choose the fewest orders that `accept`, else the fewest that do as well as the highest.
+    """Choose the fewest orders that `accept`, else the fewest as good as the highest.
 
     Parameters
     ----------

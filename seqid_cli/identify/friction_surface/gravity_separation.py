@@ -1,4 +1,4 @@
-"""Eq. 12-15: the gravity torque of single-joint trials, and what friction has alike both ways.
+"""Eq. 12-15: gravity's torque of single-joint trials, and the even part of friction.
 
 Forward and backward trials at one speed have the half-sum
 
@@ -59,7 +59,10 @@ class SmoothFriction:
 
 @dataclass(frozen=True)
 class GravityGroup:
-    """Trials in one configuration, p_xi (2,) kg m, torque `beyond` gravity over the position."""
+    """Trials in one configuration and their gravity.
+
+    p_xi (2,) is in kg m; `beyond` is torque over the position that is no gravity.
+    """
 
     robot: Robot
     trials: list[Trial]
@@ -73,7 +76,7 @@ class GravityGroup:
         return self.trials[0].configuration
 
     def torque(self, q: Array) -> Array:
-        """Return the torque (K,) N m that both ways have at positions q (K,) (Eq. 12)."""
+        """Return the torque (K,) N m common to both directions at q (K,) (Eq. 12)."""
         joint = self.trials[0].joint
         columns = gravity_columns(self.robot, joint, self.configuration, q)
         torque = columns @ self.p_xi
@@ -82,7 +85,7 @@ class GravityGroup:
         return np.asarray(torque)
 
     def slope(self, q: Array, *, step: float = 1e-4) -> Array:
-        """Return the derivative (K,) N m/rad of gravity's torque by the moving joint's position."""
+        """Return the derivative (K,) N m/rad of gravity's torque by the joint's q."""
         joint = self.trials[0].joint
         ahead = gravity_columns(self.robot, joint, self.configuration, q + step)
         back = gravity_columns(self.robot, joint, self.configuration, q - step)
@@ -91,7 +94,7 @@ class GravityGroup:
 
 @dataclass(frozen=True)
 class GravityFit:
-    """p_xi of every configuration that has pairs, and what friction has alike both ways."""
+    """p_xi of every configuration with pairs, and the even part of friction."""
 
     groups: list[GravityGroup]
     unpaired: int  # trials of the other configurations
@@ -99,7 +102,7 @@ class GravityFit:
     friction: SmoothFriction | None = None  # that the asymmetries are shares of
 
     def even_torque(self, q: Array, speed: float) -> Array:
-        """Return the torque (K,) N m that is no gravity and alike both ways at q (K,)."""
+        """Return the even torque (K,) N m at q (K,) that is no gravity."""
         if self.friction is None:
             return np.zeros(len(q))
         columns = self.friction.even_columns(q, np.full(len(q), speed))
@@ -119,7 +122,10 @@ class GravityFit:
 
 @dataclass(frozen=True)
 class Clustered:
-    """Least squares of rows that share errors in clusters, which pull theta by `moves` (G, p)."""
+    """Least squares of rows that share errors in clusters.
+
+    Each cluster pulls theta by a row of `moves` (G, p).
+    """
 
     theta: Array
     left: Array  # residual
@@ -164,7 +170,7 @@ class Clustered:
     def _solved(
         cls, A: Array, y: Array, cluster: Index, variance: float, prior_std: Array
     ) -> "Clustered":
-        """Solve with a prior beside rows whose errors weigh as those of a `variance` do."""
+        """Solve with a prior beside rows that weigh as errors of `variance` do."""
         precision = variance / prior_std**2
         rows = np.vstack([A, np.diag(np.sqrt(precision))])
         right = np.concatenate([y, np.zeros(A.shape[1])])
@@ -293,7 +299,10 @@ def fit_gravity(
 
 
 class _Pairs:
-    """Half-sums of a joint, row by row (N,), and the pair that each is of, numbered from 0."""
+    """Half-sums of a joint, row by row (N,).
+
+    `pair` numbers the pair of each row from 0.
+    """
 
     def __init__(self, pairs: list[Array], degree: int, clear: float) -> None:
         self.q, self.tau, self.friction, self.speed, weight = np.vstack(pairs).T

@@ -65,7 +65,7 @@ def sliding_trials(
 
 
 def _accelerated_share(group: Sequence[Trial], surface: FrictionSurface) -> float:
-    """Return the share of squared accelerations of ramps that is not noise of the counts.
+    """Return the share of the ramps' squared accelerations that is no encoder noise.
 
     Least squares with noise in the acceleration finds an inertia that is too small by
     this share.
@@ -98,8 +98,8 @@ def note_on_hunting(
             n_lost += n_hunting
     text = (
         f"{joint.name}: the joint stops and starts between counts of its encoder at"
-        f" {', '.join(speeds)} {unit}: {n_lost} trial(s), whose mean torque is less than"
-        " friction, were left out"
+        f" {', '.join(speeds)} {unit}: {n_lost} trial(s), whose mean torque is less"
+        " than friction, were left out"
     )
     if slides:
         lowest = min(trial.speed for trial in slides)

@@ -1,4 +1,4 @@
-"""Sizes of the terms of a friction surface and of the errors of its trials, from the data.
+"""Sizes of the terms of a friction surface and of the errors of its trials, from data.
 
 Slices of trial k, reduced (`reduction`), are
 
@@ -43,8 +43,8 @@ from seqid_cli.identify.friction_surface.reduction import (
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array
 
-# Sizes in shares of the RMS friction that are usual: of position, speed, surface, trial,
-# slow, unsteady and edge, in the order of `Sizes`.
+# Usual sizes in shares of the RMS friction: of position, speed, surface, trial, slow,
+# unsteady and edge, in the order of `Sizes`.
 USUAL_SHARES = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1)
 USUAL_DECAY = 3.0  # power with which variances fall with the degree
 BROAD = 3.0  # of Coulomb and viscous friction, in RMS frictions
@@ -108,7 +108,10 @@ class Sizes:
         return np.vstack([entries, edges, shared])
 
     def trial_variances(self, scaling: Scaling, size: int, speeds: Array) -> Array:
-        """Return variances (4, T, size + 6) of own terms of trials at speeds (T,), by causes."""
+        """Return variances (4, T, size + 6) of trials' own terms, by causes.
+
+        `speeds` (T,) are those of the trials.
+        """
         degree = scaling.over_position.degrees(scaling.over_position.order(size))
         at_least_one = np.maximum(degree, 1.0)
         variances = np.zeros((CAUSES, len(speeds), size + EXTRA))
@@ -138,8 +141,8 @@ class Normal:
 
     With T trials of p functions of position and r of speed, `phi` (T, r) are the
     trials' functions of speed, `trial_variances` (4, T, p) those of their own terms,
-    `inverse` (T, p, p) the inverses of their covariances V_k, `S` (T, p, p) = R' V^-1 R.
-    `log_size` is the sum of log det V_k, `power` the sum of z' V^-1 z.
+    `inverse` (T, p, p) the inverses of their covariances V_k, and `S` (T, p, p) is
+    R' V^-1 R. `log_size` is the sum of log det V_k, `power` the sum of z' V^-1 z.
     """
 
     N: Array
@@ -184,7 +187,7 @@ class Normal:
         )
 
     def posterior(self, prior: Array) -> EntryPosterior:
-        """Return what is known of the entries, given their standard deviations before (k,)."""
+        """Return the posterior of the entries, given prior standard deviations (k,)."""
         free = np.flatnonzero(prior)  # of the others nothing is left open
         among_free = np.ix_(free, free)
         scale = np.outer(prior[free], prior[free])
@@ -249,12 +252,15 @@ class Evidence:
         self.spread = np.array(spreads)
 
     def sizes(self, logs: Array) -> Sizes:
-        """Return sizes from the logarithms (10,) of what they are times the usual ones."""
+        """Return sizes from logarithms (10,) of their factors on the usual sizes."""
         values = (self.usual * np.exp(logs)).tolist()
         return Sizes(**dict(zip(SEARCHED, values, strict=True)), broad=self.broad)
 
     def __call__(self, logs: Array) -> tuple[float, Array]:
-        """Return twice the negative logarithm, but for a constant, and its gradient (10,)."""
+        """Return twice the negative logarithm and its gradient (10,).
+
+        A constant is left out.
+        """
         sizes = self.sizes(logs)
         deviation = logs / self.spread
         cost = Cost(float(np.sum(deviation**2)), 2.0 * logs / self.spread**2)
@@ -358,7 +364,10 @@ class Evidence:
         normal: Normal,
         posterior: EntryPosterior,
     ) -> Array:
-        """Return derivatives (5,) by half the logarithms of trial ... noise, but for the rest."""
+        """Return derivatives (5,) by half the logarithms of trial ... noise.
+
+        They leave out the residual `rest` of the reduction.
+        """
         R = trials.R
         phi = normal.phi
         p = trials.z.shape[1]

@@ -1,4 +1,4 @@
-"""Step 1 of the friction surface: each trial reduced to a polynomial of position (Eq. 8).
+"""Step 1 of the friction surface: each trial as a polynomial of position (Eq. 8).
 
 With A (K, p) the functions of position at the slices of one trial, W their weights and
 y the friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest hold
@@ -89,7 +89,7 @@ class SpeedData:
 
 
 def around_medians(data: list[SpeedData]) -> list[Array]:
-    """Return distances (K,) N m of slices from medians over positions and over trials."""
+    """Return distances (K,) N m of slices from medians over positions and trials."""
     around_trial = [item.friction - np.median(item.friction) for item in data]
     q = np.concatenate([item.q for item in data])
     median, edges, _ = binned_statistic(
@@ -134,7 +134,7 @@ def weighted(data: list[SpeedData], distances: list[Array]) -> list[SpeedData]:
 
 @dataclass(frozen=True, kw_only=True)
 class Reduced:
-    """Trials after step 1: T of them, p functions of position and six columns more each.
+    """Trials after step 1: T trials, p functions of position and six more columns.
 
     `speeds` (T,) rad/s and `u` (T,) scaled are of the trials; `R` (T, p + 6, p + 6) and
     `z` (T, p + 6) their factors, `rest` (T,) the squares that no such function takes.
@@ -214,7 +214,10 @@ def reduce_trials(data: list[SpeedData], scaling: Scaling) -> Reduced:
 
 
 def edges_of(t: Array, seconds: float) -> Array:
-    """Return how near slices at times t (K,) s, each of `seconds`, are to both ends (K, 2)."""
+    """Return the nearness (K, 2) of slices at times t (K,) s to both ends.
+
+    Each slice lasts `seconds`.
+    """
     begin = t[0] - seconds / 2.0
     end = t[-1] + seconds / 2.0
     distances = np.stack([t - begin, end - t], axis=1)

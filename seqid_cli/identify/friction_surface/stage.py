@@ -1,4 +1,4 @@
-"""Friction stage (Sec. 2.2.1-2.2.2, Eq. 7-16): one surface per joint from steady motion.
+"""Friction stage (Sec. 2.2.1-2.2.2, Eq. 7-16): a surface per joint from steady motion.
 
 Three passes lead to a joint's surface:
 
@@ -66,7 +66,7 @@ def identify_friction(
     options: FrictionOptions,
     settings: FrictionSettings = FrictionSettings(),
 ) -> FrictionStage:
-    """Identify the friction surface of every joint that the logs move at constant velocity.
+    """Identify the friction surface of every joint that moves at constant velocity.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def identify_friction(
 
 
 def _no_trials(recordings: Iterable[Recording]) -> QualityError:
-    """Return the error of logs in which no joint moves by itself at constant velocity."""
+    """Return the error of logs in which no joint moves alone at constant velocity."""
     logs = [
         str(getattr(log, "path", log))
         for log in getattr(recordings, "logs", recordings)
@@ -189,7 +189,7 @@ def _first_pass(
 
 
 def _no_surface(robot: Robot, first: FirstPass) -> QualityError:
-    """Return the error of logs that give no joint a surface, naming the last that moved."""
+    """Return the error of logs without a surface, naming the last moved joint."""
     unpaired = [
         robot.joint_names[j]
         for j, reason in first.reasons.items()
@@ -211,7 +211,7 @@ def _first_fit(
     options: FrictionOptions,
     settings: FrictionSettings,
 ) -> summary.Fit | None:
-    """Return a first estimate of a joint's friction; None where no trials are paired."""
+    """Return a first estimate of a joint's friction, None without paired trials."""
     if not trials:
         return None
     groups = gravity_separation.configurations(trials, settings.trials)
@@ -224,7 +224,7 @@ def _first_fit(
 def _steady_gravity(
     robot: Robot, first_fit: summary.Fit, held: HeldJoints
 ) -> GravityFit:
-    """Separate gravity once more, from trials without acceleration and held joints' play."""
+    """Separate gravity again, without acceleration and held joints' play."""
     stood = [held.standing(group.trials) for group in first_fit.gravity.groups]
     steady = without_acceleration(robot, stood, first_fit.surface)
     return gravity_separation.fit_gravity(robot, [group.trials for group in steady])
@@ -310,7 +310,7 @@ def _fit(
 def _check_speeds(
     robot: Robot, j: int, data: list[SpeedData], velocity_order: int | None
 ) -> None:
-    """Raise QualityError where a velocity order was asked for that the speeds cannot tell."""
+    """Raise QualityError where there are too few speeds for `velocity_order`."""
     n_speeds = len({item.speed for item in data})
     if velocity_order is None or velocity_order + 1 <= n_speeds:
         return
@@ -323,7 +323,7 @@ def _check_speeds(
 
 
 def _tells_temperature(gravity: GravityFit) -> bool:
-    """Return whether trials at one speed, one way, were recorded at different temperatures.
+    """Return whether trials at one speed and direction differ in temperature.
 
     A joint warms up while its speeds are recorded one after the other. Temperature and
     speed then say the same, and how smooth friction is over the speed decides between
@@ -348,7 +348,7 @@ def _tells_temperature(gravity: GravityFit) -> bool:
 def _marginalised(
     surface: FrictionSurface, term: summary.Term
 ) -> tuple[FrictionSurface, summary.Term]:
-    """Return a surface, and its thermal term, as if the trials had said nothing of the term."""
+    """Return a surface and its thermal term as if trials did not show the term."""
     variance = PRIORS.per_kelvin**2 - term.std_error**2
     covariance = surface.entry_covariance + variance * np.outer(term.moves, term.moves)
     return (
@@ -384,7 +384,7 @@ def _fitted(
 
 
 def _scalings(data: list[SpeedData]) -> list[Scaling]:
-    """Return the bases that may suit: by speeds or their logarithms, by range or by turns."""
+    """Return candidate bases: by speeds or their logarithms, by range or by turns."""
     q = np.concatenate([item.q for item in data])
     speeds = [item.speed for item in data]
     position = (float(q.min()), float(q.max()))
@@ -403,7 +403,7 @@ def _scalings(data: list[SpeedData]) -> list[Scaling]:
 
 
 def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[SpeedData]:
-    """Return friction by Eq. 16, one entry per trial, at the mean speed of the trial's level."""
+    """Return friction by Eq. 16, one entry per trial, at its level's mean speed."""
     entries = list(_trial_entries(gravity, held))
     data = []
     for level in speed_levels(entries):
@@ -413,7 +413,7 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[SpeedDa
 
 
 def _trial_entries(gravity: GravityFit, held: HeldJoints | None) -> Iterator[SpeedData]:
-    """Yield the friction of every trial, and what it would change by with known errors."""
+    """Yield the friction of every trial, and its change with known errors."""
     celsius = summary.mean_celsius(gravity)
     for group in gravity.groups:
         doubts = [0.0 * trial.q for trial in group.trials]
@@ -431,7 +431,10 @@ def _trial_entry(
     doubt: Array,
     celsius: float | None,
 ) -> SpeedData:
-    """Return the friction of one trial; `doubt` (K,) N m is of how far held joints gave way."""
+    """Return the friction of one trial.
+
+    `doubt` (K,) N m is the uncertainty of how far held joints gave way.
+    """
     direction = 1 if trial.velocity > 0 else -1
     gravity_torque = group.torque(trial.q)
     even_torque = gravity.even_torque(trial.q, trial.speed)

@@ -43,7 +43,7 @@ FEWEST_SPEEDS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Errors (E,) N m of averages at scaled speeds `u`, with the friction measured there.
+    """Errors (E,) N m of averages at scaled speeds `u`, and the measured friction.
 
     `friction` is tau_d of Eq. 11. `noise` is the standard error that the white noise of
     its slices gives an average, `trial_error` the standard deviation of what its trial
@@ -63,17 +63,17 @@ class Errors:
 
     @property
     def relative(self) -> float:
-        """The left side of Eq. 11: the largest error over the measured friction."""
+        """Left side of Eq. 11: the largest error over the measured friction."""
         return float((np.abs(self.error) / self._denominator).max())
 
     @property
     def relative_beyond_noise(self) -> float:
-        """The same after two standard errors of each average were taken off its error."""
+        """Relative error after two standard errors were taken off each average."""
         return float((self.missed / self._denominator).max())
 
     @property
     def relative_of_noise(self) -> float:
-        """What noise alone would make of Eq. 11, that of slices and of trials: the median.
+        """Median of Eq. 11 that the noise of slices and of trials alone would make.
 
         Of E independent normal errors the largest is below x with the probability
         prod erf(x / (sqrt(2) s_i)), s_i the standard deviation of average i over its
@@ -93,19 +93,22 @@ class Errors:
 
     @property
     def _denominator(self) -> Array:
-        """Measured friction (E,); where it approaches zero Eq. 11 asks for another form."""
+        """Measured friction (E,), held above a floor near zero.
+
+        Eq. 11 asks for another form there.
+        """
         floor = max(NEAR_ZERO * _rms(self.friction), 1e-300)
         return np.maximum(np.abs(self.friction), floor)
 
     def at(self, u: float) -> "Errors":
-        """Those of one speed."""
-        own = self.u == u
+        """Return the errors at one scaled speed."""
+        at_speed = self.u == u
         return Errors(
-            u=self.u[own],
-            error=self.error[own],
-            friction=self.friction[own],
-            noise=self.noise[own],
-            trial_error=self.trial_error[own],
+            u=self.u[at_speed],
+            error=self.error[at_speed],
+            friction=self.friction[at_speed],
+            noise=self.noise[at_speed],
+            trial_error=self.trial_error[at_speed],
         )
 
 
@@ -131,14 +134,14 @@ def errors_of(
     """
     rows = []
     for data, fit in parts:
-        whole = fit.entries(orders)
+        entries_of_all = fit.entries(orders)
         leave_out = unseen and len(fit.reduced.levels) >= FEWEST_SPEEDS
         left_out = dict(fit.leaving_out(orders)) if leave_out else {}
         over_position = fit.reduced.scaling.over_position
         over_speed = fit.reduced.over_speed(orders.velocity)
         for k, item in enumerate(data):
             u = float(fit.reduced.u[k])
-            entries = left_out.get(u, whole)
+            entries = left_out.get(u, entries_of_all)
             columns = over_position.values(item.q, orders.position)
             error = item.friction - columns @ (entries @ over_speed[k])
             variances = fit.trial_variances(k)
@@ -165,7 +168,10 @@ def errors_of(
 
 @dataclass(frozen=True)
 class Term:
-    """A term of a joint's drive, and the change `moves` (k,) N m of entries per unit of it."""
+    """A term of a joint's drive.
+
+    `moves` (k,) N m is the change of entries per unit of the term.
+    """
 
     value: float
     std_error: float
@@ -191,13 +197,17 @@ def summarise(
     options: FrictionOptions,
     settings: SurfaceSettings,
 ) -> tuple[FrictionJoint, Verdict, list[str]]:
-    """Describe the fit of joint j; `unpaired` trials had no twin in the other direction."""
-    surface, gravity, described = fit.surface, fit.gravity, robot.joints[j]
+    """Describe the fit of joint j; `unpaired` trials had no opposite twin."""
+    surface = fit.surface
+    gravity = fit.gravity
+    described = robot.joints[j]
+
     fitted = errors_of(fit.parts, fit.orders, unseen=False)
     unseen = errors_of(fit.parts, fit.orders, unseen=True)
     beta = DEFAULT_BETA if options.beta is None else options.beta
     levels = _levels(fit, fitted, unseen)
     celsius = mean_celsius(gravity)
+
     joint = FrictionJoint(
         position_order=fit.orders.position,
         velocity_order=fit.orders.velocity,
@@ -237,10 +247,12 @@ def summarise(
         described.name, joint, unseen, surface.scaling, settings.max_error
     )
     joint = _with_nuisances(joint, described.name, fit)
+
     for level in joint.speeds:
         scaled = described.torque_constant_error * level.friction
         level.std_error = float(np.hypot(level.std_error, scaled))
-    notes = [*_notes(described.name, joint, gravity.groups[0].beyond, unpaired)]
+
+    notes = list(_notes(described.name, joint, gravity.groups[0].beyond, unpaired))
     if not joint.criterion_met:
         free = options.position_order is None or options.velocity_order is None
         searched = free and options.beta is not None
@@ -268,7 +280,7 @@ def _with_nuisances(joint: FrictionJoint, name: str, fit: Fit) -> FrictionJoint:
 
 
 def mean_celsius(gravity: GravityFit) -> float | None:
-    """Return the mean temperature of a joint's trials; None where one of them has none."""
+    """Return the mean temperature of a joint's trials, None if one has none."""
     trials = [trial for group in gravity.groups for trial in group.trials]
     samples = [trial.weight * len(trial.q) for trial in trials]
     celsius = float(np.average([trial.celsius for trial in trials], weights=samples))
@@ -276,21 +288,24 @@ def mean_celsius(gravity: GravityFit) -> float | None:
 
 
 def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
-    """Friction and its errors speed by speed, the slowest first."""
-    data = [item for own, _ in fit.parts for item in own]
+    """Return friction and its errors speed by speed, the slowest first."""
+    data = [item for part_data, _ in fit.parts for item in part_data]
     speeds = sorted({item.speed for item in data})
+
     result = []
     for speed, u in zip(speeds, fit.surface.scaling.u(np.array(speeds)), strict=True):
-        own = [item for item in data if item.speed == speed]
+        at_speed = [item for item in data if item.speed == speed]
         inner = len(speeds) >= FEWEST_SPEEDS and speeds[0] < speed < speeds[-1]
-        q = np.concatenate([item.q for item in own])
+        q = np.concatenate([item.q for item in at_speed])
         v = np.repeat(
-            [item.direction * speed for item in own], [len(item.q) for item in own]
+            [item.direction * speed for item in at_speed],
+            [len(item.q) for item in at_speed],
         )
+
         level = SpeedLevel(
             speed=speed,
-            forward=sum(item.direction > 0 for item in own),
-            backward=sum(item.direction < 0 for item in own),
+            forward=sum(item.direction > 0 for item in at_speed),
+            backward=sum(item.direction < 0 for item in at_speed),
             friction=_rms(fitted.at(u).friction),
             std_error=_rms(fit.surface.std_error(q, v)),
             rmse=_rms(fitted.at(u).error),
@@ -303,8 +318,10 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
 def _verdict(
     name: str, joint: FrictionJoint, unseen: Errors, scaling: Scaling, max_error: float
 ) -> Verdict:
-    """Good, or poor and why: the speed at which the surface is worst decides."""
-    # There its error may be `max_error` of the friction.
+    """Return the verdict on a joint: the speed at which the surface is worst decides.
+
+    At that speed its error may be `max_error` of the friction.
+    """
     levels = joint.speeds
     if joint.held_out_rmse is None:
         reason = (
@@ -312,6 +329,7 @@ def _verdict(
             " judge"
         )
         return Verdict(joint=name, good=False, reason=reason)
+
     usual = _rms(np.array([level.friction for level in levels]))
     u = scaling.u(np.array([level.speed for level in levels]))
     errors = [
@@ -320,6 +338,7 @@ def _verdict(
         for at, level in zip(u, levels, strict=True)
     ]
     worst = int(np.argmax(errors))
+
     unit = "m/s" if joint.unit == "N" else "rad/s"
     at = f"{percent(errors[worst])} at {levels[worst].speed:.3g} {unit}"
     overall = percent(joint.held_out_rmse / max(usual, 1e-12))
@@ -340,7 +359,10 @@ def _verdict(
 def _notes(
     name: str, joint: FrictionJoint, beyond: Chebyshev | None, unpaired: int
 ) -> Iterator[str]:
-    """What is to be said of a joint; `beyond` is torque over the position that is no gravity."""
+    """Return the notes on a joint.
+
+    `beyond` is torque over the position that is no gravity.
+    """
     if unpaired:
         yield (
             f"{name}: {unpaired} trial(s) have no twin in the other direction in the"
@@ -368,15 +390,15 @@ def _criterion_note(name: str, joint: FrictionJoint, *, searched: bool) -> str:
 
     `searched` is whether orders were raised to meet it, up to the highest, and in vain.
     """
-    said = (
+    text = (
         f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}: the largest error is"
         f" {percent(joint.max_error)} of the friction; the noise of its averages alone"
         f" makes {percent(joint.max_error_of_noise or 0.0)}"
     )
     if not searched:
-        return said
+        return text
     orders = f"({joint.position_order}, {joint.velocity_order})"
-    return f"{said}; no orders meet it, and the data support none beyond {orders}"
+    return f"{text}; no orders meet it, and the data support none beyond {orders}"
 
 
 def _rms(values: Array) -> float:
@@ -385,9 +407,11 @@ def _rms(values: Array) -> float:
 
 def constants_note(robot: Robot) -> list[str]:
     """Say which joints' torque constants are taken as exact, if any."""
-    known = [joint for joint in robot.joints if joint.torque_constant is not None]
+    with_constant = [
+        joint for joint in robot.joints if joint.torque_constant is not None
+    ]
     exact = ", ".join(
-        joint.name for joint in known if joint.torque_constant_error == 0.0
+        joint.name for joint in with_constant if joint.torque_constant_error == 0.0
     )
     note = (
         f"torque constants taken as exact: {exact}; torque_constant_error in the robot"

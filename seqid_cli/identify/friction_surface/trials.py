@@ -1,4 +1,4 @@
-"""Constant-velocity trials: averages over equal slices of time, which replace a low-pass."""
+"""Constant-velocity trials: averages over slices of time, which replace a low-pass."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -29,7 +29,10 @@ NONE: Array = np.zeros(0)
 
 
 class Ramps(NamedTuple):
-    """How a joint got up to speed and back: means (R,) under windows, `tau = I ddq + ...` holds."""
+    """A joint's ramps to speed and back: means (R,) under windows.
+
+    `tau = I ddq + ...` holds for them.
+    """
 
     q: Array = NONE  # rad
     dq: Array = NONE
@@ -77,31 +80,38 @@ class Trial:
         """Magnitude of the velocity, rad/s."""
         return abs(self.velocity)
 
-    def part(self, kept: Mask) -> "Trial":
-        """The trial with some of its slices (K,) alone."""
+    def part(self, chosen: Mask) -> "Trial":
+        """Return the trial with the chosen of its slices (K,) alone."""
         names = ("q", "dq", "ddq", "tau", "places", "t")
-        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
-    """Constant-velocity trials of all logs, slowest first; InputError where one has no torque."""
+    """Return constant-velocity trials of all logs, slowest first.
+
+    Raises InputError where a log has no torque.
+    """
     logs = mapped(recordings, partial(trials_of, robot), open_if_long)
     return sorted(
-        (trial for found in logs for trial in found), key=lambda trial: trial.speed
+        (trial for trials in logs for trial in trials), key=lambda trial: trial.speed
     )
 
 
 def trials_of(
     robot: Robot, log: Recording | SurveyedLog, number: int, *, rows: int = 65_536
 ) -> list[Trial]:
-    """Constant-velocity trials of one log; a long one comes in pieces of `rows` samples."""
-    survey, resolution = survey_of(log), encoder_resolution(robot)
+    """Return constant-velocity trials of one log.
+
+    A long log comes in pieces of `rows` samples.
+    """
+    survey = survey_of(log)
+    resolution = encoder_resolution(robot)
     count = survey.count(resolution)
     temperature = _smooth_celsius(log) if isinstance(log, Recording) else None
     return [
-        _trial(block, each, log.rate_hz, number, temperature, count)
-        for block, own in pieces(log, survey.noise_step(resolution), rows=rows)
-        for each in own
+        _trial(block, stretch, log.rate_hz, number, temperature, count)
+        for block, stretches in pieces(log, survey.noise_step(resolution), rows=rows)
+        for stretch in stretches
     ]
 
 
@@ -118,23 +128,28 @@ def pieces(
     `step` (n,): encoder noise [rad], see `noise_step`. Yields samples, and stretches
     within them.
     """
-    rate, margin = log.rate_hz, motion_reach(log.rate_hz)
+    rate = log.rate_hz
+    margin = motion_reach(log.rate_hz)
     blocks: Iterable[Block] = ()
     if isinstance(log, Recording):
         held: Block | None = Block(0, log.q, torque_of(log), log.valid)
     else:
-        held, blocks = None, log.blocks()
+        held = None
+        blocks = log.blocks()
 
-    def found(block: Block, first: int, stop: int) -> tuple[Block, list[Stretch]]:
+    def searched(block: Block, first: int, stop: int) -> tuple[Block, list[Stretch]]:
         inside = block.valid.copy()
-        inside[:first], inside[stop:] = False, False
+        inside[:first] = False
+        inside[stop:] = False
         return block, constant_velocity(block.q, rate, step=step, valid=inside)
 
-    wait, start = rows, 0  # samples before `start` have been searched
+    wait = rows
+    start = 0  # samples before `start` have been searched
     for block in blocks:
         held = block if held is None else joined([held, block])
         if held.samples - start < wait + margin:
             continue
+
         # The last sample, away from the end, at which another joint moves than before
         # it.
         moving = moving_mask(held.q, rate, step)
@@ -146,12 +161,15 @@ def pieces(
         if not len(changes):  # one move that goes on and on
             wait = 2 * (held.samples - start)
             continue
+
         cut = start + int(changes[-1]) + 1
-        yield found(held, start, cut)
+        yield searched(held, start, cut)
         low = max(0, cut - margin)
-        held, start, wait = held.part(slice(low, held.samples)), cut - low, rows
+        held = held.part(slice(low, held.samples))
+        start = cut - low
+        wait = rows
     if held is not None:
-        yield found(held, start, held.samples)
+        yield searched(held, start, held.samples)
 
 
 def _trial(
@@ -162,16 +180,21 @@ def _trial(
     temperature: Array | None,
     count: Array,
 ) -> Trial:
+    """Return the trial of one stretch, with averages over its slices."""
     j = stretch.joint
     slices = int(np.clip(stretch.samples // 4, 4, SLICES))
     length = stretch.samples // slices
     stop = stretch.start + slices * length
-    own, move = slice(stretch.start, stop), slice(stretch.move_start, stretch.move_stop)
+    steady = slice(stretch.start, stop)
+    move = slice(stretch.move_start, stretch.move_stop)
+
+    # Time within the trial runs from -1 to 1.
     half = (stop - stretch.start) / rate_hz / 2
     middles = (np.arange(slices) + 0.5) / slices * 2 - 1
-    places = block.q[own].reshape(slices, length, -1).mean(axis=1)
+    places = block.q[steady].reshape(slices, length, -1).mean(axis=1)
     path = _path(middles, places[:, j])
     places[:, j] = path(middles)
+
     celsius = (
         np.zeros(0)
         if temperature is None
@@ -179,16 +202,19 @@ def _trial(
     )
     celsius = celsius[np.isfinite(celsius)]
     counts_hz = abs(stretch.velocity) / count[j] if count[j] > 0.0 else np.inf
+
     return Trial(
         joint=j,
         count=count,
-        swing=torque_swing(block.tau[own, j], rate_hz, counts_hz),
-        stopped=stops(block.q[own, j], rate_hz, abs(stretch.velocity), float(count[j])),
+        swing=torque_swing(block.tau[steady, j], rate_hz, counts_hz),
+        stopped=stops(
+            block.q[steady, j], rate_hz, abs(stretch.velocity), float(count[j])
+        ),
         velocity=stretch.velocity,
         q=places[:, j].copy(),
         dq=path.deriv()(middles) / half,
         ddq=path.deriv(2)(middles) / half**2,
-        tau=block.tau[own, j].reshape(slices, length).mean(axis=1),
+        tau=block.tau[steady, j].reshape(slices, length).mean(axis=1),
         ramps=_ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch),
         weight=float(length),
         configuration=np.array(stretch.configuration),
@@ -201,7 +227,10 @@ def _trial(
 
 
 def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
-    """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts."""
+    """Fit a polynomial over [-1, 1] to positions averaged over slices (K,).
+
+    It is finer than counts.
+    """
     # Its order, two at least, is that of least BIC: gravity and friction that change
     # with the position leave their trace in the speed that a soft controller holds.
     most = max(2, min(most_order, len(q) // 3))
@@ -226,7 +255,10 @@ def _ramps(
     least_window: int = 8,
     zeros: int = 4,
 ) -> Ramps:
-    """Means of a move (N,) under raised cosines, which overlap by half, where it accelerates."""
+    """Average the accelerating part of a move (N,) under raised cosines.
+
+    The windows overlap by half.
+    """
     # With a window that ends in zeros the means of its derivatives are derivatives of
     # its means: sums over positions times the window's own differences, without
     # differentiating positions.
@@ -268,15 +300,15 @@ def _smooth_celsius(log: Recording, *, degree: int = 3) -> Array | None:
         return None
     smooth = log.temperature.copy()
     for j, celsius in enumerate(log.temperature.T):
-        known = np.isfinite(celsius)
-        if np.count_nonzero(known) > degree + 1:
-            fit = Chebyshev.fit(log.t[known], celsius[known], degree)
-            smooth[known, j] = fit(log.t[known])
+        is_logged = np.isfinite(celsius)
+        if np.count_nonzero(is_logged) > degree + 1:
+            fit = Chebyshev.fit(log.t[is_logged], celsius[is_logged], degree)
+            smooth[is_logged, j] = fit(log.t[is_logged])
     return smooth
 
 
 def kelvin_of(trial: Trial, celsius: float | None) -> float:
-    """Return how much warmer a joint was in a trial than `celsius`; 0 where one is not known."""
+    """Return how much warmer than `celsius` a joint was in a trial, 0 if unknown."""
     if celsius is None or not np.isfinite(trial.celsius - celsius):
         return 0.0
     return float(trial.celsius - celsius)
@@ -286,7 +318,7 @@ S = TypeVar("S", bound=Any)  # what was measured at a `speed`, rad/s
 
 
 def speed_levels(trials: list[S], *, same_speed: float = 0.12) -> list[list[S]]:
-    """Group what was measured at speeds within 12 percent of the slowest of the group."""
+    """Group measurements at speeds within 12 percent of the slowest of a group."""
     levels: list[list[S]] = []
     for trial in sorted(trials, key=lambda t: t.speed):
         if not levels or trial.speed > levels[-1][0].speed * (1 + same_speed):

@@ -1,1 +1,1 @@
-"""Linear least squares on logs of any length: equations, QR factors, weights, standard errors."""
+"""Linear least squares on logs of any length: equations, QR, weights, errors."""

@@ -36,7 +36,10 @@ CHUNK = 4096  # samples whose regressor is made at once
 
 
 def streams(stages: Stages, options: InertiaOptions) -> bool:
-    """Whether long logs may be passed over: the motion is to be that of the encoders."""
+    """Return whether long logs may be streamed.
+
+    They may where the motion is to be that of the encoders.
+    """
     imus = stages.imu is not None and bool(stages.imu.imus)
     return options.source == "encoder" or (
         options.source in ("auto", "needed") and not imus
@@ -50,7 +53,7 @@ def open_if_long(
     time_source: TimeSource = "header",
     least: int | None = None,
 ) -> SurveyedLog | None:
-    """Open a log of `least` samples or more that need not be read as a whole, else None."""
+    """Open a log of `least` samples or more that can be streamed, else None."""
     least = LONG if least is None else least
     if likely_rows(path) < least:
         return None
@@ -82,7 +85,10 @@ def torque_motion(
     imu: ImuStage | None = None,
     source: str = "encoder",
 ) -> Motion:
-    """Decimated motion of a log with torque; InputError without, or as of `best_motion`."""
+    """Return the decimated motion of a log with torque.
+
+    Raises InputError without torque, or as `best_motion` does.
+    """
     torque_of(recording)
     motion = log_motion(recording, robot, options, imu=imu, source=source)
     return decimated(motion, options.samples_per_cutoff)
@@ -113,7 +119,9 @@ def filtered_regressor(
     reach: int | None = None,
     beside: Callable[[Motion], Array] | None = None,
 ) -> Iterator[tuple[slice, Array]]:
-    """Base regressor of a log in chunks, each filtered with enough overlap to have no seams.
+    """Yield the base regressor of a log in chunks that have no seams.
+
+    Each chunk is filtered with enough overlap.
 
     `within`: first and last of the samples that are wanted. `reach`: samples on either
     side that the low-pass remembers. `beside`: one more column (N, n) of a motion,
@@ -131,7 +139,8 @@ def filtered_regressor(
     for start in range(first, last, chunk):
         stop = min(start + chunk, last)
         low, high = max(0, start - reach), min(stop + reach, motion.samples)
-        near, inner = motion.part(slice(low, high)), slice(start - low, stop - low)
+        near = motion.part(slice(low, high))
+        inner = slice(start - low, stop - low)
         base_regressor(robot, basis, near.q, near.dq, near.ddq, out=room)
         motion.lowpass.filter_rows(rows[:, : near.samples], near.valid, only=only)
         H = room.transpose(2, 0, 1)[inner]
@@ -141,7 +150,10 @@ def filtered_regressor(
 
 
 def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[slice]:
-    """Blocks of about a second: longer than the memory of the residual, shorter than a log."""
+    """Yield blocks of about a second.
+
+    A block is longer than the memory of the residual and shorter than a log.
+    """
     # By time, so that the same stretch has the same blocks at any rate, and cut-offs
     # can be paired.
     length = max(4.0, block_s * rate_hz)
@@ -161,8 +173,8 @@ def independent_share(motion: Motion) -> float:
 
 def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
     """Describe the motion of one log."""
-    own = motion.acceleration_error
-    before = own if motion.encoder_error is None else motion.encoder_error
+    used_error = motion.acceleration_error
+    encoder_error = used_error if motion.encoder_error is None else motion.encoder_error
     moving = np.flatnonzero(motion.moving.any(axis=0))
 
     def of_joints(values: Array | None) -> dict[str, float]:
@@ -175,8 +187,8 @@ def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
         source=motion.source,
         imus=list(motion.imus),
         cutoff_hz=float(motion.cutoff.hz),
-        acceleration_error=of_joints(own),
-        encoder_error=of_joints(before),
+        acceleration_error=of_joints(used_error),
+        encoder_error=of_joints(encoder_error),
         fused_error=of_joints(motion.fused_error),
         disagreement=of_joints(motion.disagreement),
         velocity_error=of_joints(motion.velocity_error),
@@ -185,7 +197,7 @@ def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
 
 
 def source_text(use: MotionUse) -> str:
-    """The source with the IMUs that took part: "encoder", "fused: imu_a, imu_b"."""
+    """Return the source with its IMUs, as in "encoder" or "fused: imu_a, imu_b"."""
     return f"{use.source}: {', '.join(use.imus)}" if use.imus else use.source
 
 
@@ -196,7 +208,7 @@ def motion_uses(
     *,
     options: InertiaOptions,
 ) -> list[MotionUse]:
-    """Describe the motion that commands with these options take from logs, where they can."""
+    """Describe the motion that commands take from logs, where they can."""
     uses = []
     for recording in recordings:
         with contextlib.suppress(InputError):

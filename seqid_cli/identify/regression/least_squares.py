@@ -169,18 +169,18 @@ class Accumulator:
         )
 
     def residual_rms(self, theta: Array, fitted: int = 0) -> float:
-        """Return the RMS of H theta - y over all rows, but for so many that were `fitted`."""
+        """Return the RMS of H theta - y, with `fitted` degrees of freedom taken off."""
         norm = np.linalg.norm(self.total @ np.append(theta, -1.0))
         return float(norm / np.sqrt(max(self.samples - fitted, 1)))
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,).
+    """Knowledge of earlier stages: rows A theta = b of unit variance, (k, p) and (k,).
 
     `friction` (k, K_j) by joint, `constants` (k,) by joint and `tolerances` (k,) by
-    name are what b moves by with the coefficients of friction, with the errors of torque
-    constants, and with what no log shows.
+    name are the moves of b: by the coefficients of friction, by the errors of torque
+    constants, and by tolerances that no log shows.
     """
 
     A: Array
@@ -253,7 +253,7 @@ def solve(
     independent: float = 1.0,
     nuisances: slice = slice(0, 0),
 ) -> Solution:
-    """Solve for all joints together, each weighted by its own residual, with a block jackknife.
+    """Solve for all joints together, weighted by residuals, with a block jackknife.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ def solve(
 
 
 def _filled_columns(rows: Array) -> Mask:
-    """Return the columns (p,) of rows (k, p) of one noise that hold more than rounding."""
+    """Return the columns (p,) of one noise's rows (k, p) that exceed rounding."""
     norms = np.linalg.norm(rows, axis=0)
     return np.asarray(norms > ROUNDING * norms.max(initial=1e-300))
 
@@ -382,7 +382,7 @@ def _solve_scaled(factor: Array, filled: Mask | None = None) -> ScaledSolution:
 def _solve_marginalised(
     factor: Array, filled: Mask, nuisances: slice
 ) -> ScaledSolution:
-    """Solve as `_solve_scaled` does, asking of the other parameters alone what is excited.
+    """Solve as `_solve_scaled` does, but require excitation of no nuisance term.
 
     A nuisance term that resembles a parameter is told apart by its prior, however weak
     that is beside the rows: it is no direction to be dropped.
@@ -431,7 +431,7 @@ def _jackknife(
     factor: Array,
     bread: Array,
 ) -> tuple[Array, Array]:
-    """Return the moves (G, p) of the estimate without one block of time, and designs (n,).
+    """Return moves (G, p) of the estimate without one time block, and designs (n,).
 
     With G blocks of normal matrix A_b and score s_b the estimate without block b moves
     by (A - A_b)^-1 s_b; the covariance is the sum of squares of these moves. Unlike the
@@ -488,7 +488,7 @@ def _jackknife(
 
 
 def _squares(moves: Array, normal: Array) -> Array:
-    """Return the squared sizes (G,) of moves (G, p) in units of a normal matrix (p, p)."""
+    """Return squared sizes (G,) of moves (G, p) in units of a normal matrix (p, p)."""
     squares = np.einsum("bi,ij,bj->b", moves, normal, moves)
     return np.asarray(squares.clip(0.0))
 
@@ -500,7 +500,7 @@ def spread_of(moves: Array) -> Array:
 
 
 def whitened(covariance: Array) -> Array:
-    """Return rows L with L' L the (pseudo-)inverse of a covariance: a result as a prior."""
+    """Return rows L with L' L the (pseudo-)inverse of a covariance, as a prior."""
     value, vector = np.linalg.eigh((covariance + covariance.T) / 2)
     known_directions = value > 1e-14 * max(value.max(initial=0.0), 1e-300)
     scaled = vector[:, known_directions] / np.sqrt(value[known_directions])

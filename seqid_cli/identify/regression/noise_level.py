@@ -64,9 +64,9 @@ class NoiseLevel:
     low: Array
     high: Array
 
-    def times(self, left: Array) -> Array:
+    def times(self, residual: Array) -> Array:
         """Return a residual (n,) N m over the upper end of the noise's interval."""
-        return np.asarray(left / np.where(self.high > 0.0, self.high, np.inf))
+        return np.asarray(residual / np.where(self.high > 0.0, self.high, np.inf))
 
 
 def noise_of_log(recording: Recording, motion: Motion, slides: Mask) -> LogNoise:
@@ -104,8 +104,8 @@ def noise_of_log(recording: Recording, motion: Motion, slides: Mask) -> LogNoise
         at_rest = Spectrum.of(torque, rests, max(rest_length, 1), rate, robust=False)
         resting.append(at_rest.at_least(rounding))
         starts = stretches(slides[nearest, j] & recording.valid, length)
-        whole = Spectrum.of(torque, starts, length, rate, robust=True)
-        between = whole.within(ABOVE * cutoff_hz, UP_TO * cutoff_hz)
+        spectrum = Spectrum.of(torque, starts, length, rate, robust=True)
+        between = spectrum.within(ABOVE * cutoff_hz, UP_TO * cutoff_hz)
         sliding.append(between.at_least(rounding))
     return LogNoise(
         resting=tuple(resting),
@@ -168,7 +168,7 @@ def noise_of_rows(
     torque_squares: Array,
     friction: Array | None = None,
 ) -> NoiseLevel:
-    """Return what noise of torque and motion would leave of the torque in the used rows.
+    """Return the residual that noise of torque and motion leaves in the used rows.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Noise of averages over slices of slow trials: white, common to a trial, and 1/f over a log.
+"""Noise of averages over slices of slow trials: white, common to a trial, and 1/f.
 
 Averages leave little of white noise, so that what is slow decides: drift and 1/f noise
 of the drive in what neighbouring trials share, and what friction's surface misses in a
@@ -48,16 +48,21 @@ class Rows:
 
 
 def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
-    """Fit the noise of one joint's rows, more than columns; makes white rows (N, ...) of such."""
+    """Fit the noise of a joint's rows, and return the function that whitens rows.
+
+    There are more rows than columns. The function takes and returns rows (N, ...).
+    """
     # A part's strength against white noise counts from `least` on.
     order = np.lexsort((rows.t, rows.log))  # of each log, in time order
     logs = np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
     shapes = [_shapes(rows, at) for at in logs]
-    # Independent of any strength: the scale of what is left.
+
+    # Independent of any strength: the scale of the residual.
     root = np.sqrt(rows.weight)
-    A, y = rows.H * root[:, None], rows.y * root
-    left = y - A @ np.linalg.lstsq(A, y, rcond=1e-10)[0]
-    white = max(float(left @ left) / max(len(y) - A.shape[1], 1), 1e-300)
+    A = rows.H * root[:, None]
+    y = rows.y * root
+    residual = y - A @ np.linalg.lstsq(A, y, rcond=1e-10)[0]
+    white = max(float(residual @ residual) / max(len(y) - A.shape[1], 1), 1e-300)
     typical = white / float(np.median(rows.weight))
 
     def roots(logarithms: Array) -> list[Array]:
@@ -67,16 +72,16 @@ def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
     def cost(logarithms: Array) -> float:
         return _restricted(rows, logs, roots(logarithms))
 
-    found = [
+    optima = [
         minimize(cost, at, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02})
         for at in np.array(STARTS)
     ]
-    best = roots(min(found, key=lambda one: float(one.fun)).x)
+    best = roots(min(optima, key=lambda optimum: float(optimum.fun)).x)
 
     def white_rows(values: Array) -> Array:
         white = np.empty_like(values)
-        for own, root in zip(logs, best, strict=True):
-            white[own] = solve_triangular(root, values[own], lower=True)
+        for at, root in zip(logs, best, strict=True):
+            white[at] = solve_triangular(root, values[at], lower=True)
         return white
 
     return white_rows
@@ -85,9 +90,10 @@ def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
 def _shapes(
     rows: Rows, at: Index, *, lengths: float = 4.0
 ) -> tuple[Array, Array, Array]:
-    """W's diagonal, T and F of the rows of one log."""
+    """Return W's diagonal, T and F of the rows of one log."""
     # The lowest frequency of 1/f noise is one over so many `lengths` of the log.
-    t, trial = rows.t[at], rows.trial[at]
+    t = rows.t[at]
+    trial = rows.trial[at]
     common = (trial[:, None] == trial[None, :]).astype(np.float64)
     low = 1.0 / (lengths * max(float(np.ptp(t)), float(rows.seconds[at].max())))
     high = np.maximum(1.0 / (2.0 * rows.seconds[at]), 2.0 * low)
@@ -105,7 +111,7 @@ def _shapes(
 def _root(
     shape: tuple[Array, Array, Array], strengths: Array, *, stiffness: float = 1e-9
 ) -> Array:
-    """Cholesky factor of one log's covariance."""
+    """Return the Cholesky factor of one log's covariance."""
     white, common, slow = shape
     V = strengths[1] * common + strengths[2] * slow
     V[np.diag_indices_from(V)] += strengths[0] * white
@@ -115,17 +121,27 @@ def _root(
 
 
 def _restricted(rows: Rows, logs: Sequence[Index], roots: Sequence[Array]) -> float:
-    """Twice the negative logarithm of the restricted likelihood, but for a constant."""
-    table, size = np.column_stack([rows.H, rows.y]), 0.0
+    """Return twice the negative logarithm of the restricted likelihood.
+
+    A constant is left out.
+    """
+    table = np.column_stack([rows.H, rows.y])
+    log_determinant = 0.0
     normal = np.zeros((table.shape[1], table.shape[1]))
     for at, root in zip(logs, roots, strict=True):
         white = solve_triangular(root, table[at], lower=True, check_finite=False)
         normal += white.T @ white
-        size += 2.0 * float(np.log(np.diag(root)).sum())
-    A, right = normal[:-1, :-1], normal[:-1, -1]
+        log_determinant += 2.0 * float(np.log(np.diag(root)).sum())
+
+    A = normal[:-1, :-1]
+    right = normal[:-1, -1]
     scale = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
     value, vector = np.linalg.eigh(A / np.outer(scale, scale))
-    kept = value > 1e-10 * value.max(initial=0.0)
-    fitted = (vector.T @ (right / scale))[kept]
-    rest = float(normal[-1, -1]) - float(np.sum(fitted**2 / value[kept]))
-    return size + rest + float(np.log(value[kept]).sum() + 2.0 * np.log(scale).sum())
+    is_determined = value > 1e-10 * value.max(initial=0.0)
+    fitted = (vector.T @ (right / scale))[is_determined]
+    fitted_square = float(np.sum(fitted**2 / value[is_determined]))
+    residual_square = float(normal[-1, -1]) - fitted_square
+    log_information = float(
+        np.log(value[is_determined]).sum() + 2.0 * np.log(scale).sum()
+    )
+    return log_determinant + residual_square + log_information

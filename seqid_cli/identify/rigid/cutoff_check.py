@@ -1,4 +1,4 @@
-"""Whether parameters depend on the cut-off of the low-pass, and what that adds to their errors.
+"""Dependence of parameters on the low-pass cut-off, and what it adds to their errors.
 
 Parallel filtering makes the equation exact at every cut-off. Noise in the regressor
 (encoders differentiated twice), elasticity and friction that lags make it differ from
@@ -49,7 +49,7 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class CutoffDependence:
-    """What other cut-offs change beyond its noise: directions (p, d), and what to say."""
+    """Change beyond noise by other cut-offs: directions (p, d), and its notes."""
 
     directions: Array
     differences: list[Difference]
@@ -116,7 +116,10 @@ def cutoff_check(
 
 
 def _excess(change: Array, V: Array) -> float:
-    """Return the root of the share of a difference (k,) that its covariance V does not explain."""
+    """Return the root of the share of a difference (k,) that V leaves unexplained.
+
+    V is the covariance of the difference.
+    """
     scale = np.sqrt(np.maximum(np.diag(V), 1e-300))
     value, vector = np.linalg.eigh(V / np.outer(scale, scale))
     seen = value > FLAT * max(float(value.max(initial=0.0)), 1e-300)
@@ -133,7 +136,9 @@ def with_cutoff_check(
     basis: Basis,
     settings: CutoffCheckSettings = CutoffCheckSettings(),
 ) -> RigidStage:
-    """Note the parameters that depend on the cut-off; usable where one does by `usable_sigma`.
+    """Note the parameters that depend on the cut-off.
+
+    The verdict is usable where a parameter does by `usable_sigma`.
 
     Their standard errors have the difference in them: the torque is predicted, but
     something that the model lacks shows.

@@ -1,4 +1,4 @@
-"""The low-pass cut-off by the posterior: the one with the smallest error of the predicted torque.
+"""The low-pass cut-off by the posterior: it has the least error of predicted torque.
 
 Every cut-off keeps the equation exact and another share of its information. A low one
 throws away what quick motion says, and the samples around every reversal; a high one
@@ -94,12 +94,12 @@ class Trial(Protocol):
     def __call__(
         self, recordings: Sequence[Recording], cutoff_hz: float
     ) -> Candidate | None:
-        """Return what they tell below a cut-off [Hz]; None where it is too low to filter them."""
+        """Return the candidate at a cut-off [Hz], None where it is too low."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CutoffChoice:
-    """The chosen cut-off [Hz], the one it started from, and what was tried in ascending order."""
+    """The chosen cut-off [Hz], the start, and the tried cut-offs in ascending order."""
 
     cutoff_hz: float
     start_hz: float
@@ -146,10 +146,10 @@ def choose_cutoff(
         # as well.
         if hz > start_hz and acceleration_noise(hz) > limits.max_acceleration_noise:
             return False
-        found = trial(hz)
-        if found is None:
+        candidate = trial(hz)
+        if candidate is None:
             return False
-        tried[hz] = found
+        tried[hz] = candidate
         errors, _ = _judged(list(tried.values()), start_hz)
         return bool(errors[-1] <= limits.hopeless * errors.min())
 
@@ -162,7 +162,7 @@ def choose_cutoff(
             hz *= factor
 
     def chosen() -> CutoffChoice:
-        candidates = sorted(tried.values(), key=lambda one: one.cutoff_hz)
+        candidates = sorted(tried.values(), key=lambda candidate: candidate.cutoff_hz)
         return _chosen(candidates, start_hz, acceleration_noise, represented, limits)
 
     if not tried:
@@ -198,8 +198,8 @@ def _promises(choice: CutoffChoice, best_hz: float, factor: float) -> bool:
     these were not tried.
     """
     log_errors = {
-        one.cutoff_hz: float(np.log(max(error, 1e-300)))
-        for one, error in zip(choice.tried, choice.errors, strict=True)
+        candidate.cutoff_hz: float(np.log(max(error, 1e-300)))
+        for candidate, error in zip(choice.tried, choice.errors, strict=True)
     }
     best = log_errors[best_hz]
     beside = log_errors.get(factor * best_hz)
@@ -225,23 +225,23 @@ def _chosen(
 ) -> CutoffChoice:
     """Choose among candidates in ascending order."""
     errors, W = _judged(tried, start_hz)
-    highest_rank = max(one.rank for one in tried)
+    highest_rank = max(candidate.rank for candidate in tried)
 
-    def enough(one: Candidate) -> bool:
+    def has_enough_samples(candidate: Candidate) -> bool:
         # The start leaves what the arm's parameters need already
         # (`bandwidth.highest_of`).
-        independent = represented * one.independent
+        independent = represented * candidate.independent
         return (
-            one.cutoff_hz >= start_hz
-            or independent >= limits.min_samples_per_rank * one.rank
+            candidate.cutoff_hz >= start_hz
+            or independent >= limits.min_samples_per_rank * candidate.rank
         )
 
     admissible = np.array(
         [
-            one.rank == highest_rank
-            and enough(one)
-            and acceleration_noise(one.cutoff_hz) <= limits.max_acceleration_noise
-            for one in tried
+            candidate.rank == highest_rank
+            and has_enough_samples(candidate)
+            and acceleration_noise(candidate.cutoff_hz) <= limits.max_acceleration_noise
+            for candidate in tried
         ]
     )
     agrees = _agrees(tried, W, limits.max_disagreement)
@@ -257,13 +257,15 @@ def _chosen(
     )
     if not admissible.any():
         return choice
+
     best = int(np.argmin(np.where(admissible, errors, np.inf)))
     good = []
     for k in np.flatnonzero(admissible):
-        chance = _standard_error(tried[k], tried[best], W)
-        least = errors[best]
+        std_error = _standard_error(tried[k], tried[best], W)
+        least_error = errors[best]
         if errors[k] <= max(
-            limits.nearly_best * least, least + limits.clear_sigma * chance
+            limits.nearly_best * least_error,
+            least_error + limits.clear_sigma * std_error,
         ):
             good.append(tried[k].cutoff_hz)
     nearest = min(good, key=lambda hz: abs(np.log(hz / start_hz)))
@@ -271,7 +273,7 @@ def _chosen(
 
 
 def _standard_error(first: Candidate, second: Candidate, W: Array) -> float:
-    """Return the standard error of the difference of two errors, zero where blocks differ.
+    """Return the standard error of two errors' difference, 0 where blocks differ.
 
     Each block of time adds m' W m to an error, m its move of the estimate. Both
     candidates have the same blocks, so that the scatter of the differences says how
@@ -280,7 +282,8 @@ def _standard_error(first: Candidate, second: Candidate, W: Array) -> float:
     if first.moves.shape != second.moves.shape or len(first.moves) < 2:
         return 0.0
     parts = [
-        np.einsum("gp,pq,gq->g", one.moves, W, one.moves) for one in (first, second)
+        np.einsum("gp,pq,gq->g", candidate.moves, W, candidate.moves)
+        for candidate in (first, second)
     ]
     differences = parts[0] - parts[1]
     return float(np.sqrt(len(differences)) * differences.std(ddof=1))
@@ -292,15 +295,18 @@ def _judged(tried: Sequence[Candidate], start_hz: float) -> tuple[Array, Array]:
     W is the information below one cut-off, so that all are measured in one band: the
     one nearest to the start of those that excite most.
     """
-    highest = max(one.rank for one in tried)
-    fullest = [one for one in tried if one.rank == highest]
-    reference = min(fullest, key=lambda one: abs(np.log(one.cutoff_hz / start_hz)))
+    highest_rank = max(candidate.rank for candidate in tried)
+    fullest = [candidate for candidate in tried if candidate.rank == highest_rank]
+    reference = min(
+        fullest, key=lambda candidate: abs(np.log(candidate.cutoff_hz / start_hz))
+    )
     W = reference.information
-    return np.array([float(np.sum(W * one.covariance)) for one in tried]), W
+    errors = [float(np.sum(W * candidate.covariance)) for candidate in tried]
+    return np.array(errors), W
 
 
 def _agrees(tried: Sequence[Candidate], W: Array, max_disagreement: float) -> Mask:
-    """Return whether each candidate agrees with the next lower or the next higher one."""
+    """Return whether each candidate agrees with its next lower or higher one."""
     agrees = np.zeros(len(tried), dtype=bool)
     for k in range(len(tried) - 1):
         if disagreement(tried[k], tried[k + 1], W) <= max_disagreement:
@@ -309,15 +315,19 @@ def _agrees(tried: Sequence[Candidate], W: Array, max_disagreement: float) -> Ma
 
 
 def disagreement(first: Candidate, second: Candidate, W: Array) -> float:
-    """Return what two estimates differ by beyond noise, as a share of the torque's RMS."""
-    both = first.determined & second.determined
-    difference = np.where(both, second.theta - first.theta, 0.0)
+    """Return the difference of two estimates beyond noise.
+
+    It is a share of the torque's RMS.
+    """
+    determined = first.determined & second.determined
+    difference = np.where(determined, second.theta - first.theta, 0.0)
     if first.moves.shape == second.moves.shape:
         # Estimates of the same blocks share most of their noise.
         V = spread_of(second.moves - first.moves)
     else:
         V = first.covariance + second.covariance
-    noise = np.sum(W[np.ix_(both, both)] * V[np.ix_(both, both)])
+    block = np.ix_(determined, determined)
+    noise = np.sum(W[block] * V[block])
     excess = max(float(difference @ W @ difference - noise), 0.0)
     torque = max(first.torque_square, second.torque_square)
     return float(np.sqrt(excess / max(torque, 1e-300)))
@@ -386,7 +396,7 @@ class _TrialEquations(InertiaEquations):
 
 
 class InertiaTrial:
-    """Tries cut-offs for the inertia stage."""
+    """Trials of cut-offs for the inertia stage."""
 
     def __init__(
         self,
@@ -395,8 +405,10 @@ class InertiaTrial:
         source: str,
         settings: InertiaSettings = InertiaSettings(),
     ) -> None:
-        self._robot, self._stages = robot, stages
-        self._source, self._settings = source, settings
+        self._robot = robot
+        self._stages = stages
+        self._source = source
+        self._settings = settings
 
     def __call__(
         self, recordings: Sequence[Recording], cutoff_hz: float
@@ -406,19 +418,21 @@ class InertiaTrial:
             cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF
         )
         options = InertiaOptions(motion, self._source, settings=self._settings)
-        own = _TrialEquations(self._robot, self._stages, options)
+        trial_equations = _TrialEquations(self._robot, self._stages, options)
+
         parts = []
         for recording in recordings:
             try:
-                parts.append(own.rows_of(recording))
+                parts.append(trial_equations.rows_of(recording))
             except InputError:  # too short to be filtered so low
                 continue
         if not parts or not any(
             joint.samples for part in parts for joint in part.joints
         ):
             return None
+
         rows = reduce(lambda a, b: a + b, parts)
-        solution, posterior = own.solved(rows, 0.0, rounds=3)
+        solution, posterior = trial_equations.solved(rows, 0.0, rounds=3)
         return candidate_of(
             cutoff_hz=cutoff_hz,
             solution=solution,
@@ -426,17 +440,20 @@ class InertiaTrial:
             joints=[joint.with_fixed(joint.size - 1, 0.0) for joint in rows.joints],
             torque_squares=rows.torque_squares,
             independent=float(rows.sample_counts[0]),
-            nuisances=own.nuisances.all,
+            nuisances=trial_equations.nuisances.all,
         )
 
 
 class SimultaneousTrial:
-    """Tries cut-offs for the classical least squares, friction's coefficients included."""
+    """Trials of cut-offs for classical least squares with friction's coefficients."""
 
     def __init__(
         self, robot: Robot, imu: ImuStage | None, source: str, *, offset: bool
     ) -> None:
-        self._robot, self._imu, self._source, self._offset = robot, imu, source, offset
+        self._robot = robot
+        self._imu = imu
+        self._source = source
+        self._offset = offset
 
     def __call__(
         self, recordings: Sequence[Recording], cutoff_hz: float
@@ -445,6 +462,7 @@ class SimultaneousTrial:
         options = MotionOptions(
             cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF
         )
+
         motions = []
         for recording in recordings:
             try:
@@ -456,6 +474,7 @@ class SimultaneousTrial:
             motions.append(motion)
         if not motions:
             return None
+
         rows = SimultaneousEquations(self._robot, motions, offset=self._offset)
         if not any(joint.samples for joint in rows.joints):
             return None

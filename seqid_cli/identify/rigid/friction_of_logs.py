@@ -27,7 +27,7 @@ from seqid_cli.typing import Array, Index
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionShares:
-    """Shares (K,) by which a joint's friction is larger in each of K logs than its surface.
+    """Shares (K,) by which a joint's friction in K logs is larger than its surface.
 
     `std_errors` (K,) are those of what gravity leaves; `surface_std` is the surface's
     stated error as a share of friction, common to all logs. `unexplained` (N,) N m is
@@ -84,14 +84,14 @@ class FrictionShares:
         return float(np.hypot(of_logs, self.surface_std))
 
     def has_changed(self, settings: GravityFitSettings) -> bool:
-        """Return whether friction differs between logs by more than errors and by enough."""
+        """Return whether friction differs between logs by enough, beyond errors."""
         least = max(
             settings.min_friction_change, settings.shown_sigma * self.spread_std
         )
         return self.spread > least
 
     def verdict(self, name: str, logs: Sequence[str]) -> Verdict:
-        """Return that the joint's friction is usable, with the logs that differ most."""
+        """Return the usable verdict of the friction, with the logs that differ most."""
         low = int(self.shares.argmin())
         high = int(self.shares.argmax())
         reason = (

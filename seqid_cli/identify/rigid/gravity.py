@@ -60,7 +60,7 @@ NO_GRAVITY = (
 
 @dataclass(frozen=True)
 class GravityResult:
-    """The gravity stage, and the friction stage with what gravity's trials show of it."""
+    """The gravity stage, and the friction stage with what gravity's trials show."""
 
     gravity: RigidStage
     friction: FrictionStage
@@ -72,7 +72,7 @@ def identify_gravity(
     stages: Stages,
     settings: GravitySettings = GravitySettings(),
 ) -> GravityResult:
-    """Identify the base parameters of gravity; the stage is empty where it loads no joint.
+    """Identify gravity's base parameters; the stage is empty without loaded joints.
 
     Parameters
     ----------
@@ -129,9 +129,9 @@ def _log_names(recordings: Iterable[Recording]) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class JudgedJoints:
-    """What is said of joints: of gravity's fit there, and of their friction log by log.
+    """Verdicts on joints: on gravity's fit there, and on their friction log by log.
 
-    `changed_friction` holds the joints, by name, whose friction is another in every log.
+    `changed_friction` holds, by name, the joints whose friction differs between logs.
     """
 
     gravity: list[Verdict]
@@ -228,7 +228,7 @@ def _result(
 
 
 def _posterior(solution: Solution, rows: GravityRows, prior: Prior) -> Posterior:
-    """Return the covariance of all unknowns with everything that is not known better."""
+    """Return the covariance of all unknowns, with all that is not known better."""
     unseen = [
         solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen
     ]
@@ -237,14 +237,14 @@ def _posterior(solution: Solution, rows: GravityRows, prior: Prior) -> Posterior
         rows.surfaces,
         rows.robot.torque_constant_errors,
         rows.sensitivity(solution),
-        known=_by_prior(solution, prior, rows.robot.n),
+        computed=_by_prior(solution, prior, rows.robot.n),
         prior=prior,
     ).with_error(np.reshape(unseen, (-1, rows.columns)).T)
     return replace(posterior, tolerances=rows.tolerance_moves(solution))
 
 
 def _by_prior(solution: Solution, prior: Prior, joints: int) -> dict[int, Array]:
-    """Return what the centre of each joint's prior adds to the solution (q,), taken off.
+    """Return minus the part (q,) of the solution by each joint's prior centre.
 
     A prior's centre is an offset that was measured: it scales with the torque as the
     rows do.
@@ -276,7 +276,7 @@ def _with_changes(
 
 @dataclass(frozen=True, kw_only=True)
 class DriveTerms:
-    """Friction with another even part and thermal change, and the terms as a file lists them.
+    """Friction with another even part and thermal change, and the terms for a file.
 
     `places` (m,): where the terms stand behind the parameters.
     """

@@ -1,4 +1,4 @@
-"""Rows of the gravity stage (Eq. 19): slices of constant-velocity trials, of the moving joint.
+"""Rows of the gravity stage (Eq. 19): slices of steady trials, of the moving joint.
 
 A row is the mean over `GROUP_SIZE` slices of a trial. With H the gravity regressor of
 the moving joint (Eq. 4), f its friction surface and y the torque that f leaves,
@@ -10,7 +10,8 @@ the moving joint (Eq. 4), f its friction surface and y the torque that f leaves,
     e    change of friction per kelvin [1/K], unknown,
     c    errors of the friction surface's coefficients, with the surface's covariance,
     s    where the other joints stand within a count of their encoders,
-    d    what no log shows: geometry, gravity's direction, zeros (`identify.tolerances`),
+    d    tolerances that no log shows: of geometry, gravity's direction and zeros
+         (`identify.tolerances`),
     b    error of the inertia whose torque was taken off [kg m^2].
 
 The rows are whitened joint by joint; pi, o, e are solved for, and the others widen the
@@ -59,8 +60,8 @@ class TrialRows:
     `friction_error` (N, c), `standing` (N, n), `deviation` (N, d) and `acceleration`
     (N,) rad/s^2 those of what is not known better. `torque` (N,) N m is what friction
     leaves, `friction` (N,) the surface's torque and `friction_std` (N,) its stated
-    error. `t` (N,) s is the time within the log, `samples` and `seconds` (N,) what a row
-    averages over; `trial`, `log` and `group` (N,) tell where it is from.
+    error. `t` (N,) s is the time within the log. A row averages over `samples` and
+    `seconds` (N,); `trial`, `log` and `group` (N,) say where it is from.
     """
 
     gravity: Array
@@ -149,7 +150,7 @@ class JointRows:
 
 
 class GravityRows:
-    """Rows of all joints' trials, reduced, and how errors of other things would enter them."""
+    """Rows of all joints' trials, reduced, and how other errors would enter them."""
 
     def __init__(
         self,
@@ -188,7 +189,7 @@ class GravityRows:
         self.standard = links if self.robot.nominal is None else self.robot.nominal
 
     def add_joint(self, trials: list[Trial], joints: list[Accumulator]) -> None:
-        """Add the trials of one joint, the torque of what acceleration is left taken off."""
+        """Add the trials of one joint, without the torque of residual acceleration."""
         if not trials:
             return
         j = trials[0].joint
@@ -223,7 +224,7 @@ class GravityRows:
                 self.unseen += [(j, H.T @ (x * in_log)) for x in white.standing.T]
 
     def _among_all(self, unknowns: Array, joint: int) -> Array:
-        """Return the columns (N, q) of all unknowns, given those (N, p + 4) of one joint."""
+        """Return columns (N, q) of all unknowns from those (N, p + 4) of one joint."""
         H = np.zeros((len(unknowns), self.columns))
         H[:, : self.size] = unknowns[:, : self.size]
         H[:, self.size + joint :: self.robot.n] = unknowns[:, self.size :]
@@ -264,7 +265,7 @@ class GravityRows:
         number: int,
         group: int,
     ) -> TrialRows:
-        """Return the rows of one trial from its slices: H (K, p), standing (K, n) N m."""
+        """Return a trial's rows from its slices: H (K, p), standing (K, n) N m."""
         count = len(trial.q) // GROUP_SIZE
         slices_per_row = len(trial.q) / count
 
@@ -308,7 +309,10 @@ class GravityRows:
     def _thermal_column(
         self, trial: Trial, surface: FrictionSurface, v: Array
     ) -> Array:
-        """Return the torque (K,) N m K per friction's change per kelvin; 0 without a sensor."""
+        """Return torque (K,) N m K per change of friction per kelvin.
+
+        It is 0 without a sensor.
+        """
         change = self.thermal[trial.joint]
         if change is None:
             return np.zeros(len(v))
@@ -316,7 +320,10 @@ class GravityRows:
         return thermal_column(surface, change, kelvin, trial.q, v)
 
     def prior(self, friction: FrictionStage) -> Prior:
-        """Return what friction's trials know of the drives' terms, as rows of unit variance."""
+        """Return the friction trials' prior of the drives' terms.
+
+        Its rows have unit variance.
+        """
         n = self.robot.n
         even = even_prior(self.surfaces, friction, self.robot.joint_names)
         thermal_weights = [
@@ -328,7 +335,10 @@ class GravityRows:
         return Prior(A, np.concatenate([even.b, np.zeros(n)]))
 
     def tolerance_moves(self, solution: Solution) -> dict[str, Array]:
-        """Return how the unknowns (q,) move with one standard deviation of what no log shows."""
+        """Return moves of the unknowns (q,) per standard deviation of tolerances.
+
+        No log shows these tolerances.
+        """
         moves = {}
         for name, crossed in self.tolerances.items():
             parts = [cross / solution.sigma[j] ** 2 for j, cross in crossed.items()]
@@ -336,7 +346,7 @@ class GravityRows:
         return moves
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
-        """Return how the unknowns (q,) move with the coefficients (c,) of joints' friction."""
+        """Return moves of the unknowns (q,) with joints' friction coefficients (c,)."""
         return {
             j: -solution.bread @ (crossed / solution.sigma[j] ** 2)
             for j, crossed in self.cross.items()
@@ -352,7 +362,7 @@ def _thermal_change(friction: FrictionStage, name: str) -> FrictionChange | None
 def _settled(
     trial: Trial, surface: FrictionSurface, settings: GravityFitSettings
 ) -> Mask:
-    """Return the slices (K,) of a trial where friction is known and the joint keeps its speed."""
+    """Return a trial's slices (K,) at constant speed where friction is known."""
     # Left out are slices that begin or end within `settling` of either end, but no more
     # than `settling_share` of the trial there. One that only reaches into it holds the
     # torque of a rotor's acceleration, which is many times a light joint's friction.

@@ -1,4 +1,4 @@
-"""Inertia stage (Sec. 2.2.4, Eq. 22-26): what gravity left open, from moves of few joints.
+"""Inertia stage (Sec. 2.2.4, Eq. 22-26): what gravity left open, by moves of joints.
 
 Rotor inertias are parameters of their own, acting on their own joint alone (Eq. 43);
 the data are asked whether the gyroscopic coupling to the link that carries one is there
@@ -60,7 +60,7 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True)
 class InertiaResult:
-    """The inertia stage, and friction with the delays and offsets that its logs show."""
+    """The inertia stage, and friction with the delays and offsets its logs show."""
 
     inertia: RigidStage
     friction: FrictionStage
@@ -159,7 +159,7 @@ def identify_inertia(
 
 
 def _encoder_equations(equations: InertiaEquations) -> InertiaEquations | None:
-    """Return the same equations by the encoders alone; None where they are that already."""
+    """Return the same equations by encoders alone, None if they are that already."""
     options = equations.options
     if equations.stages.imu is None or options.source == "encoder":
         return None
@@ -221,7 +221,7 @@ def _rows_of_log(
     log: Recording | SurveyedLog,
     _: int,
 ) -> LogRows:
-    """Reduce the equations of one log, and those by its encoders where they are asked for."""
+    """Reduce one log's equations, and those by its encoders where they are wanted."""
     used = equations.rows_of(log)
     neighbours: dict[float, InertiaRows] = {}
     if isinstance(log, Recording):
@@ -298,7 +298,7 @@ def _stage(
 def _imu_moves(
     equations: InertiaEquations, rows: InertiaRows, solution: Solution
 ) -> Array:
-    """Return how the unknowns (p, k) move with one standard error of each IMU's scale."""
+    """Return moves of the unknowns (p, k) per standard error of each IMU's scale."""
     basis = equations.basis
     stages = equations.stages
     imus = stages.imu.imus if stages.imu else {}
@@ -323,7 +323,10 @@ def _with_bands(
     solution: Solution,
     coupling: float,
 ) -> RigidStage:
-    """Add the bands of predicted torques; the last column is the share of rotor coupling, held."""
+    """Add the bands of predicted torques.
+
+    The last column is the share of rotor coupling, held.
+    """
     fit = Fit(
         theta=np.append(solution.theta, coupling),
         bread=np.pad(solution.bread, ((0, 1), (0, 1))),

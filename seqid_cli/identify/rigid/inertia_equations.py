@@ -1,4 +1,4 @@
-"""Rows of the inertia stage's equation (Eq. 22-26), reduced per joint, and their solution.
+"""Rows of the inertia stage's equation (Eq. 22-26), reduced per joint, and solution.
 
     tau - tau_f - H_g pi_g = H_r pi_r.
 
@@ -67,7 +67,10 @@ ROUNDS = 6
 
 @dataclass(frozen=True)
 class States:
-    """Some states (S, n) of a log [rad, rad/s, rad/s^2], and where joints' rows were `used`."""
+    """Some states (S, n) of a log [rad, rad/s, rad/s^2].
+
+    `used` says at which joints rows were used.
+    """
 
     q: Array
     dq: Array
@@ -257,7 +260,7 @@ class InertiaEquations:
         return rows
 
     def _motions_of(self, log: Recording | SurveyedLog) -> "LogMotions":
-        """Return the motion of a log: in one part where it is held, in many where not."""
+        """Return the motion of a log, in one part if held, else in many."""
         options = self.options.motion
         if isinstance(log, Recording):
             motion = equations.torque_motion(
@@ -285,7 +288,7 @@ class InertiaEquations:
         )
 
     def right_side(self, motion: Motion) -> Array:
-        """Return the torque (N, n) N m without friction and known rotors, filtered alike."""
+        """Return the torque (N, n) N m without friction and known rotors, filtered."""
         assert motion.tau is not None
         friction = sampled_friction(self.surfaces, motion)
         torque = motion.tau - motion.filtered(friction, times=2)
@@ -321,7 +324,7 @@ class InertiaEquations:
     def _friction_of(
         self, motion: Motion, terms: Sequence[FrictionChange | None]
     ) -> Array:
-        """Return what one unit of each joint's term changes of its friction (N, n) N m."""
+        """Return each joint's change of friction (N, n) N m per unit of its term."""
         changes = [None if term is None else term.per_unit for term in terms]
         return motion.filtered(sampled_friction(changes, motion), times=2)
 
@@ -338,7 +341,7 @@ class InertiaEquations:
         return np.asarray(warm + kelvin * friction)
 
     def _reference(self, drive: DriveColumns) -> Array:
-        """Return what friction has of the delay that it was identified with (N, n) N m."""
+        """Return friction's part (N, n) N m by the delay of its identification."""
         values = [0.0 if delay is None else delay.value for delay in self._delays]
         return np.asarray(drive.friction_per_second * np.array(values))
 
@@ -364,7 +367,7 @@ class InertiaEquations:
         return columns
 
     def coupling_column(self, motion: Motion) -> Array:
-        """Return the torque (N, n) N m that known rotors add if their links feel them."""
+        """Return the torque (N, n) N m that known rotors add if links feel them."""
         if not self.rotors.any():
             return np.zeros_like(motion.q)
         of_coupling = partial(
@@ -437,7 +440,7 @@ class InertiaEquations:
         used: Mask,
         judged: Mask,
     ) -> None:
-        """Add rows by which bands are calibrated, of the samples that predictions are judged by."""
+        """Add rows that calibrate bands, of the samples that judge predictions."""
         known = np.array([surface is not None for surface in self.surfaces])
         chosen = collected.pick(motion, judged & known)
         collected.add(
@@ -450,7 +453,7 @@ class InertiaEquations:
         )
 
     def prior(self) -> Prior:
-        """Return what the stages before know of the unknowns, without that of coupling."""
+        """Return the earlier stages' knowledge of the unknowns, except coupling."""
         return later_prior(
             self.stages, self.surfaces, self.basis, self.robot.joint_names
         )
@@ -524,7 +527,7 @@ def _block_samples(rate_hz: float, samples: int) -> float:
 
 
 def _some_states(motion: Motion, used: Mask) -> States:
-    """Return states of a log, evenly chosen among those at which a joint is `used` (N, n)."""
+    """Return evenly chosen states of a log at which a joint is `used` (N, n)."""
     some = np.flatnonzero(used.any(axis=1))
     some = some[:: max(1, len(some) // MOST_STATES)]
     return States(
@@ -535,7 +538,10 @@ def _some_states(motion: Motion, used: Mask) -> States:
 def tolerance_moves(
     equations: InertiaEquations, rows: InertiaRows, solution: Solution
 ) -> dict[str, Array]:
-    """Return how the unknowns (p,) move with one standard deviation of what no log shows."""
+    """Return moves of the unknowns (p,) per standard deviation of tolerances.
+
+    No log shows these tolerances.
+    """
     robot = equations.robot
     basis = equations.basis
     names = [deviation.name for deviation in deviations(robot)]
@@ -569,5 +575,5 @@ def tolerance_moves(
 
 
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
-    """Return the speeds (n,) rad/s below which the sign of the friction is not certain."""
+    """Return speeds (n,) rad/s below which the sign of friction is uncertain."""
     return np.array([0.0 if s is None else SLIDES * s.sign_width for s in surfaces])

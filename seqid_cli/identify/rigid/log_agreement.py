@@ -1,4 +1,4 @@
-"""Whether all logs are of one rigid body: a log, or a stretch of one, that stands out, by name.
+"""Test of whether all logs are of one rigid body, naming a log or stretch that is not.
 
 One least squares over logs of which some carry a tool gives the parameters of neither
 arm, and a residual that still looks small against the torque. Here the logs are parted
@@ -54,7 +54,7 @@ class LogEquations:
 def parts_of(
     log: str, joints: Sequence[Accumulator], *, parts: int = 4
 ) -> list[LogEquations]:
-    """Cut the equations of a log into stretches of about equal length, in their order."""
+    """Cut a log's equations into stretches of about equal length, in their order."""
     name = PurePath(log).name
     stretches = []
     for k in range(parts):
@@ -80,7 +80,9 @@ def parts_of(
 def log_equations(
     logs: Sequence[str], joints: Sequence[Sequence[Accumulator]], *, few: int = 2
 ) -> list[LogEquations]:
-    """Take each log as a whole; `few` logs, or fewer, in stretches, so that one can stand out.
+    """Return the equations of each log; `few` logs or fewer come in stretches.
+
+    One stretch can then stand out.
 
     `joints` are the rows of each log's joints.
     """
@@ -102,7 +104,10 @@ class GroupedFit:
 
 
 class _Fit:
-    """Weighted normal equations of each log; `rigid` parameters may differ between groups."""
+    """Weighted normal equations of each log.
+
+    Parameters that are `rigid` may differ between groups.
+    """
 
     def __init__(self, logs: Sequence[LogEquations], sigma: Array, rigid: int) -> None:
         self.rigid = rigid
@@ -210,8 +215,9 @@ def agreement_verdicts(
         return []
     joint = robot.joints[worst]
     reason = (
-        f"{_named(logs, groups[1])}: one rigid body for all leaves {with_one[worst]:.3g}"
-        f" {joint.unit('N m')} at {joint.name} ({percent(differs[worst])} of its"
+        f"{_named(logs, groups[1])}: one rigid body for all leaves"
+        f" {with_one[worst]:.3g} {joint.unit('N m')} at {joint.name}"
+        f" ({percent(differs[worst])} of its"
         f" torque), one for each leaves {with_two[worst]:.3g}. Is there a tool, a load"
         " or another mounting in one of them? Identify them apart; seqid diagnose"
         " tells what differs"
@@ -250,7 +256,7 @@ def _names(logs: Sequence[LogEquations], group: Group, split: set[str]) -> list[
 def _two_groups(
     fit: _Fit, logs: Group, *, min_gain: float = 0.1
 ) -> tuple[Group, Group]:
-    """Part logs into the many and the few that lower the squares most; the few come second.
+    """Part logs into the many and the few that lower the squares most, few second.
 
     `min_gain`: share of the squares that are left by which one more log must lower
     them.
@@ -288,7 +294,7 @@ def _least_with_a_third(fit: _Fit, groups: tuple[Group, Group]) -> float:
 def _residual_norms(
     logs: Sequence[LogEquations], groups: Sequence[Group], fit: GroupedFit
 ) -> Array:
-    """Return the root of the squares (n,) N m that parameters of each group leave at joints."""
+    """Return the root squares (n,) N m that each group's parameters leave at joints."""
     squares = np.zeros(len(logs[0].factors))
     for group, theta in zip(groups, fit.theta, strict=True):
         for k in group:

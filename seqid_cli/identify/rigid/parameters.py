@@ -1,4 +1,4 @@
-"""From a least-squares solution to a stage of the parameter file; shared by gravity and inertia.
+"""From a least-squares solution to a stage of the file; shared by gravity and inertia.
 
 Also which pairs of joints must move together to determine what is still open (Sec.
 2.2.4), and physical consistency as a constraint. Least squares does not know that
@@ -28,7 +28,10 @@ from seqid_cli.typing import Array, Index
 def parameters_of(
     robot: Robot, basis: Basis, chosen: Index, theta: Array, covariance: Array
 ) -> list[Parameter]:
-    """Return parameters `chosen` by their places, with standard errors, units, expressions."""
+    """Return the `chosen` parameters, with standard errors, units, expressions.
+
+    They are chosen by their places.
+    """
     parameters = []
     for place in chosen:
         k = int(place)
@@ -221,7 +224,7 @@ def imu_moves(
     reflected: Array,
     errors: Mapping[str, float],
 ) -> Array:
-    """Return what IMUs' errors move the parameters by (b, d), one standard deviation a column.
+    """Return moves (b, d) of parameters by IMUs' errors, one deviation a column.
 
     Accelerations that a calibration takes for too large by a share leave inertias too
     small by as much: those of the links between the IMU before and its own. A known
@@ -314,7 +317,7 @@ def missing_pairs(
 
 
 def _still_open(H: Array, directions: Array, *, min_share: float = 1e-6) -> Array:
-    """Return the part of `directions` (b, k), orthonormal, that rows H (N, b) do not see."""
+    """Return the part of orthonormal `directions` (b, k) that rows H (N, b) miss."""
     # Singular values below `min_share` of the largest are rounding.
     _, s, Vt = np.linalg.svd(H @ directions, full_matrices=True)
     rank = int(np.sum(s > min_share * float(np.linalg.norm(H, 2))))

@@ -1,4 +1,4 @@
-"""The joint posterior of all stages: what an error of an earlier stage does to a later one.
+"""The joint posterior of all stages: the effect of an earlier stage's error on a later.
 
 Every stage is a linear function of its own torque and of what earlier stages say,
 
@@ -18,7 +18,8 @@ The error e_k of a joint's torque constant, s_k its standard deviation, scales t
 side y_k of that joint's rows in every stage, friction c_k included. What it moves theta
 by is linear as well,
 
-    M_k = s_k dtheta_0/de_k + S_g M_gk,    stated cov(theta) = cov(theta) + sum_k M_k M_k',
+    M_k = s_k dtheta_0/de_k + S_g M_gk,
+    stated cov(theta) = cov(theta) + sum_k M_k M_k',
 
 one common error for all stages. It cancels in the torque of the same drive, so what is
 held against that torque uses cov(theta), and what is stated of physical values adds M.
@@ -46,7 +47,10 @@ Moves = dict[int, Array]
 def friction_covariance(
     sensitivity: Sensitivity, surfaces: Surfaces, size: int
 ) -> Array:
-    """Covariance (p, p) that the errors of the friction surfaces make: sum_j T_j cov(c_j) T_j'."""
+    """Return the covariance (p, p) by errors of the friction surfaces.
+
+    It is sum_j T_j cov(c_j) T_j'.
+    """
     total = np.zeros((size, size))
     for j, T in sensitivity.items():
         surface = surfaces[j]
@@ -56,23 +60,35 @@ def friction_covariance(
 
 
 def constant_moves(
-    solution: Solution, errors: Array, known: Moves, through: Moves
+    solution: Solution, errors: Array, computed: Moves, through: Moves
 ) -> Moves:
-    """What one standard error of each joint's torque constant moves a solution by.
+    """Return moves of a solution per standard error of each joint's torque constant.
 
-    `errors` (n,): relative standard errors of the torque constants. `known`: the move
-    by torque on the right side that was computed, not measured, such as that of known
-    rotors. It does not scale. `through`: the move by way of an earlier stage.
+    Parameters
+    ----------
+    solution : Solution
+    errors : (n,) array
+        Relative standard errors of the torque constants.
+    computed : dict of (p,) arrays
+        Moves by torque on the right side that was computed, not measured, such as that
+        of known rotors. It does not scale with the torque constant.
+    through : dict of (p,) arrays
+        Moves by way of an earlier stage.
+
+    Returns
+    -------
+    dict of (p,) arrays
+        By joint; of joints with an error, or with a move through an earlier stage.
     """
     return {
-        j: e * (solution.shares[j] - known.get(j, 0.0)) + through.get(j, 0.0)
+        j: e * (solution.shares[j] - computed.get(j, 0.0)) + through.get(j, 0.0)
         for j, e in enumerate(errors)
         if e > 0.0 or j in through
     }
 
 
 def moves_covariance(moves: Mapping[Any, Array], size: int) -> Array:
-    """Covariance (p, p) that errors common to all rows make: sum_k M_k M_k'."""
+    """Return the covariance (p, p) by errors common to all rows: sum_k M_k M_k'."""
     return sum((np.outer(M, M) for M in moves.values()), np.zeros((size, size)))
 
 
@@ -89,7 +105,10 @@ class Posterior:
 
     @property
     def stated(self) -> Array:
-        """Covariance (p, p) of the physical values, with what cancels in predicted torques."""
+        """Covariance (p, p) of physical values.
+
+        It has what cancels in predicted torques.
+        """
         size = len(self.covariance)
         common = moves_covariance(self.constants, size) + moves_covariance(
             self.tolerances, size
@@ -98,10 +117,10 @@ class Posterior:
 
     @property
     def beside_tolerances(self) -> Array:
-        """Covariance (p, p) of a drive's terms, which take what the robot file has wrong.
+        """Covariance (p, p) of a drive's terms, with the robot file's own errors.
 
-        Gravity of another direction is a torque that does not turn with the motion, as an
-        offset is. Predicted torques do not feel it, the offset of the drive does.
+        Gravity of another direction is a torque that does not turn with the motion,
+        as an offset is. Predicted torques do not feel it, the drive's offset does.
         """
         size = len(self.covariance)
         return self.covariance + moves_covariance(self.tolerances, size)
@@ -113,12 +132,17 @@ class Posterior:
         surfaces: Surfaces,
         errors: Array,
         direct: Sensitivity,
-        known: Moves,
+        computed: Moves,
         prior: Prior | None = None,
     ) -> "Posterior":
-        """Join a solution's errors, `direct` ones with the prior held, with those it inherits."""
-        # Its covariance counts the prior's rows as independent of friction.
-        total, covariance, through = dict(direct), solution.covariance, {}
+        """Join a solution's errors with those that it inherits.
+
+        `direct` are those of friction with the prior held.
+        """
+        total = dict(direct)
+        covariance = solution.covariance
+        through: Moves = {}
+        # The solution's covariance counts the prior's rows as independent of friction.
         if prior is not None:
             gain = solution.bread @ prior.A.T
             inherited = friction_covariance(prior.friction, surfaces, gain.shape[1])
@@ -126,8 +150,9 @@ class Posterior:
             for j, inner in prior.friction.items():
                 total[j] = total.get(j, 0.0) + gain @ inner
             through = {j: gain @ move for j, move in prior.constants.items()}
+
         covariance = covariance + friction_covariance(total, surfaces, len(covariance))
-        constants = constant_moves(solution, errors, known, through)
+        constants = constant_moves(solution, errors, computed, through)
         return cls((covariance + covariance.T) / 2, total, constants)
 
     def first(self, count: int) -> "Posterior":
@@ -147,27 +172,38 @@ class Posterior:
 def gravity_prior(
     gravity: RigidStage | None, basis: Basis, joints: Sequence[str]
 ) -> Prior:
-    """The gravity stage as rows of unit variance on the base parameters that it determined."""
+    """Return the gravity stage as rows of unit variance.
+
+    They are on the base parameters that the stage determined.
+    """
     if gravity is None or not gravity.parameters:
         return Prior(np.zeros((0, basis.size)), np.zeros(0))
+
     size = int(basis.gravity.sum())
     rows = whitened(np.array(gravity.covariance))
     wide = np.zeros((len(rows), basis.size))
-    own = [basis.names.index(parameter.name) for parameter in gravity.parameters]
-    wide[:, own] = rows
+    places = [basis.names.index(parameter.name) for parameter in gravity.parameters]
+    wide[:, places] = rows
+
     # Base gravity parameters of the stage, undetermined ones at their smallest values.
     names = standard_names(basis.expression.shape[1] // 11)
     phi = np.array([gravity.representative.get(name, 0.0) for name in names])
-    friction, constants = (
-        {
-            j: rows @ np.array(known[name])
+    value = np.asarray((basis.expression @ phi)[:size])[places]
+
+    def by_joint(moves: Mapping[str, Any]) -> dict[int, Array]:
+        return {
+            j: rows @ np.array(moves[name])
             for j, name in enumerate(joints)
-            if known.get(name)
+            if moves.get(name)
         }
-        for known in (gravity.friction_sensitivity, gravity.torque_constant_moves)
+
+    return Prior(
+        A=wide,
+        b=rows @ value,
+        friction=by_joint(gravity.friction_sensitivity),
+        constants=by_joint(gravity.torque_constant_moves),
+        tolerances={
+            name: rows @ np.array(move)
+            for name, move in gravity.tolerance_moves.items()
+        },
     )
-    value = np.asarray((basis.expression @ phi)[:size])[own]
-    tolerances = {
-        name: rows @ np.array(move) for name, move in gravity.tolerance_moves.items()
-    }
-    return Prior(wide, rows @ value, friction, constants, tolerances)

@@ -1,4 +1,4 @@
-"""Whether rotors react on the links that carry them: the logs decide, or it is left open.
+"""Reaction of rotors on the links that carry them: decided by the logs, or left open.
 
 The torque of rotor i on its own joint is N_i^2 I_mi ddq_i (Eq. 43). A rotor that rides
 on a link feels that link's motion as well, and the link feels the rotor's: N_i I_mi
@@ -81,8 +81,8 @@ def decide(
     used = shares[0]
     near = [share.sigma < settings.max_sigma for share in shares]
     sure = all(near) and all(abs(share.log_odds) > min_log_odds for share in shares)
-    alike = len({share.log_odds > 0.0 for share in shares}) == 1
-    if sure and alike and len(shares) == len(rows):
+    same_side = len({share.log_odds > 0.0 for share in shares}) == 1
+    if sure and same_side and len(shares) == len(rows):
         coupled = used.log_odds > 0.0
         text = "the data show rotors coupled to the links that carry them; used as such"
         return Coupling(
@@ -95,17 +95,17 @@ def decide(
     without = equations.solved(rows[0], 0.0)[0].theta
     coupled_theta = equations.solved(rows[0], 1.0)[0].theta
     directions = np.sqrt(likely) * (coupled_theta - without)[:, None]
-    left = f"{used.value:.2f} +- {used.std_error:.2f} of it when left free"
+    free_text = f"{used.value:.2f} +- {used.std_error:.2f} of it when left free"
     if near[0]:
         note = (
             "these logs do not tell whether rotors are coupled to the links that carry"
-            f" them ({left}); they act on their own joints alone, and the standard"
+            f" them ({free_text}); they act on their own joints alone, and the standard"
             " errors allow for it"
         )
         return Coupling(used=False, directions=directions, notes=(note,))
     note = (
-        f"coupling of rotors to the links that carry them: {left}, neither 0 nor 1;"
-        " something else is missing in the model, and the rotors act on their own"
+        f"coupling of rotors to the links that carry them: {free_text}, neither 0 nor"
+        " 1; something else is missing in the model, and the rotors act on their own"
         " joints alone"
     )
     return Coupling(used=False, directions=directions, contradicted=note)
@@ -114,7 +114,10 @@ def decide(
 def _free_shares(
     equations: InertiaEquations, rows: Sequence[InertiaRows]
 ) -> list[FreeShare]:
-    """Return the free share at each cut-off at which it is determined; none unless at the first."""
+    """Return the free share at each cut-off that determines it.
+
+    The list is empty unless the first cut-off determines the share.
+    """
     place = equations.coupling_place
     shares = []
     for own_rows in rows:

@@ -1,4 +1,4 @@
-"""The classical way (Eq. 5-6): rigid body, Coulomb and viscous friction in one least squares.
+"""The classical way (Eq. 5-6): rigid body and friction in one least squares.
 
     tau = H(q, dq, ddq) pi + F_c sign(dq) + F_v dq + F_o
 
@@ -187,7 +187,7 @@ class OneStepResult:
         return float(np.median([use.cutoff_hz for use in self.uses]))
 
     def stages(self) -> tuple[schema.FrictionStage, schema.RigidStage]:
-        """Return the friction and the inertia stage, with the bands of predicted torques."""
+        """Return the friction and the inertia stage, with bands of predictions."""
         friction = self._friction_stage()
         inertia = self._inertia_stage()
         fit = Fit(
@@ -325,7 +325,7 @@ class OneStepResult:
         )
 
     def _offset_notes(self) -> list[str]:
-        """Return a note on the joints whose offset is not told apart from other torques."""
+        """Return a note on joints whose offset resembles other torques too much."""
         names = [
             self.robot.joint_names[j]
             for j in self.moved_joints
@@ -339,7 +339,7 @@ class OneStepResult:
         ]
 
     def _friction_sensitivity(self) -> dict[str, schema.Matrix]:
-        """Return the change of the reported parameters per entry of each joint's friction.
+        """Return changes of the reported parameters per entry of joints' friction.
 
         One least squares gives rigid body and friction correlated errors: what an
         offset has too much, gravity has too little. Their sum is known far better than
@@ -412,7 +412,7 @@ class OneStepResult:
         return [*verdicts, schema.Verdict(good=not n_missing, reason=reason)]
 
     def _wave(self, j: int, settings: OneStepSettings) -> str:
-        """Say how a joint's friction waves over the position, where that is certain and matters."""
+        """Describe a joint's friction wave over q, where it is certain and matters."""
         places = self.rows.waves[j]
         wave = self.waving.theta[places]
         covariance = self.waving.covariance[places, places]

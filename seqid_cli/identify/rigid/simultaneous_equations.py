@@ -1,7 +1,7 @@
-"""The equations of the classical way (Eq. 5-6): rigid body and friction in one least squares.
+"""The equations of the classical way (Eq. 5-6): rigid body and friction together.
 
-With H the regressor of the base parameters pi (Eq. 4), s = tanh(dq / w) the direction of
-motion, d a delay, and a, b how friction waves over the position,
+With H the regressor of the base parameters pi (Eq. 4), s = tanh(dq / w) the direction
+of motion, d a delay, and a, b the waves of friction over the position,
 
     tau = H pi + F_c s + F_v |dq| s + F_o - d dtau/dt + s (a cos(q) + b sin(q)).
 
@@ -133,7 +133,7 @@ class SimultaneousEquations:
         self.joints = [a + b for a, b in zip(self.joints, log_joints, strict=True)]
 
     def _friction_columns(self, motion: Motion) -> tuple[Array, Array]:
-        """Return columns of friction (N, n, terms) and waves (N, n, 2), filtered as friction is."""
+        """Return columns of friction (N, n, terms) and waves (N, n, 2), filtered."""
         sign = np.tanh(motion.dq / np.where(self.width > 0, self.width, 1.0))
         friction = np.stack(
             [sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2
@@ -146,7 +146,10 @@ class SimultaneousEquations:
         return friction, waves
 
     def _phase(self, q: Array) -> Array:
-        """Return the phases (N, n) rad of waves over positions; a slide's travel is half a wave."""
+        """Return phases (N, n) rad of waves over positions.
+
+        A slide's travel is half a wave.
+        """
         travel = np.maximum(self.high - self.low, 1e-9)
         slides = self.robot.chain.prismatic
         return np.asarray(np.where(slides, np.pi / travel, 1.0) * q)
@@ -176,7 +179,7 @@ class SimultaneousEquations:
         return columns
 
     def prior(self, coulomb: Array | None = None) -> Prior:
-        """Return what is known before of delays, and of waves beside Coulomb friction (n,) N m.
+        """Return the prior of delays, and of waves with Coulomb friction (n,) N m.
 
         There are no waves where Coulomb friction is not given.
         """
@@ -205,7 +208,7 @@ class SimultaneousEquations:
 
 
 def _usual_fastest(speed: Array) -> Array:
-    """Return the speed (n,) that a log reaches and does not only touch, given speeds (N, n).
+    """Return the 99 % quantile (n,) of speeds (N, n), the usual fastest of a log.
 
     It is the fastest of all where a joint moved for a moment only.
     """
@@ -214,7 +217,7 @@ def _usual_fastest(speed: Array) -> Array:
 
 
 def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:
-    """Return entries (2, terms) of a friction surface, ahead and back, per term of friction."""
+    """Return entries (2, terms) of a surface, ahead and back, per friction term."""
     # Over [0, fastest] |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of
     # motion taken off.
     ahead = np.array([[1.0, fastest / 2, 1.0], [0.0, fastest / 2, 0.0]])[:, :terms]

@@ -18,6 +18,7 @@ import pytest
 
 import seqid_cli
 from seqid_cli.commands.app import COMMANDS
+from seqid_cli.commands.settings import SETTINGS_OF_COMMANDS
 from tests.plants import strangers
 from tests.unit.docs import keys
 from tests.unit.docs import kitchen as cooking
@@ -115,6 +116,9 @@ def _check_seqid(step: Step) -> None:
     if words in (("--help",), ("--version",)):
         return
     assert words[0] in COMMANDS, str(step)
+    if "--show-settings" in words:  # which asks for nothing else
+        assert words[0] in SETTINGS_OF_COMMANDS, str(step)
+        return
     parsed(words)
     for path in read_by(words):
         if path.startswith("sample_logs/"):

@@ -109,7 +109,7 @@ class Reduced:
     information: Array
 
     def followed(self, moves: Array) -> Array:
-        """Return changes (N, C, k) of readings by moves (cells, k) of the trajectory."""
+        """Return changes (N, C, k) of readings by moves (cells, k) of a trajectory."""
         linear = self.linear
         segment = linear.segment
         shape = segment.samples, linear.J.shape[2], moves.shape[1]

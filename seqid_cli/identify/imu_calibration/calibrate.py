@@ -186,7 +186,27 @@ def calibration_of(
     max_delay_error_s: float = 0.005,
     sampling: float = 0.01,
 ) -> schema.ImuCalibration:
-    """Return the calibration of one IMU, as the parameter file has it."""
+    """Return the calibration of one IMU, as the parameter file has it.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    imu : Imu
+        The IMU, with a gyro only if the segments have one.
+    fit : Fit
+        Constants and their errors.
+    segments : list of Segment
+        Segments of the fit.
+    pairs : list of Pair
+        Directions of joint axes that the logs show.
+    density : float or None
+        Noise of the angular acceleration [rad/s^2/sqrt(Hz)].
+    max_delay_error_s : float
+        Standard error of the clock offset from which it is not determined [s].
+    sampling : float
+        Share of the sampling period to which a coarse encoder shows the clock.
+    """
     # A clock offset with a larger standard error than `max_delay_error_s` is not
     # determined. A coarse encoder crosses its edges somewhere between two samples, at
     # the same places in every swing that repeats itself: its clock is known to
@@ -384,6 +404,19 @@ def verdict_of(
     """Return whether a mounting can be relied on, with the reason.
 
     It is known to `max_error` degrees, predicts a left-out log, and no joint deflects.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    imu : Imu
+        The IMU.
+    calibration : ImuCalibration
+        Its calibration.
+    converged : bool
+        Whether the fit has converged.
+    settings : MountingSettings
+        Limits of the verdict.
     """
     worst = calibration.std_error_deg
     left_out = calibration.holdout
@@ -391,7 +424,10 @@ def verdict_of(
     angle = [
         text for text in calibration.not_determined if text.startswith("the angle")
     ]
+    # An angle about the common axis of all joints before the IMU has no effect on what
+    # the IMU tells of them.
     matters = bool(angle) and not _turns_about_one_axis(robot, imu)
+
     reason = (
         f"mounting known to {worst:.3g} degrees from {calibration.configurations}"
         " trials"

@@ -77,7 +77,7 @@ def likeliest(
     noise = start.noise
     deflection = np.maximum(start.deflection, least)
     for _ in range(rounds):
-        before = np.append(noise, deflection)
+        last_sizes = np.append(noise, deflection)
         k = noise
         v = deflection**2
         M = np.linalg.inv(np.diag(1.0 / v) + _over(rows.B, k))
@@ -93,7 +93,8 @@ def likeliest(
         room = rows.share @ (1.0 / v - np.diagonal(M, axis1=1, axis2=2) / v**2)
         spread = deflection * np.sqrt(np.sqrt(pull / np.maximum(room, 1e-300)))
         deflection = np.maximum(spread, least)
-        if np.all(np.abs(np.append(noise, deflection) - before) <= done * before):
+        sizes = np.append(noise, deflection)
+        if np.all(np.abs(sizes - last_sizes) <= done * last_sizes):
             break
     return Sizes(noise, deflection)
 
@@ -114,6 +115,17 @@ def deflections(
 
     The significance compares the likelihood with that of a deflection of at most
     `beyond` times the jolts.
+
+    Parameters
+    ----------
+    linear : sequence of Linearised
+        Equations of all segments.
+    sizes : Sizes
+        Likeliest sizes of noise and deflections.
+    names : sequence of str
+        Names of the joints.
+    beyond : float
+        Ratio to the jolts up to which an acceleration is no deflection.
     """
     rows = _joined([x.deflection for x in linear])
     share = [x.deflection.share[0] for x in linear]

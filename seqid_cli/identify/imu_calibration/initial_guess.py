@@ -61,24 +61,30 @@ def axis_pairs(
     density : float
         Noise density of the IMU's angular acceleration [rad/s^2/sqrt(Hz)].
     """
-    given = imu, recording.accelerometers[imu.name], recording.gyros.get(imu.name)
-    lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
-    reading = read_angular(*given, lowpass, recording.valid)
-    raw = read_angular(*given, Lowpass(1e9, recording.rate_hz), recording.valid)
-    density = float(
-        np.sqrt(np.mean(white_noise(raw.dw) ** 2)) * np.sqrt(2 / recording.rate_hz)
-    )
+    accelerometers = recording.accelerometers[imu.name]
+    gyro = recording.gyros.get(imu.name)
+    rate_hz = recording.rate_hz
+    lowpass = Lowpass(motion.lowpass.cutoff_hz, rate_hz)
+    unfiltered = Lowpass(1e9, rate_hz)
+    reading = read_angular(imu, accelerometers, gyro, lowpass, recording.valid)
+    raw = read_angular(imu, accelerometers, gyro, unfiltered, recording.valid)
+    noise = np.sqrt(np.mean(white_noise(raw.dw) ** 2))
+    density = float(noise * np.sqrt(2 / rate_hz))
+
     alone = motion.usable & (motion.moving.sum(axis=1) == 1)
     still = shrink(~np.any(motion.moving, axis=1), 2 * motion.lowpass.settling)
     offset = reading.dw[still].mean(axis=0) if still.sum() > 20 else np.zeros(3)
     pairs = []
     for j in range(imu.after_joint + 1):
-        own = alone & motion.moving[:, j]
-        if own.sum() > min_s * motion.rate_hz and not robot.chain.prismatic[j]:
-            pair = _axis_pair(
-                robot, imu, motion, j, own, reading.dw - offset, reading.products
-            )
-            pairs += [pair] if pair else []
+        moves_alone = alone & motion.moving[:, j]
+        is_long = moves_alone.sum() > min_s * motion.rate_hz
+        if not is_long or robot.chain.prismatic[j]:
+            continue
+        pair = _axis_pair(
+            robot, imu, motion, j, moves_alone, reading.dw - offset, reading.products
+        )
+        if pair is not None:
+            pairs.append(pair)
     return pairs, density
 
 
@@ -198,26 +204,27 @@ def _delay(
     # without one.
     def misfits(delays: NDArray[Any]) -> Array:
         """Return the shares of the readings' power beyond the best linear function."""
-        found = []
+        shares = []
         for delay in delays:
             xx, xy, yy = _sums(tables, float(delay))
             scale = np.sqrt(np.maximum(np.diag(xx), 1e-12))
             b = xy / scale[:, None]
             solved = np.linalg.lstsq(xx / np.outer(scale, scale), b, rcond=1e-8)[0]
-            left = yy - np.sum(b * solved, axis=0)
+            misfit = yy - np.sum(b * solved, axis=0)
             power = np.maximum(yy - xy[-1] ** 2 / max(xx[-1, -1], 1.0), 1e-12)
-            found.append(np.mean(np.maximum(left, 0.0) / power))
-        return np.array(found)
+            shares.append(np.mean(np.maximum(misfit, 0.0) / power))
+        return np.array(shares)
 
     fine = max(segment.spacing for segment, _ in tables)
     longest = min(segment.samples * segment.spacing for segment, _ in tables)
     coarse = fine * max(1, round(coarse_s / fine))
     count = int(min(largest_s, longest / 4) / coarse)
     delays = np.arange(-count, count + 1) * coarse
-    left = misfits(delays)
-    middle = (
-        float(delays[np.argmin(left)]) if left.min() <= better * left[count] else 0.0
-    )
+    coarse_misfits = misfits(delays)
+    # The delay in the middle of the grid is zero.
+    middle = 0.0
+    if coarse_misfits.min() <= better * coarse_misfits[count]:
+        middle = float(delays[np.argmin(coarse_misfits)])
     delays = np.arange(-coarse, coarse + 0.5 * fine, fine) + middle
     return float(delays[np.argmin(misfits(delays))])
 

@@ -126,8 +126,25 @@ def cleaned(
 REACH = SIDE  # nodes that a derivative takes
 NODES_PER_CUTOFF = 6.0
 
-# first of four nodes, weights, value, information
-Measured = tuple[Index, Array, Array, Array]
+
+@dataclass(frozen=True, kw_only=True)
+class Measurements:
+    """M measurements of one joint: weighted sums of its positions at four nodes."""
+
+    at: Index  # (M,) first of the four nodes
+    weights: Array  # (M, 4)
+    value: Array  # (M,) rad, or rad/s^3 of the prior on the jerk
+    information: Array  # (M,) inverse variance
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Rows:
+    """Measurements of all moving joints as rows times the positions at the nodes."""
+
+    rows: csr_array
+    value: Array
+    information: Array
+    at: Index
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,8 +197,8 @@ class Segment:
         rows = np.repeat(np.arange(3 * size), width)
         columns = np.arange(size)[:, None, None] + np.tile(np.arange(width), (3, 1))
         place = (np.tile(weights, (size, 1, 1)).ravel(), (rows, columns.ravel()))
-        one = coo_array(place, shape=(3 * size, size + 2 * REACH))
-        return csr_array(kron(one, eye_array(len(self.moving))))
+        joint_matrix = coo_array(place, shape=(3 * size, size + 2 * REACH))
+        return csr_array(kron(joint_matrix, eye_array(len(self.moving))))
 
     @cached_property
     def normal(self) -> csr_array:
@@ -195,11 +212,14 @@ class Segment:
         """
         count = np.arange(len(blocks) + 1)
         inner = bsr_array((blocks, count[:-1], count)).tocsr()
-        whole = (self.normal + self.at_samples.T @ inner @ self.at_samples).tocoo()
-        below = whole.row >= whole.col
-        row, column = whole.row[below], whole.col[below]
-        band = np.zeros(((2 * REACH + 1) * len(self.moving), whole.shape[0]))
-        band[row - column, column] = whole.data[below]
+        information = (
+            self.normal + self.at_samples.T @ inner @ self.at_samples
+        ).tocoo()
+        below = information.row >= information.col
+        row = information.row[below]
+        column = information.col[below]
+        band = np.zeros(((2 * REACH + 1) * len(self.moving), information.shape[0]))
+        band[row - column, column] = information.data[below]
         return band
 
 
@@ -285,7 +305,7 @@ class _Log:
         ]
 
     def segment(
-        self, own: slice, *, min_offset: float = 1e-4, slack: float = 3
+        self, stretch: slice, *, min_offset: float = 1e-4, slack: float = 3
     ) -> Segment | None:
         """Return one segment, or None where it has too few nodes.
 
@@ -296,19 +316,26 @@ class _Log:
         # its encoder shows of it.
         rate = self.recording.rate_hz
         views = self.views
-        every = max(1, int(rate / (NODES_PER_CUTOFF * self.lowpass.cutoff_hz)))
-        nodes = np.arange(own.start + REACH * every, own.stop - REACH * every, every)
+        stride = max(1, int(rate / (NODES_PER_CUTOFF * self.lowpass.cutoff_hz)))
+        nodes = np.arange(
+            stretch.start + REACH * stride, stretch.stop - REACH * stride, stride
+        )
         if len(nodes) < 4 * REACH:
             return None
-        wide = np.arange(nodes[0] - REACH * every, nodes[-1] + REACH * every + 1, every)
-        moves: Mask = np.any(self.motion.moving[own], axis=0)
+        wide = np.arange(
+            nodes[0] - REACH * stride, nodes[-1] + REACH * stride + 1, stride
+        )
+
+        moves: Mask = np.any(self.motion.moving[stretch], axis=0)
         # A joint that leaves a code of an encoder too coarse to show how counts as
         # moving.
         hunts = [
-            _still_hz(v, rate) == 0.0 and bool(np.ptp(v.q[own]) > 0.0) for v in views
+            _still_hz(v, rate) == 0.0 and bool(np.ptp(v.q[stretch]) > 0.0)
+            for v in views
         ]
         moving = [j for j in range(len(views)) if moves[j] or hunts[j]]
         resting = [j for j in range(len(views)) if j not in moving]
+
         motion = np.zeros((3, self.smooth.shape[1], len(nodes)))
         motion[0] = self.smooth[nodes].T
         for j in resting:
@@ -317,53 +344,54 @@ class _Log:
             j: float(np.sqrt(views[j].step ** 2 / 12 + views[j].white)) for j in resting
         }
         locked = tuple(j for j in resting if off[j] > min_offset)
+
         jerks = np.sqrt(
-            np.mean((np.diff(self.motion.ddq[own], axis=0) * rate) ** 2, axis=0)
+            np.mean((np.diff(self.motion.ddq[stretch], axis=0) * rate) ** 2, axis=0)
         )
         jerk = max(slack * float(np.max(jerks)), 1.0)
-        third = JERK * (rate / every) ** 3
+        third = JERK * (rate / stride) ** 3
         at = np.arange(len(wide) - 3)
-        smooth = (
-            at,
-            np.tile(third, (len(at), 1)),
-            np.zeros(len(at)),
-            np.full(len(at), jerk**-2),
+        smooth = Measurements(
+            at=at,
+            weights=np.tile(third, (len(at), 1)),
+            value=np.zeros(len(at)),
+            information=np.full(len(at), jerk**-2),
         )
-        parts: list[Measured] = []
+        parts: list[Measurements] = []
         for j in moving:
-            parts.append(self._measured(j, wide, own))
+            parts.append(self._measured(j, wide, stretch))
             parts.append(smooth)
-        rows, value, information, at_node = _stacked(parts, len(wide), len(moving))
+        stacked = _stacked(parts, len(wide), len(moving))
 
         return Segment(
             log=self.number,
             t=self.recording.t[nodes],
-            spacing=every / rate,
+            spacing=stride / rate,
             motion=motion,
             moving=tuple(moving),
             start=self.smooth[wide][:, moving],
-            rows=rows,
-            value=value,
-            information=information,
-            at=at_node,
+            rows=stacked.rows,
+            value=stacked.value,
+            information=stacked.information,
+            at=stacked.at,
             locked=locked,
             offset_sigma=np.array([off[j] for j in locked]),
             readings=self.readings,
-            share=float(every),
+            share=float(stride),
             cutoff_hz=self.lowpass.cutoff_hz,
             encoder_hz=self.motion.cutoff.hz,
-            by_edges=any(self._by_edges(j, own) for j in moving),
+            by_edges=any(self._by_edges(j, stretch) for j in moving),
         )
 
-    def _rounding(self, j: int, own: slice) -> float:
+    def _rounding(self, j: int, stretch: slice) -> float:
         """Return how far the low-pass rounds off a jump of the acceleration [rad]."""
-        strongest = float(np.max(np.abs(self.motion.ddq[own, j])))
+        strongest = float(np.max(np.abs(self.motion.ddq[stretch, j])))
         return strongest / (2 * np.pi * self.lowpass.cutoff_hz) ** 2
 
-    def _by_edges(self, j: int, own: slice) -> bool:
+    def _by_edges(self, j: int, stretch: slice) -> bool:
         """Return whether only the edges of a joint's encoder tell its position."""
         view = self.views[j]
-        fine = view.step / np.sqrt(12) < self._rounding(j, own)
+        fine = view.step / np.sqrt(12) < self._rounding(j, stretch)
         return not fine and bool(np.isfinite(view.edge).any())
 
     def _at_rest(self, j: int) -> Array:
@@ -379,8 +407,8 @@ class _Log:
         return np.stack([smooth, *differentiate(smooth, rate, valid)])
 
     def _measured(
-        self, j: int, wide: Index, own: slice, *, repeated: float = 2.0
-    ) -> Measured:
+        self, j: int, wide: Index, stretch: slice, *, repeated: float = 2.0
+    ) -> Measurements:
         """Return the rows of a moving joint.
 
         A coarse encoder measures by its edges, a fine one by its low-passed codes.
@@ -388,45 +416,67 @@ class _Log:
         # Swings that repeat themselves repeat their quantisation errors, so many times.
         rate = self.recording.rate_hz
         view = self.views[j]
-        every = int(wide[1] - wide[0])
+        stride = int(wide[1] - wide[0])
         count = len(wide)
-        if not self._by_edges(j, own):
+        if not self._by_edges(j, stretch):
             # One row per node, as good as all the samples it stands for, if their codes
             # differ.
             variance = max(view.step**2 / 12 + view.white, 1e-16)
-            slow = np.abs(self.speed[wide, j]) / rate * every < view.step
-            alike = np.where(slow, np.maximum(view.dwell[wide], 1.0), 1.0)
+            slow = np.abs(self.speed[wide, j]) / rate * stride < view.step
+            n_alike = np.where(slow, np.maximum(view.dwell[wide], 1.0), 1.0)
             at = np.clip(np.arange(count) - 1, 0, count - 4)
             weights = np.eye(4)[np.arange(count) - at]
-            return at, weights, self.smooth[wide, j], every / (variance * alike)
+            return Measurements(
+                at=at,
+                weights=weights,
+                value=self.smooth[wide, j],
+                information=stride / (variance * n_alike),
+            )
+
         samples, edges = view.weights(self.speed[:, j], 1.0 / rate)
         index = np.arange(len(view.q), dtype=np.float64)
         places = np.concatenate([index, index + 0.5])
         information = np.concatenate([samples, edges]) / repeated
         information = information / (
-            1.0 + information * (0.1 * self._rounding(j, own)) ** 2
+            1.0 + information * (0.1 * self._rounding(j, stretch)) ** 2
         )
         value = np.concatenate([view.q, np.nan_to_num(view.edge)])
-        kept = (information > 0) & (places >= wide[0]) & (places <= wide[-1])
-        u = (places[kept] - wide[0]) / every
+        is_inside = (places >= wide[0]) & (places <= wide[-1])
+        is_used = (information > 0) & is_inside
+        u = (places[is_used] - wide[0]) / stride
         at = np.clip(np.floor(u).astype(np.intp) - 1, 0, count - 4)
         cubic = np.vander(u - at, 4) @ np.linalg.inv(np.vander(np.arange(4.0), 4))
-        return at, cubic, value[kept], information[kept]
+        return Measurements(
+            at=at,
+            weights=cubic,
+            value=value[is_used],
+            information=information[is_used],
+        )
 
 
-def _stacked(
-    parts: list[Measured], nodes: int, m: int
-) -> tuple[csr_array, Array, Array, Index]:
-    """Return rows, values, information and nodes of two parts for each moving joint."""
-    joint = np.repeat(np.arange(len(parts)) // 2, [len(part[0]) for part in parts])
-    none = np.zeros(0, dtype=np.intp), np.zeros((0, 4)), np.zeros(0), np.zeros(0)
-    at, weights, value, information = (
-        np.concatenate(x) for x in zip(none, *parts, strict=True)
+def _stacked(parts: list[Measurements], nodes: int, m: int) -> _Rows:
+    """Return the rows of two parts for each of m moving joints."""
+    # Nothing can be concatenated where no joint moves.
+    nothing = Measurements(
+        at=np.zeros(0, dtype=np.intp),
+        weights=np.zeros((0, 4)),
+        value=np.zeros(0),
+        information=np.zeros(0),
     )
+    joint = np.repeat(np.arange(len(parts)) // 2, [len(part.at) for part in parts])
+    parts = [nothing, *parts]
+    at = np.concatenate([part.at for part in parts])
+    weights = np.concatenate([part.weights for part in parts])
+
     columns = (at[:, None] + np.arange(4)) * m + joint[:, None]
     place = np.repeat(np.arange(len(at)), 4), columns.ravel()
     rows = csr_array(coo_array((weights.ravel(), place), shape=(len(at), nodes * m)))
-    return rows, value, information, np.clip(at + 1 - REACH, 0, nodes - 2 * REACH - 1)
+    return _Rows(
+        rows=rows,
+        value=np.concatenate([part.value for part in parts]),
+        information=np.concatenate([part.information for part in parts]),
+        at=np.clip(at + 1 - REACH, 0, nodes - 2 * REACH - 1),
+    )
 
 
 def _still_hz(

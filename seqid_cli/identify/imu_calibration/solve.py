@@ -134,7 +134,7 @@ class _State:
         self,
         step: Array,
         share: float,
-        found: list[Reduced],
+        reductions: list[Reduced],
         *,
         max_factor: float = 10.0,
     ) -> "_State":
@@ -154,7 +154,7 @@ class _State:
                 ),
                 where=self.imu.name,
             )
-        pairs = zip(found, self.locals_, strict=True)
+        pairs = zip(reductions, self.locals_, strict=True)
         locals_ = [r.moved(local, step, share) for r, local in pairs]
         return replace(self, constants=constants, locals_=locals_)
 
@@ -233,8 +233,8 @@ def _fitted(
         np.ones(1 + state.imu.gyro), np.full(state.imu.after_joint + 1, first_size)
     )
     sizes = renewed(linear, sizes or first)
-    found = deflections(linear, sizes, state.robot.joint_names)
-    fit = _finished(reductions, state, found, converged=change < settled)
+    joint_deflections = deflections(linear, sizes, state.robot.joint_names)
+    fit = _finished(reductions, state, joint_deflections, converged=change < settled)
     return replace(fit, moves=moves), sizes
 
 
@@ -251,12 +251,12 @@ def _moves(
     if not others:
         return np.zeros((state.constants.count, 0))
     sigma = state.noise_scale()
-    here, _ = state.solved(state.reductions(sigma, sizes, weights))
+    step_of_arm, _ = state.solved(state.reductions(sigma, sizes, weights))
     moves = []
     for robot in others:
-        other = replace(state, robot=robot)
-        there, _ = other.solved(other.reductions(sigma, sizes, weights))
-        moves.append(there - here)
+        tolerated = replace(state, robot=robot)
+        step, _ = tolerated.solved(tolerated.reductions(sigma, sizes, weights))
+        moves.append(step - step_of_arm)
     return np.array(moves).T
 
 
@@ -266,8 +266,9 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
     widths = state.widths
     c = len(constants.bias)
     gain_open, tilt_open = np.split(np.diag(covariance)[7 + c : -1], [c])
-    drift = np.array([own.own[:c] for own in state.locals_])
+    drift = np.array([local.own[:c] for local in state.locals_])
     drift_open = np.array([np.diag(r.covariance)[:c] for r in reductions])
+
     accelerometers = slice(0, len(state.imu.axes))
     gyros = slice(len(state.imu.axes), c)
     for kind in (accelerometers, gyros):
@@ -291,13 +292,13 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
 def _finished(
     reductions: list[Reduced],
     state: _State,
-    found: list[JointDeflection],
+    joint_deflections: list[JointDeflection],
     *,
     converged: bool,
 ) -> Fit:
     """Return the fit with standard errors, from the equations at its end."""
     _, information = state.solved(reductions)
-    own = sum((r.follow.T * r.precision) @ r.follow for r in reductions)
+    local_prior = sum((r.follow.T * r.precision) @ r.follow for r in reductions)
     # The model's covariance, each standard error at least that of the scores' own
     # variance: over blocks of time, and over whole logs, since what bends does so alike
     # throughout a move.
@@ -310,8 +311,9 @@ def _finished(
     ):
         count = len(scores)
         share = count / max(count - parameters, 0.5 * count)
-        seen = model @ (share * scores.T @ scores + (state.prior + own)) @ model
-        largest = np.maximum(largest, np.diag(seen))
+        inner = share * scores.T @ scores + (state.prior + local_prior)
+        covariance = model @ inner @ model
+        largest = np.maximum(largest, np.diag(covariance))
     factor = np.sqrt(largest / np.diag(model))
     return Fit(
         constants=state.constants,
@@ -321,7 +323,7 @@ def _finished(
         outliers=sum(int(r.linear.outliers.sum()) for r in reductions),
         converged=converged,
         holdout=_left_out(reductions, information),
-        deflections=found,
+        deflections=joint_deflections,
         moves=np.zeros((len(model), 0)),
     )
 

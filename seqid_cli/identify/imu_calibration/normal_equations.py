@@ -144,8 +144,8 @@ def residual(
     count = len(constants.bias)
     motion = segment.motion.copy()
     moving = list(segment.moving)
-    moved = segment.at_samples @ local.trajectory.ravel()
-    moved = moved.reshape(segment.samples, 3, len(moving))
+    shape = (segment.samples, 3, len(moving))
+    moved = (segment.at_samples @ local.trajectory.ravel()).reshape(shape)
     motion[:, moving] = moved.transpose(1, 2, 0)
     motion[0, list(segment.locked)] += local.own[count:, None]
     x = link_state(robot, imu.after_joint, motion)

@@ -1,1 +1,4 @@
-"""How far predicted torques may be off: calibrated on left-out logs, stated and checked later."""
+"""Error bands of predicted torques.
+
+They are calibrated on left-out logs, stated with a prediction, and checked on new logs.
+"""

@@ -1,8 +1,8 @@
-"""How often bands held on the logs that were predicted, over all and by speed and load.
+"""Shares of predicted samples whose error is within its band, by speed and load.
 
-Errors are counted where a joint slides: at rest the model says an interval, and no
-deviation. Many samples of one moment are not many tests: what counts as a test is a
-block of time.
+Errors are counted where a joint slides: at rest the model states an interval and no
+deviation. Neighbouring samples share their error and are not separate tests. A block of
+time counts as one test.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,10 +27,11 @@ class LogBlock(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class BandCounts:
-    """Samples of the joints (n,) in a group, how many of them were in each band, and blocks.
+    """Counts of one group of samples, for n joints.
 
-    `blocks` holds for each joint which blocks of time had samples, as log and number.
-    A block in which one part of a log ends and the next begins is one block.
+    `samples` (n,) are all of them, and `within` holds by band those inside it (n,).
+    `blocks` names for each joint the blocks of time that have samples. Where one part
+    of a log ends within a block and the next begins, it remains one block.
     """
 
     samples: Array
@@ -38,17 +39,21 @@ class BandCounts:
     blocks: Sequence[frozenset[LogBlock]]
 
     def __add__(self, other: "BandCounts") -> "BandCounts":
-        pairs = zip(self.blocks, other.blocks, strict=True)
+        within = {
+            band: count + other.within[band] for band, count in self.within.items()
+        }
+        blocks = [
+            blocks | other_blocks
+            for blocks, other_blocks in zip(self.blocks, other.blocks, strict=True)
+        ]
         return BandCounts(
-            samples=self.samples + other.samples,
-            within={name: x + other.within[name] for name, x in self.within.items()},
-            blocks=[ours | theirs for ours, theirs in pairs],
+            samples=self.samples + other.samples, within=within, blocks=blocks
         )
 
 
 @dataclass
 class CoverageCounter:
-    """Adds up how often bands held, part by part of the logs."""
+    """Counter of the samples within their bands, part by part of the logs."""
 
     groups: dict[str, BandCounts] = field(default_factory=dict)
 
@@ -68,77 +73,88 @@ class CoverageCounter:
         Parameters
         ----------
         log : str
-            What tells the log from the others; the same for all of its parts.
+            Name of the log, the same for all of its parts.
         t : array (N,)
             Time within the log [s].
         residual, std : array (N, n)
             Measured minus predicted torque and its standard deviation [N m].
         counts, fast, loaded : array (N, n)
-            Which samples count, and on which side of the edges they are (None: not
-            known).
+            Which samples count, are beyond the edge of speed, and beyond that of load.
+            None where the edge is not known.
         """
         counts = counts & np.isfinite(std)
         block = (t / BLOCK_S).astype(np.intp)
+
         groups = {"overall": counts}
         if fast is not None:
-            groups |= {"slow": counts & ~fast, "fast": counts & fast}
+            groups["slow"] = counts & ~fast
+            groups["fast"] = counts & fast
         if loaded is not None:
-            groups |= {"low_load": counts & ~loaded, "high_load": counts & loaded}
+            groups["low_load"] = counts & ~loaded
+            groups["high_load"] = counts & loaded
+
         for name, group in groups.items():
-            found = _counted(residual, std, group, log, block)
-            self.groups[name] = (
-                self.groups[name] + found if name in self.groups else found
-            )
+            group_counts = _count(residual, std, group, log, block)
+            if name in self.groups:
+                group_counts = self.groups[name] + group_counts
+            self.groups[name] = group_counts
 
     def of_joint(self, joint: int) -> JointCoverage | None:
-        """Return how often the bands of a joint held; None where it was never counted."""
+        """Return the shares of a joint's samples in its bands; None without samples."""
         overall = self.groups.get("overall")
         if overall is None or not overall.samples[joint]:
             return None
-        found = {name: _coverage(group, joint) for name, group in self.groups.items()}
-        return JointCoverage(**found)
+        coverage_by_group = {
+            name: _coverage(group, joint) for name, group in self.groups.items()
+        }
+        return JointCoverage(**coverage_by_group)
 
 
 def clearly_below(
     coverage: BandCoverage, *, least_share: float, sigmas: float = 1.645
 ) -> bool:
-    """Whether a 90 % band held in fewer than `least_share` of the samples, and not by chance.
+    """Return whether a 90 % band holds in too few samples, and not by chance.
 
-    Of B blocks of time a share of 0.9 has a standard deviation of 0.3 / sqrt(B);
-    `sigmas` of them are granted.
+    Parameters
+    ----------
+    coverage : BandCoverage
+        Share of the samples in the band, and their blocks of time.
+    least_share : float
+        Share of the samples in which the band must hold.
+    sigmas : float
+        Standard deviations by which a share may miss 0.9 by chance. Over B blocks of
+        time that of the share is sqrt(0.9 * 0.1 / B) = 0.3 / sqrt(B).
     """
     if coverage.band_90 is None or not coverage.blocks:
         return False
     chance = sigmas * 0.3 / np.sqrt(coverage.blocks)
-    return bool(coverage.band_90 < least_share and coverage.band_90 < 0.9 - chance)
+    is_too_low = coverage.band_90 < least_share
+    return bool(is_too_low and coverage.band_90 < 0.9 - chance)
 
 
-def _counted(
+def _count(
     residual: Array, std: Array, group: Mask, log: str, block: Index
 ) -> BandCounts:
-    """Count the samples of a group, those of them in the bands, and the blocks of time."""
+    """Count a group's samples (N, n), those within each band, and blocks of time."""
     error = np.abs(residual)
-    blocks = [
-        frozenset(LogBlock(log, int(number)) for number in np.unique(block[counted]))
-        for counted in group.T
-    ]
-    return BandCounts(
-        samples=group.sum(axis=0),
-        within={
-            name: (
-                (group & (error <= half_width * np.where(group, std, 0.0))).sum(axis=0)
-            )
-            for name, half_width in HALF_WIDTHS.items()
-        },
-        blocks=blocks,
-    )
+    # A deviation outside the group may be NaN, with which nothing can be compared.
+    group_std = np.where(group, std, 0.0)
+    within = {}
+    for band, half_width in HALF_WIDTHS.items():
+        is_within = group & (error <= half_width * group_std)
+        within[band] = is_within.sum(axis=0)
+
+    blocks = []
+    for in_group in group.T:
+        numbers = np.unique(block[in_group])
+        blocks.append(frozenset(LogBlock(log, int(number)) for number in numbers))
+    return BandCounts(samples=group.sum(axis=0), within=within, blocks=blocks)
 
 
 def _coverage(group: BandCounts, joint: int) -> BandCoverage:
-    """Return the shares of one joint; null without samples."""
+    """Return the shares of one joint's samples in the bands; None without samples."""
     samples = int(group.samples[joint])
-    shares = {
-        name: float(within[joint] / samples) if samples else None
-        for name, within in group.within.items()
-    }
+    shares: dict[str, float | None] = {}
+    for band, within in group.within.items():
+        shares[band] = float(within[joint] / samples) if samples else None
     return BandCoverage(**shares, samples=samples, blocks=len(group.blocks[joint]))

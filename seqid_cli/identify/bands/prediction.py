@@ -1,18 +1,17 @@
 """The standard deviation of a predicted torque, for any motion.
 
-By the calibration of the parameter file it is
+With the calibration in the parameter file it is
 
-    std = factor(speed, load) * sqrt(p + e + left_std^2),
+    std = factor(speed, load) * sqrt(p + e + left_std^2).
 
-p the variance by the errors of the parameters (`variance`), e by those of the
-coefficients of the effects. Both grow where a motion asks for what the logs have hardly
-shown; beyond the identified friction p grows by what is not known there. White noise
-grows with the cut-off, so `left_std` does as well where a log is filtered at a higher
-one than the calibration's.
+p is the variance by the errors of the parameters (`variance`), e the one by the errors
+of the effects' coefficients. Both grow where a motion depends on parameters that the
+logs hardly determine, and p grows beyond the speeds at which friction was identified.
+White noise grows with the cut-off, so `left_std` is widened where a log is filtered at
+a higher cut-off than the calibration.
 
-A file without a calibration has the residual of its stage alone. Bands are then as wide
-as normal errors of that size would ask for, which is too narrow for logs of another
-day.
+A file without a calibration states the residual of its stage alone. Bands then suit
+normal errors of that size, which is too narrow for logs of another day.
 """
 
 from collections.abc import Sequence
@@ -28,18 +27,24 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index, Mask
 
-# Samples per period of the cut-off at which variances are computed; between them they
-# are smooth.
+# Samples per period of the cut-off at which variances are computed. They are smooth, so
+# that all others are interpolated.
 NODES_PER_CUTOFF = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """Standard deviations `std` (N, n) N m of a log's predicted torques, the noise included.
+    """Standard deviations of a log's predicted torques at N samples of n joints.
 
-    `parameter_std` (N, n) N m is the part that errors of parameters and effects make.
-    `fast` and `loaded` (N, n) say on which side of the calibration's edges a sample is;
-    None where the file has no calibration. A joint of which nothing is known has NaN.
+    Attributes
+    ----------
+    std : array (N, n)
+        Standard deviation with the noise [N m]; NaN for a joint without any statement.
+    parameter_std : array (N, n)
+        The part by errors of parameters and effects [N m].
+    fast, loaded : array (N, n) or None
+        Whether a sample is beyond the calibration's edge of speed, and of load; None
+        where the file has no calibration.
     """
 
     std: Array
@@ -50,10 +55,10 @@ class Deviation:
 
 @dataclass(frozen=True, kw_only=True)
 class Bands:
-    """What a parameter file says of the errors of its predictions.
+    """Statements of a parameter file on the errors of its predictions.
 
-    `residual_std` (n,) N m is what stages left of the torque, NaN where none says so;
-    it counts for joints without a calibration.
+    `residual_std` (n,) N m is the residual of the stages, NaN where no stage states
+    one. It is used for joints without a calibration.
     """
 
     robot: Robot
@@ -64,7 +69,7 @@ class Bands:
 
     @classmethod
     def from_stages(cls, stages: Stages, robot: Robot) -> "Bands":
-        """Use the calibration of the inertia stage, else what the stages left."""
+        """Use the calibration of the inertia stage, else the stages' residuals."""
         inertia = stages.inertia
         return cls(
             robot=robot,
@@ -79,12 +84,24 @@ class Bands:
         return None if self.calibration is None else self.calibration.joints.get(name)
 
     def of(self, motion: Motion, effects_variance: Array | None = None) -> Deviation:
-        """Return the deviation of the torque predicted for a motion of N samples.
+        """Return the deviation of the torque predicted for a motion.
 
-        `effects_variance` (N, n) (N m)^2 is the variance by the errors of effects.
+        Parameters
+        ----------
+        motion : Motion
+            N samples of the joint motion.
+        effects_variance : array (N, n), optional
+            Variance by the errors of the effects' coefficients [(N m)^2].
+
+        Returns
+        -------
+        Deviation
+            Standard deviations (N, n) [N m].
         """
         nodes = _nodes(motion)
-        q, dq, ddq = motion.q[nodes], motion.dq[nodes], motion.ddq[nodes]
+        q = motion.q[nodes]
+        dq = motion.dq[nodes]
+        ddq = motion.ddq[nodes]
         variance = self.variance.of(q, dq, ddq)
         load = load_of(self.robot, self.stages, q, dq, ddq)
         if effects_variance is not None:
@@ -96,18 +113,25 @@ class Bands:
         fast = np.zeros(motion.q.shape, dtype=bool)
         loaded = np.zeros(motion.q.shape, dtype=bool)
         for j, name in enumerate(self.robot.joint_names):
-            parameters = _between(variance[:, j], nodes, motion.samples)
-            parameter_std[:, j] = np.sqrt(parameters)
+            parameter_variance = _between(variance[:, j], nodes, motion.samples)
+            parameter_std[:, j] = np.sqrt(parameter_variance)
             band = self.joint(name)
             if band is None or self.calibration is None:
-                std[:, j] = np.sqrt(parameters + self.residual_std[j] ** 2)
+                residual_variance = self.residual_std[j] ** 2
+                std[:, j] = np.sqrt(parameter_variance + residual_variance)
                 continue
-            noise_ratio = max(1.0, cutoff_hz / max(self.calibration.cutoff_hz, 1e-12))
+
             fast[:, j] = np.abs(motion.dq[:, j]) >= band.speed_edge
-            loaded[:, j] = _between(load[:, j], nodes, motion.samples) >= band.load_edge
+            joint_load = _between(load[:, j], nodes, motion.samples)
+            loaded[:, j] = joint_load >= band.load_edge
             factors = np.array([cell.factor for cell in band.cells])
             factor = factors[cell_of(fast[:, j], loaded[:, j])]
-            std[:, j] = factor * np.sqrt(parameters + noise_ratio * band.left_std**2)
+
+            # The variance of white noise is proportional to the cut-off.
+            noise_ratio = max(1.0, cutoff_hz / max(self.calibration.cutoff_hz, 1e-12))
+            noise_variance = noise_ratio * band.left_std**2
+            std[:, j] = factor * np.sqrt(parameter_variance + noise_variance)
+
         if self.calibration is None:
             return Deviation(std=std, parameter_std=parameter_std)
         return Deviation(std=std, parameter_std=parameter_std, fast=fast, loaded=loaded)
@@ -115,15 +139,19 @@ class Bands:
     def notes(
         self, cutoffs_hz: Sequence[float] = (), *, higher: float = 1.1
     ) -> list[str]:
-        """Say where bands rest on an assumption instead of a calibration.
+        """Return notes on bands that rest on an assumption instead of a calibration.
 
-        `higher`: times the calibration's cut-off, from which that of a log is told.
+        Parameters
+        ----------
+        cutoffs_hz : sequence of float
+            Cut-offs of the predicted logs [Hz].
+        higher : float
+            Ratio of a log's cut-off to the calibration's from which there is a note.
         """
         notes = []
         names = self.robot.joint_names
         missing = [name for name in names if self.joint(name) is None]
-        # Where an earlier stage is predicted with, the missing inertia stage is told
-        # already.
+        # Without an inertia stage the prediction has a note on that already.
         if missing and self.stages.inertia is not None:
             which = "" if len(missing) == len(names) else f" of {', '.join(missing)}"
             notes.append(
@@ -131,6 +159,7 @@ class Bands:
                 " logs, normal ones of its residual's size are taken; identify it"
                 " again for bands that hold"
             )
+
         if self.calibration is not None and cutoffs_hz:
             calibrated_hz = self.calibration.cutoff_hz
             highest = max(cutoffs_hz)
@@ -143,36 +172,38 @@ class Bands:
 
 
 def _residual_std(stages: Stages, robot: Robot) -> Array:
-    """Return what the last stage that says so left of each joint's torque (n,) N m, else NaN."""
+    """Return the RMS residual (n,) N m of each joint's torque by its last stage.
+
+    It is NaN for a joint of which no stage states a residual.
+    """
     friction = stages.friction.joints if stages.friction is not None else {}
-    found = np.full(robot.n, np.nan)
+    residual_std = np.full(robot.n, np.nan)
     for j, name in enumerate(robot.joint_names):
         if name in friction:
-            found[j] = friction[name].rmse
+            residual_std[j] = friction[name].rmse
         for stage in (stages.gravity, stages.inertia):
             if stage is not None and name in stage.rmse:
-                found[j] = stage.rmse[name]
-    return found
+                residual_std[j] = stage.rmse[name]
+    return residual_std
 
 
 def _nodes(motion: Motion) -> Index:
-    """Return the samples at which variances are computed, the first and the last among them.
+    """Return the samples at which variances are computed.
 
-    They lie on a grid of the log's time, so that a part of a log has those of the
-    whole.
+    They lie on a grid of the log's time, so that a part of a log has the nodes of the
+    whole log. The first and the last sample are always among them.
     """
     stride = 1
     if motion.lowpass.active:
-        stride = max(
-            1, int(motion.rate_hz / (NODES_PER_CUTOFF * motion.lowpass.cutoff_hz))
-        )
+        node_rate_hz = NODES_PER_CUTOFF * motion.lowpass.cutoff_hz
+        stride = max(1, int(motion.rate_hz / node_rate_hz))
     samples_before = round(float(motion.t[0]) * motion.rate_hz)
     on_grid = np.arange(-samples_before % stride, motion.samples, stride)
     return np.unique(np.concatenate(([0], on_grid, [motion.samples - 1])))
 
 
 def _between(values: Array, nodes: Index, samples: int) -> Array:
-    """Interpolate values at `nodes` linearly to all samples."""
+    """Interpolate values at the nodes linearly to all samples."""
     if len(nodes) == samples:
         return values
     return np.asarray(np.interp(np.arange(samples), nodes, values))

@@ -1,8 +1,8 @@
-"""A thinned copy of a stage's equations, kept so that stretches of time can be left out later.
+"""A thinned copy of a stage's equations, from which parts can be left out later.
 
-What is left of the torque is low-passed. Two samples per period of the cut-off
-therefore say all that there is to know of it, and these few rows can be held where the
-full regressor cannot.
+Residuals of the torque are low-passed. Two samples per period of the cut-off therefore
+hold all of their information. So few rows fit into memory where the full regressor
+does not.
 """
 
 from dataclasses import dataclass, field, replace
@@ -12,7 +12,7 @@ import numpy as np
 from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array, Index, Mask
 
-SAMPLES_PER_CUTOFF = 2.0  # per period of the cut-off: the least that loses nothing
+SAMPLES_PER_CUTOFF = 2.0  # per period of the cut-off: fewer would lose information
 MOST_ROWS = 4096  # of all logs together: 12 MB for an arm of six joints
 
 
@@ -20,11 +20,23 @@ MOST_ROWS = 4096  # of all logs together: 12 MB for an arm of six joints
 class BandRows:
     """Rows H theta = y of the equations at thinned samples, M of them, of all logs.
 
-    `H` (M, n, p) and `y` (M, n) N m are filtered as in the stage's equations, `used`
-    (M, n) marks those that took part, `judged` (M, n) those by which predictions are
-    judged: near reversals a stage may leave out more. `q`, `dq`, `ddq` (M, n) are the
-    motion behind them. `weight` (M,) is the number of the stage's rows that each stands
-    for. `log` (M,) counts the logs from 0, and `t` (M,) s is the time within the log.
+    Attributes
+    ----------
+    H : array (M, n, p)
+        Regressor, filtered as in the stage's equations.
+    y : array (M, n)
+        Right side [N m], filtered alike.
+    used, judged : array (M, n)
+        Rows in the stage's equations, and rows by which predictions are judged: near
+        reversals a stage may leave out more.
+    q, dq, ddq : array (M, n)
+        Joint positions [rad], speeds [rad/s] and accelerations [rad/s^2].
+    weight : array (M,)
+        Number of the stage's rows that each sample stands for.
+    t : array (M,)
+        Time within the log [s].
+    log : array (M,)
+        Number of the log, from 0.
     """
 
     H: Array
@@ -44,29 +56,50 @@ class BandRows:
         return len(self.t)
 
     def part(self, where: Index | Mask | slice) -> "BandRows":
-        """Return some of the samples."""
-        return BandRows(**{name: values[where] for name, values in vars(self).items()})
+        """Return the rows of some samples."""
+        return BandRows(
+            H=self.H[where],
+            y=self.y[where],
+            used=self.used[where],
+            judged=self.judged[where],
+            q=self.q[where],
+            dq=self.dq[where],
+            ddq=self.ddq[where],
+            weight=self.weight[where],
+            t=self.t[where],
+            log=self.log[where],
+        )
 
 
 @dataclass
 class BandRowsCollector:
-    """Collects thinned rows, log by log, in memory that does not grow with the logs."""
+    """Collector of thinned rows, whose memory does not grow with the logs."""
 
     parts: list[BandRows] = field(default_factory=list)
     logs: int = 0
 
     def next_log(self) -> None:
-        """Begin a log: rows that follow are of it."""
+        """Begin a log, to which the rows added from now on belong."""
         self.logs += 1
 
     def pick(self, motion: Motion, judged: Mask) -> Index:
-        """Return which of consecutive samples to add: numbers (K,) within these N.
+        """Choose the samples to add from N consecutive ones.
 
-        `judged` (N, n) marks the rows by which predictions are judged.
+        Parameters
+        ----------
+        motion : Motion
+            The N samples.
+        judged : array (N, n)
+            Rows by which predictions are judged.
+
+        Returns
+        -------
+        array (K,)
+            Numbers of the chosen samples.
         """
-        stride = _stride(motion)
-        chosen = np.arange(0, motion.samples, stride)
-        return np.asarray(chosen[judged[chosen].any(axis=1)])
+        candidates = np.arange(0, motion.samples, _stride(motion))
+        is_judged = judged[candidates].any(axis=1)
+        return np.asarray(candidates[is_judged])
 
     def add(
         self,
@@ -85,14 +118,16 @@ class BandRowsCollector:
         motion : Motion
             N consecutive samples, at the rate of the equations.
         chosen : array (K,)
-            Those that are added, as `pick` names them.
+            Numbers of the samples to add, from `pick`.
         H, y : array
-            Of the chosen ones: regressor (K, n, p) and right side (K, n) N m.
+            Regressor (K, n, p) and right side (K, n) [N m] of the chosen samples.
         used, judged : array (K, n)
-            Which rows take part in the equations, and by which predictions are judged.
+            Rows in the equations, and rows by which predictions are judged.
         """
         if not len(chosen):
             return
+
+        # The arrays are copied: a view would keep the whole regressor in memory.
         part = BandRows(
             H=np.array(H),
             y=np.array(y),
@@ -109,29 +144,40 @@ class BandRowsCollector:
         self._thin()
 
     def __add__(self, other: "BandRowsCollector") -> "BandRowsCollector":
-        later = [replace(part, log=part.log + self.logs) for part in other.parts]
-        both = BandRowsCollector(self.parts + later, self.logs + other.logs)
-        both._thin()
-        return both
+        later_parts = [replace(part, log=part.log + self.logs) for part in other.parts]
+        merged = BandRowsCollector(
+            parts=self.parts + later_parts, logs=self.logs + other.logs
+        )
+        merged._thin()
+        return merged
 
     def joined(self) -> BandRows | None:
         """Return the samples of all logs, or None where there are none."""
         if not self.parts:
             return None
-        names = vars(self.parts[0])
         return BandRows(
-            **{n: np.concatenate([getattr(p, n) for p in self.parts]) for n in names}
+            H=np.concatenate([part.H for part in self.parts]),
+            y=np.concatenate([part.y for part in self.parts]),
+            used=np.concatenate([part.used for part in self.parts]),
+            judged=np.concatenate([part.judged for part in self.parts]),
+            q=np.concatenate([part.q for part in self.parts]),
+            dq=np.concatenate([part.dq for part in self.parts]),
+            ddq=np.concatenate([part.ddq for part in self.parts]),
+            weight=np.concatenate([part.weight for part in self.parts]),
+            t=np.concatenate([part.t for part in self.parts]),
+            log=np.concatenate([part.log for part in self.parts]),
         )
 
     def _thin(self) -> None:
-        """Keep every second sample, as often as there are too many."""
+        """Drop every second sample, until there are few enough."""
         while sum(part.samples for part in self.parts) > MOST_ROWS:
-            fewer = [part.part(slice(None, None, 2)) for part in self.parts]
-            self.parts = [replace(part, weight=2.0 * part.weight) for part in fewer]
+            halves = [part.part(slice(None, None, 2)) for part in self.parts]
+            self.parts = [replace(part, weight=2.0 * part.weight) for part in halves]
 
 
 def _stride(motion: Motion) -> int:
-    """Return which of a motion's samples, every so many, tell all of what is low-passed."""
+    """Return every how many samples hold all information of a low-passed signal."""
     if not motion.lowpass.active:
         return 1
-    return max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
+    thinned_rate_hz = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz
+    return max(1, int(motion.rate_hz / thinned_rate_hz))

@@ -1,1 +1,1 @@
-"""Mounting, lever, clock offset and sensor constants of IMUs on the links (Eq. 29-38)."""
+"""Mounting, lever, clock offset and sensor constants of a robot's IMUs (Eq. 29-38)."""

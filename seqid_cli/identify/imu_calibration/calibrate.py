@@ -1,16 +1,16 @@
-"""IMU calibration (Sec. 3, Eq. 29-38): how each IMU is mounted on its link, and what it is like.
+"""IMU calibration (Sec. 3, Eq. 29-38): mounting and sensor constants of each IMU.
 
 Directions of joint axes give a first mounting in closed form (`axis_pairs`, Eq. 38). A
-joint least squares on the raw readings then finds, with the joints' motion, everything
-at once: mounting and lever, biases, gains and axes of the sensors, and the offset of
-their clock (`solve`). Gravity, centripetal and tangential accelerations show more than
-the axes alone: two parallel axes a known distance apart, or a single one that is not
-vertical, settle the angle about them. What the logs leave open is named and never
-written as a number.
+joint least squares on the raw readings then estimates everything at once, with the
+joints' motion: mounting and lever, biases, gains and axes of the sensors, and the
+offset of their clock (`solve`). Gravity, centripetal and tangential accelerations show
+more than the axes alone. Two parallel axes a known distance apart, or a single axis
+that is not vertical, determine the angle about them. A constant that the logs do not
+determine is named and never written as a number.
 """
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -39,9 +39,22 @@ from seqid_cli.params import schema
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Mask
 
-# What a log holds of every IMU that it records: [rad/s^2/sqrt(Hz)] last; and its
-# cut-off [Hz].
-Held = tuple[dict[str, tuple[list[Segment], list[initial_guess.Pair], float]], float]
+
+@dataclass(frozen=True, kw_only=True)
+class _ImuData:
+    """Data of one log on one IMU; `density` is its noise [rad/s^2/sqrt(Hz)]."""
+
+    segments: list[Segment]
+    pairs: list[initial_guess.Pair]
+    density: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LogData:
+    """Data of one log on every IMU that it records, at its cut-off [Hz]."""
+
+    imus: dict[str, _ImuData]
+    cutoff_hz: float
 
 
 def calibrate_imus(
@@ -51,22 +64,46 @@ def calibrate_imus(
     options: MotionOptions,
     settings: ImuCalibSettings = ImuCalibSettings(),
 ) -> schema.ImuStage:
-    """Calibrate every IMU of the robot file; name what these logs do not determine."""
-    # Best joints before the IMUs move one at a time and fast, others locked in several
-    # postures.
+    """Calibrate every IMU of the robot file; name what these logs do not determine.
+
+    Logs are best in which the joints before the IMUs move one at a time and fast, with
+    the others locked in several postures.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        The logs.
+    robot : Robot
+        The robot with its IMUs.
+    options : MotionOptions
+        Options of the motion.
+    settings : ImuCalibSettings
+        Limits of cut-off and verdicts.
+
+    Raises
+    ------
+    UsageError
+        If the robot file has no IMU.
+    QualityError
+        If no log moves a joint before an IMU, or readings are not those of the IMU.
+    """
     if not robot.imus:
         where, hint = str(robot.source), "describe the IMU in it"
         raise UsageError("the robot file has no [[imu]]", hint=hint, where=where)
-    part = partial(_held, robot, options, settings.mounting.max_cutoff)
+    part = partial(_log_data, robot, options, settings.mounting.max_cutoff)
     logs = list(mapped(recordings, part))
-    imus, verdicts, notes = {}, [], []
+
+    imus: dict[str, schema.ImuCalibration] = {}
+    verdicts = []
+    notes = []
     for imu in robot.imus:
-        own = [held[imu.name] for held, _ in logs if imu.name in held]
-        if not any(segment.moving for segments, *_ in own for segment in segments):
+        imu_logs = [log.imus[imu.name] for log in logs if imu.name in log.imus]
+        segments = [segment for data in imu_logs for segment in data.segments]
+        if not any(segment.moving for segment in segments):
             reason = "no log moves a joint before this IMU with its readings recorded"
             verdicts.append(schema.Verdict(joint=imu.name, good=False, reason=reason))
             continue
-        imus[imu.name], converged = _calibrated(robot, imu, own)
+        imus[imu.name], converged = _calibrated(robot, imu, imu_logs)
         notes += [f"{imu.name}: {text}" for text in imus[imu.name].not_determined]
         verdict = verdict_of(
             robot, imu, imus[imu.name], converged=converged, settings=settings.mounting
@@ -79,55 +116,63 @@ def calibrate_imus(
             " postures"
         )
         raise QualityError(message, hint=hint)
-    cutoff = float(np.median([hz for _, hz in logs]))
+    cutoff = float(np.median([log.cutoff_hz for log in logs]))
     return schema.ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
 
 
-def _held(
+def _log_data(
     robot: Robot,
     options: MotionOptions,
     highest_hz: float,
     recording: Recording,
     number: int,
-) -> Held:
-    motion, found = estimate_motion(recording, robot, options), {}
+) -> _LogData:
+    """Return the segments and the pairs of axes of one log, by IMU."""
+    motion = estimate_motion(recording, robot, options)
     cutoff_hz = calibration_cutoff(motion, options.cutoff_hz, highest_hz)
+    imus = {}
     for imu in robot.imus:
-        if imu.name in recording.accelerometers:
-            seen = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
-            own = segments_of(
-                recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz
+        if imu.name not in recording.accelerometers:
+            continue
+        recorded = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
+        segments = segments_of(
+            recording, robot, recorded, motion, log=number, cutoff_hz=cutoff_hz
+        )
+        # Other layouts do not see angular acceleration.
+        pairs: list[initial_guess.Pair] = []
+        density = 0.0
+        if layout(recorded).acceleration or recorded.gyro:
+            pairs, density = initial_guess.axis_pairs(
+                recording, robot, recorded, motion
             )
-            turns = layout(seen).acceleration or seen.gyro
-            given = recording, robot, seen, motion
-            found[imu.name] = (
-                own,
-                *(initial_guess.axis_pairs(*given) if turns else ([], 0.0)),
-            )
-    return found, cutoff_hz
+        imus[imu.name] = _ImuData(segments=segments, pairs=pairs, density=density)
+    return _LogData(imus=imus, cutoff_hz=cutoff_hz)
 
 
 def _calibrated(
     robot: Robot,
     imu: Imu,
-    own: list[tuple[list[Segment], list[initial_guess.Pair], float]],
+    logs: list[_ImuData],
 ) -> tuple[schema.ImuCalibration, bool]:
-    """The calibration of an IMU by what logs hold of it, and whether its fit has converged."""
-    every = [segment for segments, *_ in own for segment in segments]
-    pairs = [pair for _, found, _ in own for pair in found]
-    densities = [density for _, found, density in own if found]
-    channels = [len(segment.readings.noise) for segment in every]
-    most = max(channels)
+    """Return the calibration of an IMU, and whether its fit has converged."""
+    segments = [segment for data in logs for segment in data.segments]
+    pairs = [pair for data in logs for pair in data.pairs]
+    densities = [data.density for data in logs if data.pairs]
+
+    # Logs without the gyro are left out where others record it.
+    n_channels = max(len(segment.readings.noise) for segment in segments)
     segments = thinned(
-        [s for s, count in zip(every, channels, strict=True) if count == most]
+        [segment for segment in segments if len(segment.readings.noise) == n_channels]
     )
-    seen = replace(imu, gyro=most > len(imu.axes))
+    recorded = replace(imu, gyro=n_channels > len(imu.axes))
+
     guess = initial_guess.fit_rotation(pairs) if pairs else np.eye(3)
-    start = initial_guess.starting_constants(segments, robot, seen, guess)
+    start = initial_guess.starting_constants(segments, robot, recorded, guess)
     others = [deviation.as_robot() for deviation in deviations(robot)]
-    fit = fit_constants(segments, robot, seen, start, others)
+    fit = fit_constants(segments, robot, recorded, start, others)
     density = float(np.median(densities)) if densities else None
-    return calibration_of(robot, seen, fit, segments, pairs, density), fit.converged
+    calibration = calibration_of(robot, recorded, fit, segments, pairs, density)
+    return calibration, fit.converged
 
 
 def calibration_of(
@@ -141,28 +186,53 @@ def calibration_of(
     max_delay_error_s: float = 0.005,
     sampling: float = 0.01,
 ) -> schema.ImuCalibration:
-    """Calibration of one IMU as the parameter file has it."""
+    """Return the calibration of one IMU, as the parameter file has it.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    imu : Imu
+        The IMU, with a gyro only if the segments have one.
+    fit : Fit
+        Constants and their errors.
+    segments : list of Segment
+        Segments of the fit.
+    pairs : list of Pair
+        Directions of joint axes that the logs show.
+    density : float or None
+        Noise of the angular acceleration [rad/s^2/sqrt(Hz)].
+    max_delay_error_s : float
+        Standard error of the clock offset from which it is not determined [s].
+    sampling : float
+        Share of the sampling period to which a coarse encoder shows the clock.
+    """
     # A clock offset with a larger standard error than `max_delay_error_s` is not
     # determined. A coarse encoder crosses its edges somewhere between two samples, at
     # the same places in every swing that repeats itself: its clock is known to
     # `sampling` of their period at best. Codes of a fine encoder hold no such error,
     # and jolts between two samples are noise of the fit already.
-    constants, sigma = fit.constants, np.sqrt(np.diag(fit.covariance))
-    worst, lever, missing = _of_mounting(fit.covariance)
+    constants = fit.constants
+    sigma = np.sqrt(np.diag(fit.covariance))
+    worst, is_lever_known, missing = _of_mounting(fit.covariance)
     edges = sampling * segments[0].readings.period * any(s.by_edges for s in segments)
     delay_error = float(np.hypot(sigma[6], edges))
     delay_known = delay_error < max_delay_error_s
+
     by_tolerances = np.linalg.norm(fit.moves, axis=1)
     turn_errors = np.hypot(sigma[:3], by_tolerances[:3])
     lever_errors = np.hypot(sigma[3:6], by_tolerances[3:6])
     fields, open_channels = _of_sensors(imu, fit)
     # One-sided noise densities from the raw readings' white noise per sample.
-    found = [s.readings.noise * np.sqrt(2 * s.readings.period) for s in segments]
-    noise, k = np.median(found, axis=0).tolist(), len(imu.axes)
+    densities = [s.readings.noise * np.sqrt(2 * s.readings.period) for s in segments]
+    noise = np.median(densities, axis=0).tolist()
+    k = len(imu.axes)
+
     missing += open_channels
     if not delay_known:
         missing.append("the clock offset to the encoders is not determined")
     off = np.array([np.linalg.norm(constants.R @ p.imu - p.link) for p in pairs])
+
     return schema.ImuCalibration(
         rotation=constants.R.tolist(),
         std_error_deg=worst,
@@ -178,8 +248,8 @@ def calibration_of(
         gyro_delay_s=constants.gyro_delay if imu.gyro else 0.0,
         gyro_delay_std_error_s=float(sigma[-1]) if imu.gyro else None,
         acceleration_std_error=_acceleration_error(robot, imu, fit),
-        lever=_listed(constants.lever, lever),
-        lever_std_errors=_listed(lever_errors, lever),
+        lever=_listed(constants.lever, is_lever_known),
+        lever_std_errors=_listed(lever_errors, is_lever_known),
         accelerometer_noise=noise[:k],
         gyro_noise=noise[k:],
         samples=fit.kept,
@@ -200,11 +270,15 @@ def _of_sensors(
     max_tilt_deg: float = 0.25,
     max_share: float = 0.5,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Entries of a calibration about its channels, and in words what is left open."""
-    # Known is what has a standard error of up to so many m/s^2, rad/s, 1 and degrees,
-    # and of gains and axes less than a prior of fixed width; widths of many sensors are
-    # found.
-    constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
+    """Return entries of a calibration on its channels, and notes on unknown ones.
+
+    A constant is known if its standard error is below the given one [m/s^2, rad/s, 1
+    and degrees]. Where there are few sensors, the priors of gains and tilts have fixed
+    widths; a standard error must then also be below `max_share` of the prior's.
+    """
+    constants = fit.constants
+    k = len(imu.axes)
+    c = len(constants.bias)
     bias, gain, tilt = np.split(np.sqrt(np.diag(fit.covariance))[7:-1], [c, 2 * c])
     tilt = np.degrees(np.sqrt(np.mean(tilt.reshape(c, 2) ** 2, axis=1)))
     _, gain_prior, tilt_prior = np.split(fit.prior[7:-1], [c, 2 * c])
@@ -215,22 +289,24 @@ def _of_sensors(
     tilt_known = (tilt < max_tilt_deg) & (
         free | (tilt < max_share * np.degrees(tilt_prior[::2]))
     )
+
     nominal = sensor_model.nominal_axes(imu)
     axes = sensor_model.tilted(nominal, constants.tilt)
     axes = np.where(tilt_known[:, None], axes, nominal)
+
     fields: dict[str, Any] = {}
     missing = []
-    for sensor, own in (("accelerometer", slice(k)), ("gyro", slice(k, None))):
-        fields[f"{sensor}_axes"] = axes[own].tolist()
+    for sensor, places in (("accelerometer", slice(k)), ("gyro", slice(k, None))):
+        fields[f"{sensor}_axes"] = axes[places].tolist()
         for kind, values, name, error, known in (
             ("bias", constants.bias, "bias_std_errors", bias, bias_known),
             ("scale", np.exp(constants.log_gain), "scale_std_errors", gain, gain_known),
             ("axis", None, "tilt_std_errors_deg", tilt, tilt_known),
         ):
-            fields[f"{sensor}_{name}"] = _listed(error[own], known[own])
+            fields[f"{sensor}_{name}"] = _listed(error[places], known[places])
             if values is not None:
-                fields[f"{sensor}_{kind}"] = _listed(values[own], known[own])
-            count = int((~known[own]).sum())
+                fields[f"{sensor}_{kind}"] = _listed(values[places], known[places])
+            count = int((~known[places]).sum())
             if count:
                 missing.append(
                     f"the {kind} of {count} {sensor} channel(s) is not determined"
@@ -239,7 +315,7 @@ def _of_sensors(
 
 
 def _condition(pairs: list[initial_guess.Pair]) -> float:
-    """Condition of the directions B of Eq. 37; 0 where they do not span space."""
+    """Return the condition of directions B of Eq. 37; 0 if they do not span space."""
     s = np.linalg.svd(np.array([p.imu for p in pairs]), compute_uv=False)
     return float(s[0] / s[-1]) if len(s) == 3 and s[-1] > 1e-3 * s[0] else 0.0
 
@@ -247,19 +323,17 @@ def _condition(pairs: list[initial_guess.Pair]) -> float:
 def _references(
     pairs: list[initial_guess.Pair], names: tuple[str, ...]
 ) -> dict[str, schema.AxisReference]:
-    """The most certain reference of Eq. 30 and 31 for each joint."""
-    found = {
-        name: [pair.reference for pair in pairs if pair.joint == name] for name in names
-    }
-    return {
-        name: min(own, key=lambda r: r.gain_std_error)
-        for name, own in found.items()
-        if own
-    }
+    """Return the most certain reference (Eq. 30 and 31) of each joint with any."""
+    most_certain = {}
+    for name in names:
+        references = [pair.reference for pair in pairs if pair.joint == name]
+        if references:
+            most_certain[name] = min(references, key=lambda r: r.gain_std_error)
+    return most_certain
 
 
 def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
-    """Relative standard error of the accelerations that the readings give of the last joint."""
+    """Return the relative standard error of the last joint's accelerations."""
     # That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of
     # the constants, all channels together take it by a'da / a'a too large.
     axis = robot.chain.axis[imu.after_joint]
@@ -268,7 +342,9 @@ def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
         x[0, :3] = axis
     else:
         x[0, 3:12] = np.cross(np.eye(3), axis).ravel()  # rows of the matrix dw x
-    constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
+    constants = fit.constants
+    k = len(imu.axes)
+    c = len(constants.bias)
     a = (sensor_model.mounted(imu, constants).matrix @ x[0])[:k]
     slope = a @ sensor_model.design(imu, constants, x, np.zeros((1, c)))[0, :k]
     slope[7 : 7 + c] = 0.0  # a bias is no acceleration
@@ -279,12 +355,23 @@ def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
 def _of_mounting(
     covariance: Array, *, max_deg: float = 5.0, max_error_m: float = 0.02
 ) -> tuple[float, Mask, list[str]]:
-    """Standard error in degrees, known components of the lever, and in words what is left open."""
+    """Return what is known of the mounting.
+
+    Returns
+    -------
+    std_error_deg : float
+        Largest standard error of the turn, without an angle that is open.
+    is_lever_known : array (3,)
+        Components of the lever that are known.
+    missing : list of str
+        Notes on what is not determined.
+    """
     value, vector = np.linalg.eigh(covariance[:3, :3])
     worst = np.degrees(np.sqrt(value))
     known: Mask = np.sqrt(np.diag(covariance)[3:6]) < max_error_m
-    missing, is_open = [], bool(worst[2] > max_deg)
-    # where the angle about an axis is open, so is where the IMU sits around it
+    missing = []
+    is_open = bool(worst[2] > max_deg)
+    # Where the angle about an axis is open, the place of the IMU around it is, too.
     if is_open:
         about = vector[:, 2] * np.sign(vector[np.argmax(np.abs(vector[:, 2])), 2])
         known &= np.linalg.norm(np.cross(np.eye(3), about), axis=1) < 0.1
@@ -292,14 +379,18 @@ def _of_mounting(
         missing.append(f"the angle about the link's axis ({axis}) is not determined")
     if not known.all():
         names = " and ".join(
-            n for n, there in zip("xyz", known, strict=True) if not there
+            name for name, is_known in zip("xyz", known, strict=True) if not is_known
         )
         missing.append(f"the lever along the link's {names} is not determined")
     return float(worst[1 if is_open else 2]), known, missing
 
 
 def _listed(values: Array, known: Mask) -> list[float | None]:
-    return [float(v) if k else None for v, k in zip(values, known, strict=True)]
+    """Return the known values as a list, None for the others."""
+    return [
+        float(value) if is_known else None
+        for value, is_known in zip(values, known, strict=True)
+    ]
 
 
 def verdict_of(
@@ -310,16 +401,33 @@ def verdict_of(
     converged: bool,
     settings: MountingSettings = MountingSettings(),
 ) -> schema.Verdict:
-    """Whether a mounting is known to `max_error` degrees and predicts a log left out; why not."""
-    worst, left, bends = (
-        calibration.std_error_deg,
-        calibration.holdout,
-        deflecting(calibration),
-    )
+    """Return whether a mounting can be relied on, with the reason.
+
+    It is known to `max_error` degrees, predicts a left-out log, and no joint deflects.
+
+    Parameters
+    ----------
+    robot : Robot
+        The robot.
+    imu : Imu
+        The IMU.
+    calibration : ImuCalibration
+        Its calibration.
+    converged : bool
+        Whether the fit has converged.
+    settings : MountingSettings
+        Limits of the verdict.
+    """
+    worst = calibration.std_error_deg
+    left_out = calibration.holdout
+    bends = deflecting(calibration)
     angle = [
         text for text in calibration.not_determined if text.startswith("the angle")
     ]
+    # An angle about the common axis of all joints before the IMU has no effect on what
+    # the IMU tells of them.
     matters = bool(angle) and not _turns_about_one_axis(robot, imu)
+
     reason = (
         f"mounting known to {worst:.3g} degrees from {calibration.configurations}"
         " trials"
@@ -331,9 +439,9 @@ def verdict_of(
         )
     if not converged:
         reason += "; the fit has not settled"
-    unlike = left is not None and left > settings.max_left_out
+    unlike = left_out is not None and left_out > settings.max_left_out
     if unlike:
-        reason += f"; a log left out is predicted to {left:.2g} times the noise"
+        reason += f"; a log left out is predicted to {left_out:.2g} times the noise"
     if bends is not None:
         unit = robot.joints[robot.joint_names.index(bends.joint)].unit("rad/s^2")
         reason += (
@@ -349,11 +457,10 @@ def verdict_of(
 
 
 def _turns_about_one_axis(robot: Robot, imu: Imu) -> bool:
-    """Whether all joints up to the IMU turn about parallel axes, whatever their angles."""
+    """Return whether joints up to the IMU have parallel axes in any posture."""
     q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
-    axes = axes_in_link(robot, q, imu.after_joint)[
-        :, ~robot.chain.prismatic[: imu.after_joint + 1]
-    ]
+    is_revolute = ~robot.chain.prismatic[: imu.after_joint + 1]
+    axes = axes_in_link(robot, q, imu.after_joint)[:, is_revolute]
     return bool((np.abs(axes @ robot.chain.axis[imu.after_joint]) > 1 - 1e-9).all())
 
 

@@ -1,4 +1,4 @@
-"""How far the joints before an IMU deflect: accelerations of a link that no encoder shows.
+"""Deflections of the joints before an IMU: link accelerations that no encoder shows.
 
 Per node the residual of the C readings is r = A a + e: e the noise of the readings, a
 (n,) the accelerations by which the joints deflect, both white within the low-pass's
@@ -31,16 +31,20 @@ SIGNIFICANT = 5.0  # standard deviations of a deflection's likelihood beyond the
 
 
 def _joined(parts: Sequence[Rows]) -> Rows:
-    """Rows of all segments."""
+    """Return the rows of all segments."""
     return Rows(
-        *map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True))
+        B=np.concatenate([part.B for part in parts]),
+        u=np.concatenate([part.u for part in parts]),
+        squares=np.concatenate([part.squares for part in parts]),
+        count=np.concatenate([part.count for part in parts]),
+        share=np.concatenate([part.share for part in parts]),
     )
 
 
 def renewed(linear: Sequence[Linearised], sizes: Sizes) -> Sizes:
-    """Likeliest sizes, from those that the equations were scaled by."""
-    # Jolts, which a trajectory takes up that a coarse encoder hardly holds, count in
-    # full.
+    """Return the likeliest sizes, from those by which the equations were scaled."""
+    # A trajectory that a coarse encoder hardly holds takes up jolts. A deflection is
+    # therefore at least as large as the jolts of the raw readings.
     jolts = likeliest(_joined([x.jolts for x in linear]), sizes).deflection
     return likeliest(_joined([x.deflection for x in linear]), sizes, jolts)
 
@@ -54,14 +58,28 @@ def likeliest(
     rounds: int = 40,
     done: float = 1e-12,
 ) -> Sizes:
-    """Sizes of the largest likelihood among those of at least `least` rad/s^2 of a node."""
-    # Nothing depends on sizes below `min_size`. It ends when none changes by the share
-    # `done`.
+    """Return the sizes of the largest likelihood.
+
+    Parameters
+    ----------
+    rows : Rows
+        Sums of the residuals.
+    start : Sizes
+        First sizes.
+    least, min_size : array or float
+        Smallest deflections [rad/s^2 of a node]; nothing depends on smaller ones.
+    rounds : int
+        Largest number of rounds.
+    done : float
+        Relative change of all sizes at which the rounds end.
+    """
     least = np.maximum(least, min_size)
-    noise, deflection = start.noise, np.maximum(start.deflection, least)
+    noise = start.noise
+    deflection = np.maximum(start.deflection, least)
     for _ in range(rounds):
-        before = np.append(noise, deflection)
-        k, v = noise, deflection**2
+        last_sizes = np.append(noise, deflection)
+        k = noise
+        v = deflection**2
         M = np.linalg.inv(np.diag(1.0 / v) + _over(rows.B, k))
         # the accelerations, given the residuals
         x = (M @ _over(rows.u, k)[:, :, None])[:, :, 0]
@@ -75,13 +93,14 @@ def likeliest(
         room = rows.share @ (1.0 / v - np.diagonal(M, axis1=1, axis2=2) / v**2)
         spread = deflection * np.sqrt(np.sqrt(pull / np.maximum(room, 1e-300)))
         deflection = np.maximum(spread, least)
-        if np.all(np.abs(np.append(noise, deflection) - before) <= done * before):
+        sizes = np.append(noise, deflection)
+        if np.all(np.abs(sizes - last_sizes) <= done * last_sizes):
             break
     return Sizes(noise, deflection)
 
 
 def _over(values: Array, noise: Array) -> Array:
-    """Sum (N, ...) over kinds of sensors of values (N, G, ...) over their noise."""
+    """Return sums (N, ...) over kinds of sensors of values (N, G, ...) / noise (G,)."""
     return np.asarray(np.tensordot(values, 1.0 / noise, axes=(1, 0)))
 
 
@@ -92,32 +111,46 @@ def deflections(
     *,
     beyond: float = 1.5,
 ) -> list[JointDeflection]:
-    """Every joint's deflection, by the likelihood that it is more than `beyond` times the jolts."""
-    rows, share = (
-        _joined([x.deflection for x in linear]),
-        [x.deflection.share[0] for x in linear],
-    )
+    """Return the deflection of every joint, with its significance.
+
+    The significance compares the likelihood with that of a deflection of at most
+    `beyond` times the jolts.
+
+    Parameters
+    ----------
+    linear : sequence of Linearised
+        Equations of all segments.
+    sizes : Sizes
+        Likeliest sizes of noise and deflections.
+    names : sequence of str
+        Names of the joints.
+    beyond : float
+        Ratio to the jolts up to which an acceleration is no deflection.
+    """
+    rows = _joined([x.deflection for x in linear])
+    share = [x.deflection.share[0] for x in linear]
     jolts = likeliest(_joined([x.jolts for x in linear]), sizes).deflection
     best = _log_likelihood(rows, sizes)
-    found = []
+    joint_deflections = []
     for joint, size in enumerate(sizes.deflection):
         without = sizes.deflection.copy()
         without[joint] = min(size, beyond * jolts[joint])
         gain = max(best - _log_likelihood(rows, Sizes(sizes.noise, without)), 0.0)
-        rms, sigma = (
-            float(size * np.sqrt(float(np.mean(share)))),
-            float(np.sqrt(2 * gain)),
+        deflection = JointDeflection(
+            joint=names[joint],
+            acceleration=float(size * np.sqrt(float(np.mean(share)))),
+            significance=float(np.sqrt(2 * gain)),
         )
-        found.append(
-            JointDeflection(joint=names[joint], acceleration=rms, significance=sigma)
-        )
-    return found
+        joint_deflections.append(deflection)
+    return joint_deflections
 
 
 def _log_likelihood(rows: Rows, sizes: Sizes) -> float:
-    """Log likelihood of sizes."""
-    k, v = sizes.noise, sizes.deflection**2
-    B, u = _over(rows.B, k), _over(rows.u, k)
+    """Return the log likelihood of sizes, but for a constant."""
+    k = sizes.noise
+    v = sizes.deflection**2
+    B = _over(rows.B, k)
+    u = _over(rows.u, k)
     inner = np.diag(1.0 / v) + B
     x = np.linalg.solve(inner, u[:, :, None])[:, :, 0]
     logarithm = np.linalg.slogdet(inner)[1] + np.sum(np.log(v)) + rows.count @ np.log(k)

@@ -38,9 +38,9 @@ from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Mask
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Pair:
-    """One direction seen by the IMU and in its link's frame, with its standard deviation (rad)."""
+    """A joint axis in the IMU's and in its link's frame, known to `sigma` rad."""
 
     imu: Array
     link: Array
@@ -52,27 +52,39 @@ class Pair:
 def axis_pairs(
     recording: Recording, robot: Robot, imu: Imu, motion: Motion, *, min_s: float = 0.2
 ) -> tuple[list[Pair], float]:
-    """Axes that one log shows: of each joint that rotates by itself for at least `min_s` s."""
-    # The noise density of the IMU's angular acceleration, rad/s^2/sqrt(Hz), comes
-    # second.
-    given = imu, recording.accelerometers[imu.name], recording.gyros.get(imu.name)
-    lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
-    reading = read_angular(*given, lowpass, recording.valid)
-    raw = read_angular(*given, Lowpass(1e9, recording.rate_hz), recording.valid)
-    density = float(
-        np.sqrt(np.mean(white_noise(raw.dw) ** 2)) * np.sqrt(2 / recording.rate_hz)
-    )
+    """Return the axes of joints that rotate alone in one log, and the IMU's noise.
+
+    Returns
+    -------
+    pairs : list of Pair
+        Axis of each joint that rotates by itself for at least `min_s` s.
+    density : float
+        Noise density of the IMU's angular acceleration [rad/s^2/sqrt(Hz)].
+    """
+    accelerometers = recording.accelerometers[imu.name]
+    gyro = recording.gyros.get(imu.name)
+    rate_hz = recording.rate_hz
+    lowpass = Lowpass(motion.lowpass.cutoff_hz, rate_hz)
+    unfiltered = Lowpass(1e9, rate_hz)
+    reading = read_angular(imu, accelerometers, gyro, lowpass, recording.valid)
+    raw = read_angular(imu, accelerometers, gyro, unfiltered, recording.valid)
+    noise = np.sqrt(np.mean(white_noise(raw.dw) ** 2))
+    density = float(noise * np.sqrt(2 / rate_hz))
+
     alone = motion.usable & (motion.moving.sum(axis=1) == 1)
     still = shrink(~np.any(motion.moving, axis=1), 2 * motion.lowpass.settling)
     offset = reading.dw[still].mean(axis=0) if still.sum() > 20 else np.zeros(3)
     pairs = []
     for j in range(imu.after_joint + 1):
-        own = alone & motion.moving[:, j]
-        if own.sum() > min_s * motion.rate_hz and not robot.chain.prismatic[j]:
-            pair = _axis_pair(
-                robot, imu, motion, j, own, reading.dw - offset, reading.products
-            )
-            pairs += [pair] if pair else []
+        moves_alone = alone & motion.moving[:, j]
+        is_long = moves_alone.sum() > min_s * motion.rate_hz
+        if not is_long or robot.chain.prismatic[j]:
+            continue
+        pair = _axis_pair(
+            robot, imu, motion, j, moves_alone, reading.dw - offset, reading.products
+        )
+        if pair is not None:
+            pairs.append(pair)
     return pairs, density
 
 
@@ -88,11 +100,14 @@ def _axis_pair(
     min_acceleration: float = 0.1,
     clear_sigma: float = 5.0,
 ) -> Pair | None:
-    """Eq. 29/32 and 33 for one joint of one log."""
-    # None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or
-    # the IMU does not see it: the gain is below `clear_sigma` standard errors, and the
-    # direction noise's.
-    a, encoder = dw[own], motion.ddq[own, j]
+    """Return the axis of one joint of one log (Eq. 29/32 and 33), or None.
+
+    None means that the encoder shows less than an RMS of `min_acceleration` rad/s^2, or
+    that the IMU does not see the joint. Its gain is then below `clear_sigma` standard
+    errors, and the direction is one of noise.
+    """
+    a = dw[own]
+    encoder = motion.ddq[own, j]
     direction = a.T @ encoder
     if (
         np.linalg.norm(direction) < 1e-9
@@ -131,12 +146,23 @@ def _axis_pair(
         gain_std_error=gain_error,
     )
     link = mean / np.linalg.norm(mean)
-    return Pair(direction, link, max(sigma, 1e-5), robot.joint_names[j], reference)
+    return Pair(
+        imu=direction,
+        link=link,
+        sigma=max(sigma, 1e-5),
+        joint=robot.joint_names[j],
+        reference=reference,
+    )
 
 
 def fit_rotation(pairs: list[Pair]) -> Array:
-    """Proper rotation R (3, 3) least in sum |R b - m|^2 / sigma^2 (Eq. 38, Wahba's problem)."""
-    B, M = (np.array([getattr(p, side) for p in pairs]) for side in ("imu", "link"))
+    """Return the rotation R (3, 3) from the IMU to its link by pairs of directions.
+
+    R minimises sum |R b - m|^2 / sigma^2 over proper rotations (Eq. 38, Wahba's
+    problem).
+    """
+    B = np.array([pair.imu for pair in pairs])
+    M = np.array([pair.link for pair in pairs])
     if np.linalg.matrix_rank(B, tol=1e-2) == 1:  # one axis alone: by the smallest angle
         return np.asarray(Rotation.align_vectors(M[0], B[0])[0].as_matrix())
     U, _, Vt = np.linalg.svd((M.T * np.array([p.sigma for p in pairs]) ** -2.0) @ B)
@@ -152,7 +178,7 @@ Sums = tuple[Array, Array, Array]  # x'x (16, 16) of f, H, w, one; x'y (16, C); 
 def starting_constants(
     segments: list[Segment], robot: Robot, imu: Imu, guess: Array
 ) -> Constants:
-    """Mounting, lever, offset and biases to begin with; `guess` (3, 3) is one of the starts."""
+    """Return the constants to begin with; `guess` (3, 3) is one of the starts."""
     tables = [(segment, _table(segment, robot, imu)) for segment in segments]
     delay = _delay(tables)
     sums = _sums(tables, delay)
@@ -172,32 +198,33 @@ def _delay(
     coarse_s: float = 0.016,
     better: float = 0.7,
 ) -> float:
-    """Clock offset [s] with the least misfit: coarsely over all, then finely about the best."""
+    """Return the clock offset [s] of least misfit, on a coarse, then a fine grid."""
 
     # No shift is believed that leaves more than the share `better` of the misfit
     # without one.
     def misfits(delays: NDArray[Any]) -> Array:
-        """Shares of the readings' power that the best linear function leaves over."""
-        found = []
+        """Return the shares of the readings' power beyond the best linear function."""
+        shares = []
         for delay in delays:
             xx, xy, yy = _sums(tables, float(delay))
             scale = np.sqrt(np.maximum(np.diag(xx), 1e-12))
             b = xy / scale[:, None]
             solved = np.linalg.lstsq(xx / np.outer(scale, scale), b, rcond=1e-8)[0]
-            left = yy - np.sum(b * solved, axis=0)
+            misfit = yy - np.sum(b * solved, axis=0)
             power = np.maximum(yy - xy[-1] ** 2 / max(xx[-1, -1], 1.0), 1e-12)
-            found.append(np.mean(np.maximum(left, 0.0) / power))
-        return np.array(found)
+            shares.append(np.mean(np.maximum(misfit, 0.0) / power))
+        return np.array(shares)
 
     fine = max(segment.spacing for segment, _ in tables)
     longest = min(segment.samples * segment.spacing for segment, _ in tables)
     coarse = fine * max(1, round(coarse_s / fine))
     count = int(min(largest_s, longest / 4) / coarse)
     delays = np.arange(-count, count + 1) * coarse
-    left = misfits(delays)
-    middle = (
-        float(delays[np.argmin(left)]) if left.min() <= better * left[count] else 0.0
-    )
+    coarse_misfits = misfits(delays)
+    # The delay in the middle of the grid is zero.
+    middle = 0.0
+    if coarse_misfits.min() <= better * coarse_misfits[count]:
+        middle = float(delays[np.argmin(coarse_misfits)])
     delays = np.arange(-coarse, coarse + 0.5 * fine, fine) + middle
     return float(delays[np.argmin(misfits(delays))])
 
@@ -205,7 +232,7 @@ def _delay(
 def _table(
     segment: Segment, robot: Robot, imu: Imu, *, lowest_hz: float = 3.0
 ) -> Array:
-    """Regressors (N, 16) from the encoders alone, smooth enough to differentiate."""
+    """Return regressors (N, 16) from encoders alone, smooth enough to differentiate."""
     rate = 1.0 / segment.spacing
     hz = float(min(segment.cutoff_hz, max(lowest_hz, segment.encoder_hz)))
     q = Lowpass(hz, rate)(segment.motion[0].T)
@@ -216,19 +243,16 @@ def _table(
 
 
 def _sums(tables: Tables, delay: float) -> Sums:
-    """Sums over readings a delay later, to the nearest sample."""
+    """Return sums over readings a delay later, to the nearest sample."""
     total = []
     for segment, x in tables:
         readings = segment.readings
-        at = np.round(
-            (segment.t + delay - readings.t[0]) / (readings.t[1] - readings.t[0])
-        )
+        period = readings.t[1] - readings.t[0]
+        at = np.round((segment.t + delay - readings.t[0]) / period)
         inside = (at >= 0) & (at < len(readings.t))
         index = np.clip(at, 0, len(readings.t) - 1).astype(np.intp)
-        y, w = (
-            readings.values[index],
-            inside * readings.good[index].all(axis=1).astype(float),
-        )
+        y = readings.values[index]
+        w = inside * readings.good[index].all(axis=1).astype(float)
         wx = x * w[:, None]
         total.append((wx.T @ x, wx.T @ y, w @ y**2))
     xx, xy, yy = (np.sum(part, axis=0) for part in zip(*total, strict=True))
@@ -238,11 +262,15 @@ def _sums(tables: Tables, delay: float) -> Sums:
 def _mounting(
     imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3
 ) -> tuple[float, Constants]:
-    """Least squares for turn and lever on the sums, from one start; biases follow."""
-    # `hold` of the readings' noise over m holds the lever.
+    """Return the cost and the constants of a least-squares fit from one start.
+
+    The fit of turn and lever takes the sums alone, and biases follow. `hold` is the
+    weight on the lever, in readings' noise per m.
+    """
     xx, xy, yy = sums
     samples = max(float(xx[-1, -1]), 1.0)
-    x_mean, y_mean = xx[-1, :-1] / samples, xy[-1] / samples
+    x_mean = xx[-1, :-1] / samples
+    y_mean = xy[-1] / samples
     value, vector = np.linalg.eigh(xx[:-1, :-1] / samples - np.outer(x_mean, x_mean))
     kept = value > 1e-10 * value[-1]
     root = (vector[:, kept] * np.sqrt(value[kept])).T  # x'x = root' root
@@ -253,16 +281,25 @@ def _mounting(
     axes = nominal_axes(imu)
 
     def placed(step: Array) -> Mounting:
+        """Return the mounting after a turn and with a lever (6,)."""
         turned = Rotation.from_rotvec(step[:3]).as_matrix() @ R
         return Mounting(
             imu.after_joint, imu.positions.reshape(-1, 3), axes, turned, step[3:]
         )
 
     def off(step: Array) -> Array:
+        """Return the misfit of the readings, and the weight on the lever."""
         misfit = (root @ placed(step).matrix.T - target) / size
         return np.concatenate([misfit.ravel(), hold * step[3:]])
 
     result = least_squares(off, np.zeros(6), method="lm")
-    found = placed(result.x)
-    rest = y_mean - found.matrix @ x_mean, np.zeros(len(axes)), np.zeros((len(axes), 2))
-    return float(result.cost), Constants(found.R, found.lever, 0.0, *rest)
+    mounting = placed(result.x)
+    constants = Constants(
+        R=mounting.R,
+        lever=mounting.lever,
+        delay=0.0,
+        bias=y_mean - mounting.matrix @ x_mean,
+        log_gain=np.zeros(len(axes)),
+        tilt=np.zeros((len(axes), 2)),
+    )
+    return float(result.cost), constants

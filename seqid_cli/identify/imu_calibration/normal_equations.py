@@ -1,4 +1,4 @@
-"""One segment of the IMU calibration: its linear equations with the joint motion taken out.
+"""Linear equations of one segment of the IMU calibration, its joint motion eliminated.
 
 About a trajectory c of the moving joints and the constants, the readings, the encoders
 and a loose prior on the jerk are linear. The trajectory is eliminated by the banded
@@ -29,7 +29,11 @@ WEIGHED = 1.0 - 6.0 / ROBUST**2 + 15.0 / ROBUST**4
 
 @dataclass(frozen=True)
 class Local:
-    """A segment's `trajectory` (N + 2 REACH, m); `own` (C + locked,): bias changes, offsets."""
+    """Unknowns of one segment.
+
+    `trajectory` (N + 2 REACH, m) are positions of the moving joints at the nodes. `own`
+    (C + locked,) are changes of the biases, then offsets of the locked joints.
+    """
 
     trajectory: Array
     own: Array
@@ -37,7 +41,7 @@ class Local:
 
 @dataclass(frozen=True)
 class Sizes:
-    """What a residual is made of."""
+    """Sizes of the noise and of the deflections in a residual."""
 
     # (G,) factors on the variance that raw readings show: accelerometers, gyro
     noise: Array
@@ -45,9 +49,13 @@ class Sizes:
     deflection: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Rows:
-    """Sums of rows r (N, C) and slopes A (N, C, n) in joints' accelerations, by kind of sensor."""
+    """Sums over the channels of each kind of sensor, of N nodes.
+
+    They are of rows r (N, C) and of their slopes A (N, C, n) in the joints'
+    accelerations.
+    """
 
     B: Array  # (N, G, n, n) = A'A, both over the noise that raw readings show
     u: Array  # (N, G, n) = A'r
@@ -56,9 +64,19 @@ class Rows:
     share: Array  # (N,) of a node that each counts
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class Residual:
+    """Readings of one segment minus their prediction, with the motion behind it."""
+
+    value: Array  # (N, C) m/s^2 or rad/s
+    good: Mask  # (N, C) readings that count
+    motion: Array  # (3, n, N) q, dq, ddq of all joints
+    link: Array  # (N, 15) state of the link (see `link_state`)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Linearised:
-    """A segment about one point: residual `r`, slopes `J` and border `G`, all whitened."""
+    """Linear equations of a segment about one point, residual and slopes whitened."""
 
     segment: Segment
     r: Array  # (N, C)
@@ -72,9 +90,12 @@ class Linearised:
     jolts: Rows
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Reduced:
-    """What a segment says of the constants (p,), its trajectory and its own border eliminated."""
+    """Equations of a segment in the constants (p,) alone.
+
+    The trajectory and then the segment's own unknowns (`Local.own`) are eliminated.
+    """
 
     linear: Linearised
     g: Array  # (b,) gradient in the border without priors
@@ -88,35 +109,42 @@ class Reduced:
     information: Array
 
     def followed(self, moves: Array) -> Array:
-        """What moves (cells, k) of the trajectory make of the readings, (N, C, k)."""
-        linear, segment = self.linear, self.linear.segment
+        """Return changes (N, C, k) of readings by moves (cells, k) of a trajectory."""
+        linear = self.linear
+        segment = linear.segment
         shape = segment.samples, linear.J.shape[2], moves.shape[1]
         return np.asarray(linear.J @ (segment.at_samples @ moves).reshape(shape))
 
     def through(self, columns: Array) -> Array:
-        """Columns (..., b) of the border in the constants alone, (..., p)."""
+        """Return columns (..., p) in the constants, of border columns (..., b)."""
         p = self.follow.shape[1]
         return np.asarray(columns[..., :p] - columns[..., p:] @ self.follow)
 
     def readings(self) -> Array:
-        """Columns (N, C, p) of the readings in the constants, all else following them."""
+        """Return columns (N, C, p) of the readings in the constants.
+
+        The trajectory and the segment's own unknowns follow the constants.
+        """
         return self.through(self.linear.G - self.followed(self.back))
 
     def moved(self, local: Local, step: Array, share: float) -> Local:
-        """What is the segment's own after a step of the constants."""
+        """Return the segment's unknowns after a step of the constants."""
         change = share * self.own_free - self.follow @ step
         moved = share * self.free - self.back @ np.concatenate([step, change])
         return Local(
-            local.trajectory + moved.reshape(local.trajectory.shape), local.own + change
+            trajectory=local.trajectory + moved.reshape(local.trajectory.shape),
+            own=local.own + change,
         )
 
 
 def residual(
     segment: Segment, robot: Robot, imu: Imu, constants: Constants, local: Local
-) -> tuple[Array, Mask, Array, Array]:
-    """Readings minus prediction (N, C), which count, the joints' motion and the link's (N, 15)."""
-    motion, count = segment.motion.copy(), len(constants.bias)
-    shape, moving = (segment.samples, 3, len(segment.moving)), list(segment.moving)
+) -> Residual:
+    """Return the readings of a segment minus their prediction."""
+    count = len(constants.bias)
+    motion = segment.motion.copy()
+    moving = list(segment.moving)
+    shape = (segment.samples, 3, len(moving))
     moved = (segment.at_samples @ local.trajectory.ravel()).reshape(shape)
     motion[:, moving] = moved.transpose(1, 2, 0)
     motion[0, list(segment.locked)] += local.own[count:, None]
@@ -126,8 +154,9 @@ def residual(
         gyros = slice(len(imu.axes), None)
         later = segment.t + constants.delay + constants.gyro_delay
         y[:, gyros] = segment.readings.at(later)[0][:, gyros]
-    told = x @ mounted(imu, constants).matrix.T + constants.bias + local.own[:count]
-    return y - told, good, motion, x
+    predicted = x @ mounted(imu, constants).matrix.T
+    predicted = predicted + constants.bias + local.own[:count]
+    return Residual(value=y - predicted, good=good, motion=motion, link=x)
 
 
 def linearise(
@@ -140,40 +169,74 @@ def linearise(
     sizes: Sizes | None = None,
     weights: Array | None = None,
 ) -> Linearised:
-    """Equations of one segment; `sigma` (C,), the noise of a residual, makes robust weights."""
-    # Without `sizes` the noise is that of raw readings, and joints are moved by jolts
-    # alone.
-    r, good, motion, x = residual(segment, robot, imu, constants, local)
-    place, count = mounted(imu, constants), r.shape[1]
-    slopes = place.by_motion(x, link_slopes(robot, imu.after_joint, motion))
+    """Return the linear equations of one segment about a point.
+
+    Parameters
+    ----------
+    segment : Segment
+        The segment.
+    robot : Robot
+        The robot.
+    imu : Imu
+        The IMU.
+    constants : Constants
+        Constants of the IMU at the point.
+    local : Local
+        Unknowns of the segment at the point.
+    sigma : array (C,)
+        Standard deviation of a residual, for the robust weights.
+    sizes : Sizes, optional
+        Noise and deflections. Without them the noise is that of raw readings, and only
+        jolts move the joints.
+    weights : array (N, C), optional
+        Weights to take instead of robust ones.
+    """
+    point = residual(segment, robot, imu, constants, local)
+    r = point.value
+    good = point.good
+    x = point.link
+    place = mounted(imu, constants)
+    count = r.shape[1]
+
+    slopes = place.by_motion(x, link_slopes(robot, imu.after_joint, point.motion))
     J = slopes[..., list(segment.moving)]
     dy = np.gradient(x @ place.matrix.T, segment.spacing, axis=0)
     bias = np.broadcast_to(np.eye(count), (*r.shape, count))
     offsets = slopes[:, :, 0, list(segment.locked)]
     G = np.concatenate([design(imu, constants, x, dy), bias, offsets], axis=2)
+
+    # Tukey's weights, unless these are given.
     u = r / (ROBUST * sigma)
     if weights is None:
         weights = np.maximum(1.0 - u**2, 0.0) ** 2
     weights = np.where(good, weights, 0.0)
-    # As much as all the raw samples that a node stands for.
-    plain = np.sqrt(
-        weights * segment.share / np.maximum(segment.readings.noise, 1e-6) ** 2
-    )
+    # A node weighs as much as all the raw samples that it stands for.
+    raw_variance = np.maximum(segment.readings.noise, 1e-6) ** 2
+    plain = np.sqrt(weights * segment.share / raw_variance)
     by_ddq = plain[:, :, None] * slopes[:, :, 2]
-    # 1 of the gyro
+    # 0 is an accelerometer, 1 a gyro.
     kinds = np.asarray(np.arange(count) >= len(imu.axes), dtype=np.intp)
     if sizes is None:  # jolts alone, rad/s^2 of a node, alike at all joints
         power = float(np.mean(np.sum(J[:, :, 2] ** 2, axis=(1, 2)))) if J.size else 0.0
         jolt = segment.readings.jolts / power / segment.share if power > 0.0 else 0.0
-        root, scaled = plain, plain[:, :, None] * J[:, :, 2] * float(np.sqrt(jolt))
+        root = plain
+        scaled = plain[:, :, None] * J[:, :, 2] * float(np.sqrt(jolt))
     else:
         over = 1.0 / np.sqrt(sizes.noise[kinds])
-        root, scaled = plain * over, by_ddq * over[:, None] * sizes.deflection
+        root = plain * over
+        scaled = by_ddq * over[:, None] * sizes.deflection
     whiten = _whitener(root, scaled)
+
     near = segment.readings.near(segment.t + constants.delay)
     rough = segment.readings.rough[near] / np.sqrt(segment.share)
     known = np.isfinite(rough)
-    jolted = np.where(known, plain * rough, 0.0), np.where(known, weights, 0.0)
+    jolts = _rows(
+        by_ddq * known[:, :, None],
+        np.where(known, plain * rough, 0.0),
+        np.where(known, weights, 0.0),
+        kinds,
+        1.0,
+    )
     band = band_share(segment.cutoff_hz, segment.share, segment.spacing)
     weighed = np.where(plain > 0.0, WEIGHED, 0.0)
     return Linearised(
@@ -185,13 +248,13 @@ def linearise(
         outliers=good & (np.abs(u) >= 1.0),
         weights=weights,
         deflection=_rows(by_ddq, plain * r, weighed, kinds, band),
-        jolts=_rows(by_ddq * known[:, :, None], *jolted, kinds, 1.0),
+        jolts=jolts,
     )
 
 
 @lru_cache(maxsize=64)
 def band_share(cutoff_hz: float, share: float, spacing: float) -> float:
-    """Variance that the low-pass leaves of white noise of unit variance per node."""
+    """Return the variance of low-passed white noise of unit variance per node."""
     lowpass = Lowpass(cutoff_hz, share / spacing)
     impulse = np.eye(4 * lowpass.settling + 1)[:, [2 * lowpass.settling]]
     return float(
@@ -200,19 +263,30 @@ def band_share(cutoff_hz: float, share: float, spacing: float) -> float:
 
 
 def _rows(A: Array, rows: Array, counts: Array, kinds: Index, share: float) -> Rows:
-    parts = []
+    """Return the sums of rows (N, C) and slopes A (N, C, n) by kind of sensor."""
+    B = []
+    u = []
+    squares = []
+    count = []
     for kind in range(int(kinds.max()) + 1):
-        own = kinds == kind
-        across, r = A[:, own].transpose(0, 2, 1), rows[:, own]
-        u = (across @ r[:, :, None])[:, :, 0]
-        squares, count = np.sum(r**2, axis=1), np.sum(counts[:, own], axis=1)
-        parts.append((across @ A[:, own], u, squares, count))
-    B, u, squares, count = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
-    return Rows(B, u, squares, count, np.full(len(A), share))
+        of_kind = kinds == kind
+        across = A[:, of_kind].transpose(0, 2, 1)
+        r = rows[:, of_kind]
+        B.append(across @ A[:, of_kind])
+        u.append((across @ r[:, :, None])[:, :, 0])
+        squares.append(np.sum(r**2, axis=1))
+        count.append(np.sum(counts[:, of_kind], axis=1))
+    return Rows(
+        B=np.stack(B, axis=1),
+        u=np.stack(u, axis=1),
+        squares=np.stack(squares, axis=1),
+        count=np.stack(count, axis=1),
+        share=np.full(len(A), share),
+    )
 
 
 def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
-    """Scale rows (N, C, b) to unit noise, the joints' deflection included."""
+    """Return the function that scales rows (N, C, b) to unit noise and deflection."""
     # A link moves otherwise than the encoder before its gear shows where the gear bends
     # or has play, and jolts faster than the log's rate alias. Either is in all channels
     # an acceleration that the encoders do not know of; its covariance A A', A =
@@ -224,6 +298,7 @@ def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
     shrink = 1.0 - 1.0 / np.sqrt(1.0 + value)
 
     def whiten(rows: Array) -> Array:
+        """Return the whitened rows (N, C, b)."""
         rows = root[:, :, None] * rows
         along = shrink[:, :, None] * (directions.transpose(0, 2, 1) @ rows)
         return np.asarray(rows - directions @ along)
@@ -232,10 +307,15 @@ def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
 
 
 def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
-    """Eliminate the trajectory, then what is the segment's own; priors `drift` (C,) on biases."""
-    segment, G = linear.segment, linear.G
+    """Eliminate the trajectory, then the segment's own unknowns.
+
+    `drift` (C,) are the prior standard deviations of the changes of the biases.
+    """
+    segment = linear.segment
+    G = linear.G
     rows = G.reshape(-1, G.shape[2])
-    S, g = rows.T @ rows, rows.T @ linear.r.ravel()
+    S = rows.T @ rows
+    g = rows.T @ linear.r.ravel()
     solved = np.zeros((0, len(g) + 1))
     if segment.moving:
         across = linear.J.transpose(0, 2, 1)
@@ -247,13 +327,25 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
         )
         solved = cho_solve_banded((factor, True), right, check_finite=False)
         both = right[:, :-1].T @ solved
-        S, g = S - both[:, :-1], g - both[:, -1]
+        S = S - both[:, :-1]
+        g = g - both[:, -1]
+
     precision = np.concatenate([drift, segment.offset_sigma]) ** -2.0
     p = G.shape[2] - len(precision)
     covariance = np.asarray(
         np.linalg.inv(S[p:, p:] + np.diag(precision)), dtype=np.float64
     )
-    pull, follow = g[p:] - precision * local.own, covariance @ S[p:, :p]
-    own = covariance @ pull, follow, covariance, precision
-    of_constants = g[:p] - follow.T @ pull, S[:p, :p] - S[:p, p:] @ follow
-    return Reduced(linear, g, solved[:, :-1], solved[:, -1], *own, *of_constants)
+    pull = g[p:] - precision * local.own
+    follow = covariance @ S[p:, :p]
+    return Reduced(
+        linear=linear,
+        g=g,
+        back=solved[:, :-1],
+        free=solved[:, -1],
+        own_free=covariance @ pull,
+        follow=follow,
+        covariance=covariance,
+        precision=precision,
+        gradient=g[:p] - follow.T @ pull,
+        information=S[:p, :p] - S[:p, p:] @ follow,
+    )

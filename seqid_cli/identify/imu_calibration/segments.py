@@ -1,4 +1,4 @@
-"""What the IMU calibration takes from a log: readings, and encoders with all their uncertainty.
+"""Data of a log for the IMU calibration: readings, and encoders with their errors.
 
 Readings are cleaned of spikes and saturation. They and the encoders pass the same
 zero-phase low-pass and are kept on nodes a few to a period of its cut-off. A moving
@@ -30,7 +30,7 @@ from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough, white_noise
 from seqid_cli.typing import Array, Index, Mask
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Readings:
     """Low-passed readings (N0, C) at the log's own rate, to be read at any time."""
 
@@ -43,7 +43,7 @@ class Readings:
 
     @property
     def jolts(self) -> float:
-        """Variance, of all channels together, of what is rough beyond white noise."""
+        """The variance of all channels together by roughness beyond white noise."""
         # Jolts faster than the log's rate alias: samples do not add up to the motion
         # between them.
         known = self.rough[np.isfinite(self.rough).all(axis=1)]
@@ -54,17 +54,17 @@ class Readings:
 
     @property
     def period(self) -> float:
-        """Time between samples [s]."""
+        """The time between samples [s]."""
         return float((self.t[-1] - self.t[0]) / (len(self.t) - 1))
 
     def at(self, t: Array) -> tuple[Array, Mask]:
-        """Readings (N, C) and whether they count, at times `t` [s] of their own stamps."""
+        """Return readings (N, C) at times `t` [s] of their stamps, and which count."""
         inside = (t >= self.t[0]) & (t <= self.t[-1])
         values = self.curve(np.clip(t, self.t[0], self.t[-1]))
         return np.asarray(values), self.good[self.near(t)] & inside[:, None]
 
     def near(self, t: Array) -> Index:
-        """Numbers (N,) of the samples next to times `t` [s]."""
+        """Return the numbers (N,) of the samples next to times `t` [s]."""
         return np.clip(
             np.searchsorted(self.t, t - 0.5 * self.period), 0, len(self.t) - 1
         )
@@ -82,20 +82,32 @@ def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
     curve = make_interp_spline(recording.t, smooth, k=3)
     # Jolts are in most channels at once; what jumps in one by itself is bridged.
     together = (bad.mean(axis=1) > 0.5)[:, None] & np.isfinite(raw)
-    own, half = np.full(values.shape, np.nan), DIFFERENCES // 2
+    roughness = np.full(values.shape, np.nan)
+    half = DIFFERENCES // 2
     if len(values) > DIFFERENCES:
         known = np.lib.stride_tricks.sliding_window_view(
             recording.valid, DIFFERENCES + 1
         )
         jolted = rough(np.where(together, raw, values))
-        own[half:-half] = np.where(np.all(known, axis=1, keepdims=True), jolted, np.nan)
-    return Readings(recording.t, smooth, ~spread, white_noise(values), own, curve)
+        is_valid = np.all(known, axis=1, keepdims=True)
+        roughness[half:-half] = np.where(is_valid, jolted, np.nan)
+    return Readings(
+        t=recording.t,
+        values=smooth,
+        good=~spread,
+        noise=white_noise(values),
+        rough=roughness,
+        curve=curve,
+    )
 
 
 def cleaned(
     values: Array, valid: Mask, *, min_spike: float = 8.0
 ) -> tuple[Array, Mask]:
-    """Readings (N, C) with spikes, saturation and missing values bridged, and where they were."""
+    """Return readings (N, C) with bad ones bridged, and where these were.
+
+    Bad are spikes, saturation and missing values.
+    """
     # A spike stands out of the median of its neighbours by `min_spike` times the noise.
     finite = np.isfinite(values)
     values = np.where(finite, values, 0.0)
@@ -114,11 +126,28 @@ def cleaned(
 REACH = SIDE  # nodes that a derivative takes
 NODES_PER_CUTOFF = 6.0
 
-# first of four nodes, weights, value, information
-Measured = tuple[Index, Array, Array, Array]
+
+@dataclass(frozen=True, kw_only=True)
+class Measurements:
+    """M measurements of one joint: weighted sums of its positions at four nodes."""
+
+    at: Index  # (M,) first of the four nodes
+    weights: Array  # (M, 4)
+    value: Array  # (M,) rad, or rad/s^3 of the prior on the jerk
+    information: Array  # (M,) inverse variance
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class _Rows:
+    """Measurements of all moving joints as rows times the positions at the nodes."""
+
+    rows: csr_array
+    value: Array
+    information: Array
+    at: Index
+
+
+@dataclass(frozen=True, kw_only=True)
 class Segment:
     """A stretch of one log on nodes `t` (N,) s.
 
@@ -152,52 +181,63 @@ class Segment:
 
     @property
     def samples(self) -> int:
-        """Number of nodes with readings."""
+        """The number of nodes with readings."""
         return len(self.t)
 
     @cached_property
     def at_samples(self) -> csr_array:
-        """q, dq, ddq of the moving joints at the samples (N * 3 * m) of positions at the nodes."""
-        size, width, spacing = self.samples, 2 * REACH + 1, self.spacing
+        """The matrix from positions at the nodes to q, dq, ddq at the samples.
+
+        Its N * 3 * m rows are those of the moving joints.
+        """
+        size = self.samples
+        width = 2 * REACH + 1
+        spacing = self.spacing
         weights = np.stack([np.eye(width)[REACH], FIRST / spacing, SECOND / spacing**2])
         rows = np.repeat(np.arange(3 * size), width)
         columns = np.arange(size)[:, None, None] + np.tile(np.arange(width), (3, 1))
         place = (np.tile(weights, (size, 1, 1)).ravel(), (rows, columns.ravel()))
-        one = coo_array(place, shape=(3 * size, size + 2 * REACH))
-        return csr_array(kron(one, eye_array(len(self.moving))))
+        joint_matrix = coo_array(place, shape=(3 * size, size + 2 * REACH))
+        return csr_array(kron(joint_matrix, eye_array(len(self.moving))))
 
     @cached_property
     def normal(self) -> csr_array:
-        """What the rows tell of the positions at the nodes, joints interleaved."""
+        """The information of the rows on positions at the nodes, joints interleaved."""
         return csr_array(self.rows.T @ diags_array(self.information) @ self.rows)
 
     def band(self, blocks: Array) -> Array:
-        """Lower band of all that is told of them, by `blocks` (N, 3 m, 3 m) of the samples too."""
+        """Return the lower band of the information on the positions at the nodes.
+
+        `blocks` (N, 3 m, 3 m) are the information of the samples on q, dq, ddq.
+        """
         count = np.arange(len(blocks) + 1)
         inner = bsr_array((blocks, count[:-1], count)).tocsr()
-        whole = (self.normal + self.at_samples.T @ inner @ self.at_samples).tocoo()
-        below = whole.row >= whole.col
-        row, column = whole.row[below], whole.col[below]
-        band = np.zeros(((2 * REACH + 1) * len(self.moving), whole.shape[0]))
-        band[row - column, column] = whole.data[below]
+        information = (
+            self.normal + self.at_samples.T @ inner @ self.at_samples
+        ).tocoo()
+        below = information.row >= information.col
+        row = information.row[below]
+        column = information.col[below]
+        band = np.zeros(((2 * REACH + 1) * len(self.moving), information.shape[0]))
+        band[row - column, column] = information.data[below]
         return band
 
 
 def thinned(segments: list[Segment], *, max_nodes: int = 60_000) -> list[Segment]:
-    """Segments that a fit can hold at once, evenly chosen where there are too many."""
-    return segments[
-        :: int(np.ceil(sum(segment.samples for segment in segments) / max_nodes))
-    ]
+    """Return the segments that a fit can hold at once, evenly chosen among all."""
+    n_nodes = sum(segment.samples for segment in segments)
+    return segments[:: int(np.ceil(n_nodes / max_nodes))]
 
 
 def calibration_cutoff(
     motion: Motion, chosen_hz: float | None, highest_hz: float
 ) -> float:
-    """Cut-off [Hz] for readings and encoders: far above the motion, far below the rate."""
-    return min(
-        highest_hz if chosen_hz is None else chosen_hz,
-        motion.rate_hz / NODES_PER_CUTOFF,
-    )
+    """Return the cut-off [Hz] for readings and encoders.
+
+    It is far above the motion and far below the rate.
+    """
+    wanted_hz = highest_hz if chosen_hz is None else chosen_hz
+    return min(wanted_hz, motion.rate_hz / NODES_PER_CUTOFF)
 
 
 def segments_of(
@@ -211,7 +251,7 @@ def segments_of(
     longest_s: float = 20.0,
     shortest_s: float = 0.3,
 ) -> list[Segment]:
-    """Cut one log into stretches of the calibration, up to `longest_s` s, above `shortest_s` s."""
+    """Cut one log into segments of `shortest_s` to `longest_s` seconds."""
     lowpass = Lowpass(cutoff_hz, recording.rate_hz)
     steps = encoder_resolution(robot)
     steps = np.where(steps > 0, steps, encoder_step(recording.q))
@@ -220,24 +260,28 @@ def segments_of(
         for j in range(imu.after_joint + 1)
     ]
     source = _Log(
-        log, recording, motion, lowpass, views, readings_of(recording, imu, lowpass)
+        number=log,
+        recording=recording,
+        motion=motion,
+        lowpass=lowpass,
+        views=views,
+        readings=readings_of(recording, imu, lowpass),
     )
     # Ends that feel the filter's own ends are not used.
     usable = differentiation.shrink(recording.valid, lowpass.settling // 2)
-    found = []
+    segments = []
     for start, stop in differentiation.runs(usable, len(usable)):
         count = max(1, int(np.ceil((stop - start) / (longest_s * recording.rate_hz))))
         for a, b in pairwise(np.linspace(start, stop, count + 1).astype(int).tolist()):
-            piece = (
-                source.segment(slice(a, b))
-                if b - a > shortest_s * recording.rate_hz
-                else None
-            )
-            found += [piece] if piece is not None else []
-    return found
+            if not b - a > shortest_s * recording.rate_hz:
+                continue
+            segment = source.segment(slice(a, b))
+            if segment is not None:
+                segments.append(segment)
+    return segments
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Log:
     """A log and what is computed from it once; a view for each joint before the IMU."""
 
@@ -250,37 +294,48 @@ class _Log:
 
     @cached_property
     def smooth(self) -> Array:
-        """Positions (N, n) after the low-pass."""
+        """The positions (N, n) after the low-pass."""
         return self.lowpass(self.recording.q, self.recording.valid)
 
     @cached_property
     def speed(self) -> Array:
-        """Their rate of change (N, n)."""
+        """The rate of change (N, n) of these positions."""
         return differentiate(self.smooth, self.recording.rate_hz, self.recording.valid)[
             0
         ]
 
     def segment(
-        self, own: slice, *, min_offset: float = 1e-4, slack: float = 3
+        self, stretch: slice, *, min_offset: float = 1e-4, slack: float = 3
     ) -> Segment | None:
-        """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown."""
+        """Return one segment, or None where it has too few nodes.
+
+        Offsets of locked joints below `min_offset` rad are no unknowns.
+        """
         # Moving joints are given jerks of `slack` times the largest RMS, all alike:
         # joints push each other, and one that hunts within a few counts jerks whatever
         # its encoder shows of it.
-        rate, views = self.recording.rate_hz, self.views
-        every = max(1, int(rate / (NODES_PER_CUTOFF * self.lowpass.cutoff_hz)))
-        nodes = np.arange(own.start + REACH * every, own.stop - REACH * every, every)
+        rate = self.recording.rate_hz
+        views = self.views
+        stride = max(1, int(rate / (NODES_PER_CUTOFF * self.lowpass.cutoff_hz)))
+        nodes = np.arange(
+            stretch.start + REACH * stride, stretch.stop - REACH * stride, stride
+        )
         if len(nodes) < 4 * REACH:
             return None
-        wide = np.arange(nodes[0] - REACH * every, nodes[-1] + REACH * every + 1, every)
-        moves: Mask = np.any(self.motion.moving[own], axis=0)
+        wide = np.arange(
+            nodes[0] - REACH * stride, nodes[-1] + REACH * stride + 1, stride
+        )
+
+        moves: Mask = np.any(self.motion.moving[stretch], axis=0)
         # A joint that leaves a code of an encoder too coarse to show how counts as
         # moving.
         hunts = [
-            _still_hz(v, rate) == 0.0 and bool(np.ptp(v.q[own]) > 0.0) for v in views
+            _still_hz(v, rate) == 0.0 and bool(np.ptp(v.q[stretch]) > 0.0)
+            for v in views
         ]
         moving = [j for j in range(len(views)) if moves[j] or hunts[j]]
         resting = [j for j in range(len(views)) if j not in moving]
+
         motion = np.zeros((3, self.smooth.shape[1], len(nodes)))
         motion[0] = self.smooth[nodes].T
         for j in resting:
@@ -289,51 +344,61 @@ class _Log:
             j: float(np.sqrt(views[j].step ** 2 / 12 + views[j].white)) for j in resting
         }
         locked = tuple(j for j in resting if off[j] > min_offset)
-        jerks = np.sqrt(
-            np.mean((np.diff(self.motion.ddq[own], axis=0) * rate) ** 2, axis=0)
-        )
-        jerk, third = max(slack * float(np.max(jerks)), 1.0), JERK * (rate / every) ** 3
-        at = np.arange(len(wide) - 3)
-        smooth = (
-            at,
-            np.tile(third, (len(at), 1)),
-            np.zeros(len(at)),
-            np.full(len(at), jerk**-2),
-        )
-        pairs = ((self._measured(j, wide, own), smooth) for j in moving)
-        parts: list[Measured] = [part for pair in pairs for part in pair]
-        about = (
-            self.number,
-            self.recording.t[nodes],
-            every / rate,
-            motion,
-            tuple(moving),
-        )
-        measured = _stacked(parts, len(wide), len(moving))
-        held = locked, np.array([off[j] for j in locked]), self.readings
-        hz = self.lowpass.cutoff_hz, self.motion.cutoff.hz
-        coarse = any(self._by_edges(j, own) for j in moving)
-        path = self.smooth[wide][:, moving]
-        return Segment(*about, path, *measured, *held, float(every), *hz, coarse)
 
-    def _rounding(self, j: int, own: slice) -> float:
-        """What the low-pass takes off a jump of a joint's acceleration [rad]."""
-        strongest = float(np.max(np.abs(self.motion.ddq[own, j])))
+        jerks = np.sqrt(
+            np.mean((np.diff(self.motion.ddq[stretch], axis=0) * rate) ** 2, axis=0)
+        )
+        jerk = max(slack * float(np.max(jerks)), 1.0)
+        third = JERK * (rate / stride) ** 3
+        at = np.arange(len(wide) - 3)
+        smooth = Measurements(
+            at=at,
+            weights=np.tile(third, (len(at), 1)),
+            value=np.zeros(len(at)),
+            information=np.full(len(at), jerk**-2),
+        )
+        parts: list[Measurements] = []
+        for j in moving:
+            parts.append(self._measured(j, wide, stretch))
+            parts.append(smooth)
+        stacked = _stacked(parts, len(wide), len(moving))
+
+        return Segment(
+            log=self.number,
+            t=self.recording.t[nodes],
+            spacing=stride / rate,
+            motion=motion,
+            moving=tuple(moving),
+            start=self.smooth[wide][:, moving],
+            rows=stacked.rows,
+            value=stacked.value,
+            information=stacked.information,
+            at=stacked.at,
+            locked=locked,
+            offset_sigma=np.array([off[j] for j in locked]),
+            readings=self.readings,
+            share=float(stride),
+            cutoff_hz=self.lowpass.cutoff_hz,
+            encoder_hz=self.motion.cutoff.hz,
+            by_edges=any(self._by_edges(j, stretch) for j in moving),
+        )
+
+    def _rounding(self, j: int, stretch: slice) -> float:
+        """Return how far the low-pass rounds off a jump of the acceleration [rad]."""
+        strongest = float(np.max(np.abs(self.motion.ddq[stretch, j])))
         return strongest / (2 * np.pi * self.lowpass.cutoff_hz) ** 2
 
-    def _by_edges(self, j: int, own: slice) -> bool:
-        """Whether a joint's encoder tells by its edges alone where the joint is."""
+    def _by_edges(self, j: int, stretch: slice) -> bool:
+        """Return whether only the edges of a joint's encoder tell its position."""
         view = self.views[j]
-        fine = view.step / np.sqrt(12) < self._rounding(j, own)
+        fine = view.step / np.sqrt(12) < self._rounding(j, stretch)
         return not fine and bool(np.isfinite(view.edge).any())
 
     def _at_rest(self, j: int) -> Array:
-        """What a locked joint does (3, N): no more than its encoder shows of it without noise."""
-        rate, q, valid = (
-            self.recording.rate_hz,
-            self.recording.q[:, j],
-            self.recording.valid,
-        )
+        """Return q, dq, ddq (3, N) of a locked joint, as its encoder shows them."""
+        rate = self.recording.rate_hz
+        q = self.recording.q[:, j]
+        valid = self.recording.valid
         hz = min(_still_hz(self.views[j], rate), rate / NODES_PER_CUTOFF)
         lowpass = Lowpass(hz or 1.0, rate)
         if not hz or len(q) <= 4 * lowpass.settling:
@@ -342,56 +407,86 @@ class _Log:
         return np.stack([smooth, *differentiate(smooth, rate, valid)])
 
     def _measured(
-        self, j: int, wide: Index, own: slice, *, repeated: float = 2.0
-    ) -> Measured:
-        """Rows of a moving joint: a coarse encoder by its edges, a fine one by low-passed codes."""
+        self, j: int, wide: Index, stretch: slice, *, repeated: float = 2.0
+    ) -> Measurements:
+        """Return the rows of a moving joint.
+
+        A coarse encoder measures by its edges, a fine one by its low-passed codes.
+        """
         # Swings that repeat themselves repeat their quantisation errors, so many times.
-        rate, view = self.recording.rate_hz, self.views[j]
-        every, count = int(wide[1] - wide[0]), len(wide)
-        if not self._by_edges(j, own):
+        rate = self.recording.rate_hz
+        view = self.views[j]
+        stride = int(wide[1] - wide[0])
+        count = len(wide)
+        if not self._by_edges(j, stretch):
             # One row per node, as good as all the samples it stands for, if their codes
             # differ.
             variance = max(view.step**2 / 12 + view.white, 1e-16)
-            slow = np.abs(self.speed[wide, j]) / rate * every < view.step
-            alike = np.where(slow, np.maximum(view.dwell[wide], 1.0), 1.0)
+            slow = np.abs(self.speed[wide, j]) / rate * stride < view.step
+            n_alike = np.where(slow, np.maximum(view.dwell[wide], 1.0), 1.0)
             at = np.clip(np.arange(count) - 1, 0, count - 4)
             weights = np.eye(4)[np.arange(count) - at]
-            return at, weights, self.smooth[wide, j], every / (variance * alike)
+            return Measurements(
+                at=at,
+                weights=weights,
+                value=self.smooth[wide, j],
+                information=stride / (variance * n_alike),
+            )
+
         samples, edges = view.weights(self.speed[:, j], 1.0 / rate)
         index = np.arange(len(view.q), dtype=np.float64)
         places = np.concatenate([index, index + 0.5])
         information = np.concatenate([samples, edges]) / repeated
         information = information / (
-            1.0 + information * (0.1 * self._rounding(j, own)) ** 2
+            1.0 + information * (0.1 * self._rounding(j, stretch)) ** 2
         )
         value = np.concatenate([view.q, np.nan_to_num(view.edge)])
-        kept = (information > 0) & (places >= wide[0]) & (places <= wide[-1])
-        u = (places[kept] - wide[0]) / every
+        is_inside = (places >= wide[0]) & (places <= wide[-1])
+        is_used = (information > 0) & is_inside
+        u = (places[is_used] - wide[0]) / stride
         at = np.clip(np.floor(u).astype(np.intp) - 1, 0, count - 4)
         cubic = np.vander(u - at, 4) @ np.linalg.inv(np.vander(np.arange(4.0), 4))
-        return at, cubic, value[kept], information[kept]
+        return Measurements(
+            at=at,
+            weights=cubic,
+            value=value[is_used],
+            information=information[is_used],
+        )
 
 
-def _stacked(
-    parts: list[Measured], nodes: int, m: int
-) -> tuple[csr_array, Array, Array, Index]:
-    """Rows, values, information and nodes of measurements, two parts for each moving joint."""
-    joint = np.repeat(np.arange(len(parts)) // 2, [len(part[0]) for part in parts])
-    none = np.zeros(0, dtype=np.intp), np.zeros((0, 4)), np.zeros(0), np.zeros(0)
-    at, weights, value, information = (
-        np.concatenate(x) for x in zip(none, *parts, strict=True)
+def _stacked(parts: list[Measurements], nodes: int, m: int) -> _Rows:
+    """Return the rows of two parts for each of m moving joints."""
+    # Nothing can be concatenated where no joint moves.
+    nothing = Measurements(
+        at=np.zeros(0, dtype=np.intp),
+        weights=np.zeros((0, 4)),
+        value=np.zeros(0),
+        information=np.zeros(0),
     )
+    joint = np.repeat(np.arange(len(parts)) // 2, [len(part.at) for part in parts])
+    parts = [nothing, *parts]
+    at = np.concatenate([part.at for part in parts])
+    weights = np.concatenate([part.weights for part in parts])
+
     columns = (at[:, None] + np.arange(4)) * m + joint[:, None]
     place = np.repeat(np.arange(len(at)), 4), columns.ravel()
     rows = csr_array(coo_array((weights.ravel(), place), shape=(len(at), nodes * m)))
-    return rows, value, information, np.clip(at + 1 - REACH, 0, nodes - 2 * REACH - 1)
+    return _Rows(
+        rows=rows,
+        value=np.concatenate([part.value for part in parts]),
+        information=np.concatenate([part.information for part in parts]),
+        at=np.clip(at + 1 - REACH, 0, nodes - 2 * REACH - 1),
+    )
 
 
 def _still_hz(
     view: EncoderView, rate_hz: float, *, noise: float = 0.01, lowest_hz: float = 3.0
 ) -> float:
-    """Cut-off up to which an encoder shows a locked joint's acceleration to `noise` rad/s^2."""
-    # Zero below `lowest_hz`, where it is not followed.
+    """Return the cut-off [Hz] up to which a locked joint's encoder is followed.
+
+    Up to it the encoder shows the acceleration to `noise` rad/s^2. It is zero where it
+    would be below `lowest_hz`.
+    """
     density = (view.step**2 / 12 + view.white) * 2 / rate_hz
     hz = float((5 * noise**2 / (max(density, 1e-24) * (2 * np.pi) ** 4)) ** 0.2)
     return hz if hz >= lowest_hz else 0.0

@@ -32,9 +32,11 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Constants, `covariance` (p, p) in their order, prior deviations, counts of readings.
+    """Estimated constants of an IMU, with their errors.
 
-    `moves` (p, d) are what the constants change by if the arm is one of d others.
+    `covariance` (p, p) and the prior standard deviations `prior` (p,) are in the order
+    of the constants. `kept` and `outliers` count readings. `moves` (p, d) are the
+    changes of the constants if the arm is one of d others.
     """
 
     constants: Constants
@@ -48,9 +50,9 @@ class Fit:
     moves: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _State:
-    """Where the fit stands: constants, what is each segment's own, widths of the priors."""
+    """State of the fit: constants, unknowns of each segment, widths of the priors."""
 
     segments: list[Segment]
     robot: Robot
@@ -63,64 +65,83 @@ class _State:
     def first(
         cls, segments: list[Segment], robot: Robot, imu: Imu, start: Constants
     ) -> "_State":
+        """Return the state before the first round."""
         count = len(start.bias)
-        locals_ = [Local(s.start, np.zeros(count + len(s.locked))) for s in segments]
+        locals_ = [
+            Local(trajectory=segment.start, own=np.zeros(count + len(segment.locked)))
+            for segment in segments
+        ]
         return cls(
-            segments, robot, imu, start, locals_, sensor_model.first_widths(count)
+            segments=segments,
+            robot=robot,
+            imu=imu,
+            constants=start,
+            locals_=locals_,
+            widths=sensor_model.first_widths(count),
         )
 
     @property
     def prior(self) -> Array:
-        """Information (p, p) of the priors on the constants."""
+        """The information (p, p) of the priors on the constants."""
         prior = sensor_model.prior_of(self.widths)
         return np.diag(prior**-2.0) + sensor_model.gauge_information(
             self.imu, len(prior)
         )
 
     def noise_scale(self) -> Array:
-        """Robust standard deviation (C,) of the low-passed residuals."""
+        """Return the robust standard deviation (C,) of the low-passed residuals."""
         parts = []
-        for segment, own in zip(self.segments, self.locals_, strict=True):
-            at = segment, self.robot, self.imu, self.constants, own
-            r, good, *_ = normal_equations.residual(*at)
-            parts.append(np.where(good, r, np.nan))
+        for segment, local in zip(self.segments, self.locals_, strict=True):
+            residual = normal_equations.residual(
+                segment, self.robot, self.imu, self.constants, local
+            )
+            parts.append(np.where(residual.good, residual.value, np.nan))
         scale = PER_MEDIAN * np.nanmedian(np.abs(np.concatenate(parts)), axis=0)
         return np.asarray(np.maximum(np.nan_to_num(scale, nan=1.0), 1e-6))
 
     def reductions(
         self, sigma: Array, sizes: Sizes | None, weights: Sequence[Array] | None
     ) -> list[Reduced]:
-        """The linear equations of each segment in the constants alone."""
-        found = []
+        """Return the linear equations of each segment in the constants alone."""
+        reductions = []
         for k, (segment, local) in enumerate(
             zip(self.segments, self.locals_, strict=True)
         ):
-            at = segment, self.robot, self.imu, self.constants, local
-            own = weights[k] if weights else None
-            linear = normal_equations.linearise(*at, sigma, sizes, own)
-            found.append(normal_equations.reduced(linear, local, self.widths.drift))
-        return found
+            linear = normal_equations.linearise(
+                segment,
+                self.robot,
+                self.imu,
+                self.constants,
+                local,
+                sigma,
+                sizes,
+                weights[k] if weights else None,
+            )
+            reduced = normal_equations.reduced(linear, local, self.widths.drift)
+            reductions.append(reduced)
+        return reductions
 
     def solved(self, reductions: list[Reduced]) -> tuple[Array, Array]:
-        """Step (p,) of the constants and their information (p, p)."""
+        """Return the step (p,) of the constants and their information (p, p)."""
         first = -self.constants.values / sensor_model.prior_of(self.widths) ** 2
         gradient = sum((r.gradient for r in reductions), first)
         information = sum((r.information for r in reductions), self.prior)
         information = 0.5 * (information + information.T)
-        return (
-            np.asarray(np.linalg.solve(information, gradient), dtype=np.float64),
-            information,
-        )
+        step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
+        return step, information
 
     def moved(
         self,
         step: Array,
         share: float,
-        found: list[Reduced],
+        reductions: list[Reduced],
         *,
         max_factor: float = 10.0,
     ) -> "_State":
-        """The state after a step of constants; QualityError if a gain is off by `max_factor`."""
+        """Return the state after a step of the constants.
+
+        Raises QualityError if a gain is off by `max_factor` or more.
+        """
         constants = self.constants.moved(step)
         if not np.abs(constants.log_gain).max() < np.log(max_factor):  # NaN neither
             raise QualityError(
@@ -133,7 +154,7 @@ class _State:
                 ),
                 where=self.imu.name,
             )
-        pairs = zip(found, self.locals_, strict=True)
+        pairs = zip(reductions, self.locals_, strict=True)
         locals_ = [r.moved(local, step, share) for r, local in pairs]
         return replace(self, constants=constants, locals_=locals_)
 
@@ -145,7 +166,9 @@ def fit_constants(
     start: Constants,
     others: Sequence[Robot] = (),
 ) -> Fit:
-    """Refine the constants from a start nearby; once more where a joint deflects, as noise.
+    """Refine the constants from a start nearby.
+
+    Where a joint deflects, the fit is repeated with the deflection as noise.
 
     Parameters
     ----------
@@ -177,12 +200,13 @@ def _fitted(
     first_size: float = 10.0,
     max_turn: float = 0.3,
 ) -> tuple[Fit, Sizes]:
-    """Fit with the noise of raw readings, or from sizes on that are renewed in every round."""
+    """Fit with the noise of raw readings, or with sizes that every round renews."""
     # The first `plain` of the `rounds` have no robust weights, those behind `freeze`
     # the same. The fit ends with a step of `settled` standard errors; none turns by
     # more than `max_turn` rad. Deflections are looked for from `first_size` rad/s^2 of
     # a node.
-    change, fixed = np.inf, None
+    change = np.inf
+    fixed = None
     for number in range(rounds):
         sigma = state.noise_scale()
         robust = sigma if number >= plain else np.full(len(sigma), np.inf)
@@ -193,7 +217,7 @@ def _fitted(
         step, information = state.solved(reductions)
         covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         change = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
-        # whole ones may jump to and fro
+        # Whole steps may jump to and fro once the sizes change with them.
         share = 1.0 if sizes is None or number < freeze else 0.5
         limit = min(1.0, max_turn / max(float(np.linalg.norm(step[:3])), 1e-12))
         state = state.moved(share * limit * step, share, reductions)
@@ -209,8 +233,8 @@ def _fitted(
         np.ones(1 + state.imu.gyro), np.full(state.imu.after_joint + 1, first_size)
     )
     sizes = renewed(linear, sizes or first)
-    found = deflections(linear, sizes, state.robot.joint_names)
-    fit = _finished(reductions, state, found, converged=change < settled)
+    joint_deflections = deflections(linear, sizes, state.robot.joint_names)
+    fit = _finished(reductions, state, joint_deflections, converged=change < settled)
     return replace(fit, moves=moves), sizes
 
 
@@ -220,54 +244,61 @@ def _moves(
     weights: Sequence[Array],
     others: Sequence[Robot],
 ) -> Array:
-    """Return what the constants change by (p, d) if the arm is one of d others.
+    """Return the changes (p, d) of the constants if the arm is one of d others.
 
-    One step of Gauss and Newton from the estimate tells it, at the same weights.
+    They are one Gauss-Newton step from the estimate, at the same weights.
     """
     if not others:
         return np.zeros((state.constants.count, 0))
     sigma = state.noise_scale()
-    here, _ = state.solved(state.reductions(sigma, sizes, weights))
+    step_of_arm, _ = state.solved(state.reductions(sigma, sizes, weights))
     moves = []
     for robot in others:
-        other = replace(state, robot=robot)
-        there, _ = other.solved(other.reductions(sigma, sizes, weights))
-        moves.append(there - here)
+        tolerated = replace(state, robot=robot)
+        step, _ = tolerated.solved(tolerated.reductions(sigma, sizes, weights))
+        moves.append(step - step_of_arm)
     return np.array(moves).T
 
 
 def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Widths:
-    """Widths of the priors, per kind of sensor."""
-    constants, widths, c = state.constants, state.widths, len(state.constants.bias)
+    """Renew the widths of the priors, per kind of sensor, and return them."""
+    constants = state.constants
+    widths = state.widths
+    c = len(constants.bias)
     gain_open, tilt_open = np.split(np.diag(covariance)[7 + c : -1], [c])
-    drift = np.array([own.own[:c] for own in state.locals_])
+    drift = np.array([local.own[:c] for local in state.locals_])
     drift_open = np.array([np.diag(r.covariance)[:c] for r in reductions])
-    for own in (slice(0, len(state.imu.axes)), slice(len(state.imu.axes), c)):
-        size = len(constants.bias[own])
+
+    accelerometers = slice(0, len(state.imu.axes))
+    gyros = slice(len(state.imu.axes), c)
+    for kind in (accelerometers, gyros):
+        size = len(constants.bias[kind])
         if size >= sensor_model.FEW:
-            gains = constants.log_gain[own], gain_open[own], widths.gain[own]
-            widths.gain[own] = sensor_model.next_width(*gains)
-            tilts = (
-                constants.tilt[own],
-                tilt_open.reshape(c, 2)[own],
-                widths.tilt[own][:, None],
+            widths.gain[kind] = sensor_model.next_width(
+                constants.log_gain[kind], gain_open[kind], widths.gain[kind]
             )
-            widths.tilt[own] = sensor_model.next_width(*tilts)
+            widths.tilt[kind] = sensor_model.next_width(
+                constants.tilt[kind],
+                tilt_open.reshape(c, 2)[kind],
+                widths.tilt[kind][:, None],
+            )
         if size and len(drift) > 1:
-            drifts = drift[:, own], drift_open[:, own], widths.drift[own]
-            widths.drift[own] = sensor_model.next_width(*drifts)
+            widths.drift[kind] = sensor_model.next_width(
+                drift[:, kind], drift_open[:, kind], widths.drift[kind]
+            )
     return widths
 
 
 def _finished(
     reductions: list[Reduced],
     state: _State,
-    found: list[JointDeflection],
+    joint_deflections: list[JointDeflection],
     *,
     converged: bool,
 ) -> Fit:
+    """Return the fit with standard errors, from the equations at its end."""
     _, information = state.solved(reductions)
-    own = sum((r.follow.T * r.precision) @ r.follow for r in reductions)
+    local_prior = sum((r.follow.T * r.precision) @ r.follow for r in reductions)
     # The model's covariance, each standard error at least that of the scores' own
     # variance: over blocks of time, and over whole logs, since what bends does so alike
     # throughout a move.
@@ -280,8 +311,9 @@ def _finished(
     ):
         count = len(scores)
         share = count / max(count - parameters, 0.5 * count)
-        seen = model @ (share * scores.T @ scores + (state.prior + own)) @ model
-        largest = np.maximum(largest, np.diag(seen))
+        inner = share * scores.T @ scores + (state.prior + local_prior)
+        covariance = model @ inner @ model
+        largest = np.maximum(largest, np.diag(covariance))
     factor = np.sqrt(largest / np.diag(model))
     return Fit(
         constants=state.constants,
@@ -291,7 +323,7 @@ def _finished(
         outliers=sum(int(r.linear.outliers.sum()) for r in reductions),
         converged=converged,
         holdout=_left_out(reductions, information),
-        deflections=found,
+        deflections=joint_deflections,
         moves=np.zeros((len(model), 0)),
     )
 
@@ -300,20 +332,17 @@ def _by_log(reductions: list[Reduced], blocks: list[Array]) -> Array:
     """Sum the scores (blocks, p) of each log's segments: (logs, p)."""
     logs = [r.linear.segment.log for r in reductions]
     sums = [scores.sum(axis=0) for scores in blocks]
-    return np.array(
-        [
-            np.sum(
-                [total for log, total in zip(logs, sums, strict=True) if log == one],
-                axis=0,
-            )
-            for one in sorted(set(logs))
-        ]
-    )
+    log_scores = []
+    for number in sorted(set(logs)):
+        of_log = [total for log, total in zip(logs, sums, strict=True) if log == number]
+        log_scores.append(np.sum(of_log, axis=0))
+    return np.array(log_scores)
 
 
 def _scores(of: Reduced, *, block_s: float = 0.25, block_periods: float = 4.0) -> Array:
-    """Scores (blocks, p) of a segment."""
-    linear, segment = of.linear, of.linear.segment
+    """Return the scores (blocks, p) of a segment, summed over blocks of time."""
+    linear = of.linear
+    segment = linear.segment
     length = max(block_s, block_periods / segment.cutoff_hz)
     block = (np.arange(segment.samples) * segment.spacing / length).astype(int)
     out = np.zeros((block[-1] + 1, of.follow.shape[1]))
@@ -326,22 +355,25 @@ def _scores(of: Reduced, *, block_s: float = 0.25, block_periods: float = 4.0) -
 
 
 def _left_out(reductions: list[Reduced], information: Array) -> float | None:
-    """RMS of what each log reads beyond the prediction by all the others, over the fit's own."""
-    # Both are whitened residuals after each log's own trajectory; one means that the
-    # constants carry over to a log that they have not seen. What only one log shows
-    # does not count.
+    """Return the RMS of left-out logs' residuals, relative to that of the fit."""
+    # Each log is left out in turn and predicted by all the others. Both residuals are
+    # whitened, and the log's own trajectory is fitted. A ratio of one means that the
+    # constants carry over to a log that they have not seen. Directions that only one
+    # log shows do not count.
     logs = sorted({r.linear.segment.log for r in reductions})
     if len(logs) < 2:
         return None
-    p, total, before = len(information), 0.0, 0.0
+    p = len(information)
+    total = 0.0
+    before = 0.0
     for log in logs:
         members = [r for r in reductions if r.linear.segment.log == log]
         S = sum((r.information for r in members), np.zeros((p, p)))
         g = sum((r.g[:p] - r.follow.T @ r.g[p:] for r in members), np.zeros(p))
         step = -without(information, S, g)
         for r in members:
-            # What the trajectory still moves at rest constants is nothing at the
-            # minimum.
+            # The trajectory may still move at fixed constants, as the fit is not quite
+            # at its minimum.
             settled = r.linear.r - r.followed(r.free[:, None])[..., 0]
             total += float(np.sum((settled - r.readings() @ step) ** 2))
             before += float(np.sum(settled**2))
@@ -351,7 +383,7 @@ def _left_out(reductions: list[Reduced], information: Array) -> float | None:
 def without(
     information: Array, own: Array, gradient: Array, *, min_others: float = 0.1
 ) -> Array:
-    """Step (p,) from one log's gradient by the others' information."""
+    """Return the step (p,) from one log's gradient by the others' information."""
     # Directions of which the others have less than the share `min_others` stay.
     factor = np.linalg.cholesky(information)
     inner = np.linalg.solve(factor, np.linalg.solve(factor, own).T)

@@ -1,1 +1,1 @@
-"""Torque that an identified model predicts of a log, and the documents and files that hold it."""
+"""Torques that an identified model predicts, and the files that hold them."""

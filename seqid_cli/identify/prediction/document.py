@@ -1,4 +1,7 @@
-"""Predicted torques as a document: errors added up log by log, with a verdict for each joint."""
+"""Predicted torques as a document.
+
+Errors are added up log by log, and each joint gets a verdict.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -34,13 +37,32 @@ def prediction_file(
     unexplained: bool,
     settings: PredictSettings = PredictSettings(),
 ) -> PredictionFile:
-    """Add up the errors of predictions, and write their torques where these are wanted.
+    """Add up the errors of predictions, and write their torques to a file if wanted.
 
-    `logs` is read while the predictions, parts of a long log one by one, are taken.
-    `torques` go to MCAP if it ends so, else Parquet. `unexplained`: whether smooth
-    terms of no known cause count.
+    Parameters
+    ----------
+    inputs : Inputs
+        Robot, model and their documents.
+    logs : LogSet
+        The logs. They are read while the predictions are iterated over.
+    predictions : iterable of LogPrediction
+        Predictions of the logs, the parts of a long log one after the other.
+    torques : Path or None
+        File for the torques: MCAP by its suffix, else Parquet. None writes nothing.
+    cutoff_origin : str
+        Origin of the cut-off, empty where it was chosen per log.
+    unexplained : bool
+        Whether smooth terms of no known cause count.
+    settings : PredictSettings
+        Limits of the verdicts.
+
+    Returns
+    -------
+    PredictionFile
+        Errors by log and overall, verdicts and notes.
     """
-    robot, stages = inputs.robot, inputs.stages
+    robot = inputs.robot
+    stages = inputs.stages
     names = robot.joint_names
     overall = ErrorSums.none(robot.n)
     of_log = ErrorSums.none(robot.n)
@@ -65,18 +87,21 @@ def prediction_file(
                 of_log = ErrorSums.none(robot.n)
 
     joints = overall.by_joint(names)
-    still = ", ".join(name for name, error in joints.items() if not error.samples)
-    notes = [f"never slides in these logs and is not judged: {still}"] if still else []
-    bands = Bands.from_stages(stages, robot)
     cutoffs_hz = [error.cutoff_hz for error in errors]
+    notes = []
+    resting = ", ".join(name for name, error in joints.items() if not error.samples)
+    if resting:
+        notes.append(f"never slides in these logs and is not judged: {resting}")
+    notes += Bands.from_stages(stages, robot).notes(cutoffs_hz)
+
     floors = noise_floors(stages, cutoffs_hz)
-    notes += bands.notes(cutoffs_hz)
     verdicts = [
         *joint_verdicts(
             joints, stages, robot, noise_floors=floors, settings=settings.errors
         ),
         *physics_verdicts(stages, robot, settings.judging),
     ]
+
     return PredictionFile(
         **head(prediction.PREDICTION_SCHEMA, logs.created(inputs.documents)),
         robot=robot_id(robot),
@@ -95,6 +120,7 @@ def prediction_file(
 def _writer(
     torques: Path | None, inputs: Inputs
 ) -> AbstractContextManager[Callable[[LogPrediction], object]]:
+    """Open the file of torques; its context gives the function that appends a part."""
     names = inputs.robot.joint_names
     if torques is None:
         return nullcontext(lambda _: None)
@@ -105,20 +131,25 @@ def _writer(
 
 @dataclass
 class Sums:
-    """Sums over some samples of each joint (n,): their number, squares of error and torque."""
+    """Sums (n,) over some samples of each joint."""
 
-    samples: Array
+    samples: Array  # their number
     error_squares: Array  # (N m)^2
-    torque_squares: Array
-    largest: Array  # N m, of the error
+    torque_squares: Array  # (N m)^2
+    largest: Array  # largest error without sign, N m
 
     @classmethod
     def none(cls, n: int) -> "Sums":
         """Return sums over no samples of n joints."""
-        return cls(np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n))
+        return cls(
+            samples=np.zeros(n),
+            error_squares=np.zeros(n),
+            torque_squares=np.zeros(n),
+            largest=np.zeros(n),
+        )
 
     def add(self, counts: Mask, error: Array, torque: Array) -> None:
-        """Add samples (N, n) that count, with their errors and measured torques [N m]."""
+        """Add the samples (N, n) that count, of errors and measured torques [N m]."""
         error = np.where(counts, error, 0.0)
         torque = np.where(counts, torque, 0.0)
         self.samples += counts.sum(axis=0)
@@ -133,12 +164,12 @@ class Sums:
 
 @dataclass(kw_only=True)
 class ErrorSums:
-    """Errors of predicted torques, added up part by part of the logs.
+    """Sums of errors of predicted torques, part by part of the logs.
 
-    `every` sample that counts is one that slides or one that rests. At rest friction
-    takes any value up to its limit, and the error is the distance to that interval.
-    Those that slide are `inside` the positions and speeds at which friction was
-    identified, or `outside`.
+    Samples that count (`every`) are `sliding` or at `rest`. At rest friction takes any
+    value up to its limit, and the error is the distance to that interval. Sliding
+    samples are `inside` the positions and speeds at which friction was identified, or
+    `outside`.
     """
 
     every: Sums
@@ -147,15 +178,18 @@ class ErrorSums:
     outside: Sums
     rest: Sums
     std_squares: Array  # (n,) (N m)^2, sums over the sliding samples
-    parameter_squares: Array  # likewise, of what errors of parameters make
+    parameter_squares: Array  # likewise, of the part by errors of parameters
     coverage: CoverageCounter
 
     @classmethod
     def none(cls, n: int) -> "ErrorSums":
-        """Return the errors of no log of n joints."""
-        groups = ("every", "sliding", "inside", "outside", "rest")
+        """Return the sums over no log, for n joints."""
         return cls(
-            **{name: Sums.none(n) for name in groups},
+            every=Sums.none(n),
+            sliding=Sums.none(n),
+            inside=Sums.none(n),
+            outside=Sums.none(n),
+            rest=Sums.none(n),
             std_squares=np.zeros(n),
             parameter_squares=np.zeros(n),
             coverage=CoverageCounter(),
@@ -170,9 +204,11 @@ class ErrorSums:
         self.inside.add(log.sliding & ~outside, log.residual, log.tau)
         self.outside.add(outside, log.residual, log.tau)
         self.rest.add(used & ~log.sliding, log.beyond, log.tau)
-        self.std_squares += np.square(np.where(log.sliding, log.std, 0.0)).sum(axis=0)
-        by_parameters = np.where(log.sliding, log.parameter_std, 0.0)
-        self.parameter_squares += np.square(by_parameters).sum(axis=0)
+
+        std = np.where(log.sliding, log.std, 0.0)
+        parameter_std = np.where(log.sliding, log.parameter_std, 0.0)
+        self.std_squares += np.square(std).sum(axis=0)
+        self.parameter_squares += np.square(parameter_std).sum(axis=0)
         self.coverage.add(
             log=str(log.path),
             t=log.t,
@@ -188,28 +224,31 @@ class ErrorSums:
         return {name: self._of_joint(j) for j, name in enumerate(names)}
 
     def _of_joint(self, j: int) -> JointError:
+        """Return the errors of joint `j`."""
         sliding = self.sliding
-        count = float(sliding.samples[j])
-        every = float(self.every.samples[j])
-        std = _root(self.std_squares[j], count)
+        n_sliding = float(sliding.samples[j])
+        n_samples = float(self.every.samples[j])
+        n_outside = float(self.outside.samples[j])
+        # A joint without any statement on its errors has a deviation of NaN.
+        std = _root(self.std_squares[j], n_sliding)
         return JointError(
             rmse=sliding.rmse(j),
             relative_rmse=_root(sliding.error_squares[j], sliding.torque_squares[j]),
-            max_abs=float(sliding.largest[j]) if count else None,
-            samples=int(count),
+            max_abs=float(sliding.largest[j]) if n_sliding else None,
+            samples=int(n_sliding),
             rmse_all=self.every.rmse(j),
-            samples_all=int(every),
-            share_sliding=count / every if every else None,
+            samples_all=int(n_samples),
+            share_sliding=n_sliding / n_samples if n_samples else None,
             rmse_inside=self.inside.rmse(j),
             rmse_outside=self.outside.rmse(j),
-            share_outside=float(self.outside.samples[j] / count) if count else None,
+            share_outside=n_outside / n_sliding if n_sliding else None,
             rmse_rest=self.rest.rmse(j),
             std=std if std is not None and math.isfinite(std) else None,
-            parameter_std=_root(self.parameter_squares[j], count),
+            parameter_std=_root(self.parameter_squares[j], n_sliding),
             coverage=self.coverage.of_joint(j),
         )
 
 
-def _root(squares: float, over: float) -> float | None:
-    """Return the root of a ratio; None where there is nothing to divide by."""
-    return math.sqrt(squares / over) if over else None
+def _root(numerator: float, denominator: float) -> float | None:
+    """Return the root of a ratio; None where the denominator is zero."""
+    return math.sqrt(numerator / denominator) if denominator else None

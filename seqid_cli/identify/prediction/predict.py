@@ -1,4 +1,7 @@
-"""Torque predicted by an identified model, log by log, a long one part by part at its own rate."""
+"""Torque predicted by an identified model, log by log.
+
+A long log is passed over part by part, at its own rate.
+"""
 
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,28 +30,61 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
-OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a note
+# Share of samples outside the identified friction from which there is a note.
+OUTSIDE_NOTE = 0.01
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LogPrediction:
-    """Measured and predicted torque (N, n) N m of one log, both low-passed alike.
+    """Measured and predicted torque of one log, or of a part of a long log.
 
-    `predicted` is the model's own value, whatever was measured. `used` (N,) marks the
-    samples that count, away from ends and gaps; `sliding` (N, n) those of them at which
-    a joint certainly slides. Elsewhere friction is known only as an interval, and the
-    model allows torques between `low` and `high` (N, n) N m; where the joint slides
-    these are `predicted`. `q`, `dq`, `ddq` (N, n) are the joint motion behind the
-    prediction, `start` [s] is the first sample of the log on its own clock. `outside`
-    (N, n) marks sliding samples beyond the identified friction. `std` (N, n) N m is the
-    standard deviation of the prediction with the noise: of `predicted` where a joint
-    slides, at rest of both bounds; NaN where nothing says it. `parameter_std` (N, n) N
-    m is the part of it that errors of parameters and effects make. `fast` and `loaded`
-    (N, n) tell samples apart as the calibration of the bands does; None without one.
+    Both torques pass the same low-pass. The parts of a long log follow one another, and
+    only the last part has notes and the use of its motion.
 
-    A long log comes in several parts, one behind the other: `samples` are those of the
-    whole log, `part` counts its parts from 0, and only the `last` one has `notes` and
-    `motion`.
+    Attributes
+    ----------
+    path : Path
+        The log.
+    sha256 : str
+        Checksum of the log.
+    samples : int
+        Number of samples of the whole log.
+    cutoff_hz : float
+        Cut-off of the low-pass [Hz].
+    t : array (N,)
+        Time within the log [s].
+    tau, predicted : array (N, n)
+        Measured torque, and the model's own value whatever was measured [N m].
+    low, high : array (N, n)
+        Bounds of the torques that the model allows [N m]. Friction is an interval
+        unless the joint certainly slides; where it slides both are `predicted`.
+    used : array (N,)
+        Samples that count, away from ends and gaps.
+    sliding : array (N, n)
+        Used samples at which a joint certainly slides.
+    q, dq, ddq : array (N, n)
+        Joint positions [rad], speeds [rad/s] and accelerations [rad/s^2] (m for
+        prismatic joints).
+    outside : array (N, n)
+        Sliding samples beyond the identified friction.
+    std : array (N, n)
+        Standard deviation of the prediction, with the noise [N m]: of `predicted` where
+        a joint slides, else of both bounds. NaN where the file states none.
+    parameter_std : array (N, n)
+        The part of `std` by errors of parameters and effects [N m].
+    fast, loaded : array (N, n) or None
+        Whether a sample is beyond the edges of speed and load of the bands'
+        calibration; None without a calibration.
+    notes : tuple of str
+        What the prediction lacks.
+    motion : MotionUse or None
+        The sensors that the motion is from.
+    start : float
+        First sample of the log on its own clock [s].
+    part : int
+        Number of this part of the log, from 0.
+    last : bool
+        Whether this is the last part of the log.
     """
 
     path: Path
@@ -78,19 +114,33 @@ class LogPrediction:
 
     @property
     def residual(self) -> Array:
-        """Measured minus predicted torque (N, n) N m."""
+        """The measured minus the predicted torque (N, n) N m."""
         return self.tau - self.predicted
 
     @property
     def beyond(self) -> Array:
-        """Measured torque minus the nearest that the model allows (N, n) N m."""
+        """The measured torque minus the nearest allowed torque (N, n) N m."""
         return self.tau - np.clip(self.tau, self.low, self.high)
 
 
 def slides_from(model: TorqueModel, options: InertiaOptions) -> Array:
-    """Speeds (n,) rad/s (m/s where prismatic) from which joints certainly slide."""
-    own = options.slides_from
-    return slowest_speeds(model.surfaces) if own is None else np.array(own)
+    """Return the speeds from which the joints certainly slide.
+
+    Parameters
+    ----------
+    model : TorqueModel
+        The model, whose friction decides unless the options do.
+    options : InertiaOptions
+        Options of the prediction.
+
+    Returns
+    -------
+    array (n,)
+        Speeds [rad/s] (m/s for prismatic joints).
+    """
+    if options.slides_from is None:
+        return slowest_speeds(model.surfaces)
+    return np.array(options.slides_from)
 
 
 def predict(
@@ -102,105 +152,161 @@ def predict(
     unexplained: bool = False,
     sliding_only: bool = False,
 ) -> Iterator[LogPrediction]:
-    """Predict the torque of any logs, with the effects that the parameter file names.
+    """Predict the torque of logs, with the effects that the parameter file names.
 
-    What has not been identified is taken as zero and noted. `unexplained`: whether
-    smooth terms of no known cause count as well. `sliding_only`: whether only samples
-    count at which a joint slides: no interval is worked out at rest, no friction of a
-    joint that stays there, and no note on the encoders. Yields one per log; of a long
-    one that is passed over, its parts one after the other. Raises InputError if a log
-    carries neither torque nor current, ConfigError if an effect is not known to this
-    version, or is not what it should be.
+    What has not been identified is taken as zero and noted.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        The logs.
+    robot : Robot
+        The robot.
+    stages : Stages
+        The model.
+    options : InertiaOptions
+        Options of the motion, the torque's source and the speeds of sliding.
+    unexplained : bool
+        Whether smooth terms of no known cause count as well.
+    sliding_only : bool
+        Whether only samples count at which a joint slides. This saves the intervals at
+        rest, the friction of joints that stay there, the deviations, and the note on
+        the encoders.
+
+    Yields
+    ------
+    LogPrediction
+        One per log; the parts of a long log one after the other.
+
+    Raises
+    ------
+    InputError
+        If a log carries neither torque nor current.
+    ConfigError
+        If this version does not know an effect, or the effect is not valid.
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
-    long = equations.streams(stages, options) and local_effects(model, effects)
     bands = None if sliding_only else Bands.from_stages(stages, robot)
-    one = Predictor(model, stages, options, effects, sliding_only, bands)
-    for found in mapped(recordings, one, open_if_long if long else None):
-        yield from found
+    predictor = Predictor(
+        model=model,
+        stages=stages,
+        options=options,
+        effects=effects,
+        sliding_only=sliding_only,
+        bands=bands,
+    )
+
+    can_stream = equations.streams(stages, options) and local_effects(model, effects)
+    open_long = open_if_long if can_stream else None
+    for parts in mapped(recordings, predictor, open_long):
+        yield from parts
 
 
 def local_effects(model: TorqueModel, effects: Sequence[Fitted]) -> bool:
-    """Whether effects can be predicted part by part, as they come out of the whole log."""
-    # The speed over which the direction of motion changes must be known beforehand as
-    # well.
-    known = all(surface is not None for surface in model.surfaces)
-    return not effects or (known and all(effect.local for effect in effects))
+    """Return whether parts of a log give the same effects as the whole log."""
+    # Effects also depend on the speed over which the direction of motion changes.
+    # Without friction in the file it would come from the log, and differ by part.
+    has_all_friction = all(surface is not None for surface in model.surfaces)
+    if not effects:
+        return True
+    return has_all_friction and all(effect.local for effect in effects)
 
 
 @dataclass(frozen=True)
 class Predictor:
-    """Predicts one log; parts of a long one, whose effects are local, as they are asked for."""
+    """Predictor of one log, or of the parts of a long log as they are iterated over."""
 
     model: TorqueModel
     stages: Stages
     options: InertiaOptions
     effects: Sequence[Fitted] = ()
     sliding_only: bool = False
-    bands: Bands | None = None  # None: deviations are not asked for
+    bands: Bands | None = None  # None: without standard deviations
 
     def __call__(self, log: Recording | SurveyedLog, _: int) -> Iterable[LogPrediction]:
-        """Predict a log, by whatever number."""
+        """Predict a log; its number among the logs does not matter."""
         robot = self.model.robot
-        every = replace(self.options.motion, samples_per_cutoff=float("inf"))
+        # Every sample is predicted, while the equations of a stage are thinned.
+        options = replace(self.options.motion, samples_per_cutoff=float("inf"))
         if isinstance(log, SurveyedLog):
-            plan = equations.plan_of(log, robot, every)
+            plan = equations.plan_of(log, robot, options)
             return LongPrediction(replace(log, survey=None), plan, self)
-        imu, source = self.stages.imu, self.options.source
-        motion = equations.torque_motion(log, robot, every, imu=imu, source=source)
-        part = self.part(motion, log, slice(None))
-        noise = (
-            () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
+
+        motion = equations.torque_motion(
+            log, robot, options, imu=self.stages.imu, source=self.options.source
         )
+        part = self.part(motion, log, slice(None))
+        notes_on_noise: tuple[str, ...] = ()
+        if not self.sliding_only:
+            notes_on_noise = tuple(encoder_notes(self.model, motion, part))
         return [
-            replace(x, notes=(*x.notes, *noise))
-            for x in self.described([(part, motion)])
+            replace(prediction, notes=(*prediction.notes, *notes_on_noise))
+            for prediction in self.described([(part, motion)])
         ]
 
     def part(self, motion: Motion, log: Recording, inner: slice) -> LogPrediction:
-        """Predict the inner samples of a motion."""
-        model, slowest = self.model, slides_from(self.model, self.options)
-        slides, added = sliding(motion, slowest), None
-        unknown = np.full(motion.q.shape, np.nan)
-        deviation = Deviation(std=unknown, parameter_std=unknown)
-        by_effects = None
+        """Predict the inner samples of a motion.
+
+        Parameters
+        ----------
+        motion : Motion
+            The inner samples and those around them, so that filters have settled.
+        log : Recording
+            The log of the motion.
+        inner : slice
+            Samples to return.
+        """
+        model = self.model
+        slowest = slides_from(model, self.options)
+        is_sliding = sliding(motion, slowest)
+
+        torque_of_effects = None
+        variance_of_effects = None
         if self.effects:
             scene = scene_of_log(log, model.robot, model, motion)
-            added = added_torque(scene, log, self.effects, slowest)
+            torque_of_effects = added_torque(scene, log, self.effects, slowest)
             if self.bands is not None:
-                by_effects = effects_variance(scene, log, self.effects)
+                variance_of_effects = effects_variance(scene, log, self.effects)
+
+        not_stated = np.full(motion.q.shape, np.nan)
+        deviation = Deviation(std=not_stated, parameter_std=not_stated)
         if self.bands is not None:
-            deviation = self.bands.of(motion, by_effects)
+            deviation = self.bands.of(motion, variance_of_effects)
+
         if self.sliding_only:
-            known = [
-                own if slides[:, j].any() else None
-                for j, own in enumerate(model.surfaces)
+            # Friction of a joint that never slides here is computed for nothing.
+            surfaces = [
+                surface if is_sliding[:, j].any() else None
+                for j, surface in enumerate(model.surfaces)
             ]
-            model = replace(model, surfaces=known)
-            value = model.predict(motion) + (0.0 if added is None else added.value)
-            allowed = Predicted(value, value, value)
+            model = replace(model, surfaces=surfaces)
+            value = model.predict(motion)
+            if torque_of_effects is not None:
+                value = value + torque_of_effects.value
+            allowed = Predicted(value=value, low=value, high=value)
         else:
-            allowed = model.predict_set(motion, slides, added)
-        own = motion.part(inner)
-        assert own.tau is not None
+            allowed = model.predict_set(motion, is_sliding, torque_of_effects)
+
+        inner_motion = motion.part(inner)
+        assert inner_motion.tau is not None
         return LogPrediction(
             path=log.path,
             sha256=log.sha256,
             samples=motion.samples,
             cutoff_hz=motion.cutoff.hz,
-            t=own.t,
-            tau=own.tau,
+            t=inner_motion.t,
+            tau=inner_motion.tau,
             predicted=allowed.value[inner],
             low=allowed.low[inner],
             high=allowed.high[inner],
-            used=own.usable,
-            sliding=slides[inner],
-            q=own.q,
-            dq=own.dq,
-            ddq=own.ddq,
+            used=inner_motion.usable,
+            sliding=is_sliding[inner],
+            q=inner_motion.q,
+            dq=inner_motion.dq,
+            ddq=inner_motion.ddq,
             start=log.start,
-            outside=model.outside(own) & slides[inner],
+            outside=model.outside(inner_motion) & is_sliding[inner],
             std=deviation.std[inner],
             parameter_std=deviation.parameter_std[inner],
             fast=None if deviation.fast is None else deviation.fast[inner],
@@ -210,42 +316,42 @@ class Predictor:
     def described(
         self, parts: Iterable[tuple[LogPrediction, Motion]]
     ) -> Iterator[LogPrediction]:
-        """The parts of a log, the last with its notes and where its motion is from."""
-        surfaces, robot = self.model.surfaces, self.model.robot
-        slowest = np.array(
-            [0.0 if own is None else own.scaling.speed[0] for own in surfaces]
-        )
-        counts, moving, used = (
-            np.zeros((3, robot.n)),
-            np.zeros(robot.n, dtype=bool),
-            False,
-        )
+        """Yield the parts of a log, the last with notes and the use of its motion."""
+        robot = self.model.robot
+        slowest_trial = np.zeros(robot.n)  # of each joint's friction, rad/s
+        for j, surface in enumerate(self.model.surfaces):
+            if surface is not None:
+                slowest_trial[j] = surface.scaling.speed[0]
+
+        n_sliding = np.zeros(robot.n)
+        n_outside = np.zeros(robot.n)
+        n_slower = np.zeros(robot.n)
+        is_moving = np.zeros(robot.n, dtype=bool)
+        is_used = False
         for part, motion in parts:
-            slower = part.outside & (np.abs(part.dq) < slowest)
-            counts += [
-                mask.sum(axis=0) for mask in (part.sliding, part.outside, slower)
-            ]
-            moving |= motion.moving.any(axis=0)
-            used |= bool(part.used.any())
+            is_slower = part.outside & (np.abs(part.dq) < slowest_trial)
+            n_sliding += part.sliding.sum(axis=0)
+            n_outside += part.outside.sum(axis=0)
+            n_slower += is_slower.sum(axis=0)
+            is_moving |= motion.moving.any(axis=0)
+            is_used |= bool(part.used.any())
             if not part.last:
                 yield part
                 continue
-            if not used:
+
+            if not is_used:
                 raise too_short(part.path, part.cutoff_hz)
-            shares = counts[1:] / np.maximum(counts[0], 1.0)
-            use = equations.motion_use(
-                part.path, robot, replace(motion, moving=moving[None])
-            )
-            yield replace(
-                part,
-                notes=tuple(notes_on(self.model, self.stages, *shares)),
-                motion=use,
-            )
+            outside = n_outside / np.maximum(n_sliding, 1.0)
+            slower = n_slower / np.maximum(n_sliding, 1.0)
+            notes = tuple(notes_on(self.model, self.stages, outside, slower))
+            motion_of_log = replace(motion, moving=is_moving[None])
+            use = equations.motion_use(part.path, robot, motion_of_log)
+            yield replace(part, notes=notes, motion=use)
 
 
 @dataclass(frozen=True)
 class LongPrediction:
-    """A long log, opened, and how it is filtered; iterating passes over it, part by part."""
+    """An opened long log and its filters; iterating predicts it part by part."""
 
     rows: ClassVar[int] = 32_768  # samples of a part, and twice the margin at least
 
@@ -254,25 +360,29 @@ class LongPrediction:
     predictor: Predictor
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the temporary file, which is of this process."""
+        """Return the state without the temporary file of this process."""
         return {**self.__dict__, "log": replace(self.log, spool=None)}
 
     def __iter__(self) -> Iterator[LogPrediction]:
         return self.predictor.described(self._parts())
 
     def _parts(self) -> Iterator[tuple[LogPrediction, Motion]]:
-        lowpass, log = self.plan.lowpass, self.log
-        # Beside a part, so that the filters forget what lies beyond: parts give what
-        # the log does.
+        """Yield the parts with their motion."""
+        log = self.log
+        lowpass = self.plan.lowpass
+        # With this margin beside a part, filters forget the samples beyond it. Parts
+        # then give the same torque as the whole log.
         margin = 2 * (lowpass.memory + lowpass.settling)
         with contextlib.ExitStack() as stack:
-            if log.spool is None:  # a stored one's copy has gone with its first pass
+            # The local copy of a remote log is deleted after its first pass.
+            if log.spool is None:
                 file = stack.enter_context(local_copy(log.path))
                 log = log if file is log.path else replace(log, file=Path(file))
+
             blocks = motion_blocks(log.blocks(), self.plan)
-            cut = overlapping(blocks, max(self.rows, 2 * margin), margin)
-            for number, (motion, start, stop) in enumerate(cut):
-                held = Recording(
+            pieces = overlapping(blocks, max(self.rows, 2 * margin), margin)
+            for number, (motion, start, stop) in enumerate(pieces):
+                recording = Recording(
                     path=log.path,
                     sha256=log.sha256,
                     format=log.format,
@@ -282,9 +392,10 @@ class LongPrediction:
                     health=Health(log.rate_hz, log.jitter),
                     start=log.start_ns * 1e-9,
                 )
-                part = self.predictor.part(motion, held, slice(start, stop))
-                ends = bool(part.t[-1] * log.rate_hz > log.samples - 1.5)
-                yield replace(part, samples=log.samples, part=number, last=ends), motion
+                part = self.predictor.part(motion, recording, slice(start, stop))
+                is_last = bool(part.t[-1] * log.rate_hz > log.samples - 1.5)
+                part = replace(part, samples=log.samples, part=number, last=is_last)
+                yield part, motion
 
 
 def encoder_notes(
@@ -295,30 +406,47 @@ def encoder_notes(
     min_share: float = 0.5,
     places: int = 50,
 ) -> Iterator[str]:
-    """Say where noise of encoders makes `min_share` or more of the squared error."""
-    # Torque that noise of the acceleration makes is taken at so many `places` of the
-    # log.
+    """Yield a note on joints whose error is mostly noise of the encoders.
+
+    Parameters
+    ----------
+    model : TorqueModel
+        The model.
+    motion : Motion
+        Motion of the log.
+    of : LogPrediction
+        Prediction of the log.
+    min_share : float
+        Share of the squared error from which noise deserves the note.
+    places : int
+        Number of samples of the log at which the torque by noise is computed.
+    """
     if motion.source != "encoder" or not motion.cutoff.above_own:
         return
+
+    # An error of the acceleration makes the torque M(q) ddq: one joint at a time.
     q = motion.q[:: max(1, motion.samples // places)]
-    still = np.zeros_like(q)
-    rest, square = model.rigid(q, still, still), np.zeros_like(q)
+    zeros = np.zeros_like(q)
+    torque_at_rest = model.rigid(q, zeros, zeros)
+    noise_square = np.zeros_like(q)
     for j, error in enumerate(motion.acceleration_error):
-        shaken = still.copy()
-        shaken[:, j] = error
-        square += (model.rigid(q, still, shaken) - rest) ** 2
-    noise, slides = PASSED * np.sqrt(square.mean(axis=0)), of.sliding
-    counts = np.maximum(slides.sum(axis=0), 1)
-    left = np.sqrt(np.sum(np.where(slides, of.residual, 0.0) ** 2, axis=0) / counts)
-    loud = [
-        f"{joint.name} ({whole:.2g} {joint.unit('N m')})"
-        for joint, made, whole in zip(model.robot.joints, noise, left, strict=True)
-        if made**2 > min_share * whole**2 > 0.0
-    ]
-    if loud:
+        ddq = zeros.copy()
+        ddq[:, j] = error
+        noise_square += (model.rigid(q, zeros, ddq) - torque_at_rest) ** 2
+    noise_rms = PASSED * np.sqrt(noise_square.mean(axis=0))
+
+    n_sliding = np.maximum(of.sliding.sum(axis=0), 1)
+    residual_square = np.where(of.sliding, of.residual, 0.0) ** 2
+    rmse = np.sqrt(np.sum(residual_square, axis=0) / n_sliding)
+
+    noisy_joints = []
+    for j, joint in enumerate(model.robot.joints):
+        if noise_rms[j] ** 2 > min_share * rmse[j] ** 2 > 0.0:
+            noisy_joints.append(f"{joint.name} ({rmse[j]:.2g} {joint.unit('N m')})")
+    if noisy_joints:
         yield (
             f"at {motion.cutoff.hz:.3g} Hz noise of the encoders makes the error of "
-            f"{', '.join(loud)}, for which no model is to blame: "
+            f"{', '.join(noisy_joints)}, for which no model is to blame: "
             f"--cutoff {motion.cutoff.alone_hz:.3g} suits them"
         )
 
@@ -326,21 +454,41 @@ def encoder_notes(
 def notes_on(
     model: TorqueModel, stages: Stages, outside: Array, slower: Array
 ) -> Iterator[str]:
-    """Say what a prediction lacks; shares (n,) of sliding samples `outside` friction, `slower`."""
+    """Yield notes on what a prediction lacks.
+
+    Parameters
+    ----------
+    model : TorqueModel
+        The model.
+    stages : Stages
+        Stages of the model.
+    outside, slower : array (n,)
+        Shares of each joint's sliding samples outside the identified friction, and of
+        those slower than the trials of friction.
+    """
     names = model.robot.joint_names
     if stages.inertia is None:
         yield "no inertia stage in the parameter file: inertial torque is taken as zero"
-    unknown = [n for n, s in zip(names, model.surfaces, strict=True) if s is None]
-    if unknown:
-        yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
-    far = [
-        f"{name} {percent(part, 0)}"
-        + " (slower than its trials)" * bool(2.0 * slow > part)
-        for name, part, slow in zip(names, outside, slower, strict=True)
-        if part > OUTSIDE_NOTE
+
+    without_friction = [
+        name
+        for name, surface in zip(names, model.surfaces, strict=True)
+        if surface is None
     ]
-    if far:
+    if without_friction:
+        missing = ", ".join(without_friction)
+        yield f"no friction in the parameter file, taken as zero: {missing}"
+
+    extrapolated = []
+    for name, outside_share, slower_share in zip(names, outside, slower, strict=True):
+        if not outside_share > OUTSIDE_NOTE:
+            continue
+        text = f"{name} {percent(outside_share, 0)}"
+        if 2.0 * slower_share > outside_share:
+            text += " (slower than its trials)"
+        extrapolated.append(text)
+    if extrapolated:
         yield (
             "outside the speeds or positions at which friction was identified, so that"
-            f" it is extrapolated: {', '.join(far)} of the samples"
+            f" it is extrapolated: {', '.join(extrapolated)} of the samples"
         )

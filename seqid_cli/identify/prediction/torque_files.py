@@ -1,18 +1,23 @@
-"""Measured, predicted and residual torque, with the motion behind it, as Parquet or MCAP.
+"""Measured, predicted and residual torque with its motion, as Parquet or MCAP.
 
 MCAP is for Foxglove, PlotJuggler and rerun: topics of `sensor_msgs/msg/JointState` in
-CDR, as ROS 2 records them. `effort` holds the torque (`low` and `high` the model's
-bounds: at rest an interval, else the predicted value; `std` the standard deviation of
-the prediction), `position` and `velocity` the motion, `header.frame_id` the name of the
-log. A log without a clock, or one that would overlap the log before it, starts a second
-after that log; the metadata record `seqid.logs` says where each log went. Every message
-of one log has the same layout, so that messages are filled in as rows of bytes.
+CDR, as ROS 2 records them. `effort` holds the torque, `position` and `velocity` the
+motion, and `header.frame_id` the name of the log. Topics `low` and `high` hold the
+model's bounds: at rest an interval, else the predicted value. `std` holds the standard
+deviation of the prediction.
+
+A log without a clock starts a second after the log before it, and so does a log that
+would overlap with it. The metadata record `seqid.logs` states the time of each log.
+
+All messages of one log have the same layout. They are therefore filled in as rows of an
+array of bytes, which is much faster than message by message.
 """
 
 import contextlib
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -25,8 +30,8 @@ from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.params.files import replacing, writing
 from seqid_cli.typing import Array
 
-PARAMETERS = "seqid.parameters"  # of the metadata
-# Columns of a joint and what they are of a `LogPrediction`; bounds are null where it
+PARAMETERS = "seqid.parameters"  # key of the metadata
+# Columns of a joint and their fields of a `LogPrediction`; bounds are null where it
 # slides.
 _KINDS = ("predicted", "residual", "sliding", "std", "low", "high")
 _TORQUES = {"torque": "tau", **{kind: kind for kind in _KINDS}}
@@ -37,29 +42,39 @@ _MOTION = {"position": "q", "velocity": "dq"}
 def parquet_writer(
     path: Path, joints: Sequence[str], parameters: Sequence[str] = ()
 ) -> Iterator[Callable[[LogPrediction], None]]:
-    """Write torques to `path` in one step; yields what appends a log, or a part of one."""
-    # Columns: `t`, `log`, torques of each joint, `used` (whether the errors count the
-    # sample), then position and velocity of each joint. The SHA-256 of the model's
-    # files are metadata.
-    kinds = {"t": pa.float64(), "log": pa.string()}
-    kinds |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _TORQUES}
-    kinds |= {f"{name}.sliding": pa.bool_() for name in joints}
-    kinds |= {"used": pa.bool_()}
-    kinds |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _MOTION}
-    schema = pa.schema(
-        kinds.items(), {PARAMETERS: " ".join(parameters)} if parameters else None
-    )
+    """Open a Parquet file, and give the function that appends a log or a part of one.
+
+    The file appears at its path in one step, when it is complete. Its columns are `t`,
+    `log`, the torques of each joint, `used` (whether the sample counts in the errors),
+    then position and velocity of each joint.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    joints : sequence of str
+        Names of the joints.
+    parameters : sequence of str
+        SHA-256 of the model's files, for the metadata.
+    """
+    types = {"t": pa.float64(), "log": pa.string()}
+    types |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _TORQUES}
+    types |= {f"{name}.sliding": pa.bool_() for name in joints}
+    types |= {"used": pa.bool_()}
+    types |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _MOTION}
+    metadata = {PARAMETERS: " ".join(parameters)} if parameters else None
+    schema = pa.schema(types.items(), metadata)
+
     with replacing(path) as temporary:
         with writing(path):
-            # Torques hardly repeat: a dictionary of them takes most of the time for
-            # nothing.
+            # Torques hardly repeat. A dictionary of them would take most of the time
+            # and save nothing.
             writer = pq.ParquetWriter(temporary, schema, use_dictionary=["log"])
 
         def write(log: LogPrediction, *, rows: int = 65536) -> None:
             with writing(path):
-                writer.write_table(
-                    pa.table(_columns(log), schema=schema), row_group_size=rows
-                )
+                table = pa.table(_columns(log), schema=schema)
+                writer.write_table(table, row_group_size=rows)
 
         yield write
         with writing(path):
@@ -67,23 +82,25 @@ def parquet_writer(
 
 
 def _columns(log: LogPrediction) -> list[pa.Array]:
+    """Return the columns of a table, in the order of its schema."""
     torques = {kind: getattr(log, field) for kind, field in _TORQUES.items()}
+    motion = [getattr(log, field) for field in _MOTION.values()]
+
     columns = [pa.array(log.t), pa.array([str(log.path)] * len(log.t), pa.string())]
-    for j, slides in enumerate(log.sliding.T):
+    for j, is_sliding in enumerate(log.sliding.T):
         for kind, values in torques.items():
-            # Parquet has nulls for what is not known, and bounds where there are none.
+            # Nulls stand for deviations that are not stated, and for the bounds of a
+            # joint that slides, which has none.
             mask = np.isnan(values[:, j]) if kind == "std" else None
             if kind in ("low", "high"):
-                mask = slides
+                mask = is_sliding
             columns.append(pa.array(values[:, j], mask=mask))
+
     columns.append(pa.array(log.used))
-    joints, motion = (
-        range(len(log.sliding.T)),
-        [getattr(log, field) for field in _MOTION.values()],
-    )
-    return columns + [
-        pa.array(x[:, j], from_pandas=True) for j in joints for x in motion
-    ]
+    for j in range(log.sliding.shape[1]):
+        for values in motion:
+            columns.append(pa.array(values[:, j], from_pandas=True))
+    return columns
 
 
 TOPICS = (
@@ -108,7 +125,17 @@ _DEFINITION = (
 def mcap_writer(
     path: Path, joints: Sequence[str]
 ) -> Iterator[Callable[[LogPrediction], None]]:
-    """Write torques to `path` in one step; yields what appends a log, or a part of one."""
+    """Open an MCAP file, and give the function that appends a log or a part of one.
+
+    The file appears at its path in one step, when it is complete.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    joints : sequence of str
+        Names of the joints.
+    """
     with replacing(path) as temporary:
         with writing(path):
             stream = temporary.open("wb")
@@ -116,6 +143,7 @@ def mcap_writer(
             with writing(path):
                 writer = Writer(stream, compression=CompressionType.ZSTD)
                 writer.start(profile="ros2", library=f"seqid {__version__}")
+
             schema = writer.register_schema(
                 JOINT_STATE, "ros2msg", _DEFINITION.encode()
             )
@@ -147,23 +175,29 @@ def mcap_writer(
 
 
 class _Clock:
-    """Where each log goes on one time axis: `start` and `end` [s] of the last one."""
+    """A time axis for all logs, with `start` and `end` [s] of the last log on it."""
 
     def __init__(self) -> None:
-        self.start, self.end = 0.0, -np.inf
+        self.start = 0.0
+        self.end = -np.inf
         self.places: dict[str, str] = {}
 
     def stamps(
         self, log: LogPrediction, *, pause_s: float = 1.0, latest_s: float = 2.0**31
     ) -> NDArray[np.int64]:
-        """Time stamps (N,) ns of a log's samples."""
+        """Return the time stamps (N,) ns of the samples of a log, or of a part of one.
+
+        A log keeps its own clock if that starts after the log before, at 0 s or later,
+        and ends before `latest_s`. Otherwise it starts `pause_s` after the log before.
+        """
         if log.part == 0:
             period = float(log.t[-1] - log.t[0]) / max(len(log.t) - 1, 1)
-            usable = (
-                self.end < log.start < latest_s - log.samples * period
-                and log.start >= 0.0
-            )
-            self.start = log.start if usable else max(self.end + pause_s, 0.0)
+            latest_start = latest_s - log.samples * period
+            if self.end < log.start < latest_start and log.start >= 0.0:
+                self.start = log.start
+            else:
+                self.start = max(self.end + pause_s, 0.0)
+
         self.end = self.start + float(log.t[-1])
         if log.last:
             place = f"{log.path}: {self.start:.6f} to {self.end:.6f} s"
@@ -174,30 +208,51 @@ class _Clock:
 def _messages(
     stamps: NDArray[np.int64], log: LogPrediction, joints: Sequence[str], torque: Array
 ) -> NDArray[np.uint8]:
-    """Messages (N, bytes), all of one layout, of one topic, for its torque (N, n)."""
-    # Encapsulation header, stamp (to be filled in), frame and joint names in CDR.
-    message, places = (
-        bytearray(b"\x00\x01\x00\x00" + bytes(8) + _string(str(log.path))),
-        [],
-    )
-    message += bytes(-len(message) % 4) + struct.pack("<I", len(joints))
+    """Return the messages of one topic as rows of bytes, all of one layout.
+
+    Parameters
+    ----------
+    stamps : array (N,)
+        Time stamps [ns].
+    log : LogPrediction
+        The log, or a part of one.
+    joints : sequence of str
+        Names of the n joints.
+    torque : array (N, n)
+        Torque of the topic [N m].
+
+    Returns
+    -------
+    array (N, bytes)
+        Messages in CDR, little-endian.
+    """
+    # The template begins with the encapsulation header, the stamp (filled in below),
+    # the frame and the joint names.
+    template = bytearray(b"\x00\x01\x00\x00" + bytes(8) + _string(str(log.path)))
+    template += bytes(-len(template) % 4) + struct.pack("<I", len(joints))
     for name in joints:
-        message += bytes(-len(message) % 4) + _string(name)
+        template += bytes(-len(template) % 4) + _string(name)
+
+    seconds, nanoseconds = np.divmod(stamps, 10**9)
+    fields: list[tuple[int, NDArray[Any]]] = [
+        (4, seconds[:, None].astype("<u4")),
+        (8, nanoseconds[:, None].astype("<u4")),
+    ]
     for values in (log.q, log.dq, torque):
-        message += bytes(-len(message) % 4) + struct.pack("<I", len(joints))
-        # from behind the encapsulation header
-        message += bytes(-(len(message) - 4) % 8)
-        places.append((len(message), np.ascontiguousarray(values, dtype="<f8")))
-        message += bytes(8 * len(joints))
-    rows = np.tile(np.frombuffer(message, dtype=np.uint8), (len(stamps), 1))
-    seconds, nanoseconds = (
-        part[:, None].astype("<u4") for part in np.divmod(stamps, 10**9)
-    )
-    for at, values in ((4, seconds), (8, nanoseconds), *places):
-        rows[:, at : at + values.itemsize * values.shape[1]] = values.view(np.uint8)
+        template += bytes(-len(template) % 4) + struct.pack("<I", len(joints))
+        # CDR aligns numbers to 8 bytes from behind its encapsulation header.
+        template += bytes(-(len(template) - 4) % 8)
+        fields.append((len(template), np.ascontiguousarray(values, dtype="<f8")))
+        template += bytes(8 * len(joints))
+
+    rows = np.tile(np.frombuffer(template, dtype=np.uint8), (len(stamps), 1))
+    for offset, values in fields:
+        end = offset + values.itemsize * values.shape[1]
+        rows[:, offset:end] = values.view(np.uint8)
     return rows
 
 
 def _string(text: str) -> bytes:
+    """Return a string in CDR: its length with the closing zero, then its bytes."""
     data = text.encode("utf-8", "replace") + b"\0"
     return struct.pack("<I", len(data)) + data

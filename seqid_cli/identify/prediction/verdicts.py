@@ -1,8 +1,8 @@
 """Whether a prediction can be relied on, joint by joint.
 
-`poor`: the model lacks something of the joint, or errs too much. `usable`: the torque
-is predicted, but more than noise is left of it, or errors are larger than the file
-states. `good`: neither.
+`poor`: the model has no friction or inertia for the joint, or its error is too large.
+`usable`: the torque is predicted, but the error is larger than the noise, or than the
+file states. `good`: neither.
 """
 
 import math
@@ -19,10 +19,17 @@ from seqid_cli.shares import percent
 
 
 def noise_floors(stages: Stages, cutoffs_hz: Sequence[float]) -> dict[str, float]:
-    """Return what noise leaves at most of each joint's torque [N m], by the inertia stage.
+    """Return the largest RMS error [N m] of each joint that noise explains.
 
-    White noise grows with the cut-off: that of logs which are filtered otherwise is
-    scaled.
+    The inertia stage states it at its own cut-off. The power of white noise is
+    proportional to the cut-off, so it is scaled for logs with a higher one.
+
+    Parameters
+    ----------
+    stages : Stages
+        The model.
+    cutoffs_hz : sequence of float
+        Cut-offs of the predicted logs [Hz].
     """
     stage = stages.inertia
     if stage is None or not stage.cutoff_hz or not cutoffs_hz:
@@ -50,10 +57,15 @@ def joint_verdicts(
     robot : Robot
         The robot.
     noise_floors : mapping of str to float
-        What noise alone leaves at most [N m], of the joints of which it is known.
+        Largest RMS error by noise alone [N m], for joints with such a statement.
     settings : PredictionErrorSettings
         Which errors are too large to rely on the prediction, and how often its bands
         must hold.
+
+    Yields
+    ------
+    Verdict
+        `poor`, `usable` or `good`, with the reason.
     """
     max_relative_rmse = settings.max_relative_rmse
     surfaces = friction_surfaces(stages, robot)
@@ -65,17 +77,17 @@ def joint_verdicts(
         if not error.samples:
             continue
         unit = joint.unit("N m")
-        share = error.relative_rmse
-        left = "-" if share is None else percent(share)
+        relative_rmse = error.relative_rmse
+        stated = "-" if relative_rmse is None else percent(relative_rmse)
 
         faults = []
         if surface is None:
             faults.append("the file holds no friction of this joint")
         if without_inertia:
             faults.append("the file holds no inertia stage")
-        if share is None or share > max_relative_rmse:
+        if relative_rmse is None or relative_rmse > max_relative_rmse:
             faults.append(
-                f"the error is {left} of the torque's RMS, above"
+                f"the error is {stated} of the torque's RMS, above"
                 f" {percent(max_relative_rmse)}"
             )
         if faults:
@@ -84,14 +96,15 @@ def joint_verdicts(
 
         doubts = []
         if joint.name in noise_floors and error.rmse is not None:
-            # A new motion shows errors of the parameters that those of the fit do not.
+            # A new motion shows errors of the parameters that the fitted logs do not.
             expected = math.hypot(noise_floors[joint.name], error.parameter_std or 0.0)
             if error.rmse > expected:
                 doubts.append(
-                    f"predicted to {left} of the torque's RMS, but {error.rmse:.3g}"
+                    f"predicted to {stated} of the torque's RMS, but {error.rmse:.3g}"
                     f" {unit} are left where noise and stated errors leave at most"
                     f" {expected:.3g}"
                 )
+
         overall = error.coverage.overall if error.coverage is not None else None
         if (
             calibrated
@@ -100,10 +113,11 @@ def joint_verdicts(
         ):
             assert overall.band_90 is not None
             doubts.append(
-                f"predicted to {left} of the torque's RMS, but the 90 % band holds in"
+                f"predicted to {stated} of the torque's RMS, but the 90 % band holds in"
                 f" {percent(overall.band_90, 0)} of the samples only: these logs are"
                 " not of the kind that the file was identified from"
             )
+
         yield Verdict(
             joint=joint.name,
             good=not doubts,

@@ -120,7 +120,7 @@ class CommandRun:
         """
         if worst_level(verdicts) == "poor":
             self._show_remedies()
-        if strict and (is_untrusted or any_poor(verdicts)):
+        if strict and (is_untrusted or any_not_good(verdicts)):
             return EXIT_UNTRUSTED
         return EXIT_PARTIAL if self.is_partial else EXIT_DONE
 
@@ -218,6 +218,6 @@ def process_count(logs: Sequence[str], jobs: int | None) -> int:
     return max(1, min(jobs or cores(), len(sizes)))
 
 
-def any_poor(verdicts: Sequence[Verdict]) -> bool:
+def any_not_good(verdicts: Sequence[Verdict]) -> bool:
     """Return whether a verdict is not good."""
     return any(not verdict.good for verdict in verdicts)

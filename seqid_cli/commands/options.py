@@ -158,7 +158,7 @@ ConsistentOption = Annotated[
     ),
 ]
 StrictOption = Annotated[
-    bool, typer.Option("--strict", help="Exit with 1 when a verdict is poor.")
+    bool, typer.Option("--strict", help="Exit with 1 when a verdict is not good.")
 ]
 
 # The settings of a command. `app` answers --show-settings, for which no log is needed.

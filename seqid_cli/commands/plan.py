@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.command_run import CommandRun, any_poor
+from seqid_cli.commands.command_run import CommandRun, any_not_good
 from seqid_cli.commands.options import (
     SIX,
     DebugOption,
@@ -249,7 +249,7 @@ standard errors they will give.
     for path in (trajectories, output):
         if path is not None:
             screen.note(f"written: {path}")
-    return run.exit_code(strict=strict, is_untrusted=any_poor(file.verdicts))
+    return run.exit_code(strict=strict, is_untrusted=any_not_good(file.verdicts))
 
 
 def _box(text: str) -> tuple[float, ...]:

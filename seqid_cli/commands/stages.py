@@ -63,7 +63,7 @@ def friction(
             "--position-order",
             metavar="N",
             min=0,
-            max=30,
+            max=10,  # trials are reduced to so many functions of position
             help="Order in position; found when left out.",
         ),
     ] = None,

@@ -4,7 +4,7 @@ With A (K, p) the functions of position at the slices of one trial, W their weig
 y the friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest hold
 as much of the surface as the slices do, so speeds and orders can be left out without
 going back to them. Two columns more have what is left of speeding up and of slowing
-down at the ends of a trial, exp(-s / `edge_s`), s the time from the end. The last four
+down at the ends of a trial, exp(-s / `EDGE_S`), s the time from the end. The last four
 have the torque that one standard error of the joint's inertia makes of its
 acceleration, that of how far held joints gave way, that of the delay of the torque
 (gravity is read off where the joint is no more, which turns with the direction as

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.errors import QualityError
+from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.friction_surface import gravity_separation, reduction, summary
 from seqid_cli.identify.friction_surface.corrections import (
     HeldJoints,
@@ -84,10 +84,18 @@ def identify_friction(
 
     Raises
     ------
+    UsageError
+        If a position order is asked for that trials are not reduced to.
     QualityError
         If no joint moves by itself at constant velocity, no trial has a twin in the
         other direction, or the orders ask for more speeds than there are.
     """
+    highest = reduction.MAX_POSITION_ORDER
+    if options.position_order is not None and options.position_order > highest:
+        raise UsageError(
+            f"position order {options.position_order} is too high",
+            hint=f"Trials are reduced to functions of position up to order {highest}.",
+        )
     trials = collect_trials(recordings, robot)
     if not trials:
         raise _no_trials(recordings)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from seqid_cli.errors import UsageError
 from seqid_cli.identify.friction_surface import fit as fitting
 from seqid_cli.identify.friction_surface.fit import (
     SurfaceFit,
@@ -23,9 +24,12 @@ from seqid_cli.identify.friction_surface.reduction import (
     edges_of,
     reduce_trials,
 )
+from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.friction_surface.summary import Errors, errors_of
+from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction_basis import Scaling
-from tests import Array
+from seqid_cli.robot.file import load_robot
+from tests import ROOT, Array
 
 SCALING = Scaling((-2.0, 2.0), (0.2, 4.0))
 SPEEDS = np.geomspace(0.2, 4.0, 12)
@@ -290,3 +294,10 @@ def test_orders_are_raised_until_eq_11_holds_or_no_orders_meet_it() -> None:
     met = errors_of([(data, fit)], loose, unseen=False)
     assert met.relative <= 2.0 * at_unasked
     assert raised_to(1e-6) == unasked
+
+
+def test_a_position_order_beyond_the_reduction_is_refused() -> None:
+    robot = load_robot(ROOT / "sample_logs" / "one_joint" / "robot.toml")
+    options = FrictionOptions(position_order=HIGHEST + 1)
+    with pytest.raises(UsageError, match="position order 11 is too high"):
+        identify_friction([], robot, options=options)

@@ -239,7 +239,7 @@ def _answered(arguments: Sequence[str]) -> int:
         return EXIT_INTERRUPTED
     except typer.TyperException as error:
         message = error.format_message()
-        if not arguments:  # then the message is the overview
+        if set(arguments) <= {"--"}:  # no command: the message is the overview
             sys.stderr.write(f"{message}\n")
             return error.exit_code
         problem: SeqidError = UsageError(message, hint=f"See {name} --help.")

@@ -17,13 +17,13 @@ Friction of most gears waves over the position,
 which this law does not hold and base parameters take, up to many of their errors'
 worth. So the same equations are solved once more with a and b unknown, 0 +- 0.1 F_c.
 Where they show, the stage is usable, not good. What they change in the parameters
-counts as an error of these, and what they add to friction as one of Coulomb friction
-at any one position.
+counts as an error of these, though not of predicted torques, which hold the same law.
 """
 
 from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from dataclasses import replace as replace_fields
 
 import numpy as np
 from msgspec.structs import replace
@@ -58,6 +58,10 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params import schema
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
+
+# Name of what a wave of friction moves the parameters by, beside the tolerances of the
+# robot file: the values are as wrong, predicted torques are not.
+WAVES = "waves of friction"
 
 
 def identify_simultaneous(
@@ -164,7 +168,7 @@ class OneStepResult:
             rows=rows,
             solution=solution,
             waving=waving,
-            posterior=posterior.with_error(moved_by_waves[:, None]),
+            posterior=replace_fields(posterior, tolerances={WAVES: moved_by_waves}),
             uses=uses,
             noise=noise,
             options=options,
@@ -224,10 +228,7 @@ class OneStepResult:
         )
 
     def _friction_joint(self, j: int) -> schema.FrictionJoint:
-        """Return one joint's friction as a surface, tau_f = s(v) (c_0 + c_1 T_1(u)).
-
-        It is as uncertain as it waves over the position.
-        """
+        """Return one joint's friction as a surface, tau_f = s(v) (c_0 + c_1 T_1(u))."""
         rows = self.rows
         joint = self.robot.joints[j]
         places = rows.friction[j]
@@ -235,9 +236,7 @@ class OneStepResult:
         sigma = float(self.solution.sigma[j])
         fastest = float(rows.fastest[j])
 
-        covariance = self.posterior.covariance[places, places].copy()
-        wave = self.waving.theta[rows.waves[j]]
-        covariance[0, 0] += float(wave @ wave) / 2.0  # its mean square over positions
+        covariance = self.solution.covariance[places, places]
         std_errors = np.sqrt(np.maximum(np.diag(self.posterior.stated)[places], 0.0))
         std_errors[~self.solution.determined[places]] = UNDETERMINED_STD_ERROR
 

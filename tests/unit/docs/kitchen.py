@@ -137,6 +137,8 @@ def is_dear(words: Sequence[str]) -> bool:
 
 
 def parsed(words: Sequence[str]) -> dict[str, Any]:
+    if "--show-settings" in words:  # which asks for nothing else
+        return {}
     with load_command(words[0]).make_context(words[0], list(words[1:])) as context:
         return dict(context.params)
 

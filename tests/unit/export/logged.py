@@ -101,19 +101,6 @@ def logged(
     )
 
 
-def more_logs(case: Logged, full: FullModel, *, count: int) -> list[Path]:
-    """Write further logs of the same kind, which the file does not name."""
-    first_seed = 100
-    return [
-        _written(
-            case.folder / f"further_{seed}.parquet",
-            full,
-            _wandering(seed, full.robot.n),
-        )
-        for seed in range(first_seed, first_seed + count)
-    ]
-
-
 def _file(
     robot: Robot, stages: Stages, inputs: list[InputLog], loop: ClosedLoop
 ) -> ParameterFile:

@@ -237,7 +237,9 @@ class OneStepResult:
         fastest = float(rows.fastest[j])
 
         covariance = self.solution.covariance[places, places]
-        std_errors = np.sqrt(np.maximum(np.diag(self.posterior.stated)[places], 0.0))
+        # Without what waves move: a diagnosis starts from these errors, of this very law.
+        of_this_law = replace_fields(self.posterior, tolerances={}).stated
+        std_errors = np.sqrt(np.maximum(np.diag(of_this_law)[places], 0.0))
         std_errors[~self.solution.determined[places]] = UNDETERMINED_STD_ERROR
 
         ahead, back = surface_entries(fastest, len(rows.terms))

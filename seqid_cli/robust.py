@@ -1,4 +1,4 @@
-"""Standard deviations that a few large values do not move."""
+"""Sizes of values: root mean squares, and deviations that a few large ones do not move."""
 
 import numpy as np
 
@@ -9,6 +9,11 @@ PER_MEDIAN = 1.4826
 DIFFERENCES = 4
 # By which fourth differences raise white noise: the sum of squares of 1, 4, 6, 4, 1.
 DIFFERENCES_GAIN = 70.0**0.5
+
+
+def rms(values: Array) -> float:
+    """Return the root of the mean square; zero of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def gaussian_spread(values: Array) -> Array:

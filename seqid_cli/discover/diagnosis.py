@@ -19,7 +19,6 @@ from seqid_cli.discover.evidence import (
     tried_at,
 )
 from seqid_cli.discover.investigate import Investigation, investigate
-from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.notes import (
     deflection_notes,
@@ -46,6 +45,7 @@ from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import diagnosis
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.robust import rms
 from seqid_cli.typing import Array
 
 # of a coefficient's variance beforehand, from which the logs tell nothing of it

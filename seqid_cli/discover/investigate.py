@@ -16,7 +16,6 @@ from seqid_cli.discover.noise.floor import (
     NoiseFloor,
     encoder_residuals,
     noise_floor,
-    rms,
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
@@ -32,6 +31,7 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.robust import rms
 from seqid_cli.typing import Array, Mask
 from seqid_cli.working import step
 

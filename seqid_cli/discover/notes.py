@@ -6,7 +6,6 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.survey.rows import extrapolated
 from seqid_cli.discover.verdict import predicted_worse
@@ -16,6 +15,7 @@ from seqid_cli.motion.torque_noise import DETAIL
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.robust import rms
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 

@@ -22,6 +22,7 @@ from seqid_cli.robot.base_parameters import free_basis, standard_regressor
 from seqid_cli.robot.kinematics import gravity_columns
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from seqid_cli.robust import rms
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
@@ -152,9 +153,8 @@ def friction_verdicts(
         # no energy.
         value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
         error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
-        rms = float(np.sqrt(np.mean(value**2)))
         is_clear = value < -limits.clear_sigma * error
-        drives = is_clear & (value < -limits.driving_share * rms)
+        drives = is_clear & (value < -limits.driving_share * rms(value))
         if np.mean(drives) > limits.driving_cells:
             worst = int(np.argmin(np.where(drives, value, np.inf)))
             reason = (
@@ -235,11 +235,11 @@ def _gravity_verdicts(
     )
     for j, (q, torque) in samples.items():
         expected = _gravity(robot, stage, q)[:, j]
-        expected_rms = _rms(expected)
+        expected_rms = rms(expected)
         if expected_rms < max(limits.min_gravity_torque, limits.light_share * largest):
             continue
-        off = _rms(torque - expected) / expected_rms
-        size = _rms(torque) / expected_rms
+        off = rms(torque - expected) / expected_rms
+        size = rms(torque) / expected_rms
         ratio = float(torque @ expected) / float(expected @ expected)
         differs = off > limits.max_gravity_difference
         if stage is None:
@@ -249,10 +249,6 @@ def _gravity_verdicts(
         if differs:
             reason = text.format(percent(off, 0), ratio)
             yield schema.Verdict(joint=robot.joint_names[j], good=False, reason=reason)
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def inertia_verdicts(

@@ -245,6 +245,15 @@ class LogSet:
             warn(f"{note.path}: {text}")
 
 
+def paths_of(recordings: Iterable[Recording]) -> list[Path]:
+    """Return the paths of the logs, in the order in which they are numbered.
+
+    An iterable that may come only once has to be held as a list before.
+    """
+    logs: Iterable[Path | Recording] = getattr(recordings, "logs", recordings)
+    return [log.path if isinstance(log, Recording) else log for log in logs]
+
+
 def mapped(
     logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None
 ) -> Iterator[P]:

@@ -308,6 +308,53 @@ def with_term(
     )
 
 
+def with_drive_terms(
+    joint: FrictionJoint,
+    name: str,
+    surface: FrictionSurface,
+    *,
+    theta: Array,
+    covariance: Array,
+    places: Mapping[str, int],
+) -> FrictionJoint:
+    """Return a joint's friction with the terms of its drive as a later stage finds them.
+
+    Parameters
+    ----------
+    joint : FrictionJoint
+    name : str
+        The joint's name.
+    surface : FrictionSurface
+        The joint's friction.
+    theta : (p,) array
+        The stage's unknowns. A delay [s] is found as it is, any other term as its
+        change against the file.
+    covariance : (p, p) array
+        Of the unknowns.
+    places : mapping of str to int
+        Where terms stand among the unknowns, by their names: those of `EVEN_NAMES`, and
+        "delay" and "thermal" where the stage tells them.
+    """
+    for term_name in ("delay", "thermal"):
+        stated = term_of(joint, term_name)
+        if term_name not in places or stated is None:
+            continue
+        place = places[term_name]
+        value = float(theta[place])
+        if term_name == "thermal":
+            value += stated.value
+        std_error = float(np.sqrt(covariance[place, place]))
+        joint = with_term(joint, term_name, value, std_error)
+
+    even_places = [places[even_name] for even_name in EVEN_NAMES]
+    before = EvenPart.of_joint(joint, friction_rms(surface))
+    even = EvenPart(
+        values=before.values + theta[even_places],
+        covariance=covariance[np.ix_(even_places, even_places)],
+    )
+    return with_even_part(joint, name, even)
+
+
 def friction_rms(surface: FrictionSurface, *, cells: int = 9) -> float:
     """Return RMS friction [N m] over identified positions and speeds, both ways."""
     low, high = surface.scaling.position

@@ -19,6 +19,7 @@ from typing import Protocol
 import numpy as np
 
 from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.robust import rms
 from seqid_cli.typing import Array
 
 
@@ -97,7 +98,7 @@ def sweep_terms(
         Offset and asymmetry of each joint, in this order; zero for other joints.
     """
     columns = np.zeros((len(rows.weight), 2 * joints))
-    columns[:, 2 * rows.joint] = priors.sweep_offset * _rms(rows.friction)
+    columns[:, 2 * rows.joint] = priors.sweep_offset * rms(rows.friction)
     columns[:, 2 * rows.joint + 1] = priors.sweep_asymmetry * rows.friction
     return columns
 
@@ -121,7 +122,7 @@ def move_terms(
         The common delay, then offset and delay of each joint; zero for other joints.
     """
     columns = np.zeros((len(rows.weight), 2 * joints + 1))
-    columns[:, 2 * rows.joint + 1] = priors.move_offset * _rms(rows.friction)
+    columns[:, 2 * rows.joint + 1] = priors.move_offset * rms(rows.friction)
     if rows.torque_rate is not None:
         columns[:, 0] = priors.common_delay_s * rows.torque_rate
         columns[:, 2 * rows.joint + 2] = priors.joint_delay_s * rows.torque_rate
@@ -189,7 +190,3 @@ def friction_size(
     direction = np.where(dq < 0.0, -1.0, 1.0)
     speed = direction * np.maximum(np.abs(dq), slowest)
     return np.abs(surface.torque(q, speed))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

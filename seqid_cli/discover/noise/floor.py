@@ -42,6 +42,7 @@ from seqid_cli.motion.torque_noise import (
     stretches,
 )
 from seqid_cli.robot.types import Joint
+from seqid_cli.robust import rms
 from seqid_cli.typing import Array
 
 BEYOND = 1.5  # of the cut-off, up to which positions are believed
@@ -236,11 +237,6 @@ def _floor_of_joint(
         # Below the top of the band noise may have any shape.
         floor[2] = max(floor[2], min(residual_rms, floor[3]))
     return np.asarray(floor[:3])
-
-
-def rms(values: Array) -> float:
-    """Return the root of the mean square; zero of nothing."""
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
 
 def _rms_where_counted(parts: Sequence[Array]) -> float:

@@ -22,7 +22,6 @@ from seqid_cli.discover.candidates import (
     DriveRows,
     candidates_of,
 )
-from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
 from seqid_cli.discover.select.linear import LinearModel
@@ -34,6 +33,7 @@ from seqid_cli.discover.select.tuning import NEAR, Tuner
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.motion.torque_noise import DETAIL
 from seqid_cli.params.schema import Stages
+from seqid_cli.robust import rms
 from seqid_cli.typing import Array
 
 SCALES = (1.0, 3.0, 10.0, 30.0)  # of the file's errors, of which the evidence chooses

@@ -35,6 +35,7 @@ from seqid_cli.identify.friction_surface.trials import (
     kelvin_of,
     speed_levels,
 )
+from seqid_cli.identify.log_set import paths_of
 from seqid_cli.identify.nuisances import PRIORS
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.settings import FrictionSettings, SurfaceSettings
@@ -137,10 +138,7 @@ def identify_friction(
 
 def _no_trials(recordings: Iterable[Recording]) -> QualityError:
     """Return the error of logs in which no joint moves alone at constant velocity."""
-    logs = [
-        str(getattr(log, "path", log))
-        for log in getattr(recordings, "logs", recordings)
-    ]
+    logs = [str(path) for path in paths_of(recordings)]
     where = "".join(logs[:1])
     if len(logs) > 1:
         where += f" and {len(logs) - 1} more"

@@ -32,6 +32,7 @@ from seqid_cli.params.schema import (
     Verdict,
 )
 from seqid_cli.robot.types import Robot
+from seqid_cli.robust import rms
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
@@ -97,7 +98,7 @@ class Errors:
 
         Eq. 11 asks for another form there.
         """
-        floor = max(NEAR_ZERO * _rms(self.friction), 1e-300)
+        floor = max(NEAR_ZERO * rms(self.friction), 1e-300)
         return np.maximum(np.abs(self.friction), floor)
 
     def at(self, u: float) -> "Errors":
@@ -152,7 +153,7 @@ def errors_of(
             # Differences of neighbours have the white noise of two slices and little
             # else.
             steps = np.concatenate([np.diff(error[group]) for group in groups])
-            scatter = _rms(steps) / np.sqrt(2.0) if len(steps) else 0.0
+            scatter = rms(steps) / np.sqrt(2.0)
             for group in groups:
                 of_trial = trial_columns[group].mean(axis=0) ** 2 @ variances
                 noise = scatter / np.sqrt(len(group))
@@ -216,8 +217,8 @@ def summarise(
         max_error_of_noise=fitted.relative_of_noise,
         max_error_left_out=unseen.relative if len(levels) >= FEWEST_SPEEDS else None,
         max_abs_error=float(np.abs(unseen.error).max()),
-        rmse=_rms(fitted.error),
-        held_out_rmse=_rms(unseen.error) if len(levels) >= FEWEST_SPEEDS else None,
+        rmse=rms(fitted.error),
+        held_out_rmse=rms(unseen.error) if len(levels) >= FEWEST_SPEEDS else None,
         beta=beta,
         criterion_met=fitted.relative <= beta,
         position_range=list(surface.scaling.position),
@@ -306,10 +307,10 @@ def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
             speed=speed,
             forward=sum(item.direction > 0 for item in at_speed),
             backward=sum(item.direction < 0 for item in at_speed),
-            friction=_rms(fitted.at(u).friction),
-            std_error=_rms(fit.surface.std_error(q, v)),
-            rmse=_rms(fitted.at(u).error),
-            left_out=_rms(unseen.at(u).error) if inner else None,
+            friction=rms(fitted.at(u).friction),
+            std_error=rms(fit.surface.std_error(q, v)),
+            rmse=rms(fitted.at(u).error),
+            left_out=rms(unseen.at(u).error) if inner else None,
         )
         result.append(level)
     return result
@@ -330,10 +331,10 @@ def _verdict(
         )
         return Verdict(joint=name, good=False, reason=reason)
 
-    usual = _rms(np.array([level.friction for level in levels]))
+    usual = rms(np.array([level.friction for level in levels]))
     u = scaling.u(np.array([level.speed for level in levels]))
     errors = [
-        float(np.hypot(_rms(unseen.at(at).missed), level.std_error))
+        float(np.hypot(rms(unseen.at(at).missed), level.std_error))
         / max(level.friction, NEAR_ZERO * usual, 1e-12)
         for at, level in zip(u, levels, strict=True)
     ]
@@ -369,7 +370,7 @@ def _notes(
             " same configuration and were left out; Eq. 15 needs both"
         )
     if shown(
-        joint.nuisances, {name: _rms(np.array([x.friction for x in joint.speeds]))}
+        joint.nuisances, {name: rms(np.array([x.friction for x in joint.speeds]))}
     ):
         yield (
             f"{name}: friction depends on direction by"
@@ -399,10 +400,6 @@ def _criterion_note(name: str, joint: FrictionJoint, *, searched: bool) -> str:
         return text
     orders = f"({joint.position_order}, {joint.velocity_order})"
     return f"{text}; no orders meet it, and the data support none beyond {orders}"
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def constants_note(robot: Robot) -> list[str]:

@@ -228,30 +228,33 @@ def _fitted(
             break
     reductions = state.reductions(state.noise_scale(), sizes, None)
     linear = [r.linear for r in reductions]
-    moves = _moves(state, sizes, [part.weights for part in linear], others)
+    moves = _moves(state, sizes, reductions, others)
     first = Sizes(
         np.ones(1 + state.imu.gyro), np.full(state.imu.after_joint + 1, first_size)
     )
     sizes = renewed(linear, sizes or first)
     joint_deflections = deflections(linear, sizes, state.robot.joint_names)
-    fit = _finished(reductions, state, joint_deflections, converged=change < settled)
-    return replace(fit, moves=moves), sizes
+    fit = _finished(
+        reductions, state, joint_deflections, moves=moves, converged=change < settled
+    )
+    return fit, sizes
 
 
 def _moves(
     state: _State,
     sizes: Sizes | None,
-    weights: Sequence[Array],
+    reductions: list[Reduced],
     others: Sequence[Robot],
 ) -> Array:
     """Return the changes (p, d) of the constants if the arm is one of d others.
 
-    They are one Gauss-Newton step from the estimate, at the same weights.
+    They are one Gauss-Newton step from the estimate, at the weights of `reductions`.
     """
     if not others:
         return np.zeros((state.constants.count, 0))
     sigma = state.noise_scale()
-    step_of_arm, _ = state.solved(state.reductions(sigma, sizes, weights))
+    weights = [reduction.linear.weights for reduction in reductions]
+    step_of_arm, _ = state.solved(reductions)
     moves = []
     for robot in others:
         tolerated = replace(state, robot=robot)
@@ -294,6 +297,7 @@ def _finished(
     state: _State,
     joint_deflections: list[JointDeflection],
     *,
+    moves: Array,
     converged: bool,
 ) -> Fit:
     """Return the fit with standard errors, from the equations at its end."""
@@ -324,7 +328,7 @@ def _finished(
         converged=converged,
         holdout=_left_out(reductions, information),
         deflections=joint_deflections,
-        moves=np.zeros((len(model), 0)),
+        moves=moves,
     )
 
 

@@ -12,7 +12,6 @@ whether a joint rubs alike in all of them (`friction_of_logs`).
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace as replace_fields
@@ -21,15 +20,14 @@ from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.trials import collect_trials
 from seqid_cli.identify.judging import as_a_whole
+from seqid_cli.identify.log_set import paths_of
 from seqid_cli.identify.nuisances import (
+    EVEN_NAMES,
     EVEN_TERMS,
-    EvenPart,
     described,
-    friction_rms,
     robot_friction_rms,
     shown,
-    with_even_part,
-    with_term,
+    with_drive_terms,
 )
 from seqid_cli.identify.regression.least_squares import (
     Accumulator,
@@ -115,27 +113,23 @@ def identify_gravity(
         hint = "give the logs of the friction stage again, or record single-joint moves"
         raise QualityError(message, hint=hint)
 
+    logs = [path.name for path in paths_of(recordings)]
     prior = rows.prior(stages.friction)
     solution = solve(joints, prior=prior, nuisances=slice(size, None))
-    judged_joints = _judged(solution, rows, stages.friction, _log_names(recordings))
+    judged_joints = _judged(solution, rows, stages.friction, logs)
     return _result(solution, rows, prior, stages.friction, judged_joints)
-
-
-def _log_names(recordings: Iterable[Recording]) -> list[str]:
-    """Return the file names of the logs, in the order in which trials number them."""
-    logs: Iterable[Path | Recording] = getattr(recordings, "logs", recordings)
-    return [log.path.name if isinstance(log, Recording) else log.name for log in logs]
 
 
 @dataclass(frozen=True, kw_only=True)
 class JudgedJoints:
-    """Verdicts on joints: on gravity's fit there, and on their friction log by log.
+    """Verdicts on joints: on gravity's fit there, and on friction that has changed.
 
-    `changed_friction` holds, by name, the joints whose friction differs between logs.
+    `friction` and `changed_friction` hold, by name, the joints whose friction differs
+    between logs.
     """
 
     gravity: list[Verdict]
-    friction: list[Verdict]
+    friction: dict[str, Verdict]
     changed_friction: dict[str, FrictionShares]
 
 
@@ -145,7 +139,7 @@ def _judged(
     """Judge the joints by what one gravity for all postures leaves there."""
     settings = rows.settings.fit
     of_gravity: list[Verdict] = []
-    of_friction: list[Verdict] = []
+    of_friction: dict[str, Verdict] = {}
     changed: dict[str, FrictionShares] = {}
     for j, joint_rows in rows.joints.items():
         joint = rows.robot.joints[j]
@@ -153,7 +147,7 @@ def _judged(
         shares = FrictionShares.of(joint_rows, solution.theta)
         if shares.has_changed(settings):
             changed[joint.name] = shares
-            of_friction.append(shares.verdict(joint.name, logs))
+            of_friction[joint.name] = shares.verdict(joint.name, logs)
             # What friction explains is no fault of gravity, which is alike both ways.
             residual = shares.unexplained
 
@@ -198,7 +192,7 @@ def _result(
         np.zeros(robot.n),
     )
 
-    drives = _with_drive_terms(solution, joint_posterior, rows, friction)
+    drives = _handed_on(solution, joint_posterior, rows, friction)
     used = np.concatenate([np.flatnonzero(parameters.determined), size + drives.places])
     covariance = joint_posterior.covariance[np.ix_(used, used)]
     friction_sizes = robot_friction_rms(rows.surfaces, robot)
@@ -266,19 +260,19 @@ def _with_changes(
     for name, shares in judged_joints.changed_friction.items():
         joints[name] = shares.widened(joints[name])
 
-    changed = {verdict.joint: verdict for verdict in judged_joints.friction}
     verdicts = []
     for verdict in friction.verdicts:
-        is_good = verdict.level == "good"
-        verdicts.append(changed.get(verdict.joint, verdict) if is_good else verdict)
+        if verdict.level == "good":
+            verdict = judged_joints.friction.get(verdict.joint, verdict)
+        verdicts.append(verdict)
     return replace_fields(friction, joints=joints, verdicts=as_a_whole(verdicts))
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveTerms:
-    """Friction with another even part and thermal change, and the terms for a file.
+class HandedOn:
+    """Friction with the drives' terms as gravity's trials show them, for a file.
 
-    `places` (m,): where the terms stand behind the parameters.
+    `places` (m,): where `terms`, those alike both ways, stand behind the parameters.
     """
 
     friction: FrictionStage
@@ -286,12 +280,12 @@ class DriveTerms:
     places: Index
 
 
-def _with_drive_terms(
+def _handed_on(
     solution: Solution, posterior: Posterior, rows: GravityRows, friction: FrictionStage
-) -> DriveTerms:
+) -> HandedOn:
     """Return friction with the drives' terms as gravity's trials show them."""
     n = rows.robot.n
-    term_covariance = posterior.beside_tolerances
+    covariance = posterior.beside_tolerances
     joints = dict(friction.joints)
     terms: list[Nuisance] = []
     all_places: list[int] = []
@@ -299,27 +293,23 @@ def _with_drive_terms(
         surface = rows.surfaces[j]
         if surface is None or j not in rows.cross:
             continue
-        change = rows.thermal[j]
-        if change is not None:
-            place = rows.size + EVEN_TERMS * n + j
-            joints[name] = with_term(
-                joints[name],
-                "thermal",
-                value=change.value + float(solution.theta[place]),
-                std_error=float(np.sqrt(term_covariance[place, place])),
-            )
-
         places = [k * n + j for k in range(EVEN_TERMS)]
         columns = [rows.size + place for place in places]
-        before = EvenPart.of_joint(joints[name], friction_rms(surface))
-        even = EvenPart(
-            values=before.values + solution.theta[columns],
-            covariance=term_covariance[np.ix_(columns, columns)],
+        places_of_terms = dict(zip(EVEN_NAMES, columns, strict=True))
+        if rows.thermal[j] is not None:
+            places_of_terms["thermal"] = rows.size + EVEN_TERMS * n + j
+        joint = with_drive_terms(
+            joints[name],
+            name,
+            surface,
+            theta=solution.theta,
+            covariance=covariance,
+            places=places_of_terms,
         )
-        joints[name] = with_even_part(joints[name], name, even)
-        terms += even.terms(name, joints[name].unit)
+        joints[name] = joint
+        terms += [term for term in joint.nuisances if term.name in EVEN_NAMES]
         all_places += places
-    return DriveTerms(
+    return HandedOn(
         friction=replace_fields(friction, joints=joints),
         terms=terms,
         places=np.array(all_places, dtype=np.intp),

@@ -21,15 +21,10 @@ from seqid_cli.identify.bands.left_out import Fit
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.nuisances import (
     DRIVE_NAMES,
-    EVEN_NAMES,
-    EvenPart,
     described,
-    friction_rms,
     robot_friction_rms,
     shown,
-    term_of,
-    with_even_part,
-    with_term,
+    with_drive_terms,
 )
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import (
@@ -374,6 +369,7 @@ def _drive_terms(
     # The delay's column is a jerk: where noise makes up too much of it, it is
     # marginalised alone.
     reads_delays = equations.options.motion.reads_delays
+    read_terms = [name for name in DRIVE_NAMES if reads_delays or name != "delay"]
     gravity = equations.stages.gravity
     of_gravity = {p.name for p in gravity.parameters} if gravity else set()
     places = [
@@ -386,30 +382,15 @@ def _drive_terms(
         surface = equations.surfaces[j]
         if surface is None or not rows.joints[j].samples:
             continue
-        delay = columns.of("delay", j)
-        thermal = columns.of("thermal", j)
-        even_places = [columns.of(term, j) for term in EVEN_NAMES]
-        before = EvenPart.of_joint(joints[name], friction_rms(surface))
-        even = EvenPart(
-            values=before.values + solution.theta[even_places],
-            covariance=term_covariance[np.ix_(even_places, even_places)],
-        )
-        joint = joints[name]
-        stated = term_of(joint, "thermal")
-        values = {
-            "delay": float(solution.theta[delay]),
-            "thermal": (
-                float(solution.theta[thermal]) + (stated.value if stated else 0.0)
-            ),
-        }
-        for place, (term, value) in zip((delay, thermal), values.items(), strict=True):
-            if term == "delay" and not reads_delays:
-                continue
-            std_error = float(np.sqrt(term_covariance[place, place]))
-            joint = with_term(joint, term, value, std_error)
-        joints[name] = with_even_part(joint, name, even)
-        if name not in good_joints:
-            joints[name] = friction.joints[name]
+        if name in good_joints:
+            joints[name] = with_drive_terms(
+                joints[name],
+                name,
+                surface,
+                theta=solution.theta,
+                covariance=term_covariance,
+                places={term: columns.of(term, j) for term in read_terms},
+            )
         by_name = {term.name: term for term in joints[name].nuisances}
         terms += [by_name[term] for term in DRIVE_NAMES if term in by_name]
         places += [columns.of(term, j) for term in DRIVE_NAMES if term in by_name]

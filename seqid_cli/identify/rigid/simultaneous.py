@@ -22,11 +22,10 @@ counts as an error of these, though not of predicted torques, which hold the sam
 
 from collections.abc import Iterable, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
-from dataclasses import replace as replace_fields
+from dataclasses import dataclass, replace
 
 import numpy as np
-from msgspec.structs import replace
+from msgspec.structs import replace as replace_fields
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.bands.calibrate import calibrate
@@ -163,12 +162,11 @@ class OneStepResult:
         posterior = Posterior.of(
             solution, (), rows.robot.torque_constant_errors, {}, by_rotors, prior
         )
-        moved_by_waves = waving.theta - solution.theta
         return cls(
             rows=rows,
             solution=solution,
             waving=waving,
-            posterior=replace_fields(posterior, tolerances={WAVES: moved_by_waves}),
+            posterior=posterior,
             uses=uses,
             noise=noise,
             options=options,
@@ -205,7 +203,7 @@ class OneStepResult:
         bands = calibrate(
             self.rows.band_rows, fit, model, self.robot, cutoff_hz=self.cutoff_hz
         )
-        return friction, replace(inertia, bands=bands)
+        return friction, replace_fields(inertia, bands=bands)
 
     def _friction_stage(self) -> schema.FrictionStage:
         names = [name for name, _ in self.rows.terms]
@@ -237,9 +235,8 @@ class OneStepResult:
         fastest = float(rows.fastest[j])
 
         covariance = self.solution.covariance[places, places]
-        # Without what waves move: a diagnosis starts from these errors, of this very law.
-        of_this_law = replace_fields(self.posterior, tolerances={}).stated
-        std_errors = np.sqrt(np.maximum(np.diag(of_this_law)[places], 0.0))
+        # Not of waves: a diagnosis starts from these errors, of this very law.
+        std_errors = np.sqrt(np.maximum(np.diag(self.posterior.stated)[places], 0.0))
         std_errors[~self.solution.determined[places]] = UNDETERMINED_STD_ERROR
 
         ahead, back = surface_entries(fastest, len(rows.terms))
@@ -279,11 +276,12 @@ class OneStepResult:
         rows = self.rows
         robot = self.robot
         solution = self.solution
+        moved_by_waves = self.waving.theta - solution.theta
         stage = rigid_stage(
             robot,
             rows.basis,
             solution,
-            self.posterior,
+            replace(self.posterior, tolerances={WAVES: moved_by_waves}),
             np.arange(rows.basis.size),
             known_rotors(robot),
         )
@@ -299,7 +297,7 @@ class OneStepResult:
             (name, j) for j, name in enumerate(robot.joint_names) if floor.high[j]
         ]
         n_friction = len(rows.terms) * len(self.moved_joints)
-        return replace(
+        return replace_fields(
             stage,
             noise_floor={name: float(floor.rms[j]) for name, j in with_floor},
             noise_floor_high={name: float(floor.high[j]) for name, j in with_floor},
@@ -430,6 +428,6 @@ class OneStepResult:
 
 def _worse(verdict: schema.Verdict, level: schema.Level, reason: str) -> schema.Verdict:
     """Return the verdict at a lower level, with one reason more."""
-    return replace(
+    return replace_fields(
         verdict, good=False, level=level, reason=f"{verdict.reason}; {reason}"
     )

@@ -118,7 +118,6 @@ def _check_seqid(step: Step) -> None:
     assert words[0] in COMMANDS, str(step)
     if "--show-settings" in words:  # which asks for nothing else
         assert words[0] in SETTINGS_OF_COMMANDS, str(step)
-        return
     parsed(words)
     for path in read_by(words):
         if path.startswith("sample_logs/"):

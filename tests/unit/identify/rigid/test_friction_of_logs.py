@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.identify.friction_surface.corrections import HeldJoints
-from seqid_cli.identify.nuisances import PRIORS, friction_rms
-from seqid_cli.identify.regression.least_squares import Accumulator, Prior, solve
+from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.identify.rigid.friction_of_logs import FrictionShares
 from seqid_cli.identify.rigid.gravity_rows import GravityRows
 from seqid_cli.identify.settings import GravityFitSettings
@@ -21,6 +20,7 @@ from tests.unit.identify.rigid.test_gravity import (
     NEGATIVE,
     POSITIVE,
     SPREAD,
+    drive_prior,
     surface_of,
     trials,
 )
@@ -47,10 +47,7 @@ def shares_of(change: float, *, seed: int = 3) -> FrictionShares:
     rows = GravityRows(held, [surface], FrictionStage(joints={}))
     joints = [Accumulator(rows.columns)]
     rows.add_joint([*first, *second], joints)
-    # As in the gravity stage, but for no temperature: friction per kelvin is any number.
-    weights = np.append(1.0 / PRIORS.even_std(friction_rms(surface)), 1.0)
-    prior = Prior(np.pad(np.diag(weights), ((0, 0), (2, 0))), np.zeros(len(weights)))
-    solution = solve(joints, prior=prior, nuisances=slice(2, None))
+    solution = solve(joints, prior=drive_prior(surface), nuisances=slice(2, None))
     return FrictionShares.of(rows.joints[0], solution.theta)
 
 

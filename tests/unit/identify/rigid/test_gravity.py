@@ -49,6 +49,13 @@ def trials(rng: np.random.Generator) -> list[Trial]:
     return result
 
 
+def drive_prior(surface: FrictionSurface) -> Prior:
+    """What is known of the drive's terms, behind the two parameters, before any trial."""
+    # No temperature is logged: what friction has per kelvin is any number, and is zero.
+    weights = np.append(1.0 / PRIORS.even_std(friction_rms(surface)), 1.0)
+    return Prior(np.pad(np.diag(weights), ((0, 0), (2, 0))), np.zeros(len(weights)))
+
+
 def errors_of(seed: int) -> tuple[Array, Array, Array, Array]:
     """Errors of (mx, my) and their variances, with offset and asymmetries free and held
     at zero.
@@ -61,10 +68,7 @@ def errors_of(seed: int) -> tuple[Array, Array, Array, Array]:
     rows = GravityRows(held, [surface], FrictionStage(joints={}))
     joints = [Accumulator(rows.columns)]
     rows.add_joint(trials(rng), joints)
-    # No temperature is logged: what friction has per kelvin is any number, and is zero.
-    weights = np.append(1.0 / PRIORS.even_std(friction_rms(surface)), 1.0)
-    prior = Prior(np.pad(np.diag(weights), ((0, 0), (2, 0))), np.zeros(len(weights)))
-    free = solve(joints, prior=prior, nuisances=slice(2, None))
+    free = solve(joints, prior=drive_prior(surface), nuisances=slice(2, None))
     by_friction = friction_covariance(rows.sensitivity(free), [surface], rows.columns)
     total = np.diag(free.covariance + by_friction)[:2]
 

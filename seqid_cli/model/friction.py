@@ -226,7 +226,7 @@ class FrictionSurface:
             (N, k).
         """
         basis = self.scaling.basis(q, v, *self.orders)
-        extension = self._extension(q, v)
+        extension = self.outside_columns(q, v)
         sign = np.tanh(v / self.sign_width)[:, None]
         if not self.directional:
             return np.hstack([basis * sign, extension * sign])
@@ -256,20 +256,11 @@ class FrictionSurface:
         Array
             (N,) N m.
         """
-        torque = np.empty(len(q))
-        for part in tiles(len(q)):
-            q_part = q[part]
-            v_part = v[part]
-            if self.directional:
-                torque[part] = self.columns(q_part, v_part) @ self.coefficients
-                continue
-            # The usual case by fewer products than `columns` takes.
-            basis = self.scaling.basis(q_part, v_part, *self.orders)
-            level = basis @ self.positive.ravel()
-            if self.extension.any():
-                level = level + self._extension(q_part, v_part) @ self.extension[0]
-            torque[part] = np.tanh(v_part / self.sign_width) * level
-        return torque
+        return self._alone.torque(q, v)[:, 0]
+
+    @cached_property
+    def _alone(self) -> "FrictionFamily":
+        return FrictionFamily((self,))
 
     def odd_torque(self, q: Array, v: Array) -> Array:
         """Compute the friction torque (N,) N m that turns with the direction."""
@@ -295,9 +286,14 @@ class FrictionSurface:
         errors of those apart: the errors of its coefficients are then those of its odd
         part.
         """
-        if not self.even_terms:
+        if not (self.even_terms and self.directional):
             return self.columns(q, v)
-        return np.asarray((self.columns(q, v) - self.columns(q, -v)) / 2.0)
+        # Basis and extension know the size of the speed alone: of `columns` there and
+        # back the sign stays.
+        half_sign = 0.5 * np.tanh(v / self.sign_width)[:, None]
+        basis = half_sign * self.scaling.basis(q, v, *self.orders)
+        extension = half_sign * self.outside_columns(q, v)
+        return np.hstack([basis, basis, extension, extension])
 
     def std_error(self, q: Array, v: Array) -> Array:
         """Compute the standard error (N,) N m of `torque`; 0 without a covariance."""
@@ -373,8 +369,8 @@ class FrictionSurface:
         weights = self.scaling.slope(*self.orders)
         return np.array([weights @ side.ravel() for side in self._sides])
 
-    def _extension(self, q: Array, v: Array) -> Array:
-        """Compute the columns (N, 4) of one direction's extension, without its sign."""
+    def outside_columns(self, q: Array, v: Array) -> Array:
+        """Compute columns (N, 4) of one direction's `extension`, without its sign."""
         speeds = np.stack([self.scaling.faster(v), self.scaling.slower(v)], axis=1)
         return np.hstack([self.scaling.over_position.novelty(q), speeds])
 
@@ -405,6 +401,99 @@ class FrictionSurface:
         near_slowest = np.array([slow, min(np.e * slow, fast)])
         change = float(np.ptp(chebval(self.scaling.u(near_slowest), over_speed)))
         return np.array([spread, spread, slope_error, change])
+
+
+@dataclass(frozen=True)
+class FrictionFamily:
+    """Surfaces of one joint on one basis, which is evaluated once for all of them.
+
+    Friction itself and what it changes by per unit of each term of its drive are such
+    surfaces: of one scaling, size, sign width and temperature.
+    """
+
+    members: tuple[FrictionSurface, ...]
+
+    @property
+    def sign_width(self) -> float:
+        """Speed [rad/s; m/s where prismatic] over which the torques change sign."""
+        return self.members[0].sign_width
+
+    @property
+    def per_kelvin(self) -> float:
+        """Share by which friction changes per kelvin."""
+        return self.members[0].per_kelvin
+
+    def warmed(self, celsius: Array) -> Array:
+        """Return the factor (N,) that temperatures make of friction."""
+        return self.members[0].warmed(celsius)
+
+    def torque(self, q: Array, v: Array) -> Array:
+        """Compute the torque of every member.
+
+        Parameters
+        ----------
+        q, v : (N,) arrays
+            Positions [rad] and velocities [rad/s].
+
+        Returns
+        -------
+        (N, m) array
+            N m per unit of what each of the m members is the size of.
+        """
+        torque = np.empty((len(q), len(self.members)))
+        for part in tiles(len(q)):
+            torque[part] = self._torque_of_part(q[part], v[part])
+        return torque
+
+    def _torque_of_part(self, q: Array, v: Array) -> Array:
+        common = self.members[0]
+        basis = common.scaling.basis(q, v, *common.orders)
+        forward = basis @ self._forward
+        if self._extends:
+            outside = common.outside_columns(q, v)
+            forward = forward + outside @ self._forward_extension
+        sign = np.tanh(v / common.sign_width)[:, None]
+        if not self._is_directional:
+            return np.asarray(sign * forward)
+
+        backward = basis @ self._backward
+        if self._extends:
+            backward = backward + outside @ self._backward_extension
+        flips = (forward + backward) / 2.0
+        stays = (forward - backward) / 2.0
+        return np.asarray(sign * flips + stays)
+
+    @cached_property
+    def _is_directional(self) -> bool:
+        return any(member.directional for member in self.members)
+
+    @cached_property
+    def _extends(self) -> bool:
+        return any(member.extension.any() for member in self.members)
+
+    @cached_property
+    def _forward(self) -> Array:
+        """Entries (k, m) of all members where velocities are positive."""
+        return np.column_stack([member.positive.ravel() for member in self.members])
+
+    @cached_property
+    def _backward(self) -> Array:
+        """Entries (k, m) of all members where velocities are negative."""
+        entries = [
+            member.negative if member.directional else member.positive
+            for member in self.members
+        ]
+        return np.column_stack([side.ravel() for side in entries])
+
+    @cached_property
+    def _forward_extension(self) -> Array:
+        """Coefficients (4, m) of all members outside, where velocities are positive."""
+        return np.column_stack([member.extension[0] for member in self.members])
+
+    @cached_property
+    def _backward_extension(self) -> Array:
+        """Coefficients (4, m) of all members outside, where velocities are negative."""
+        return np.column_stack([member.extension[-1] for member in self.members])
 
 
 def friction_torque(laws: Sequence[FrictionLaw | None], q: Array, dq: Array) -> Array:

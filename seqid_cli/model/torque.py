@@ -19,7 +19,12 @@ import numpy as np
 from scipy.ndimage import binary_dilation, minimum_filter1d
 from scipy.signal import firwin
 
-from seqid_cli.model.friction import FrictionLaw, FrictionSurface, friction_torque
+from seqid_cli.model.friction import (
+    FrictionFamily,
+    FrictionLaw,
+    FrictionSurface,
+    friction_torque,
+)
 from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import RigidStage, Stages
@@ -332,32 +337,73 @@ def sampled_friction(
         joint whose friction is not known.
     """
     torque = friction_torque(surfaces, motion.q, motion.dq)
+    return _of_motion(torque, surfaces, motion, dense)
+
+
+def sampled_families(
+    families: Sequence[FrictionFamily | None],
+    motion: Motion,
+    *,
+    size: int,
+    dense: float = 80.0,
+) -> Array:
+    """Compute what `sampled_friction` does for several surfaces of each joint at once.
+
+    Parameters
+    ----------
+    families : sequence of FrictionFamily or None
+        By joint, each of `size` members.
+    motion : Motion
+    size : int
+    dense : float
+        Samples per period of the cut-off from which steps need no care.
+
+    Returns
+    -------
+    Array
+        (N, n, size) N m per unit of each member.
+    """
+    torque = np.zeros((*motion.q.shape, size))
+    for j, family in enumerate(families):
+        if family is not None:
+            torque[:, j] = family.torque(motion.q[:, j], motion.dq[:, j])
+    return _of_motion(torque, families, motion, dense)
+
+
+def _of_motion(
+    torque: Array,
+    laws: Sequence[FrictionLaw | FrictionFamily | None],
+    motion: Motion,
+    dense: float,
+) -> Array:
+    """Make friction at samples (N, n) or (N, n, m), in place, that of a sampled motion."""
     if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
-        return _warmed(torque, surfaces, motion)
+        return _warmed(torque, laws, motion)
 
     # Samples whose interpolation and low-pass stay within valid ones.
     inside = shrink(motion.valid, HALF + len(KNOTS) // 2)
-    for j, surface in enumerate(surfaces):
-        if surface is None:
+    for j, law in enumerate(laws):
+        if law is None:
             continue
-        reverses = _near_reversals(motion, j, surface.sign_width)
+        reverses = _near_reversals(motion, j, law.sign_width)
         near = np.flatnonzero(inside & reverses)
         if near.size:
-            torque[near, j] = _band_limited(
-                surface, motion.q[:, j], motion.dq[:, j], near
-            )
-    return _warmed(torque, surfaces, motion)
+            torque[near, j] = _band_limited(law, motion.q[:, j], motion.dq[:, j], near)
+    return _warmed(torque, laws, motion)
 
 
 def _warmed(
-    torque: Array, surfaces: Sequence[FrictionLaw | None], motion: Motion
+    torque: Array,
+    laws: Sequence[FrictionLaw | FrictionFamily | None],
+    motion: Motion,
 ) -> Array:
-    """Scale friction torque (N, n) N m, in place, to the logged temperatures."""
+    """Scale friction torque (N, n, ...) N m, in place, to the logged temperatures."""
     if motion.celsius is None:
         return torque
-    for j, surface in enumerate(surfaces):
-        if surface is not None and surface.per_kelvin:
-            torque[:, j] *= surface.warmed(motion.celsius[:, j])
+    for j, law in enumerate(laws):
+        if law is not None and law.per_kelvin:
+            # Samples are the last axis of the transpose, whatever axes follow them.
+            torque[:, j].T[...] *= law.warmed(motion.celsius[:, j])
     return torque
 
 
@@ -379,8 +425,10 @@ def _near_reversals(motion: Motion, j: int, width: float, *, wide: float = 3.0) 
     return np.asarray(binary_dilation(near, np.ones(2 * HALF + 1, dtype=np.bool_)))
 
 
-def _band_limited(surface: FrictionLaw, q: Array, dq: Array, near: Index) -> Array:
-    """Compute low-passed friction at samples `near` (M,) of a motion (N,)."""
+def _band_limited(
+    law: FrictionLaw | FrictionFamily, q: Array, dq: Array, near: Index
+) -> Array:
+    """Compute low-passed friction (M, ...) at samples `near` (M,) of a motion (N,)."""
     around = np.arange(-HALF, HALF + 1)
     used = np.unique(near[:, None] + around)
 
@@ -388,11 +436,11 @@ def _band_limited(surface: FrictionLaw, q: Array, dq: Array, near: Index) -> Arr
     knots = used[:, None] + KNOTS
     q_points = q[knots] @ WEIGHTS
     dq_points = dq[knots] @ WEIGHTS
-    torque = surface.torque(q_points.ravel(), dq_points.ravel())
-    torque = torque.reshape(len(used), PARTS)
+    torque = law.torque(q_points.ravel(), dq_points.ravel())
+    torque = torque.reshape(len(used), PARTS, *torque.shape[1:])
 
     windows = np.searchsorted(used, near)[:, None] + around
-    return np.asarray(np.tensordot(torque[windows], _taps(), axes=2))
+    return np.asarray(np.tensordot(torque[windows], _taps(), axes=((1, 2), (0, 1))))
 
 
 @lru_cache(maxsize=1)

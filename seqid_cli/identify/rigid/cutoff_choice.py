@@ -384,12 +384,7 @@ def candidate_of(
 
 
 class _TrialEquations(InertiaEquations):
-    """Equations without what a trial does not need.
-
-    Rotors act on their own joints alone, and the torque's noise is not measured.
-    """
-
-    measures_noise = False
+    """Equations whose rotors act on their own joints alone, which is enough for a trial."""
 
     def coupling_column(self, motion: Motion) -> Array:
         return np.zeros_like(motion.q)
@@ -418,7 +413,9 @@ class InertiaTrial:
             cutoff_hz=cutoff_hz, samples_per_cutoff=SAMPLES_PER_CUTOFF
         )
         options = InertiaOptions(motion, self._source, settings=self._settings)
-        trial_equations = _TrialEquations(self._robot, self._stages, options)
+        trial_equations = _TrialEquations(
+            self._robot, self._stages, options, only_compares=True
+        )
 
         parts = []
         for recording in recordings:

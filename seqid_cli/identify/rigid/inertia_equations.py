@@ -9,7 +9,7 @@ parameters. Only joints that slide contribute rows: the torque of a locked joint
 anywhere within its stiction.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -37,11 +37,11 @@ from seqid_cli.identify.regression.noise_level import LogNoise, noise_of_log
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.tolerances import deviation_torques, deviations
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.friction import SLIDES, FrictionSurface
+from seqid_cli.model.friction import SLIDES, FrictionFamily, FrictionSurface
 from seqid_cli.model.torque import (
     friction_surfaces,
     known_rotors,
-    sampled_friction,
+    sampled_families,
     sliding,
 )
 from seqid_cli.motion.blocks import SurveyedLog, motion_blocks, overlapping
@@ -131,6 +131,15 @@ class InertiaRows:
         return float(independent / max(samples, 1.0))
 
 
+# Members of a joint's family of friction surfaces.
+FRICTION = 0
+PER_DELAY = 1
+DRY_SIZE = 2
+VISCOUS_SIZE = 3
+PER_KELVIN = 4
+FAMILY_SIZE = 5
+
+
 @dataclass(frozen=True)
 class DriveColumns:
     """What the drives add to the torques of n joints, filtered alike, all (N, n).
@@ -138,9 +147,10 @@ class DriveColumns:
     `delay` [N m/s] is per second by which the torque is late, `friction_per_second` the
     part of it by which friction was identified differently; `dry_size` and
     `viscous_size` [N m] are per asymmetry of either part of friction, `per_kelvin` [N m
-    K] is per friction's change per kelvin.
+    K] is per friction's change per kelvin. `friction` [N m] is that of the surfaces.
     """
 
+    friction: Array
     delay: Array
     friction_per_second: Array
     dry_size: Array
@@ -150,6 +160,7 @@ class DriveColumns:
     def part(self, where: slice) -> "DriveColumns":
         """Return the columns of some samples."""
         return DriveColumns(
+            friction=self.friction[where],
             delay=self.delay[where],
             friction_per_second=self.friction_per_second[where],
             dry_size=self.dry_size[where],
@@ -163,14 +174,23 @@ class InertiaEquations:
 
     Their unknowns are the base parameters, the nuisance terms of all joints
     (`NuisanceColumns`), and last the share of gyroscopic coupling.
+
+    Equations that are solved for a comparison alone (`only_compares`) leave out what a
+    written stage needs besides: the torque's noise, and the rows of its bands.
     """
 
-    measures_noise = True
-
-    def __init__(self, robot: Robot, stages: Stages, options: InertiaOptions) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        stages: Stages,
+        options: InertiaOptions,
+        *,
+        only_compares: bool = False,
+    ) -> None:
         self.robot = robot
         self.stages = stages
         self.options = options
+        self.only_compares = only_compares
         self.basis = free_basis(robot)
         self.nuisances = NuisanceColumns(self.basis.size, robot.n)
         self.coupling_place = self.nuisances.size
@@ -179,7 +199,13 @@ class InertiaEquations:
         self.rotors = known_rotors(robot)
         self.reflected = gear_ratios(robot) ** 2 * self.rotors
         self._delays = [self._change_of(name, "delay") for name in robot.joint_names]
-        self._thermal = [self._change_of(name, "thermal") for name in robot.joint_names]
+        thermal = [self._change_of(name, "thermal") for name in robot.joint_names]
+        self._families = [
+            None if surface is None else _family(surface, delay, warm)
+            for surface, delay, warm in zip(
+                self.surfaces, self._delays, thermal, strict=True
+            )
+        ]
         self._scaled = (robot.torque_constant_errors > 0.0) & (self.reflected > 0.0)
 
     def rows_of(self, log: Recording | SurveyedLog) -> InertiaRows:
@@ -210,7 +236,7 @@ class InertiaEquations:
         held = motions.samples if isinstance(log, Recording) else 2 * size
         for motion, start, stop in overlapping(motions.parts, held, 2 * reach):
             drive = self.drive_columns(motion)
-            y = self.right_side(motion) + self._reference(drive)
+            y = self._right_side(motion, drive)
             for part, H in equations.filtered_regressor(
                 motion,
                 self.robot,
@@ -223,7 +249,9 @@ class InertiaEquations:
                 first = max(0, part.start - reach)
                 surrounding = motion.part(slice(first, part.stop + reach))
                 used = sliding(surrounding, self.slowest, reach_periods=settled)
-                judged = sliding(surrounding, self.slowest)
+                judged = used
+                if not self.only_compares:
+                    judged = sliding(surrounding, self.slowest)
                 for begin in range(part.start, part.stop, CHUNK):
                     end = min(begin + CHUNK, part.stop)
                     samples = slice(begin, end)
@@ -238,6 +266,8 @@ class InertiaEquations:
                         used[inner],
                         block_s,
                     )
+                    if self.only_compares:
+                        continue
                     self._add_band_rows(
                         rows.band_rows,
                         motion.part(samples),
@@ -251,7 +281,7 @@ class InertiaEquations:
         if not is_usable:
             raise too_short(log.path, lowpass.cutoff_hz)
 
-        if isinstance(log, Recording) and self.measures_noise:
+        if isinstance(log, Recording) and not self.only_compares:
             used = sliding(motion, self.slowest, reach_periods=settled)
             rows.noise.append(noise_of_log(log, motion, used))
             rows.states.append(_some_states(motion, used))
@@ -281,17 +311,20 @@ class InertiaEquations:
         )
 
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
-        """Return the same equations, filtered at another cut-off."""
+        """Return the same equations at another cut-off, to be compared with."""
         motion = replace(self.options.motion, cutoff_hz=cutoff_hz, own=frozenset())
-        return InertiaEquations(
-            self.robot, self.stages, replace(self.options, motion=motion)
-        )
+        options = replace(self.options, motion=motion)
+        return InertiaEquations(self.robot, self.stages, options, only_compares=True)
 
-    def right_side(self, motion: Motion) -> Array:
-        """Return the torque (N, n) N m without friction and known rotors, filtered."""
+    def _right_side(self, motion: Motion, drive: DriveColumns) -> Array:
+        """Return the torque (N, n) N m without friction and known rotors, filtered.
+
+        Friction is that of no delay: the delay's column has the whole of it.
+        """
         assert motion.tau is not None
-        friction = sampled_friction(self.surfaces, motion)
-        torque = motion.tau - motion.filtered(friction, times=2)
+        values = [0.0 if delay is None else delay.value for delay in self._delays]
+        by_delay = drive.friction_per_second * np.array(values)
+        torque = np.asarray(motion.tau - drive.friction + by_delay)
         if self.rotors.any():
             torque -= motion.filtered(self.reflected * motion.ddq)
         return torque
@@ -303,47 +336,29 @@ class InertiaEquations:
         return None if joint is None else change_of(joint, term)
 
     def drive_columns(self, motion: Motion) -> DriveColumns:
-        """Return what delay and asymmetry of each joint's drive add to its torque."""
+        """Return what friction, delay and asymmetry of each drive add to its torque."""
         assert motion.tau is not None
-        friction_per_second = self._friction_of(motion, self._delays)
-        dry: list[FrictionSurface | None] = []
-        viscous: list[FrictionSurface | None] = []
-        for surface in self.surfaces:
-            sizes = (None, None) if surface is None else even_surfaces(surface)
-            dry.append(sizes[0])
-            viscous.append(sizes[1])
+        sampled = sampled_families(self._families, motion, size=FAMILY_SIZE)
+        filtered = motion.filtered(sampled, times=2)
         torque_rate = np.gradient(motion.tau, axis=0) * motion.rate_hz
         return DriveColumns(
-            delay=friction_per_second - torque_rate,
-            friction_per_second=friction_per_second,
-            dry_size=motion.filtered(sampled_friction(dry, motion), times=2),
-            viscous_size=motion.filtered(sampled_friction(viscous, motion), times=2),
-            per_kelvin=self._per_kelvin(motion),
+            friction=filtered[..., FRICTION],
+            delay=filtered[..., PER_DELAY] - torque_rate,
+            friction_per_second=filtered[..., PER_DELAY],
+            dry_size=filtered[..., DRY_SIZE],
+            viscous_size=filtered[..., VISCOUS_SIZE],
+            per_kelvin=self._per_kelvin(motion, filtered),
         )
 
-    def _friction_of(
-        self, motion: Motion, terms: Sequence[FrictionChange | None]
-    ) -> Array:
-        """Return each joint's change of friction (N, n) N m per unit of its term."""
-        changes = [None if term is None else term.per_unit for term in terms]
-        return motion.filtered(sampled_friction(changes, motion), times=2)
-
-    def _per_kelvin(self, motion: Motion) -> Array:
+    def _per_kelvin(self, motion: Motion, filtered: Array) -> Array:
         """Return the torque (N, n) N m of one unit of friction's change per kelvin."""
-        if motion.celsius is None:
-            return np.zeros_like(motion.q)
-        warm = self._friction_of(motion, self._thermal)
         kelvin = np.zeros_like(motion.q)
+        if motion.celsius is None:
+            return kelvin
         for j, surface in enumerate(self.surfaces):
             if surface is not None:
                 kelvin[:, j] = surface.kelvin(motion.celsius[:, j])
-        friction = motion.filtered(sampled_friction(self.surfaces, motion), times=2)
-        return np.asarray(warm + kelvin * friction)
-
-    def _reference(self, drive: DriveColumns) -> Array:
-        """Return friction's part (N, n) N m by the delay of its identification."""
-        values = [0.0 if delay is None else delay.value for delay in self._delays]
-        return np.asarray(drive.friction_per_second * np.array(values))
+        return np.asarray(filtered[..., PER_KELVIN] + kelvin * filtered[..., FRICTION])
 
     def _joined(self, rigid: Array, drive: DriveColumns) -> Array:
         """Return all columns (N, n, p) from those of the rigid body (N, n, b + 1)."""
@@ -516,6 +531,28 @@ class LogMotions:
     parts: Iterable[Motion]
     lowpass: Lowpass
     samples: int  # of all parts
+
+
+def _family(
+    surface: FrictionSurface,
+    delay: FrictionChange | None,
+    thermal: FrictionChange | None,
+) -> FrictionFamily:
+    """Return a joint's friction and what it changes by, in the order of the members.
+
+    A term that friction was not identified with changes nothing.
+    """
+    nothing = surface.of_size(np.zeros_like(surface.positive))
+    dry_size, viscous_size = even_surfaces(surface)
+    return FrictionFamily(
+        (
+            surface,
+            nothing if delay is None else delay.per_unit,
+            dry_size,
+            viscous_size,
+            nothing if thermal is None else thermal.per_unit,
+        )
+    )
 
 
 def _block_samples(rate_hz: float, samples: int) -> float:

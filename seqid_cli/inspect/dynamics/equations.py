@@ -196,6 +196,7 @@ def _shifted(
     """
     few = sample.thinned(few_rows)
     robot = sample.robot
+    unshifted_error = measure(few)
     causes = []
     for j in sample.moving:
         if robot.joints[j].prismatic:
@@ -205,7 +206,8 @@ def _shifted(
             return measure(zero_off(robot, j, angle).on(few))
 
         # A search takes long: only where a small shift already helps.
-        if min(error(slightly), error(-slightly)) > (1.0 - min_gain) * error(0.0):
+        least = min(error(slightly), error(-slightly))
+        if least > (1.0 - min_gain) * unshifted_error:
             continue
         spacing = 2.0 * np.pi / angles
         candidates = 2.0 * np.pi * np.arange(angles) / angles

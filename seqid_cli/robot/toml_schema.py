@@ -1,8 +1,13 @@
-"""`robot.toml` as typed data, `seqid/robot@1` (msgspec only)."""
+"""`robot.toml` as typed data, `seqid/robot@1` (msgspec only).
 
-from typing import Literal
+Descriptions of the keys, with their units, go into the JSON Schema by which editors
+complete and check the file.
+"""
+
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
 
 SCHEMA = "seqid/robot@1"
 SCHEMA_VERSION = 1
@@ -12,100 +17,180 @@ Vector = tuple[float, float, float]
 # number.
 Columns = str | tuple[str | int, ...]
 
+_COLUMNS = (
+    "a pattern such as 'joint_{index}.pos' with {name}, {index} (from 1) or {index0}"
+    " (from 0), or a list of columns in the order of the joints"
+)
+
 
 class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Base of all tables: an unknown key is an error that names its path."""
 
 
 class DhEntry(Table, frozen=True):
-    """Modified DH parameters of a joint, rad and m."""
+    """Modified DH parameters of a joint (Craig, Eq. 27)."""
 
-    alpha: float
-    a: float
-    d: float
-    theta0: float
+    alpha: Annotated[float, Meta(description="twist before the joint [rad]")]
+    a: Annotated[float, Meta(description="length before the joint [m]")]
+    d: Annotated[float, Meta(description="offset along the joint's axis [m]")]
+    theta0: Annotated[float, Meta(description="angle where the position is 0 [rad]")]
 
 
 class JointEntry(Table, frozen=True):
-    """One `[[joint]]`."""
+    """One `[[joint]]`, in the order of the chain."""
 
-    name: str
-    prismatic: bool = False
-    dh: DhEntry | None = None
-    torque_constant: float | None = None
-    torque_constant_error: float = 0.0
-    position_zero_error: float = 0.0
-    gear_ratio: float | None = None
-    rotor_inertia: float | None = None
-    winding_resistance: float | None = None
-    supply_voltage: float | None = None
-    encoder_resolution: float | None = None
-    encoder_side: Literal["motor", "link"] = "motor"
-    position_limits: tuple[float, float] | None = None
-    velocity_limit: float | None = None
+    name: Annotated[str, Meta(description="the URDF's name of it, where there is one")]
+    prismatic: Annotated[
+        bool,
+        Meta(description="whether it slides: read m for rad and N for N m then"),
+    ] = False
+    dh: Annotated[
+        DhEntry | None,
+        Meta(description="modified DH parameters, where the file names no urdf"),
+    ] = None
+    torque_constant: Annotated[
+        float | None,
+        Meta(description="[N m/A] on the motor side, where logs carry current"),
+    ] = None
+    torque_constant_error: Annotated[
+        float,
+        Meta(
+            description="relative standard error of torque constant and gear together,"
+            " 0.02 for 2 %; exact where it is 0"
+        ),
+    ] = 0.0
+    position_zero_error: Annotated[
+        float, Meta(description="standard error of the joint's zero [rad]")
+    ] = 0.0
+    gear_ratio: Annotated[
+        float | None,
+        Meta(description="motor turns per joint turn, negative where it turns back"),
+    ] = None
+    rotor_inertia: Annotated[
+        float | None,
+        Meta(
+            description="[kg m^2] on the motor side; identified where it is left out and"
+            " motion tells it"
+        ),
+    ] = None
+    winding_resistance: Annotated[
+        float | None,
+        Meta(description="[ohm], where logs carry voltage or duty cycle"),
+    ] = None
+    supply_voltage: Annotated[
+        float | None, Meta(description="[V], where logs carry duty cycle")
+    ] = None
+    encoder_resolution: Annotated[
+        float | None, Meta(description="[rad] per count, at the joint")
+    ] = None
+    encoder_side: Annotated[
+        Literal["motor", "link"],
+        Meta(
+            description="'link' where positions are of an encoder behind the gear, which"
+            " does not see the gear twist"
+        ),
+    ] = "motor"
+    position_limits: Annotated[
+        tuple[float, float] | None, Meta(description="lowest and highest [rad]")
+    ] = None
+    velocity_limit: Annotated[float | None, Meta(description="[rad/s]")] = None
 
 
 class AccelerometerEntry(Table, frozen=True):
     """One accelerometer of an `[[imu]]`, in the IMU's own frame."""
 
-    position: Vector
-    axis: Vector
+    position: Annotated[Vector, Meta(description="[m]")]
+    axis: Annotated[Vector, Meta(description="direction in which it reads")]
 
 
 class ImuEntry(Table, frozen=True):
-    """One `[[imu]]`."""
+    """One `[[imu]]`: an array of accelerometers, a triad, or a triad with a gyro."""
 
-    name: str
-    after_joint: str
-    accelerometers: tuple[AccelerometerEntry, ...] = ()
-    gyro: bool = False
+    name: Annotated[str, Meta(description="its channels begin with it")]
+    after_joint: Annotated[
+        str, Meta(description="the joint that moves the link on which it rides")
+    ]
+    accelerometers: Annotated[
+        tuple[AccelerometerEntry, ...],
+        Meta(description="a triad at the IMU's origin where none is listed"),
+    ] = ()
+    gyro: Annotated[bool, Meta(description="whether it has a gyro")] = False
 
 
 class Channels(Table, frozen=True):
     """`[channels]`: names that a log uses; None means the default."""
 
-    time: str | int | None = None
-    position: Columns | None = None
-    velocity: Columns | None = None
-    current: Columns | None = None
-    torque: Columns | None = None
-    load: Columns | None = None
-    link_position: Columns | None = None
-    voltage: Columns | None = None
-    pwm: Columns | None = None
-    temperature: Columns | None = None
-    # what the effort of a JointState is
-    effort: Literal["torque", "current", "gravity_compensated"] | None = None
-    unit: Literal["rad", "deg"] = "rad"  # of angles
-    length_unit: Literal["m", "mm"] = "m"  # of sliding joints' positions
+    time: Annotated[
+        str | int | None, Meta(description="column of the time, by name or number")
+    ] = None
+    position: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    velocity: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    current: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    torque: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    load: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    link_position: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    voltage: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    pwm: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    temperature: Annotated[Columns | None, Meta(description=_COLUMNS)] = None
+    effort: Annotated[
+        Literal["torque", "current", "gravity_compensated"] | None,
+        Meta(description="what the effort of a JointState is"),
+    ] = None
+    unit: Annotated[Literal["rad", "deg"], Meta(description="unit of angles")] = "rad"
+    length_unit: Annotated[
+        Literal["m", "mm"], Meta(description="unit of sliding joints' positions")
+    ] = "m"
 
 
 class EffectEntry(Table, frozen=True):
-    """One `[[effect]]`: a formula, or the name of an effect of an installed package."""
+    """One `[[effect]]` to look for beside the catalogue."""
 
-    name: str
-    joint: str | None = None
-    torque: str | None = None
-    settings: dict[str, tuple[float, float]] = {}
+    name: Annotated[
+        str, Meta(description="its name, or that of an effect of an installed package")
+    ]
+    joint: Annotated[
+        str | None, Meta(description="where it acts; at any joint if left out")
+    ] = None
+    torque: Annotated[
+        str | None,
+        Meta(
+            description="its formula, such as 'c1 * tanh(q / width)'; left out where a"
+            " package offers the effect"
+        ),
+    ] = None
+    settings: Annotated[
+        dict[str, tuple[float, float]],
+        Meta(description="lowest and highest value of each setting of the formula"),
+    ] = {}
 
 
 class GeometryError(Table, frozen=True):
     """`geometry_error`: standard errors of each joint's frame in the chain."""
 
-    position: float = 0.0  # m
-    angle: float = 0.0  # rad
+    position: Annotated[float, Meta(description="[m]")] = 0.0
+    angle: Annotated[float, Meta(description="[rad]")] = 0.0
 
 
 class RobotFile(Table, frozen=True):
     """The whole document."""
 
-    schema: str
-    name: str
-    gravity: Vector
-    joint: tuple[JointEntry, ...]
-    urdf: str | None = None
-    gravity_error: float = 0.0
-    geometry_error: GeometryError = GeometryError()
+    schema: Annotated[str, Meta(description=f"'{SCHEMA}'")]
+    name: Annotated[str, Meta(description="any name of the robot")]
+    gravity: Annotated[Vector, Meta(description="in the base frame [m/s^2]")]
+    joint: Annotated[
+        tuple[JointEntry, ...], Meta(description="the joints from the base on")
+    ]
+    urdf: Annotated[
+        str | None,
+        Meta(description="path from this file; or give dh of every joint"),
+    ] = None
+    gravity_error: Annotated[
+        float, Meta(description="standard error of gravity's direction [rad]")
+    ] = 0.0
+    geometry_error: Annotated[
+        GeometryError,
+        Meta(description="standard errors of each joint's frame in the chain"),
+    ] = GeometryError()
     imu: tuple[ImuEntry, ...] = ()
     effect: tuple[EffectEntry, ...] = ()
     channels: Channels = Channels()

@@ -18,6 +18,8 @@ from seqid_cli.params.results import (
     trend,
 )
 from seqid_cli.params.schema import SCHEMA, ParameterFile
+from seqid_cli.robot.toml_schema import SCHEMA as ROBOT_SCHEMA
+from seqid_cli.robot.toml_schema import RobotFile
 from tests import ROOT
 
 SCHEMA_FOLDER = ROOT / "seqid_cli" / "params" / "schemas"
@@ -29,6 +31,7 @@ DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {
     plan.PLAN_SCHEMA: plan.PlanFile,
     payload.PAYLOAD_SCHEMA: payload.PayloadFile,
     trend.TREND_SCHEMA: trend.TrendFile,
+    ROBOT_SCHEMA: RobotFile,
 }
 
 
@@ -44,12 +47,14 @@ def json_schema(name: str) -> dict[str, object]:
     # The name of the schema is a plain string to the decoder, which must read other
     # versions too.
     components[document.__name__]["properties"]["schema"] = {"const": name}
-    return {
+    schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": name,
         **reference,
         "$defs": components,
     }
+    # Defaults as JSON has them: lists for tuples.
+    return dict(json.loads(msgspec.json.encode(schema)))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ refuse.
 import json
 import math
 import re
+import tomllib
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -22,6 +23,7 @@ from seqid_cli.params.encode import LARGEST, encode, plain
 from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.schema import SCHEMA, EffectOfJoint, Stages
+from tests import ROOT
 from tests.unit.params import documents as made
 from tests.unit.params.documents import (
     diagnosis_file,
@@ -30,7 +32,12 @@ from tests.unit.params.documents import (
     log,
     robot,
 )
-from tests.unit.params.generate import DOCUMENTS, json_schema, schema_path
+from tests.unit.params.generate import (
+    DOCUMENTS,
+    ROBOT_SCHEMA,
+    json_schema,
+    schema_path,
+)
 
 
 def test_what_rested_on_a_stage_goes_when_it_is_done_again() -> None:
@@ -89,6 +96,40 @@ def test_the_schema_refuses_what_breaks_the_contract() -> None:
     document["joints"]["elbow"]["white"] = 1
     places = {"$.verdict", "$.findings[0]", "$.joints.elbow.white"}
     assert refused_at(DIAGNOSIS_SCHEMA, document) == places
+
+
+def robot_files() -> list[Path]:
+    return sorted((ROOT / "sample_logs").glob("*/robot.toml"))
+
+
+@pytest.mark.parametrize("path", robot_files(), ids=lambda path: path.parent.name)
+def test_the_schema_of_robot_files_takes_the_samples(path: Path) -> None:
+    assert refused_at(ROBOT_SCHEMA, tomllib.loads(path.read_text())) == set()
+
+
+def test_the_schema_of_robot_files_refuses_what_reading_refuses() -> None:
+    document = tomllib.loads(robot_files()[0].read_text())
+    document["joint"][0]["gear_ration"] = 6.0
+    document["gravity"] = [0.0, -9.81]
+    places = {"$.joint[0]", "$.gravity"}
+    assert refused_at(ROBOT_SCHEMA, document) == places
+
+
+def test_every_key_of_a_robot_file_is_described() -> None:
+    tables = json_schema(ROBOT_SCHEMA)["$defs"]
+    assert isinstance(tables, dict)
+    bare = {
+        (table, key)
+        for table, content in tables.items()
+        for key, value in content["properties"].items()
+        if "description" not in value and "const" not in value
+    }
+    # Tables of their own say what they are themselves.
+    assert bare == {
+        ("RobotFile", "imu"),
+        ("RobotFile", "effect"),
+        ("RobotFile", "channels"),
+    }
 
 
 finite = st.floats(

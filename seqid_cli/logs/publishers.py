@@ -208,23 +208,47 @@ def _contradicts(
     return n_off >= max(FEWEST, min_share * len(t_second))
 
 
-def _takes_turns(position: Array, *, far: float = 10.0, least: float = 1e-3) -> bool:
-    """Tell whether positions (M, n) go to and fro by more than they move otherwise.
+def _takes_turns(
+    position: Array, *, far: float = 10.0, far_steps: float = 3.0, least: float = 1e-3
+) -> bool:
+    """Tell whether positions (M, n) go to and fro by more than they move around it.
 
     Parameters
     ----------
     far : float
-        Times the usual change. It is the smaller of the changes from one message to the
-        next and to the next but one: of two publishers that alternate the latter is
-        small.
+        Times the changes around it, from which a change is no motion. Of these the
+        smallest counts: of the message before, of the one behind, and of the next but
+        one, which is small where two publishers alternate.
+    far_steps : float
+        Steps of the encoder that a change must have as well: a slow joint rests from
+        one step to the next.
     least : float
         Change that is looked at, rad (m).
     """
-    change = np.abs(position[1:] - position[:-1]).max(axis=1)
-    change_over_two = np.abs(position[2:] - position[:-2]).max(axis=1)
-    usual = min(float(np.median(change)), float(np.median(change_over_two)))
-    n_far = int(np.count_nonzero(change > max(far * usual, least)))
-    return n_far >= 2 * FEWEST
+    change = np.abs(np.diff(position, axis=0))
+    change_over_two = np.abs(position[2:] - position[:-2])
+    largest = change.max(axis=1)
+    over_two = change_over_two.max(axis=1)
+    around = np.minimum(largest[:-2], largest[2:])
+    around = np.minimum(around, np.minimum(over_two[:-1], over_two[1:]))
+
+    limits = np.maximum(least, far_steps * _encoder_steps(position))
+    is_far = (change[1:-1] > limits).any(axis=1) & (largest[1:-1] > far * around)
+    return int(np.count_nonzero(is_far)) >= 2 * FEWEST
+
+
+def _encoder_steps(position: Array) -> Array:
+    """Return the smallest step (n,) between the values of each joint's positions.
+
+    It is 0 where a joint takes so few of them that they may be those of two publishers,
+    and each of these stands still.
+    """
+    steps = np.zeros(position.shape[1])
+    for j, values in enumerate(position.T):
+        taken = np.unique(values)
+        if len(taken) >= FEWEST:
+            steps[j] = np.diff(taken).min()
+    return steps
 
 
 def _constant(values: Array, rows: Mask) -> Mask:

@@ -64,6 +64,30 @@ def test_messages_of_another_publisher_are_left_out(kind: str, tmp_path: Path) -
     np.testing.assert_array_equal(recording.tau, TAU)
 
 
+# A coarse encoder rests from one step to the next.
+SLOW_AND_COARSE = np.round(0.05 * Q / 0.01) * 0.01 + 0.5
+# Mostly at rest, then quicker than ten times what is usual in the log.
+RESTING_THEN_QUICK = np.stack(
+    [np.where(T > 10.0, np.sin(3.0 * (T - 10.0)), 0.0) + 0.4, ZERO[:, 1] + 0.7], axis=1
+)
+MOTIONS = {
+    "slow and coarse": SLOW_AND_COARSE,
+    "resting, then quick": RESTING_THEN_QUICK,
+}
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_zeros_are_left_out_of_any_motion(motion: str, tmp_path: Path) -> None:
+    q = MOTIONS[motion]
+    zeros = messages(ZERO, late_s=0.007, tau=ZERO)[::5]
+    both = sorted(messages(q, tau=TAU) + zeros, key=lambda message: message[1])
+    log = write_messages(tmp_path / "log.mcap", both, encoding="cdr")
+    recording = read_recording(log, planar_2r())
+    (said,) = recording.health.warnings
+    assert f"a second publisher: {len(zeros)} of {COUNT + len(zeros)} messages" in said
+    np.testing.assert_array_equal(recording.q, q)
+
+
 def test_two_that_look_alike_are_refused(tmp_path: Path) -> None:
     other = messages(Q[::-1], late_s=0.01, tau=TAU[::-1])
     log = write_messages(tmp_path / "log.mcap", in_turn(ROBOT, other), encoding="cdr")
@@ -78,6 +102,8 @@ RESTS = np.where((T % 4.0 < 2.0)[:, None], Q, 0.0)
 SPIKES = Q + 0.5 * (np.arange(COUNT) % 149 == 7)[:, None]
 ONE = {
     "plain": ROBOT,
+    "slow and coarse": messages(SLOW_AND_COARSE, tau=TAU),
+    "resting, then quick": messages(RESTING_THEN_QUICK, tau=TAU),
     "effort in every second message": in_turn(ROBOT, messages(Q, late_s=0.002)),
     "without effort": messages(Q),
     "at rest": messages(np.where((T < 6.0)[:, None], Q, Q[300]), tau=TAU),

@@ -19,6 +19,9 @@ from seqid_cli.model.friction_basis import FADE
 from seqid_cli.robot.base_parameters import gear_ratios
 
 _NO_LIMIT = 1e300  # N m: no alarm from a joint whose error is not known
+# Of a deviation, over which the torque is differentiated along it. Central differences
+# err by its square, a millionth, and by the rounding of torque over it, 1e-13.
+DEVIATION_SHARE = 1e-3
 _KEYWORDS = frozenset(
     {"auto", "double", "float", "int", "long", "short", "static", "void"}
 )
@@ -72,6 +75,7 @@ def _content(model: ExportModel, syntax: Syntax) -> dict[str, object]:
         "limit": np.nan_to_num(model.observer.limit, posinf=_NO_LIMIT),
         "base": base,
         "code": code,
+        "deviation_share": DEVIATION_SHARE,
         "instant": bool(code.instant or code.waves),
         "signs": "_seqid_sign(" in lines,
         "units": np.eye(robot.n),

@@ -8,7 +8,7 @@ which a joint slides.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -149,16 +149,42 @@ def _torque(arm: WrittenArm, full: FullModel, motion: Motion, steps: Steps) -> A
     if not arm.steps:
         # What delays the logged torque is the log's own matter, and no model file's.
         return full.model.late(known, motion)
-    # Effects are filtered like friction; what the measurement does, delays and lags,
-    # acts on the modelled torque, which is low-passed once already.
-    measured = arm.stepped(steps, as_logged=True)
-    physical = measured
-    if arm.delays(steps):
-        physical = arm.stepped(steps, as_logged=False)
-    effects = physical - rigid - plain
+    # Effects are filtered like friction, and what delays and lags do to a torque like
+    # that torque.
+    if not arm.delays(steps):
+        effects = arm.stepped(steps, as_logged=True) - rigid - plain
+        return known + motion.filtered(effects, times=2)
+    physical = arm.stepped(steps, as_logged=False)
+    shaped = arm.stepped(steps, as_logged=True) - physical
+    of_friction = _odd_part(arm, steps, shaped)
+    twice = physical - rigid - plain + of_friction
     return (
-        known + motion.filtered(effects, times=2) + motion.filtered(measured - physical)
+        known + motion.filtered(twice, times=2) + motion.filtered(shaped - of_friction)
     )
+
+
+def _odd_part(arm: WrittenArm, steps: Steps, shaped: Array) -> Array:
+    """Return what delays and lags do to friction's steps alone.
+
+    A form says what they do to its whole torque. That of links and rotors is the same
+    whether the joints move forwards or backwards, and friction changes its sign: the
+    same motion with velocities turned round tells them apart. What of friction does not
+    change its sign has no steps, and goes through any low-pass like the rest.
+
+    Parameters
+    ----------
+    shaped : (N, n) array
+        What delays and lags add to the torque of the motion, N m.
+
+    Returns
+    -------
+    (N, n) array
+        N m (N where prismatic).
+    """
+    turned = replace(steps, dq=-steps.dq)
+    physical = arm.stepped(turned, as_logged=False)
+    shaped_when_turned = arm.stepped(turned, as_logged=True) - physical
+    return 0.5 * (shaped - shaped_when_turned)
 
 
 def _steps(scene: Scene, run: slice) -> Steps:

@@ -16,6 +16,9 @@ import numpy as np
 from seqid_cli.export.motions import FullModel
 from seqid_cli.export.written import Steps, WrittenArm, read_written
 from seqid_cli.logs.read import read_recording
+from seqid_cli.model.effects.apply import effect_torque
+from seqid_cli.model.effects.fitted import FittedEffect
+from seqid_cli.model.effects.measurement import ModelledTorque
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import sampled_friction
 from seqid_cli.motion.motion import Motion
@@ -116,7 +119,8 @@ def replayed(
             # A form that is slow to run is looked at on the first part of a log.
             run = slice(arm.most_samples)
             scene = full.scene(log, motion)
-            by_form = _torque(arm, full, motion.part(run), _steps(scene, run))
+            smooth = _added_without_steps(full, scene)[run]
+            by_form = _torque(arm, full, motion.part(run), _steps(scene, run), smooth)
             by_file, sliding = by_file[run], sliding[run]
             if len(sliding) < log.q.shape[0]:
                 sliding[-2 * motion.lowpass.settling :] = False  # the filter's end
@@ -140,8 +144,16 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _torque(arm: WrittenArm, full: FullModel, motion: Motion, steps: Steps) -> Array:
-    """Return the torque (N, n) N m of a written form on a motion, filtered as predictions are."""
+def _torque(
+    arm: WrittenArm, full: FullModel, motion: Motion, steps: Steps, smooth: Array
+) -> Array:
+    """Return the torque (N, n) N m of a written form on a motion, filtered as predictions are.
+
+    Parameters
+    ----------
+    smooth : (N, n) array
+        What the file adds to links, rotors and friction that has no steps, N m.
+    """
     widths = [0.0 if s is None else s.sign_width for s in full.model.surfaces]
     rigid = arm.rigid(motion.q, motion.dq, motion.ddq)
     plain, friction = _friction(arm, widths, motion)
@@ -149,42 +161,37 @@ def _torque(arm: WrittenArm, full: FullModel, motion: Motion, steps: Steps) -> A
     if not arm.steps:
         # What delays the logged torque is the log's own matter, and no model file's.
         return full.model.late(known, motion)
-    # Effects are filtered like friction, and what delays and lags do to a torque like
-    # that torque.
-    if not arm.delays(steps):
-        effects = arm.stepped(steps, as_logged=True) - rigid - plain
-        return known + motion.filtered(effects, times=2)
-    physical = arm.stepped(steps, as_logged=False)
-    shaped = arm.stepped(steps, as_logged=True) - physical
-    of_friction = _odd_part(arm, steps, shaped)
-    twice = physical - rigid - plain + of_friction
-    return (
-        known + motion.filtered(twice, times=2) + motion.filtered(shaped - of_friction)
-    )
+    added = arm.stepped(steps) - rigid - plain
+    # All of it twice, but for what the second low-pass takes off torque without steps.
+    regained = motion.filtered(smooth) - motion.filtered(smooth, times=2)
+    return known + motion.filtered(added, times=2) + regained
 
 
-def _odd_part(arm: WrittenArm, steps: Steps, shaped: Array) -> Array:
-    """Return what delays and lags do to friction's steps alone.
+def _added_without_steps(full: FullModel, scene: Scene) -> Array:
+    """Return what the file's effects and delays add that has no steps, unfiltered.
 
-    A form says what they do to its whole torque. That of links and rotors is the same
-    whether the joints move forwards or backwards, and friction changes its sign: the
-    same motion with velocities turned round tells them apart. What of friction does not
-    change its sign has no steps, and goes through any low-pass like the rest.
-
-    Parameters
-    ----------
-    shaped : (N, n) array
-        What delays and lags add to the torque of the motion, N m.
+    It follows from motion that was low-passed already, so that predictions low-pass it
+    once, like links and rotors. A form says the sum of all that it adds, from which
+    this cannot be told. So the file says it: by how much the second low-pass would be
+    too many.
 
     Returns
     -------
     (N, n) array
         N m (N where prismatic).
     """
-    turned = replace(steps, dq=-steps.dq)
-    physical = arm.stepped(turned, as_logged=False)
-    shaped_when_turned = arm.stepped(turned, as_logged=True) - physical
-    return 0.5 * (shaped - shaped_when_turned)
+    # Of functions of the modelled torque it is that of the torque without friction.
+    slippery = replace(full.model, surfaces=(None,) * full.robot.n)
+    frictionless = replace(scene, model=slippery)
+    torque = full.model.late(scene.carried, scene.motion) - scene.carried
+    for item in full.effects:
+        if not isinstance(item, FittedEffect) or item.passes > 1:
+            continue
+        if item.effect.body_terms(full.robot, item.joint, item.settings) is not None:
+            continue  # which a form has among its links and rotors
+        of_torque = isinstance(item.effect, ModelledTorque)
+        torque = torque + effect_torque(frictionless if of_torque else scene, [item])
+    return torque
 
 
 def _steps(scene: Scene, run: slice) -> Steps:

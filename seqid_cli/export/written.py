@@ -17,7 +17,7 @@ import sys
 import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -71,27 +71,15 @@ class WrittenArm(ABC):
     def friction(self, q: Array, dq: Array) -> Array:
         """Return the friction torque (N, n) N m."""
 
-    def stepped(self, steps: Steps, *, as_logged: bool) -> Array:
-        """Return the whole torque (N, n) N m, sample by sample, where it has more.
+    def stepped(self, steps: Steps) -> Array:
+        """Return the whole torque (N, n) N m as it is logged, sample by sample.
 
-        `as_logged`: whether delays and lags of the logged torque are in it.
+        Raises
+        ------
+        NotImplementedError
+            The form has no more than `rigid` and `friction`.
         """
         raise NotImplementedError
-
-    def delays(self, steps: Steps, *, tried: int = 200) -> bool:
-        """Return whether delays or lags of the logged torque are in it, by a few samples."""
-        few = slice(tried)
-        first = replace(
-            steps,
-            q=steps.q[few],
-            dq=steps.dq[few],
-            ddq=steps.ddq[few],
-            time=steps.time[few],
-            temperature=None if steps.temperature is None else steps.temperature[few],
-        )
-        with_delays = self.stepped(first, as_logged=True)
-        without = self.stepped(first, as_logged=False)
-        return not np.array_equal(with_delays, without)
 
 
 class UnreadableFormError(QualityError):
@@ -152,11 +140,10 @@ void seqid_friction(long count, const double *q, const double *dq, double *tau)
     for (long k = 0; k < count * N; k += N) {name}_friction_torque(q + k, dq + k, tau + k);
 }}
 void seqid_total(long count, const double *q, const double *dq, const double *ddq,
-    const double *celsius, const double *time, double dt, int as_logged, double *tau)
+    const double *celsius, const double *time, double dt, double *tau)
 {{
     static {name}_state s;
     {name}_start(&s, q);
-    s.as_logged = as_logged;
     for (long k = 0; k < count; ++k)
         {name}_step(&s, q + k * N, dq + k * N, ddq + k * N, celsius ? celsius + k * N : 0,
             time[k], dt, tau + k * N);
@@ -185,7 +172,7 @@ class CompiledArm(WrittenArm):
         """Return the friction torque (N, n) N m."""
         return self._run("seqid_friction", [q, dq])
 
-    def stepped(self, steps: Steps, *, as_logged: bool) -> Array:
+    def stepped(self, steps: Steps) -> Array:
         """Return the whole torque (N, n) N m, sample by sample."""
         q, dq, ddq, time = map(
             np.ascontiguousarray, (steps.q, steps.dq, steps.ddq, steps.time)
@@ -200,7 +187,6 @@ class CompiledArm(WrittenArm):
             None if celsius is None else _pointer(celsius),
             _pointer(time),
             ctypes.c_double(steps.period),
-            ctypes.c_int(as_logged),
             _pointer(tau),
         )
         return tau
@@ -259,10 +245,10 @@ class ImportedArm(WrittenArm):
         rows = zip(q, dq, strict=True)
         return np.array([self._module.friction_torque(*row) for row in rows])
 
-    def stepped(self, steps: Steps, *, as_logged: bool) -> Array:
+    def stepped(self, steps: Steps) -> Array:
         """Return the whole torque (N, n) N m, sample by sample."""
         rows = zip(steps.q, steps.dq, steps.ddq, strict=True)
-        model = self._module.Model(as_logged=as_logged)
+        model = self._module.Model()
         model.start(steps.q[0])
         torques = []
         for k, row in enumerate(rows):

@@ -92,8 +92,8 @@ class Code:
         How many deflections of bristles the state holds.
     twisted : list of int
         Joints of the twists that it holds.
-    played : list of (int, float)
-        Joints of the gears with backlash, and half their gaps, rad.
+    plays : int
+        How many gears with backlash it holds.
     wavy : list of int
         Joints whose friction feels the error of their encoder.
     based : bool
@@ -122,18 +122,13 @@ class Code:
     gravity: Array
     based: bool = False
     twisted: list[int] = field(default_factory=list)
-    played: list[tuple[int, float]] = field(default_factory=list)
+    plays: int = 0
     wavy: list[int] = field(default_factory=list)
 
     @property
     def twists(self) -> int:
         """How many twists the state holds."""
         return len(self.twisted)
-
-    @property
-    def plays(self) -> int:
-        """How many gears with backlash the state holds."""
-        return len(self.played)
 
     @property
     def moved(self) -> bool:

@@ -336,7 +336,7 @@ class _Writer:
                     self._slot("play", code.plays),
                     -float(c[0]) / deviation.gap,
                 )
-                code.played.append((j, 0.5 * deviation.gap))
+                code.plays += 1
                 half = real(0.5 * deviation.gap)
                 move = call("play", slot, f"load[{j}] / {inertia}", half, "dt")
             lines = [syntax.statement(move)]

@@ -6,6 +6,7 @@ each sees the load and the torque of the `BaseModel`. Exported code does the sam
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -20,6 +21,11 @@ from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
+# Torques that a delay line keeps at least, and per second of the longest delay: as many
+# as come at 1 kHz, so that friction's steps stay as short as they are.
+FEWEST_DELAYED = 64
+DELAYED_PER_S = 1000.0
+SPARE_DELAYED = 16
 USUAL_TOP_SPEED = 1.0  # rad/s, of a joint whose friction and speed limit are not known
 
 
@@ -124,6 +130,12 @@ class Code:
     twisted: list[int] = field(default_factory=list)
     plays: int = 0
     wavy: list[int] = field(default_factory=list)
+
+    @property
+    def delay_samples(self) -> int:
+        """How many torques the delay line keeps."""
+        needed = math.ceil(DELAYED_PER_S * self.longest_s) + SPARE_DELAYED
+        return max(FEWEST_DELAYED, needed)
 
     @property
     def twists(self) -> int:

@@ -51,8 +51,10 @@ RATE_HZ = 1000.0
 CUTOFF_HZ = 10.0  # of the file
 TORQUE_HZ = 100.0  # up to which the log's torque is the file's
 SECONDS = 12.0
-REST_S = 0.3  # before the motion, so that states begin at rest
-RISE_S = 0.3  # in which the motion sets in
+# At either end, so that states begin at rest. Predictions know no derivative at the very
+# end of a log that is cut off in motion.
+REST_S = 0.3
+RISE_S = 0.5  # in which the motion sets in, and in which it fades
 IN_PYTHON = 1500  # samples of the numpy module
 
 FORMULA = "a formula of the robot file"
@@ -295,7 +297,7 @@ def _torque_and_effect(full: FullModel, log: Recording) -> tuple[Array, Array]:
 
 
 def warming_log(robot: Robot, *, seconds: float = SECONDS) -> Recording:
-    """Return a log without torque of an arm that sets in from rest, and warms up.
+    """Return a log without torque of an arm that warms up, from rest to rest.
 
     Its joints move at incommensurate rates.
     """
@@ -303,12 +305,19 @@ def warming_log(robot: Robot, *, seconds: float = SECONDS) -> Recording:
     rng = np.random.default_rng(23)
     hz = rng.uniform(0.2, 0.8, (8, robot.n))
     phase = rng.uniform(0.0, 2.0 * np.pi, (8, robot.n))
-    # Time itself sets in slowly.
-    moving = np.maximum(t - REST_S, 0.0)
-    paced = RISE_S * (np.hypot(moving / RISE_S, 1.0) - 1.0)
+    # Time itself sets in slowly, and fades.
+    pace = _smooth_step((t - REST_S) / RISE_S)
+    pace = pace * _smooth_step((seconds - REST_S - t) / RISE_S)
+    paced = np.cumsum(pace) / RATE_HZ
     turns = 2.0 * np.pi * hz * paced[:, None, None] + phase
     q = np.asarray(0.17 * np.sum(np.sin(turns), axis=1))
 
     warmth = 25.0 + 10.0 * (1.0 - np.exp(-t / 4.0))
     celsius = np.outer(warmth, np.ones(robot.n)) + np.arange(robot.n)
     return made_recording(q, np.zeros_like(q), rate_hz=RATE_HZ, temperature=celsius)
+
+
+def _smooth_step(x: Array) -> Array:
+    """Return 0 before 0, 1 after 1, and what joins them with two steady derivatives."""
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x**3 * (10.0 - 15.0 * x + 6.0 * x**2))

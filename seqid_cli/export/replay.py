@@ -30,6 +30,10 @@ from seqid_cli.typing import Array
 # By how much a written form may be worse than what it states: rounding, other
 # libraries' friction at a reversal and the log's own chance stay far below.
 MAX_RATIO = 1.1
+# Settlings of the low-pass before the end of a shortened run that do not count. The end
+# is felt by 1e-3 of the torque after two of them, as many as it has passes, and by 4e-5
+# after four.
+SETTLINGS_LEFT_OUT = 4
 # N m; below it, errors are those of numbers with 15 digits, and their ratio says
 # nothing.
 _NOTHING = 1e-6
@@ -124,9 +128,8 @@ def replayed(
             by_form = _torque(arm, full, motion.part(run), _steps(scene, run), smooth)
             by_file, sliding = by_file[run], sliding[run]
             if len(sliding) < log.q.shape[0]:
-                # Where the low-pass misses what follows: it feels 1e-3 of the torque
-                # within its settling of both passes, and 4e-5 beyond twice as much.
-                sliding[-4 * motion.lowpass.settling :] = False
+                # There the low-pass misses what follows.
+                sliding[-SETTLINGS_LEFT_OUT * motion.lowpass.settling :] = False
             for row, predicted in enumerate((by_file, by_form)):
                 error = np.where(sliding, motion.tau[run] - predicted, 0.0)
                 squares[row] += np.square(error).sum(axis=0)

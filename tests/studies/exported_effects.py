@@ -3,9 +3,9 @@ file?
 
 An effect is put at every joint that can have it, in all variants of its law in turn. It
 is as large as `EFFECT_SHARE` of the joint's other torque. The torque of a held-out
-motion is that of the whole file, ten times above the cut-off, with white noise of
+motion is that of the whole file, up to ten times its cut-off, with white noise of
 `NOISE_SHARE` of the effect. So an export whose error is `MAX_RATIO` of the file's says
-the effect to 2 %, and one that lacks it errs ten times as much.
+the effect to 2 %; one that lacks it is replayed as well.
 """
 
 import sys
@@ -146,8 +146,9 @@ def study(chosen: Namespace) -> str:
         row = [f"`{subject}`" if subject in CATALOGUE else subject]
         for arm in arms:
             found = replays(subject, arm)
-            row += [_cell(one.ratio, 4) for one in found]
-            row.append(_cell(found[0].left_out, 1))
+            row += [_ratio_cell(one.ratio) for one in found]
+            left_out = found[0].left_out
+            row.append("-" if left_out is None else f"{left_out:.1f}")
             sys.stderr.write(f"{subject} {arm}: {' '.join(row[-3:])}\n")
         rows.append(row)
     header = ["effect"]
@@ -156,8 +157,10 @@ def study(chosen: Namespace) -> str:
     return table(header, rows)
 
 
-def _cell(ratio: float | None, digits: int) -> str:
-    return "-" if ratio is None else f"{ratio:.{digits}f}"
+def _ratio_cell(ratio: float | None) -> str:
+    if ratio is None:
+        return "-"
+    return f"{ratio:.4f}" if ratio <= MAX_RATIO else f"**{ratio:.4f}**"
 
 
 def planted(subject: str, arm: str) -> Planted:
@@ -209,7 +212,7 @@ def replays(
     seconds: float = SECONDS,
 ) -> list[Replayed]:
     """Write an arm with an effect in some forms, and run these over a held-out motion."""
-    with _package_installed():
+    with package_installed():
         plant = planted(subject, arm)
         if not plant.items:
             return [
@@ -247,7 +250,7 @@ def replays(
 
 
 @contextmanager
-def _package_installed() -> Iterator[None]:
+def package_installed() -> Iterator[None]:
     """Offer the effect of the package as an installed one does."""
     value = f"{CableDrag.__module__}:{CableDrag.__name__}"
     point = EntryPoint(name=CableDrag.name, value=value, group=own.GROUP)

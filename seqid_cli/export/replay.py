@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.export.motions import FullModel
-from seqid_cli.export.written import Steps, WrittenArm, read_written
+from seqid_cli.export.written.arm import Steps, WrittenArm
+from seqid_cli.export.written.read import read_written
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.apply import effect_torque
 from seqid_cli.model.effects.fitted import FittedEffect

@@ -21,10 +21,10 @@ from unittest.mock import patch
 import numpy as np
 from msgspec.structs import replace as replace_struct
 
-from seqid_cli.export import written
 from seqid_cli.export.formats import export
 from seqid_cli.export.motions import FullModel
 from seqid_cli.export.replay import replayed
+from seqid_cli.export.written import code
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects import own
 from seqid_cli.model.effects.effect import Coefficient, Effect, Settings
@@ -261,7 +261,7 @@ def package_installed() -> Iterator[None]:
 @contextmanager
 def _shorter_in_python() -> Iterator[None]:
     """Run numpy modules over the first second of a log: Python takes its time."""
-    with patch.object(written, "MOST_IN_PYTHON", IN_PYTHON):
+    with patch.object(code, "MOST_IN_PYTHON", IN_PYTHON):
         yield
 
 

@@ -5,7 +5,7 @@ The study runs all of it; here are the effects that stateful code has to say.
 
 import pytest
 
-from seqid_cli.export.written import compiler
+from seqid_cli.export.written.code import compiler
 from tests.studies.exported_effects import (
     ARMS,
     MAX_RATIO,

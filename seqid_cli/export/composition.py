@@ -62,9 +62,11 @@ class BaseModel:
         n = robot.n
         gear = gear_ratios(robot)
         rotor = np.zeros(n) if model.rotor is None else model.rotor
+
         turned = np.zeros(n)
         if model.coupling == "gyroscopic":
             turned = np.where(robot.chain.prismatic, 0.0, gear * rotor)
+
         widths = [
             (
                 DEFAULT_SIGN_SHARE * (joint.velocity_limit or USUAL_TOP_SPEED)

@@ -181,8 +181,8 @@ class _Writer:
 
     def _if_measured(self, joints: Sequence[int], *conditions: str) -> str:
         """Write a condition: the temperatures of joints are known, and what else is."""
-        known = [self.syntax.known.format(j=joint) for joint in joints]
-        return f" {self.syntax.also} ".join([*conditions, *known])
+        temperatures = [self.syntax.known.format(j=joint) for joint in joints]
+        return f" {self.syntax.also} ".join([*conditions, *temperatures])
 
     def _table(self, name: str, values: Array) -> Iterator[str]:
         """Write a table of numbers, four a line."""

@@ -188,7 +188,7 @@ def _added_without_steps(full: FullModel, scene: Scene) -> Array:
         N m (N where prismatic).
     """
     # Of functions of the modelled torque it is that of the torque without friction.
-    slippery = replace(full.model, surfaces=(None,) * full.robot.n)
+    slippery = replace(full.model, surfaces=[None] * full.robot.n)
     frictionless = replace(scene, model=slippery)
     torque = full.model.late(scene.carried, scene.motion) - scene.carried
     for item in full.effects:

@@ -355,7 +355,7 @@ class _Writer:
         syntax = self.syntax
         call = syntax.call
         width = real(self.base.sign_width[j])
-        # As in `Scene.friction_slope`: at least as long as a sample resolves.
+        # As `predict` takes it: at least as long as a sample resolves.
         per_sample = f"2.0 * {call('abs', f'ddq[{j}]')} * dt"
         shortest = call("max", width, per_sample)
         half = call("max", shortest, f"0.5 * {call('abs', 'lead')}")

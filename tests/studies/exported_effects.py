@@ -275,8 +275,10 @@ def _written_log(path: Path, full: FullModel, seconds: float) -> Path:
     inertia = replace_struct(full.stages.inertia, cutoff_hz=TORQUE_HZ)
     wide = FullModel.of(robot, replace_struct(full.stages, inertia=inertia))
     torque, _ = wide.predicted(log, wide.motion(log))
-    _, effect = _torque_and_effect(full, log)
+    low_passed, effect = _torque_and_effect(full, log)
     size = np.sqrt(np.mean(effect**2, axis=0))
+    if not size.any():  # a contact: with as much noise as the others
+        size = EFFECT_SHARE * np.sqrt(np.mean(low_passed**2, axis=0))
     # White noise loses most of its power in the low-pass; what passes is to be a tenth.
     passing = np.sqrt(2.0 * CUTOFF_HZ / RATE_HZ)
     white = np.random.default_rng(7).normal(size=torque.shape)

@@ -272,6 +272,7 @@ def _written_log(path: Path, full: FullModel, seconds: float) -> Path:
     """
     robot = full.robot
     log = warming_log(robot, seconds=seconds)
+    assert full.stages.inertia is not None
     inertia = replace_struct(full.stages.inertia, cutoff_hz=TORQUE_HZ)
     wide = FullModel.of(robot, replace_struct(full.stages, inertia=inertia))
     torque, _ = wide.predicted(log, wide.motion(log))

@@ -200,7 +200,8 @@ def _replay(
         return None, [f"{unchecked}: {lacking} (--replay names some)"]
     from seqid_cli.export.motions import FullModel
     from seqid_cli.export.replay import failures, replayed
-    from seqid_cli.export.written import NoCompilerError, UnreadableFormError
+    from seqid_cli.export.written.arm import UnreadableFormError
+    from seqid_cli.export.written.code import NoCompilerError
 
     full = FullModel.of(arm, previous.stages)
     replayed_logs = [str(log) for log in logs]

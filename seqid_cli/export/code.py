@@ -6,6 +6,8 @@ effect (`export.laws`).
 """
 
 import re
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -17,8 +19,12 @@ from seqid_cli.export.text import plain, rendered
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import FADE
 from seqid_cli.robot.base_parameters import gear_ratios
+from seqid_cli.typing import Array
 
 _NO_LIMIT = 1e300  # N m: no alarm from a joint whose error is not known
+# Of a deviation, over which the torque is differentiated along it. Central differences
+# err by its square, a millionth, and by the rounding of torque over it, 1e-13.
+DEVIATION_SHARE = 1e-3
 _KEYWORDS = frozenset(
     {"auto", "double", "float", "int", "long", "short", "static", "void"}
 )
@@ -40,28 +46,22 @@ def numpy_module(model: ExportModel) -> str:
 
 
 def _content(model: ExportModel, syntax: Syntax) -> dict[str, object]:
-    robot, chain = model.robot, model.robot.chain
+    """Return what the templates of both languages are filled in with."""
+    robot = model.robot
     base = BaseModel.of_model(model.base)
     code = code_of(model.effects, model.base, base, syntax)
-    turning = model.coupling == "gyroscopic"
-    coupling = np.where(
-        chain.prismatic, 0.0, turning * gear_ratios(robot) * model.nearest.rotor
-    )
-    coupling = coupling + code.rotor
-    surfaces = model.base.surfaces
-    kelvin = np.array([0.0 if own is None else own.per_kelvin for own in surfaces])
-    celsius = [None if own is None else own.temperature for own in surfaces]
-    known = np.array([degrees is not None for degrees in celsius])
-    kelvin = np.where(known, kelvin, 0.0)
+    coupling = _coupling(model) + code.rotor
+    warmth = [_Warmth.of(surface) for surface in model.base.surfaces]
     lines = "".join([*code.instant, *code.session])
+
     return {
         "name": identifier(robot.name),
         "joints": [
             (plain(joint.name), joint.unit("rad, N m")) for joint in robot.joints
         ],
         "n": robot.n,
-        "chain": chain,
-        "slides": [int(slides) for slides in chain.prismatic],
+        "chain": robot.chain,
+        "slides": [int(slides) for slides in robot.chain.prismatic],
         "phi": model.bodies,
         "armature": model.armature,
         "coupling": coupling if coupling.any() else None,
@@ -72,22 +72,53 @@ def _content(model: ExportModel, syntax: Syntax) -> dict[str, object]:
         "limit": np.nan_to_num(model.observer.limit, posinf=_NO_LIMIT),
         "base": base,
         "code": code,
+        "deviation_share": DEVIATION_SHARE,
         "instant": bool(code.instant or code.waves),
         "signs": "_seqid_sign(" in lines,
         "units": np.eye(robot.n),
-        "kelvin": kelvin,
-        "celsius": [degrees or 0.0 for degrees in celsius],
+        "kelvin": [warm.per_kelvin for warm in warmth],
+        "celsius": [warm.celsius for warm in warmth],
         "warm": [
-            (j, kelvin[j], celsius[j]) for j in range(robot.n) if kelvin[j] != 0.0
+            (j, warm.per_kelvin, warm.celsius)
+            for j, warm in enumerate(warmth)
+            if warm.per_kelvin != 0.0
         ],
         "late": late_lines(base, syntax),
         "lags": " and ".join(lags_of(model.effects, base)),
     }
 
 
+def _coupling(model: ExportModel) -> Array:
+    """Return gear ratio times rotor inertia (n,) kg m^2 where rotors turn the links."""
+    robot = model.robot
+    if model.coupling != "gyroscopic":
+        return np.zeros(robot.n)
+    turned = gear_ratios(robot) * model.nearest.rotor
+    return np.where(robot.chain.prismatic, 0.0, turned)
+
+
+@dataclass(frozen=True)
+class _Warmth:
+    """By what share a joint's friction changes per kelvin, and from which temperature on."""
+
+    per_kelvin: float
+    celsius: float
+
+    @classmethod
+    def of(cls, surface: FrictionSurface | None) -> Self:
+        """Return the warmth of a surface; none where its temperature is not known."""
+        if surface is None or surface.temperature is None:
+            return cls(per_kelvin=0.0, celsius=0.0)
+        return cls(per_kelvin=surface.per_kelvin, celsius=surface.temperature)
+
+
 def _surface(surface: FrictionSurface) -> dict[str, object]:
-    scaling, (rows, columns) = surface.scaling, surface.positive.shape
-    speed, (low, high) = np.array(scaling.speed), scaling.position
+    """Return what the templates say of a joint's friction."""
+    scaling = surface.scaling
+    rows, columns = surface.positive.shape
+    speed = np.array(scaling.speed)
+    low, high = scaling.position
+    backward = surface.negative if surface.directional else surface.positive
     return {
         "rows": rows,
         "columns": columns,
@@ -98,13 +129,13 @@ def _surface(surface: FrictionSurface) -> dict[str, object]:
         "scaled": np.log(speed) if scaling.logarithmic else speed,
         "sign_width": surface.sign_width,
         "forward": surface.positive.ravel(),
-        "backward": (
-            (surface.negative if surface.directional else surface.positive).ravel()
-        ),
+        "backward": backward.ravel(),
     }
 
 
 def identifier(name: str) -> str:
     """Return a robot's name as a C identifier in small letters."""
-    found = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "arm"
-    return f"arm_{found}" if found[0].isdigit() or found in _KEYWORDS else found
+    words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "arm"
+    if words[0].isdigit() or words in _KEYWORDS:
+        return f"arm_{words}"
+    return words

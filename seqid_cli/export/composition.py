@@ -6,6 +6,7 @@ each sees the load and the torque of the `BaseModel`. Exported code does the sam
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -20,6 +21,12 @@ from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
+# Torques that a delay line keeps at least, and per second of the longest delay: as many
+# as come at 1 kHz, so that friction's steps stay as short as they are.
+FEWEST_DELAYED = 64
+DELAYED_PER_S = 1000.0
+SPARE_DELAYED = 16
+DECLARATIONS = ("laws", "deviation", "body_terms")  # methods of an effect
 USUAL_TOP_SPEED = 1.0  # rad/s, of a joint whose friction and speed limit are not known
 
 
@@ -51,10 +58,15 @@ class BaseModel:
     @classmethod
     def of_model(cls, model: TorqueModel) -> BaseModel:
         """Return the numbers of a model."""
-        robot, n = model.robot, model.robot.n
+        robot = model.robot
+        n = robot.n
         gear = gear_ratios(robot)
         rotor = np.zeros(n) if model.rotor is None else model.rotor
-        turning = model.coupling == "gyroscopic"
+
+        turned = np.zeros(n)
+        if model.coupling == "gyroscopic":
+            turned = np.where(robot.chain.prismatic, 0.0, gear * rotor)
+
         widths = [
             (
                 DEFAULT_SIGN_SHARE * (joint.velocity_limit or USUAL_TOP_SPEED)
@@ -66,7 +78,7 @@ class BaseModel:
         return cls(
             links=np.zeros((n, 10)) if model.phi is None else model.phi,
             armature=np.asarray(gear**2 * rotor),
-            rotor=np.where(robot.chain.prismatic, 0.0, turning * gear * rotor),
+            rotor=turned,
             sign_width=np.array(widths),
             delays_s=np.zeros(n) if model.delays_s is None else model.delays_s,
         )
@@ -92,8 +104,8 @@ class Code:
         How many deflections of bristles the state holds.
     twisted : list of int
         Joints of the twists that it holds.
-    played : list of (int, float)
-        Joints of the gears with backlash, and half their gaps, rad.
+    plays : int
+        How many gears with backlash it holds.
     wavy : list of int
         Joints whose friction feels the error of their encoder.
     based : bool
@@ -122,44 +134,58 @@ class Code:
     gravity: Array
     based: bool = False
     twisted: list[int] = field(default_factory=list)
-    played: list[tuple[int, float]] = field(default_factory=list)
+    plays: int = 0
     wavy: list[int] = field(default_factory=list)
 
     @property
+    def delay_samples(self) -> int:
+        """Number of torques that the delay line keeps."""
+        needed = math.ceil(DELAYED_PER_S * self.longest_s) + SPARE_DELAYED
+        return max(FEWEST_DELAYED, needed)
+
+    @property
     def twists(self) -> int:
-        """How many twists the state holds."""
+        """Number of twists that the state holds."""
         return len(self.twisted)
 
     @property
-    def plays(self) -> int:
-        """How many gears with backlash the state holds."""
-        return len(self.played)
-
-    @property
     def moved(self) -> bool:
-        """Whether links deviate from where their encoders say."""
+        """True where links deviate from where their encoders say."""
         return bool(self.waves or self.deviations)
 
 
 def is_timing(effect: Effect) -> bool:
-    """Whether an effect shapes the logged torque in time, which a feed-forward does not want."""
+    """Return whether an effect shapes the logged torque in time.
+
+    A feed-forward does not want that.
+    """
     return effect.family == "measurement" and effect.timing
 
 
 def lags_of(effects: Sequence[Fitted], base: BaseModel) -> list[str]:
-    """Say what shapes the logged torque in time."""
-    laws = [item.effect for item in effects if isinstance(item, FittedEffect)]
-    named = dict.fromkeys(effect.name for effect in laws if is_timing(effect))
-    late = ["late against the positions"] if base.delays_s.any() else []
-    return [*late, *(f"shaped by {name}" for name in named)]
+    """Say what shapes the logged torque in time, in parts of a sentence."""
+    parts = []
+    if base.delays_s.any():
+        parts.append("late against the positions")
+
+    catalogued = [item.effect for item in effects if isinstance(item, FittedEffect)]
+    names = [effect.name for effect in catalogued if is_timing(effect)]
+    parts += [f"shaped by {name}" for name in dict.fromkeys(names)]
+    return parts
 
 
 def refuse_without_law(item: FittedEffect, robot: Robot) -> None:
     """Raise ConfigError if an effect says nothing that code can be written from."""
-    effect, at = item.effect, (robot, item.joint, item.settings)
-    said = (effect.laws(*at), effect.deviation(*at), effect.body_terms(*at))
-    if any(part is not None for part in said) and _columns_are_of_the_law(type(effect)):
+    effect = item.effect
+    declared = [
+        effect.laws(robot, item.joint, item.settings),
+        effect.deviation(robot, item.joint, item.settings),
+        effect.body_terms(robot, item.joint, item.settings),
+    ]
+    declares_any = any(part is not None for part in declared)
+    if declares_any and _columns_are_of_the_law(type(effect)):
         return
+
     place = robot.name_of(item.joint) or "all joints"
     message = (
         f"effect {effect.name!r} ({place}) declares no law that code can be written"
@@ -175,11 +201,11 @@ def refuse_without_law(item: FittedEffect, robot: Robot) -> None:
 
 
 def _columns_are_of_the_law(kind: type[Effect]) -> bool:
-    """Whether no class has columns of its own beside a law that it only inherits."""
-    declaring = ("laws", "deviation", "body_terms")
-    for each in kind.__mro__:
-        if any(name in vars(each) for name in declaring):
+    """Return whether no class has columns of its own beside a law that it inherits."""
+    # From the class itself to what it inherits: whichever comes first holds.
+    for ancestor in kind.__mro__:
+        if any(name in vars(ancestor) for name in DECLARATIONS):
             return True
-        if "columns" in vars(each):
+        if "columns" in vars(ancestor):
             return False
     return False

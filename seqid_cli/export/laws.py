@@ -16,7 +16,7 @@ import numpy as np
 from seqid_cli.export.composition import BaseModel, Code, is_timing, refuse_without_law
 from seqid_cli.export.syntax import Syntax
 from seqid_cli.export.text import plain, real
-from seqid_cli.model.effects.declared import BodyTerm, Deviation, Play, Twist
+from seqid_cli.model.effects.declared import BodyTerm, Deviation, Play, Twist, Wave
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.model.effects.law import PLACES, Law, catalogue_symbol, tree_of
 from seqid_cli.model.effects.memory import Bristles, FrictionSlope, Late, Memory, Rate
@@ -49,7 +49,25 @@ def code_of(
 ) -> Code:
     """Write the effects of a file as lines.
 
-    Raises ConfigError if one declares no law that could be written.
+    Parameters
+    ----------
+    effects : sequence of FittedEffect or SmoothTerm
+        The file's.
+    model : TorqueModel
+        Without effects.
+    base : BaseModel
+        The numbers of the same.
+    syntax : Syntax
+        Of the language.
+
+    Returns
+    -------
+    Code
+
+    Raises
+    ------
+    ConfigError
+        An effect declares no law that could be written.
     """
     n = model.robot.n
     code = Code(armature=np.zeros(n), rotor=np.zeros(n), gravity=np.zeros(3))
@@ -68,10 +86,10 @@ def code_of(
 
 def late_text(syntax: Syntax, j: int, seconds: float) -> str:
     """Write the modelled torque of a joint some seconds before."""
-    arguments = (f"modelled[{j}]", str(j), real(seconds), "dt")
+    torque = f"modelled[{j}]"
     if syntax.braces:
-        return syntax.call("late", "s", *arguments)
-    return f"self._late({', '.join(arguments)})"
+        return syntax.call("late", "s", torque, str(j), real(seconds), "dt")
+    return f"self._late({torque}, {j}, {real(seconds)}, dt)"
 
 
 def late_lines(base: BaseModel, syntax: Syntax) -> list[tuple[int, str]]:
@@ -97,51 +115,77 @@ class _Writer:
     def effect(self, item: FittedEffect) -> None:
         """Write an effect of the catalogue, of a robot file or of a package."""
         refuse_without_law(item, self.robot)
-        effect, c = item.effect, item.coefficients
-        at = (self.robot, item.joint, item.settings)
-        for j, law in (effect.laws(*at) or {}).items():
+        effect = item.effect
+        c = item.coefficients
+
+        laws = effect.laws(self.robot, item.joint, item.settings) or {}
+        for j, law in laws.items():
             title = f"{effect.name}, {self._title(j)}"
             self._law(title, j, law, c, timing=is_timing(effect))
-        for number, term in zip(c, effect.body_terms(*at) or (), strict=False):
+
+        terms = effect.body_terms(self.robot, item.joint, item.settings) or ()
+        for number, term in zip(c, terms, strict=False):
             self._body(float(number), term)
-        deviation = effect.deviation(*at)
+
+        deviation = effect.deviation(self.robot, item.joint, item.settings)
         if deviation is not None:
             assert item.joint is not None
             self._deviation(effect.name, item.joint, deviation, c)
 
     def smooth(self, term: SmoothTerm) -> None:
         """Write a smooth term that no effect explains: a product of splines."""
-        code, syntax = self.code, self.syntax
-        title = f"no known cause, {self._title(term.joint)}"
+        code = self.code
+        syntax = self.syntax
         measures = {axis.measure for axis in term.axes}
         code.splines = True
         code.based |= bool(measures & {"load", "load_size"})
-        timed = measures & {"temperature", "time", "session_time"}
-        lines = code.session if timed else code.instant
-        warm = [axis.joint for axis in term.axes if axis.measure == "temperature"]
-        known = [syntax.known.format(j=joint) for joint in warm]
 
-        taken = [self._axis(axis) for axis in term.axes]
+        quantities = [self._axis(axis) for axis in term.axes]
         sizes = [axis.size for axis in term.axes]
-        ends = DEGREE  # times more that either end counts as a knot
-        knots = [np.pad(np.array(x.knots), ends, mode="edge") for x in term.axes]
+        # Either end counts as a knot so many times more.
+        knots = [
+            np.pad(np.array(axis.knots), DEGREE, mode="edge") for axis in term.axes
+        ]
+        if len(quantities) == 1:  # along a second axis of no length
+            quantities.append("0.0")
+            sizes.append(1)
+            knots.append(np.zeros(0))
+
         factor = "1.0"
         if term.factor == "direction":
             factor = self._quantity(term.joint, "sign(dq)")
-        if len(taken) == 1:  # along a second axis of no length
-            taken, sizes, knots = [*taken, "0.0"], [*sizes, 1], [*knots, np.zeros(0)]
-        first = ("knots_1", str(sizes[0]), taken[0])
-        second = ("knots_2", str(sizes[1]), taken[1])
-        surface = syntax.call("smooth", *first, *second, "smooth")
+        surface = syntax.call(
+            "smooth",
+            "knots_1",
+            str(sizes[0]),
+            quantities[0],
+            "knots_2",
+            str(sizes[1]),
+            quantities[1],
+            "smooth",
+        )
         body = [
             *self._table("knots_1", knots[0]),
             *self._table("knots_2", knots[1]),
             *self._table("smooth", term.coefficients),
             syntax.statement(f"tau[{term.joint}] += {factor} * {surface}"),
         ]
-        lines += syntax.block(title, body, f" {syntax.also} ".join(known))
+
+        title = f"no known cause, {self._title(term.joint)}"
+        temperatures = [
+            axis.joint for axis in term.axes if axis.measure == "temperature"
+        ]
+        timed = measures & {"temperature", "time", "session_time"}
+        lines = code.session if timed else code.instant
+        lines += syntax.block(title, body, self._if_measured(temperatures))
+
+    def _if_measured(self, joints: Sequence[int], *conditions: str) -> str:
+        """Write a condition: the temperatures of joints are known, and what else is."""
+        temperatures = [self.syntax.known.format(j=joint) for joint in joints]
+        return f" {self.syntax.also} ".join([*conditions, *temperatures])
 
     def _table(self, name: str, values: Array) -> Iterator[str]:
+        """Write a table of numbers, four a line."""
         numbers = list(map(real, values)) or ["0.0"]
         rows = [", ".join(numbers[k : k + 4]) for k in range(0, len(numbers), 4)]
         if not self.syntax.braces:
@@ -155,7 +199,7 @@ class _Writer:
         yield "};"
 
     def _axis(self, axis: Axis) -> str:
-        """The quantity of a smooth term's axis."""
+        """Write the quantity of a smooth term's axis."""
         if axis.measure == "session_time":
             return "time"
         if axis.measure == "time":
@@ -171,10 +215,11 @@ class _Writer:
     # ---- laws
 
     def _law(self, title: str, j: int, law: Law, c: Array, *, timing: bool) -> None:
-        code, syntax = self.code, self.syntax
+        """Write the law of a joint's torque with its coefficients c."""
+        code = self.code
+        syntax = self.syntax
         if law.note:
-            before, behind = syntax.comment
-            code.instant.append(f"{before}{plain(title)}: {plain(law.note)}{behind}")
+            code.instant.append(syntax.remark(f"{plain(title)}: {plain(law.note)}"))
         symbols = {symbol.name for symbol in law.symbols}
         terms = [
             (float(number), term)
@@ -185,68 +230,66 @@ class _Writer:
             return
         code.based |= bool(symbols & {"load", "tau"})
 
-        lines = [
-            self._remembered(j, _local(name), memory)
-            for name, memory in law.memories.items()
-        ]
-        remembered = set(law.memories) | set(law.parts)
-
         def named(name: str) -> str:
-            if name in remembered:
+            if name in law.memories or name in law.parts:
                 return _local(name)
             if name in law.numbers:
                 return real(law.numbers[name])
             return self._quantity(j, name)
 
-        written = [line for group in lines for line in group]
+        body: list[str] = []
+        for name, memory in law.memories.items():
+            body += self._remembered(j, _local(name), memory)
         for name, part in law.parts.items():
             text = syntax.term(tree_of(part), named)
-            written.append(syntax.value(_local(name), text))
+            body.append(syntax.value(_local(name), text))
         for number, term in terms:
             tree = tree_of(term)
-            if syntax.term(tree, named) == "1.0":
-                written.append(syntax.statement(f"tau[{j}] += {real(number)}"))
-                continue
-            factor = syntax.factor(tree, named)
-            written.append(syntax.statement(f"tau[{j}] += {real(number)} * {factor}"))
+            product = real(number)
+            if syntax.term(tree, named) != "1.0":
+                product = f"{product} * {syntax.factor(tree, named)}"
+            body.append(syntax.statement(f"tau[{j}] += {product}"))
 
-        conditions = [syntax.known.format(j=k) for k in law.temperatures(j)]
-        if timing:
-            conditions.insert(0, f"{syntax.state}as_logged")
-        instant = symbols <= INSTANT and not law.memories
-        target = code.instant if instant and not conditions else code.session
-        target += syntax.block(
-            plain(title), written, f" {syntax.also} ".join(conditions)
-        )
+        logged = [f"{syntax.state}as_logged"] if timing else []
+        condition = self._if_measured(law.temperatures(j), *logged)
+        follows_from_instant = symbols <= INSTANT and not law.memories
+        if follows_from_instant and not condition:
+            code.instant += syntax.block(plain(title), body)
+        else:
+            code.session += syntax.block(plain(title), body, condition)
 
     def _quantity(self, j: int, name: str) -> str:
-        """The text of a quantity of the joint, or of the one whose number its name ends with."""
-        direction = name.startswith("sign(")
-        symbol = catalogue_symbol(name[len("sign(") : -1] if direction else name)
+        """Write a quantity of a joint.
+
+        It is that of joint j, or of the joint whose number the name ends with.
+        """
+        is_direction = name.startswith("sign(")
+        symbol = catalogue_symbol(name[len("sign(") : -1] if is_direction else name)
         assert symbol is not None, name
-        own = j if symbol.joint is None else symbol.joint
-        if direction:
-            return self.syntax.call(
-                "tanh", f"dq[{own}] / {real(self.base.sign_width[own])}"
-            )
+        k = j if symbol.joint is None else symbol.joint
+        width = real(self.base.sign_width[k])
+        if is_direction:
+            return self.syntax.call("tanh", f"dq[{k}] / {width}")
+
         match symbol.name:
             case "t":
                 return "time"
             case "theta":
-                return f"({real(gear_ratios(self.robot)[own])} * q[{own}])"
+                return f"({real(gear_ratios(self.robot)[k])} * q[{k}])"
             case "tau":
-                return f"modelled[{own}]"
+                return f"modelled[{k}]"
             case "rotor":
-                return real(self.base.armature[own])
+                return real(self.base.armature[k])
             case "sign_width":
-                return real(self.base.sign_width[own])
+                return width
             case "load_is_modelled":
                 return "1.0"
             case "coulomb_share":
-                return self._share(own)
-        return f"{symbol.name}[{own}]"
+                return self._share(k)
+        return f"{symbol.name}[{k}]"
 
     def _share(self, j: int) -> str:
+        """Write the Coulomb friction at a joint's position over its mean."""
         surface = self.model.surfaces[j]
         if (
             surface is None
@@ -255,56 +298,75 @@ class _Writer:
         ):
             return "1.0"
         low, high = map(real, surface.scaling.position)
-        slow, mean = surface.scaling.speed[0], surface.mean_coulomb(PLACES)
         call = self.syntax.call
         place = call("min", call("max", f"q[{j}]", low), high)
-        ahead, back = (
-            self._friction(j, place, real(way * slow)) for way in (1.0, -1.0)
-        )
-        return f"(({ahead} - {back}) / {real(mean)})"
+        slowest = surface.scaling.speed[0]
+        ahead = self._friction(j, place, real(slowest))
+        back = self._friction(j, place, real(-slowest))
+        mean = real(surface.mean_coulomb(PLACES))
+        return f"(({ahead} - {back}) / {mean})"
 
     def _friction(self, j: int, q: str, v: str) -> str:
-        """The model's own friction of a joint at a position and a velocity."""
+        """Write the model's friction of a joint at a position and a velocity."""
         if self.model.surfaces[j] is None:
             return "0.0"
         return self.syntax.call(f"friction_{j}", q, v)
 
     # ---- memories
 
-    def _remembered(self, j: int, name: str, memory: Memory) -> Iterator[str]:
-        """Lines that bring a quantity with memory up to date and give it its name."""
-        code, syntax = self.code, self.syntax
-        state, call = syntax.state, syntax.call
+    def _remembered(self, j: int, name: str, memory: Memory) -> list[str]:
+        """Write lines that bring a quantity with memory up to date and name it."""
         match memory:
             case Bristles(distance=distance):
-                way = f"(q[{j}] - {state}q[{j}]) / {real(distance)}"
-                slot = self._slot("bristle", code.bristles)
-                code.bristles += 1
-                yield syntax.value(name, call("bristle", slot, way))
-            case Rate(of=of, order=order):
-                code.rates = code.based = True
-                torque = "load" if of == "load" else "modelled"
-                before = [f"{state}{torque}[{k}][{j}]" for k in range(order + 1)]
-                series = [f"{torque}[{j}]", *before]
-                steps = ["dt", *(f"{state}step_s[{k}]" for k in range(order))]
-                yield syntax.value(
-                    name, call("rate" if order == 1 else "bend", *series, *steps)
-                )
+                return self._bristles(j, name, distance)
+            case Rate():
+                return self._rate(j, name, memory)
             case Late(seconds=seconds):
-                code.rates = code.based = True
-                code.longest_s = max(code.longest_s, seconds)
-                yield syntax.value(name, late_text(self.syntax, j, seconds))
-            case FrictionSlope(lead=lead, per=per):
-                width = real(self.base.sign_width[j])
-                yield syntax.value("lead", f"{real(per)} * {_local(lead)}")
-                slowest = call("max", width, f"2.0 * {call('abs', f'ddq[{j}]')} * dt")
-                yield syntax.value(
-                    "half", call("max", slowest, f"0.5 * {call('abs', 'lead')}")
-                )
-                middle = f"dq[{j}] + 0.5 * lead"
-                ahead = self._friction(j, f"q[{j}]", f"{middle} + half")
-                back = self._friction(j, f"q[{j}]", f"{middle} - half")
-                yield syntax.value(name, f"({ahead} - {back}) / (2.0 * half)")
+                self.code.rates = True
+                self.code.based = True
+                self.code.longest_s = max(self.code.longest_s, seconds)
+                text = late_text(self.syntax, j, seconds)
+                return [self.syntax.value(name, text)]
+            case FrictionSlope():
+                return self._friction_slope(j, name, memory)
+
+    def _bristles(self, j: int, name: str, distance: float) -> list[str]:
+        """Write the deflection of bristles after the way of the step."""
+        syntax = self.syntax
+        travel = f"(q[{j}] - {syntax.state}q[{j}]) / {real(distance)}"
+        slot = self._slot("bristle", self.code.bristles)
+        self.code.bristles += 1
+        return [syntax.value(name, syntax.call("bristle", slot, travel))]
+
+    def _rate(self, j: int, name: str, rate: Rate) -> list[str]:
+        """Write a derivative over time by the torques of the last steps."""
+        syntax = self.syntax
+        self.code.rates = True
+        self.code.based = True
+        torque = "load" if rate.of == "load" else "modelled"
+        earlier = [f"{syntax.state}{torque}[{k}][{j}]" for k in range(rate.order + 1)]
+        steps = [f"{syntax.state}step_s[{k}]" for k in range(rate.order)]
+        function = "rate" if rate.order == 1 else "bend"
+        text = syntax.call(function, f"{torque}[{j}]", *earlier, "dt", *steps)
+        return [syntax.value(name, text)]
+
+    def _friction_slope(self, j: int, name: str, slope: FrictionSlope) -> list[str]:
+        """Write the secant slope of a joint's friction over its speed."""
+        syntax = self.syntax
+        call = syntax.call
+        width = real(self.base.sign_width[j])
+        # As `predict` takes it: at least as long as a sample resolves.
+        per_sample = f"2.0 * {call('abs', f'ddq[{j}]')} * dt"
+        shortest = call("max", width, per_sample)
+        half = call("max", shortest, f"0.5 * {call('abs', 'lead')}")
+        middle = f"dq[{j}] + 0.5 * lead"
+        ahead = self._friction(j, f"q[{j}]", f"{middle} + half")
+        back = self._friction(j, f"q[{j}]", f"{middle} - half")
+        return [
+            syntax.value("lead", f"{real(slope.per)} * {_local(slope.lead)}"),
+            syntax.value("half", half),
+            syntax.value(name, f"({ahead} - {back}) / (2.0 * half)"),
+        ]
 
     def _slot(self, name: str, k: int) -> str:
         return f"{self.syntax.state}{name}[{k}]"
@@ -312,58 +374,81 @@ class _Writer:
     # ---- deviations of links, and bodies
 
     def _deviation(self, name: str, j: int, deviation: Deviation, c: Array) -> None:
-        code, syntax = self.code, self.syntax
-        code.based = True
-        title, call = f"{name}, {self._title(j)}", syntax.call
-        if isinstance(deviation, Twist | Play):
-            if j not in code.inertias:
-                code.inertias.append(j)
-            inertia = call("max", f"inertia[{j}]", "1e-9")
-            if isinstance(deviation, Twist):
-                slot, scale = self._slot("twist", code.twists), float(c[0])
-                code.twisted.append(j)
-                mass = f"{inertia} / {real(deviation.stiffness)}"
-                move = call(
-                    "twist",
-                    slot,
-                    f"load[{j}]",
-                    mass,
-                    real(deviation.damping_ratio),
-                    "dt",
-                )
-            else:
-                slot, scale = (
-                    self._slot("play", code.plays),
-                    -float(c[0]) / deviation.gap,
-                )
-                code.played.append((j, 0.5 * deviation.gap))
-                half = real(0.5 * deviation.gap)
-                move = call("play", slot, f"load[{j}] / {inertia}", half, "dt")
-            lines = [syntax.statement(move)]
-            for k, way in enumerate("xva"):
-                lines.append(
-                    syntax.statement(f"{way}[{j}] += {real(scale)} * {slot}[{k}]")
-                )
-            code.deviations += syntax.block(title, lines)
-            return
+        """Write how a joint's link deviates from its encoder, with coefficients c."""
+        self.code.based = True
+        title = f"{name}, {self._title(j)}"
+        match deviation:
+            case Twist():
+                self._twist(title, j, deviation, float(c[0]))
+            case Play():
+                self._play(title, j, deviation, float(c[0]))
+            case Wave():
+                self._wave(title, j, deviation, c)
+
+    def _twist(self, title: str, j: int, twist: Twist, compliance: float) -> None:
+        """Write the twist of an elastic gear."""
+        slot = self._slot("twist", self.code.twists)
+        self.code.twisted.append(j)
+        step = self.syntax.call(
+            "twist",
+            slot,
+            f"load[{j}]",
+            f"{self._inertia(j)} / {real(twist.stiffness)}",
+            real(twist.damping_ratio),
+            "dt",
+        )
+        self._deviating(title, j, step, slot, compliance)
+
+    def _play(self, title: str, j: int, play: Play, gap: float) -> None:
+        """Write the flights of a gear with backlash: its motor leads the link."""
+        slot = self._slot("play", self.code.plays)
+        self.code.plays += 1
+        acceleration = f"load[{j}] / {self._inertia(j)}"
+        half_gap = real(0.5 * play.gap)
+        step = self.syntax.call("play", slot, acceleration, half_gap, "dt")
+        self._deviating(title, j, step, slot, -gap / play.gap)
+
+    def _inertia(self, j: int) -> str:
+        """Write the links' inertia about a joint, which is then computed."""
+        if j not in self.code.inertias:
+            self.code.inertias.append(j)
+        return self.syntax.call("max", f"inertia[{j}]", "1e-9")
+
+    def _deviating(
+        self, title: str, j: int, step: str, slot: str, scale: float
+    ) -> None:
+        """Write the step of a state, and add the state to the joint's deviation."""
+        syntax = self.syntax
+        body = [syntax.statement(step)]
+        for k, derivative in enumerate("xva"):
+            body.append(
+                syntax.statement(f"{derivative}[{j}] += {real(scale)} * {slot}[{k}]")
+            )
+        self.code.deviations += syntax.block(title, body)
+
+    def _wave(self, title: str, j: int, wave: Wave, c: Array) -> None:
+        """Write an encoder's error by sine and cosine of the angle."""
+        code = self.code
+        syntax = self.syntax
         if self.model.surfaces[j] is not None and j not in code.wavy:
             code.wavy.append(j)
-        rate, sine, cosine = real(deviation.rate), real(c[0]), real(c[1])
-        sin, cos = call("sin", f"{rate} * q[{j}]"), call("cos", f"{rate} * q[{j}]")
-        turned = f"{rate} * dq[{j}]"
-        code.waves += syntax.block(
-            title,
-            [
-                syntax.value("error", f"{sine} * {sin} + {cosine} * {cos}"),
-                syntax.value("slope", f"{sine} * {cos} - {cosine} * {sin}"),
-                syntax.value("turning", turned),
-                syntax.statement(f"x[{j}] -= error"),
-                syntax.statement(f"v[{j}] -= slope * turning"),
-                syntax.statement(
-                    f"a[{j}] -= {rate} * slope * ddq[{j}] - error * turning * turning"
-                ),
-            ],
-        )
+
+        rate = real(wave.rate)
+        of_sine = real(c[0])
+        of_cosine = real(c[1])
+        sine = syntax.call("sin", f"{rate} * q[{j}]")
+        cosine = syntax.call("cos", f"{rate} * q[{j}]")
+        body = [
+            syntax.value("error", f"{of_sine} * {sine} + {of_cosine} * {cosine}"),
+            syntax.value("slope", f"{of_sine} * {cosine} - {of_cosine} * {sine}"),
+            syntax.value("turning", f"{rate} * dq[{j}]"),
+            syntax.statement(f"x[{j}] -= error"),
+            syntax.statement(f"v[{j}] -= slope * turning"),
+            syntax.statement(
+                f"a[{j}] -= {rate} * slope * ddq[{j}] - error * turning * turning"
+            ),
+        ]
+        code.waves += syntax.block(title, body)
 
     def _body(self, number: float, term: BodyTerm) -> None:
         """Add what a coefficient changes; a payload is among the bodies already."""

@@ -1,21 +1,26 @@
 """What was written, run over logs: is it as near to the measured torque as its file.
 
-Nothing that is in memory takes part: a C header is compiled, a module imported, model
-files are read by the libraries that others read them with. The low-pass is that of
-`seqid predict`: links and rotors once, friction and effects twice. Samples are those at
-which a joint slides.
+No torque of what was written is that in memory: a C header is compiled, a module
+imported, model files are read by the libraries that others read them with. The low-pass
+is that of `seqid predict`: once what follows from the smooth motion alone, as links and
+rotors do, twice what has steps, as friction has. Samples are those at which a joint
+slides.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from seqid_cli.export.motions import FullModel
-from seqid_cli.export.written import Steps, WrittenArm, read_written
+from seqid_cli.export.written.arm import Steps, WrittenArm
+from seqid_cli.export.written.read import read_written
 from seqid_cli.logs.read import read_recording
+from seqid_cli.model.effects.apply import effect_torque
+from seqid_cli.model.effects.fitted import FittedEffect
+from seqid_cli.model.effects.measurement import ModelledTorque
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import sampled_friction
 from seqid_cli.motion.motion import Motion
@@ -26,6 +31,10 @@ from seqid_cli.typing import Array
 # By how much a written form may be worse than what it states: rounding, other
 # libraries' friction at a reversal and the log's own chance stay far below.
 MAX_RATIO = 1.1
+# Settlings of the low-pass before the end of a shortened run that do not count. The end
+# is felt by 1e-3 of the torque after two of them, as many as it has passes, and by 4e-5
+# after four.
+SETTLINGS_LEFT_OUT = 4
 # N m; below it, errors are those of numbers with 15 digits, and their ratio says
 # nothing.
 _NOTHING = 1e-6
@@ -116,10 +125,12 @@ def replayed(
             # A form that is slow to run is looked at on the first part of a log.
             run = slice(arm.most_samples)
             scene = full.scene(log, motion)
-            by_form = _torque(arm, full, motion.part(run), _steps(scene, run))
+            smooth = _added_without_steps(full, scene)[run]
+            by_form = _torque(arm, full, motion.part(run), _steps(scene, run), smooth)
             by_file, sliding = by_file[run], sliding[run]
             if len(sliding) < log.q.shape[0]:
-                sliding[-2 * motion.lowpass.settling :] = False  # the filter's end
+                # There the low-pass misses what follows.
+                sliding[-SETTLINGS_LEFT_OUT * motion.lowpass.settling :] = False
             for row, predicted in enumerate((by_file, by_form)):
                 error = np.where(sliding, motion.tau[run] - predicted, 0.0)
                 squares[row] += np.square(error).sum(axis=0)
@@ -140,8 +151,16 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _torque(arm: WrittenArm, full: FullModel, motion: Motion, steps: Steps) -> Array:
-    """Return the torque (N, n) N m of a written form on a motion, filtered as predictions are."""
+def _torque(
+    arm: WrittenArm, full: FullModel, motion: Motion, steps: Steps, smooth: Array
+) -> Array:
+    """Return the torque (N, n) N m of a written form on a motion, filtered as predictions are.
+
+    Parameters
+    ----------
+    smooth : (N, n) array
+        What the file adds to links, rotors and friction that has no steps, N m.
+    """
     widths = [0.0 if s is None else s.sign_width for s in full.model.surfaces]
     rigid = arm.rigid(motion.q, motion.dq, motion.ddq)
     plain, friction = _friction(arm, widths, motion)
@@ -149,16 +168,37 @@ def _torque(arm: WrittenArm, full: FullModel, motion: Motion, steps: Steps) -> A
     if not arm.steps:
         # What delays the logged torque is the log's own matter, and no model file's.
         return full.model.late(known, motion)
-    # Effects are filtered like friction; what the measurement does, delays and lags,
-    # acts on the modelled torque, which is low-passed once already.
-    measured = arm.stepped(steps, as_logged=True)
-    physical = measured
-    if arm.delays(steps):
-        physical = arm.stepped(steps, as_logged=False)
-    effects = physical - rigid - plain
-    return (
-        known + motion.filtered(effects, times=2) + motion.filtered(measured - physical)
-    )
+    added = arm.stepped(steps) - rigid - plain
+    # All of it twice, but for what the second low-pass takes off torque without steps.
+    regained = motion.filtered(smooth) - motion.filtered(smooth, times=2)
+    return known + motion.filtered(added, times=2) + regained
+
+
+def _added_without_steps(full: FullModel, scene: Scene) -> Array:
+    """Return what the file's effects and delays add that has no steps, unfiltered.
+
+    It follows from motion that was low-passed already, so that predictions low-pass it
+    once, like links and rotors. A form says the sum of all that it adds, from which
+    this cannot be told. So the file says it: by how much the second low-pass would be
+    too many.
+
+    Returns
+    -------
+    (N, n) array
+        N m (N where prismatic).
+    """
+    # Of functions of the modelled torque it is that of the torque without friction.
+    slippery = replace(full.model, surfaces=[None] * full.robot.n)
+    frictionless = replace(scene, model=slippery)
+    torque = full.model.late(scene.carried, scene.motion) - scene.carried
+    for item in full.effects:
+        if not isinstance(item, FittedEffect) or item.passes > 1:
+            continue
+        if item.effect.body_terms(full.robot, item.joint, item.settings) is not None:
+            continue  # which a form has among its links and rotors
+        of_torque = isinstance(item.effect, ModelledTorque)
+        torque = torque + effect_torque(frictionless if of_torque else scene, [item])
+    return torque
 
 
 def _steps(scene: Scene, run: slice) -> Steps:

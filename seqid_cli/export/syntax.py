@@ -51,9 +51,9 @@ class Syntax:
     def term(self, tree: ast.expr, named: Named) -> str:
         """Write a tree; operations within others stand in brackets."""
         text = self.factor(tree, named)
-        return (
-            text[1:-1] if isinstance(tree, ast.BinOp) and text.startswith("(") else text
-        )
+        if isinstance(tree, ast.BinOp) and text.startswith("("):
+            return text[1:-1]
+        return text
 
     def factor(self, tree: ast.expr, named: Named) -> str:
         """Write a tree as it can stand within another, in brackets if it is an operation."""
@@ -67,17 +67,22 @@ class Syntax:
                 return named(name)
             case ast.UnaryOp(op=ast.USub(), operand=inner):
                 text = self.factor(inner, named)
-                return f"(-({text}))" if text.startswith("-") else f"(-{text})"
+                if text.startswith("-"):  # two signs in a row would be a decrement
+                    text = f"({text})"
+                return f"(-{text})"
             case ast.UnaryOp(operand=inner):
                 return self.factor(inner, named)
             case ast.BinOp(left=left, op=ast.Pow(), right=right):
-                base, exponent = self.factor(left, named), self.factor(right, named)
+                base = self.factor(left, named)
+                exponent = self.factor(right, named)
                 return self.call("power", base, exponent)
             case ast.BinOp(left=left, op=op, right=right):
-                first, second = self.factor(left, named), self.factor(right, named)
+                first = self.factor(left, named)
+                second = self.factor(right, named)
                 return f"({first} {_OPERATORS[type(op)]} {second})"
             case ast.Call(func=ast.Name(id=name), args=arguments):
-                return self.call(name, *(self.term(each, named) for each in arguments))
+                texts = [self.term(argument, named) for argument in arguments]
+                return self.call(name, *texts)
         raise AssertionError(ast.dump(tree))
 
     def call(self, name: str, *arguments: str) -> str:
@@ -95,17 +100,19 @@ class Syntax:
 
     def block(self, title: str, lines: Sequence[str], condition: str = "") -> list[str]:
         """Write lines under a comment, and under a condition if there is one."""
-        before, behind = self.comment
+        heading = self.remark(title)
+        inner = [f"    {line}" for line in lines]
         if self.braces:
             opening = f"if ({condition}) {{" if condition else "{"
-            inner = [f"    {line}" for line in lines]
-            return [f"{opening} {before}{title}{behind}", *inner, "}"]
+            return [f"{opening} {heading}", *inner, "}"]
         if condition:
-            return [
-                f"if {condition}:  {before}{title}",
-                *(f"    {line}" for line in lines),
-            ]
-        return [f"{before}{title}", *lines]
+            return [f"if {condition}:  {heading}", *inner]
+        return [heading, *lines]
+
+    def remark(self, text: str) -> str:
+        """Write a comment."""
+        opening, closing = self.comment
+        return f"{opening}{text}{closing}"
 
 
 def c99(prefix: str) -> Syntax:

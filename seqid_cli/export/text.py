@@ -26,14 +26,16 @@ def rendered(template: str, model: ExportModel, **content: object) -> str:
         "row": lambda values: ", ".join(map(real, np.ravel(values))),
         "tojson_ascii": json.dumps,
     }
-    robot = model.robot
-    own = {
-        "joints": robot.joint_names,
-        "gravity": robot.gravity,
+    of_every_form = {
+        "joints": model.robot.joint_names,
+        "gravity": model.robot.gravity,
         "remarks": remarks(model),
+        "armature": model.armature,
+        "friction": model.friction,
     }
-    own |= {"armature": model.armature, "friction": model.friction}
-    return filled("seqid_cli.export", template, own | content, filters=filters)
+    return filled(
+        "seqid_cli.export", template, of_every_form | content, filters=filters
+    )
 
 
 def plain(text: str) -> str:
@@ -44,24 +46,25 @@ def plain(text: str) -> str:
 
 def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
     """Return the remarks that a reader of any exported file needs, a line each."""
-    state = "exactly" if model.nearest.exact else "but for the deviations that follow"
-    bodies = [
-        (
-            "Every link is physically consistent; what torque does not show is nearest"
-            " to the prior."
-        ),
-        f"The identified base parameters are met {state}.",
-    ]
-    if model.physical is not None:
-        bodies = [
-            "The torque is exactly that of the file; no body need have these"
-            " parameters."
-        ]
-    name = (
+    lines = [
         f"Inertial parameters of {model.robot.name!r} identified by seqid"
         f" {__version__}."
-    )
-    lines = [name, *bodies]
+    ]
+    if model.physical is not None:
+        lines.append(
+            "The torque is exactly that of the file; no body need have these"
+            " parameters."
+        )
+    else:
+        met = "but for the deviations that follow"
+        if model.nearest.exact:
+            met = "exactly"
+        lines.append(
+            "Every link is physically consistent; what torque does not show is nearest"
+            " to the prior."
+        )
+        lines.append(f"The identified base parameters are met {met}.")
+
     lines += [
         f"{d.name}: identified {d.identified:.6g} {d.unit}, exported {d.exported:.6g}"
         f" ({d.std_errors:+.2f} standard errors)"
@@ -70,6 +73,7 @@ def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
         and d.std_errors is not None
         and abs(d.std_errors) >= min_errors
     ]
+
     lines += [
         f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g}"
         f" friction, RMS misfit {fit.rms_misfit:.3g} {joint.unit('N m')} over"
@@ -126,10 +130,16 @@ def ros2_parameters(model: ExportModel) -> str:
     ROS 2's inverse_dynamics_solver reads the exported URDF from its root link to its
     tip.
     """
-    root, tip = "base_link", f"{model.robot.joint_names[-1]}_link"
+    root = "base_link"
+    tip = f"{model.robot.joint_names[-1]}_link"
     if model.urdf is not None:
-        root, tip = root_link(model.urdf), model.links[-1].link
-    bodies, upper = [Body.of(phi) for phi in model.bodies], np.triu_indices(3)
+        root = root_link(model.urdf)
+        tip = model.links[-1].link
     return rendered(
-        "arm.yaml.jinja", model, root=root, tip=tip, bodies=bodies, upper=upper
+        "arm.yaml.jinja",
+        model,
+        root=root,
+        tip=tip,
+        bodies=[Body.of(phi) for phi in model.bodies],
+        upper=np.triu_indices(3),
     )

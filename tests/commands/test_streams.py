@@ -207,16 +207,16 @@ def test_the_source_has_no_way_out() -> None:
     But for the replay of an export: it compiles, loads and imports the file that the
     same command has just written, and nothing else.
     """
-    replay = ROOT / "seqid_cli" / "export" / "written.py"
+    replay = ROOT / "seqid_cli" / "export" / "written" / "code.py"
     files = set((ROOT / "seqid_cli").rglob("*.py")) - {replay}
     found = {path.name: FORBIDDEN.findall(path.read_text("utf-8")) for path in files}
     assert [(name, ways) for name, ways in found.items() if ways] == []
     users = {
         str(path.relative_to(ROOT / "seqid_cli"))
         for path in files
-        if "export.written import" in path.read_text("utf-8")
+        if "export.written.code import" in path.read_text("utf-8")
     }
-    assert users == {"export/__init__.py", "export/replay.py"}
+    assert users == {"export/__init__.py", "export/written/read.py"}
 
 
 @pytest.mark.slow

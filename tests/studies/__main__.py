@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 from tests import ROOT
 from tests.benchmarks import discovery, exported, ingestion, kernels, whole_run
-from tests.studies import bands, recorded, tables, unseen
+from tests.studies import bands, exported_effects, recorded, tables, unseen
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
 from tests.studies.planned import errors, separation
@@ -38,6 +38,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "smoother": (COSTS, kernels.smoother),
     "discovery": (COSTS, discovery.study),
     "exported_step": (COSTS, exported.study),
+    "exported_effects": ("evidence/exported.md", exported_effects.study),
 }
 USUAL = ("one_joint", "two_joint", "six_joint", "recorded")  # where none is named
 SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig

@@ -7,7 +7,7 @@ import pytest
 
 from seqid_cli.discover.functions import refine
 from seqid_cli.export import export
-from seqid_cli.export.written import compiler
+from seqid_cli.export.written.code import compiler
 from seqid_cli.identify.functions import simultaneous
 from seqid_cli.params.results.export import ExportFile
 from tests import ROOT

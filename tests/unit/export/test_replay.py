@@ -11,10 +11,14 @@ from msgspec import structs
 
 from seqid_cli.__main__ import main
 from seqid_cli.export import export
-from seqid_cli.export import written as readers
 from seqid_cli.export.motions import FullModel, find_logs, motions_of
 from seqid_cli.export.reduced import lost_torque
 from seqid_cli.export.replay import failures, replayed
+from seqid_cli.export.written import code as code_readers
+from seqid_cli.export.written.arm import UnreadableFormError
+from seqid_cli.export.written.code import compiler
+from seqid_cli.export.written.model_files import MujocoArm, PinocchioMjcfArm
+from seqid_cli.export.written.read import read_written
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.export import ExportFile, ReplayedJoint
 from seqid_cli.params.schema import InputLog
@@ -31,7 +35,7 @@ NAMES = {
     "ROS 2 parameters": "arm.yaml",
 }
 REDUCED = ("URDF", "MJCF", "ROS 2 parameters")
-needs_cc = pytest.mark.skipif(readers.compiler() is None, reason="no C compiler here")
+needs_cc = pytest.mark.skipif(compiler() is None, reason="no C compiler here")
 FORMS = [
     pytest.param(kind, marks=needs_cc if kind == "C header" else ()) for kind in NAMES
 ]
@@ -40,7 +44,7 @@ FORMS = [
 @pytest.fixture(autouse=True)
 def quick_python(monkeypatch: pytest.MonkeyPatch) -> None:
     """A module for numpy is run on the first seconds of a log: Python takes its time."""
-    monkeypatch.setattr(readers, "MOST_IN_PYTHON", 900)
+    monkeypatch.setattr(code_readers, "MOST_IN_PYTHON", 900)
 
 
 @pytest.fixture(params=RIGS)
@@ -151,7 +155,7 @@ def test_the_command_exits_with_1_and_keeps_what_it_wrote(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     case = logged(tmp_path, "one_joint", [DRAG])
-    write = readers.Path.read_text
+    write = Path.read_text
 
     def spoilt(path: Path, *args: object, **more: object) -> str:
         text = write(path, *args, **more)  # type: ignore[arg-type]
@@ -159,7 +163,7 @@ def test_the_command_exits_with_1_and_keeps_what_it_wrote(
 
     target = case.folder / "arm.urdf"
     # The file as it lies there, spoilt between writing and reading.
-    monkeypatch.setattr(readers.Path, "read_text", spoilt)
+    monkeypatch.setattr(Path, "read_text", spoilt)
     code, _, err = run(case, "-o", str(target), capsys=capsys)
     assert code == 1
     assert "joint_1: the written form errs by" in err
@@ -248,7 +252,7 @@ def test_mjcf_is_read_by_pinocchio_as_by_mujoco(tmp_path: Path) -> None:
     robot, path = load_robot(case.robot), case.folder / "arm.xml"
     rng = np.random.default_rng(2)
     states = rng.normal(size=(3, 20, 2))
-    one, other = readers.MujocoArm(path, robot), readers.PinocchioMjcfArm(path, robot)
+    one, other = MujocoArm(path, robot), PinocchioMjcfArm(path, robot)
     np.testing.assert_allclose(one.rigid(*states), other.rigid(*states), atol=1e-8)
     np.testing.assert_allclose(one.friction(*states[:2]), other.friction(*states[:2]))
 
@@ -257,7 +261,7 @@ def test_a_form_without_a_compiler_is_not_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     case = logged(tmp_path, "one_joint")
-    monkeypatch.setattr(readers, "COMPILERS", ("no-such-compiler",))
+    monkeypatch.setattr(code_readers, "COMPILERS", ("no-such-compiler",))
     file = exported(case, "C header")
     assert file.replay is None
     assert "no C compiler is here" in " ".join(file.notes)
@@ -267,12 +271,12 @@ def test_what_does_not_compile_is_said(tmp_path: Path) -> None:
     path = tmp_path / "arm.h"
     path.write_text("this is no C\n", encoding="utf-8")
     case = logged(tmp_path, "one_joint")
-    if readers.compiler() is None:
+    if compiler() is None:
         pytest.skip("no C compiler here")
     robot = load_robot(case.robot)
     with (
-        pytest.raises(readers.UnreadableFormError, match="does not compile"),
-        readers.read_written(path, "C header", robot),
+        pytest.raises(UnreadableFormError, match="does not compile"),
+        read_written(path, "C header", robot),
     ):
         pass
 

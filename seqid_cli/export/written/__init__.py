@@ -1,0 +1,1 @@
+"""Written forms of an arm, brought back to life by what others run them with."""

@@ -20,7 +20,13 @@ from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.options import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike, optional
 from seqid_cli.params.dates import created_from
-from seqid_cli.params.document import present, refined, robot_id, used_settings
+from seqid_cli.params.document import (
+    present,
+    refined,
+    robot_id,
+    stages_before,
+    used_settings,
+)
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.diagnosis import DiagnosisFile
@@ -234,6 +240,7 @@ def _refined(
         confirmed.loop,
         verdict="poor" if verdicts else confirmed.loop.verdict,
         held_out=held_out_set.inputs(),
+        incoming=stages_before(previous, confirmed.stages),
         motion=motion_uses(one_of_each_log, robot, stages.imu, options=options.motion),
         verdicts=verdicts,
         settings=used_settings(settings),

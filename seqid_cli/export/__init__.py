@@ -28,7 +28,7 @@ from seqid_cli.robot.file import load_robot
 
 if TYPE_CHECKING:
     from seqid_cli.export.model import ExportModel
-    from seqid_cli.export.motions import Motions
+    from seqid_cli.export.motions import Motions, Unrefined
     from seqid_cli.robot.types import Robot
 
 
@@ -89,11 +89,23 @@ def export(
     errors = {name: joint.rmse for name, joint in loop.after.items()} if loop else None
     chosen, said = _replayed_logs(previous, folders, replay)
     motions = _motions(previous, arm, folders, form, chosen)
-    done = export_form(arm, previous.stages, kind=kind, errors=errors, motions=motions)
+    done = export_form(
+        arm,
+        previous.stages,
+        kind=kind,
+        errors=errors,
+        before=_unrefined(previous, folders, motions),
+        motions=motions,
+    )
     write_text_atomic(goal, done.text)
     model = done.model
-    loss = {} if model.loss is None else model.loss.stated(arm.joint_names)
-    lost_here = {} if model.loss is None else model.loss.on_replayed(arm.joint_names)
+    loss: dict[str, float | None] = {}
+    loss_range: dict[str, list[float]] = {}
+    lost_here: dict[str, float | None] = {}
+    if model.loss is not None:
+        loss = model.loss.stated(arm.joint_names)
+        loss_range = model.loss.ranges(arm.joint_names)
+        lost_here = model.loss.on_replayed(arm.joint_names)
 
     result, notes = None, list(model.notes)
     if no_replay:
@@ -117,6 +129,7 @@ def export(
             [] if motions is None else [str(log.path) for log in motions.recordings]
         ),
         loss=loss,
+        loss_range=loss_range,
         replay=result,
         observer_gain=float(model.observer.gain),
         collision={
@@ -175,6 +188,17 @@ def _motions(
     return motions_of(
         FullModel.of(arm, previous.stages), previous.inputs, replayed, folders
     )
+
+
+def _unrefined(
+    previous: ParameterFile, folders: Sequence[Path], motions: Motions | None
+) -> Unrefined | None:
+    """Return the file as it came into its refinement, for forms that are fitted."""
+    if motions is None:
+        return None
+    from seqid_cli.export.motions import Unrefined
+
+    return Unrefined.of(previous, folders)
 
 
 def _replay(

@@ -11,11 +11,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+from msgspec import structs
+
 from seqid_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from seqid_cli.export.model import ExportModel
-    from seqid_cli.export.motions import Motions
+    from seqid_cli.export.motions import Motions, Unrefined
     from seqid_cli.params.schema import Stages
     from seqid_cli.robot.types import Robot
 
@@ -186,24 +188,38 @@ def export(
     *,
     kind: str,
     errors: Mapping[str, float] | None = None,
+    before: Unrefined | None = None,
     motions: Motions | None = None,
 ) -> Exported:
     """Write an arm in a form of `BY_TITLE`.
 
-    `errors`: RMS errors of the torque [N m] on new logs, which set the limits of
-    collision detection. `motions`: what forms are fitted to that cannot hold the whole
-    model; without them these get the file's own parameters, and nothing is said of what
-    they lose.
+    Parameters
+    ----------
+    robot, stages : Robot, Stages
+        The arm, and what was identified of it.
+    kind : str
+        The title of the form.
+    errors : mapping, optional
+        RMS errors of the torque [N m] on new logs, which set the limits of collision
+        detection.
+    before : Unrefined, optional
+        The file as it came into its refinement; `stages` without effects if left out.
+    motions : Motions, optional
+        What forms are fitted to that cannot hold the whole model. Without them these
+        get the file's own parameters, and nothing is said of what they lose.
     """
     from seqid_cli.export.model import export_model, with_file_torque
 
     form = BY_TITLE[kind]
     model = export_model(robot, stages, form.effects, errors)
     if motions is not None and form.extent in ("reduced", "joints"):
+        from seqid_cli.export.motions import Unrefined
         from seqid_cli.export.reduced import Form, reduced
 
         held = Form(offset=form.offset, effects=form.effects or ())
-        model = reduced(model, stages, motions, held)
+        if before is None:
+            before = Unrefined(stages=structs.replace(stages, effects=None))
+        model = reduced(model, stages, before, motions, held)
     if form.extent == "whole":
         model = with_file_torque(model, stages)
     writer = getattr(import_module(f"seqid_cli.export.{form.module}"), form.function)

@@ -27,26 +27,55 @@ from seqid_cli.robot.types import Array, Robot
 from seqid_cli.robot.urdf import UrdfText, read_urdf_text
 
 _POSITIONS, _SPEEDS = 41, 60
+# What becomes of an effect.
 LEFT_OUT = "cannot be written to a model file and is left out"
+ADDED = "added to the inertial parameters"
+WRITTEN = "written as it is"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loss:
     """What a form loses of the file's torque, while joints slide.
 
-    `rms` (n,) N m (N where prismatic) is on the motions that the numbers are fitted to,
-    `replayed_rms` on those of the logs to replay; NaN for a joint that never slides
-    there.
+    `rms` (n,) N m (N where prismatic) is for motion that no number was fitted to: that
+    of the `replayed_logs`, and of left-out pieces of the `logs`, or of `made` motions,
+    for a joint that slides in none of these. `replayed_rms` is on the first alone,
+    `by_log` (k, n) on each log of both kinds. NaN for a joint that never slides there.
     """
 
     rms: Array
     replayed_rms: Array
+    by_log: Array
     logs: int
+    replayed_logs: int
     made: bool
+
+    @property
+    def motion(self) -> str:
+        """Say of which motion what is lost is stated."""
+        if not self.replayed_logs:
+            return f"left-out pieces of {self.fitted_motion}"
+        if self.replayed_logs == 1:
+            return "the replayed log"
+        return f"the {self.replayed_logs} replayed logs"
+
+    @property
+    def fitted_motion(self) -> str:
+        """Say what the numbers are fitted to."""
+        return "made motions" if self.made else f"{self.logs} of the file's logs"
 
     def stated(self, names: Sequence[str]) -> dict[str, float | None]:
         """Return the loss of each joint, None where it is not known."""
         return _by_joint(names, self.rms)
+
+    def ranges(self, names: Sequence[str]) -> dict[str, list[float]]:
+        """Return the smallest and the largest loss of each joint in a single log."""
+        found: dict[str, list[float]] = {}
+        for name, of_joint in zip(names, self.by_log.T, strict=True):
+            known = of_joint[np.isfinite(of_joint)]
+            if known.size:
+                found[name] = [float(known.min()), float(known.max())]
+        return found
 
     def on_replayed(self, names: Sequence[str]) -> dict[str, float | None]:
         """Return the loss of each joint on the logs to replay, None where it is not known."""
@@ -238,16 +267,16 @@ def _effects(
                 parameters[last if name == "payload" else PER_LINK * n + j] += (
                     c.squeeze()
                 )
-                fate = "added to the inertial parameters"
+                fate = ADDED
             elif holds is not None and name in holds:
-                fate = "written as it is"
+                fate = WRITTEN
                 if name == "backlash":
                     gaps[j] += c[0]
                 else:
                     springs[j, : len(c)] += c[[1, 0, 3, 2][: len(c)]]
         if holds is None and fate == LEFT_OUT:
             coded.append(item)
-            fate = "written as it is"
+            fate = WRITTEN
         notes.append(f"{fate}: {name} ({robot.name_of(item.joint) or 'all joints'})")
     return _Effects(
         parameters=parameters,

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
+from msgspec import structs
 
 from seqid_cli.errors import SeqidError
 from seqid_cli.identify.common_cutoff import inherited
@@ -26,7 +27,7 @@ from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.motion import Motion, thinned
-from seqid_cli.params.schema import InputLog, Stages
+from seqid_cli.params.schema import InputLog, ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
@@ -157,15 +158,22 @@ class TorqueSamples:
 
     `torque` is without the effects that the form holds as they are, and not late;
     `measured` (N, n) N m is what was measured of it: the same plus what the whole file
-    leaves of the log, and the same where nothing was measured. `left_out` (N, n) N m is
-    what the held effects add to it as far as the form's static torque lacks it.
+    leaves of the log, and the same where nothing was measured. `held` (N, n) N m is
+    what the held effects add, `left_out` (N, n) N m what they add besides as far as the
+    form's static torque lacks it.
     """
 
     motion: Motion
     torque: Array
     measured: Array
     sliding: Mask
+    held: Array
     left_out: Array
+
+    @property
+    def of_model(self) -> Array:
+        """What a form without the held effects is to have (N, n) N m, by the model."""
+        return self.torque + self.left_out
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,9 +210,14 @@ class Motions:
             torque, sliding = full.predicted(log, motion, effects=rest, late=False)
             left_out = np.zeros_like(torque)
             if unseen:
-                left_out = (
-                    full.predicted(log, motion, effects=shown, late=False)[0] - torque
-                )
+                with_unseen, _ = full.predicted(log, motion, effects=shown, late=False)
+                left_out = with_unseen - torque
+            of_held = np.zeros_like(torque)
+            if held:
+                not_held = _without(full.effects, held)
+                whole, _ = full.predicted(log, motion, late=False)
+                alone, _ = full.predicted(log, motion, effects=not_held, late=False)
+                of_held = whole - alone
             measured = torque
             if motion.tau is not None and log.tau is not None and log.tau.any():
                 measured = torque + motion.tau - full.predicted(log, motion)[0]
@@ -217,6 +230,7 @@ class Motions:
                 torque=torque[::step],
                 measured=measured[::step],
                 sliding=sliding[::step],
+                held=of_held[::step],
                 left_out=left_out[::step],
             )
 
@@ -254,6 +268,37 @@ def motions_of(
         held_out=others,
         notes=(f"{reason}: {made}, so that what is lost is known less well",),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unrefined:
+    """The file as it came into its refinement: its stages, and the logs that it named.
+
+    `folders` are where these are looked for.
+    """
+
+    stages: Stages
+    entries: tuple[InputLog, ...] = ()
+    folders: tuple[Path, ...] = ()
+
+    @classmethod
+    def of(cls, file: ParameterFile, folders: Sequence[Path]) -> Self:
+        """Return what a refined file says of it; else the file without its effects."""
+        loop = file.closed_loop
+        stages = structs.replace(file.stages, effects=None)
+        if loop is not None and loop.incoming is not None:
+            stages = loop.incoming
+        return cls(
+            stages=stages,
+            entries=tuple(entry for entry in file.inputs if entry.stage != "effects"),
+            folders=tuple(folders),
+        )
+
+    def samples(self, robot: Robot) -> list[TorqueSamples]:
+        """Return the motions that its forms were fitted to, with their torque."""
+        full = FullModel.of(robot, self.stages)
+        motions = motions_of(full, self.entries, (), self.folders)
+        return list(motions.samples(full))
 
 
 def _readable(

@@ -21,9 +21,9 @@ import numpy as np
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.code import identifier
+from seqid_cli.export.fitting import surface_grid
 from seqid_cli.export.model import ExportModel
 from seqid_cli.export.observer import largest_mass
-from seqid_cli.export.reduced import surface_grid
 from seqid_cli.export.text import joint_remarks, rendered
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.results.export import ExportedFriction

@@ -103,22 +103,22 @@ def _loss_lines(model: ExportModel) -> list[str]:
     """Say what the form loses of the file's torque, a line for each joint that loses any."""
     if model.loss is None:
         return []
-    source = (
-        "made motions" if model.loss.made else f"{model.loss.logs} of the file's logs"
-    )
     lines = []
     if model.refitted:
         least = "Links and friction are those that lose least of the file's torque"
-        lines.append(f"{least} on {source}.")
+        lines.append(f"{least} on {model.loss.fitted_motion}.")
+    ranges = model.loss.ranges(model.robot.joint_names)
     for joint, rms in zip(model.robot.joints, model.loss.rms, strict=True):
         unit = joint.unit("N m")
         if np.isnan(rms):
             lines.append(
                 f"{joint.name}: what this form loses is not known, it slides nowhere"
             )
-        else:
-            lost = f"{rms:.3g} {unit} RMS of the file's torque"
-            lines.append(f"{joint.name}: loses {lost} ({source})")
+            continue
+        smallest, largest = ranges[joint.name]
+        lost = f"{rms:.3g} {unit} RMS of the file's torque"
+        by_log = f"{smallest:.3g} to {largest:.3g} by log"
+        lines.append(f"{joint.name}: loses {lost} ({model.loss.motion}; {by_log})")
     return lines
 
 

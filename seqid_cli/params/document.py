@@ -7,7 +7,15 @@ from seqid_cli import __version__
 from seqid_cli.errors import ConfigError
 from seqid_cli.params import schema
 from seqid_cli.params.dates import created_from, now
-from seqid_cli.params.schema import ClosedLoop, InputLog, ParameterFile, RobotId, Stages
+from seqid_cli.params.schema import (
+    ClosedLoop,
+    FrictionStage,
+    InputLog,
+    ParameterFile,
+    RigidStage,
+    RobotId,
+    Stages,
+)
 from seqid_cli.settings import Settings, entries
 
 if TYPE_CHECKING:
@@ -171,6 +179,47 @@ def refined(
     # Effects are there even where nothing was added.
     content = {"effects": [], **present(previous.stages), **present(stages)}
     return _file(robot, [*previous.inputs, *inputs], content, loop, created=created)
+
+
+def stages_before(previous: ParameterFile, refined_stages: Stages) -> Stages | None:
+    """Return the model as it came into the first refinement.
+
+    None where refinement has identified none of it anew.
+
+    Parameters
+    ----------
+    previous : ParameterFile
+        The document as it comes into this refinement.
+    refined_stages : Stages
+        Those that replace its stages.
+    """
+    loop = previous.closed_loop
+    earliest = previous.stages
+    if loop is not None and loop.incoming is not None:
+        earliest = loop.incoming
+    came_in = _model_of(earliest)
+    written = {**_model_of(previous.stages), **_model_of(refined_stages)}
+    return None if came_in == written else Stages(**came_in)
+
+
+class _Model(TypedDict, total=False):
+    """The stages that say an arm's torque without effects."""
+
+    friction: FrictionStage
+    gravity: RigidStage
+    inertia: RigidStage
+
+
+def _model_of(stages: Stages) -> _Model:
+    """Return those that are there."""
+    model = _Model()
+    if stages.friction is not None:
+        model["friction"] = stages.friction
+    if stages.gravity is not None:
+        model["gravity"] = stages.gravity
+    if stages.inertia is not None:
+        model["inertia"] = stages.inertia
+    return model
 
 
 def _file(

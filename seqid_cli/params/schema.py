@@ -456,6 +456,16 @@ class StoppedAt(Struct, kw_only=True):
     untried: list[EffectOfPlace]
 
 
+class Stages(Struct, kw_only=True, omit_defaults=True):
+    """Stages that have been identified so far."""
+
+    friction: FrictionStage | None = None
+    gravity: RigidStage | None = None
+    imu: ImuStage | None = None
+    inertia: RigidStage | None = None
+    effects: list[EffectOfJoint] | None = None
+
+
 class ClosedLoop(Struct, kw_only=True):
     """The rounds of a refinement, measured on the held-out logs alone.
 
@@ -468,7 +478,9 @@ class ClosedLoop(Struct, kw_only=True):
     is written; `gain_interval` is of 1 - (after / before)^2, 95 %. All are over the
     same samples, those in which a joint slides. `noise_floor` is what torque noise and
     encoder alone leave there, N m, estimated by itself, with its 95 % interval.
-    `held_out` identifies the logs that `evaluated_on` names.
+    `held_out` identifies the logs that `evaluated_on` names. `incoming` are friction,
+    gravity and inertia as they came into the first refinement, for forms that have no
+    place for effects; null where the stages are still the same.
     """
 
     verdict: Literal["good", "poor"] = "good"
@@ -483,6 +495,7 @@ class ClosedLoop(Struct, kw_only=True):
     gain_interval: dict[str, list[float]] = {}
     evaluated_on: list[str] = []
     held_out: list[InputLog] = []
+    incoming: Stages | None = None
     motion: list[MotionUse] = []
     verdicts: list[Verdict] = []
     notes: list[str] = []
@@ -492,16 +505,6 @@ class ClosedLoop(Struct, kw_only=True):
     def doubtful(self) -> list[RefinementRound]:
         """Effects that the model has and the held-out logs do not confirm."""
         return [item for item in self.rounds if item.confirmed is False]
-
-
-class Stages(Struct, kw_only=True, omit_defaults=True):
-    """Stages that have been identified so far."""
-
-    friction: FrictionStage | None = None
-    gravity: RigidStage | None = None
-    imu: ImuStage | None = None
-    inertia: RigidStage | None = None
-    effects: list[EffectOfJoint] | None = None
 
 
 class ParameterFile(OfRobot, kw_only=True, omit_defaults=True):

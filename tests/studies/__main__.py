@@ -7,7 +7,14 @@ from collections.abc import Callable, Mapping
 
 from tests import ROOT
 from tests.benchmarks import discovery, exported, ingestion, kernels, whole_run
-from tests.studies import bands, exported_effects, recorded, tables, unseen
+from tests.studies import (
+    bands,
+    exported_effects,
+    recorded,
+    reduced,
+    tables,
+    unseen,
+)
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
 from tests.studies.planned import errors, separation
@@ -32,6 +39,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "planned_errors": ("evidence/planned.md", errors.study),
     "planned_separation": ("evidence/planned.md", separation.study),
     "recorded_effects": (RECORDED, recorded.effects),
+    "reduced": (RECORDED, reduced.study),
     "ingestion": (COSTS, ingestion.study),
     "kernels": (COSTS, kernels.study),
     "whole_run": (COSTS, whole_run.study),

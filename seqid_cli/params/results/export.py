@@ -86,10 +86,12 @@ class ExportFile(OfRobot, kw_only=True):
     """The whole document; `largest_deviation` is in standard errors.
 
     `refitted` says that links and friction are those that lose least of the file's
-    torque on the motion of the logs `fitted_on` (made motions where there are none),
-    `loss` how much that is in each joint, RMS in N m: null where the joint slides in
-    none; empty where the form holds all. `replay` is null where nothing was replayed.
-    `observer_gain` [1/s] goes with `collision`.
+    torque on the motion of the logs `fitted_on` (made motions where there are none).
+    `loss` is how much each joint loses on motion that no number was fitted to, RMS in
+    N m: that of the held-out or replayed logs, else that of left-out pieces of
+    `fitted_on`; null where the joint slides in none, empty where the form holds all.
+    `loss_range` is the smallest and the largest in a single log. `replay` is null where
+    nothing was replayed. `observer_gain` [1/s] goes with `collision`.
     """
 
     format: str
@@ -103,6 +105,7 @@ class ExportFile(OfRobot, kw_only=True):
     refitted: bool = False
     fitted_on: list[str] = []
     loss: dict[str, float | None] = {}
+    loss_range: dict[str, list[float]] = {}
     replay: Replay | None = None
     observer_gain: float | None = None
     collision: dict[str, CollisionLimits] = {}

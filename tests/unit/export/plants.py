@@ -62,8 +62,11 @@ CASES: Mapping[str, tuple[Callable[[], Plant], tuple[tuple[str, int, float], ...
 
 
 @cache
-def recorded(name: str) -> Recorded:
-    """Record, identify and refine a case, once in a process."""
+def recorded(name: str, own_seed: int = SEED, other_seed: int = OTHER_SEED) -> Recorded:
+    """Record, identify and refine a case, once in a process.
+
+    `own_seed` is of the logs of the files, `other_seed` of the others.
+    """
     make, effects = CASES[name]
     declared = plant = make()
     for kind, joint, size in effects:
@@ -71,10 +74,10 @@ def recorded(name: str) -> Recorded:
     folder = Path(mkdtemp(prefix=f"seqid_{name}_"))
     (folder / "robot.toml").write_text(robot_toml(name, declared), encoding="ascii")
     logs: dict[str, list[Path]] = {"training": [], "held_out": [], "others": []}
-    for seed in (SEED, OTHER_SEED):
+    for seed in (own_seed, other_seed):
         for number, drill in enumerate(drills(declared, seed)):
             group = "held_out" if drill.held_out else "training"
-            if seed == OTHER_SEED:
+            if seed == other_seed:
                 group = "others"
                 if drill.held_out:
                     continue

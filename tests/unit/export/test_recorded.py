@@ -10,24 +10,9 @@ from seqid_cli.export import export
 from seqid_cli.export.written.code import compiler
 from seqid_cli.identify.functions import simultaneous
 from seqid_cli.params.results.export import ExportFile
-from tests import ROOT
+from tests.unit.export.recordings import DATA, ROBOTS
 
 pytestmark = pytest.mark.slow
-
-DATA = ROOT / ".." / "shared" / "data"
-_UR10E = "identification__ur-20_02_{}.parquet"
-# Training logs and held-out log of each robot.
-ROBOTS: dict[str, tuple[tuple[str, ...], str]] = {
-    "staubli_tx40": (("train.parquet",), "holdout.parquet"),
-    "ur10e_innopolis": (
-        tuple(
-            map(
-                _UR10E.format, ("12-50sec_12harm", "12-40sec_12harm", "10-30sec_12harm")
-            )
-        ),
-        _UR10E.format("19_15harm50sec"),
-    ),
-}
 
 
 class Refined(NamedTuple):
@@ -81,11 +66,11 @@ def test_exported_code_is_as_good_as_the_refined_file(
 def test_a_refined_model_file_is_no_worse_than_the_unrefined(
     refined: Refined, tmp_path: Path, suffix: str
 ) -> None:
-    """Within five percent: one log of 50 s tells errors of two models no closer."""
+    """But for a thousandth or two, by which a joint is kept where it was."""
     target = tmp_path / f"arm.{suffix}"
     old = errors(
         export(refined.before, refined.robot, target, replay=[refined.held_out])
     )
     new = errors(export(refined.after, refined.robot, target))
     for name, error in new.items():
-        assert error <= 1.05 * old[name], name
+        assert error <= 1.002 * old[name], name

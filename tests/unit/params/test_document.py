@@ -14,11 +14,19 @@ import jsonschema
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.params import io
-from seqid_cli.params.document import join, present, refined, stale_stages, with_stage
+from seqid_cli.params.document import (
+    join,
+    present,
+    refined,
+    stages_before,
+    stale_stages,
+    with_stage,
+)
 from seqid_cli.params.encode import LARGEST, encode, plain
 from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
@@ -51,6 +59,24 @@ def test_what_rested_on_a_stage_goes_when_it_is_done_again() -> None:
     assert list(present(again.stages)) == ["friction", "imu"]
     assert [item.stage for item in again.inputs] == ["imu"]
     assert again.closed_loop is None
+
+
+def test_what_came_into_a_refinement_is_kept_where_it_has_changed() -> None:
+    before = made.inertia_file()
+    old = before.stages
+    model = Stages(friction=old.friction, gravity=old.gravity, inertia=old.inertia)
+    effects = [EffectOfJoint(effect="stribeck", joint="elbow")]
+    assert stages_before(before, Stages(effects=effects)) is None
+    assert stages_before(before, structs.replace(old, effects=effects)) is None
+
+    new = Stages(friction=made.friction_stage(good=False), effects=effects)
+    assert new.friction != old.friction
+    assert stages_before(before, new) == model
+
+    # A second refinement keeps what came into the first.
+    loop = structs.replace(made.closed_loop(), incoming=model)
+    once = refined(before, robot(), [log("e", "effects")], new, loop)
+    assert stages_before(once, Stages(effects=effects)) == model
 
 
 def test_a_refined_file_keeps_every_input_and_replaces_the_stages() -> None:

@@ -218,7 +218,8 @@ def export(
 
         held = Form(offset=form.offset, effects=form.effects or ())
         if before is None:
-            before = Unrefined(stages=structs.replace(stages, effects=None))
+            without_effects = structs.replace(stages, effects=None)
+            before = Unrefined(stages=without_effects, is_known=False)
         model = reduced(model, stages, before, motions, held)
     if form.extent == "whole":
         model = with_file_torque(model, stages)

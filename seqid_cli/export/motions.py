@@ -274,10 +274,12 @@ def motions_of(
 class Unrefined:
     """The file as it came into its refinement: its stages, and the logs that it named.
 
-    `folders` are where these are looked for.
+    `folders` are where these are looked for. Where it `is_known` the refined file holds
+    it; else it is the file without its effects.
     """
 
     stages: Stages
+    is_known: bool
     entries: tuple[InputLog, ...] = ()
     folders: tuple[Path, ...] = ()
 
@@ -286,10 +288,12 @@ class Unrefined:
         """Return what a refined file says of it; else the file without its effects."""
         loop = file.closed_loop
         stages = structs.replace(file.stages, effects=None)
+        is_known = loop is not None and loop.incoming is not None
         if loop is not None and loop.incoming is not None:
             stages = loop.incoming
         return cls(
             stages=stages,
+            is_known=is_known,
             entries=tuple(entry for entry in file.inputs if entry.stage != "effects"),
             folders=tuple(folders),
         )

@@ -119,7 +119,13 @@ def reduced(
     found = _Reduced(model=model, added=added)
     if needs_refit(model, left_over):
         fitting = Fitting(model=model, stages=stages, added=added)
-        found = _reduced(fitting, before, samples, refined=bool(full.effects))
+        found = _reduced(
+            fitting,
+            before,
+            samples,
+            refined=bool(full.effects),
+            measured=not motions.made,
+        )
 
     on_fitted = found.lost(samples)
     on_replayed = found.lost(others)
@@ -192,15 +198,23 @@ def _reduced(
     samples: Sequence[TorqueSamples],
     *,
     refined: bool,
+    measured: bool,
 ) -> _Reduced:
-    """Fit a form, but for the joints at which it was better before a refinement."""
-    pieces = joint_sums(fitting.model, fitting.identified, samples, pieces=_PIECES)
+    """Fit a form, but for the joints at which it was better before a refinement.
+
+    On made motion the whole model's torque is no evidence that a refined form predicts
+    the robot better: there every joint keeps what it had, where that is known.
+    """
     nothing = np.zeros_like(fitting.added)
     earlier = fitting.model
     numbers = None
     if refined:
         earlier = _earlier(fitting.model, before)
+        if before.is_known and not measured:
+            model = _as_before(fitting.model, earlier, fitting.stages)
+            return _Reduced(model=model, added=nothing, held=0.0)
         numbers = Numbers.of(earlier, fitting.identified, nothing, held=0.0)
+    pieces = joint_sums(fitting.model, fitting.identified, samples, pieces=_PIECES)
     decision = decided(fitting, pieces, numbers)
     if decision.fit is None:
         model = _as_before(fitting.model, earlier, fitting.stages)

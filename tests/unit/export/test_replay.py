@@ -324,6 +324,30 @@ def test_logs_that_are_gone_are_replaced_by_made_motions(tmp_path: Path) -> None
         assert file.loss[name] == pytest.approx(loss, rel=1.0, abs=0.05)
 
 
+def test_without_logs_a_form_keeps_what_it_had_before_the_refinement(
+    tmp_path: Path,
+) -> None:
+    case = logged(tmp_path, "two_joint", [DRAG])
+    file = read_parameters(case.file)
+    assert file.closed_loop is not None
+    incoming = structs.replace(file.stages, effects=None)
+    assert incoming.friction is not None
+    loop = structs.replace(file.closed_loop, incoming=incoming)
+    write_json_atomic(case.file, structs.replace(file, closed_loop=loop))
+    unrefined = tmp_path / "unrefined.json"
+    write_json_atomic(
+        unrefined, structs.replace(file, stages=incoming, closed_loop=None)
+    )
+    case.training.unlink()
+    case.held_out.unlink()
+
+    kept = exported(case, "URDF")
+    before = export(unrefined, case.robot, tmp_path / "unrefined.urdf")
+    assert kept.joints == before.joints
+    # The drag is lost, and said to be.
+    assert kept.loss["joint_1"] > 5.0 * kept.loss["joint_2"]
+
+
 def test_logs_are_found_by_their_content(tmp_path: Path) -> None:
     case = logged(tmp_path, "one_joint")
     file = read_parameters(case.file)

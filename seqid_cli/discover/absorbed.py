@@ -24,9 +24,9 @@ from itertools import product
 import numpy as np
 
 from seqid_cli.discover.base import Base, has_trials, surface_columns
+from seqid_cli.effects.effect import Effect, Settings
+from seqid_cli.effects.scene import Joint, Scene
 from seqid_cli.identify.nuisances import PRIORS, even_columns, friction_rms
-from seqid_cli.model.effects.effect import Effect, Settings
-from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gravity_base_regressor
 from seqid_cli.typing import Array

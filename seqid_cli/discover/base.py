@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.nuisances import Nuisance, nuisances_of
 from seqid_cli.discover.survey.rows import Rows
+from seqid_cli.effects.scene import Joint, Scene
 from seqid_cli.identify.regression.least_squares import whitened
-from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import (
     Basis,

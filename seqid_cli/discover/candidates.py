@@ -14,8 +14,8 @@ from seqid_cli.discover.base import LIKELY, has_trials, residual_of
 from seqid_cli.discover.select.rows import Channels, ColumnGroup
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
-from seqid_cli.model.effects.effect import Columns, Effect
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.effect import Columns, Effect
+from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import single
 from seqid_cli.typing import Array
 

@@ -34,12 +34,12 @@ from seqid_cli.discover.select.results import TermResult
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.verdict import changed_values, joint_states, verdict_of
+from seqid_cli.effects.apply import without_effects
+from seqid_cli.effects.effect import Effect
+from seqid_cli.effects.fitted import fitted_effects
+from seqid_cli.effects.registry import CATALOGUE, catalogue_of
+from seqid_cli.effects.units import UNDETERMINED_STD_ERROR, Value
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.apply import without_effects
-from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.fitted import fitted_effects
-from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
-from seqid_cli.model.effects.units import UNDETERMINED_STD_ERROR, Value
 from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.results import diagnosis

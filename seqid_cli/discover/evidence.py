@@ -17,8 +17,8 @@ from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import ScoredTerm, TermResult
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import Axis
+from seqid_cli.effects.scene import Scene
+from seqid_cli.effects.smooth import Axis
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent

@@ -26,6 +26,7 @@ import numpy as np
 
 from seqid_cli.discover.survey import events
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
+from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, Predictor, predict
@@ -36,7 +37,6 @@ from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, Whole
 from seqid_cli.logs.storage.remote import StoredLog, local_copy
-from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel, known_rotors
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages

@@ -26,8 +26,8 @@ from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.survey.events import GATE, Interval, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
+from seqid_cli.effects.scene import Scene
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot

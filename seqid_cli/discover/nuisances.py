@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.params.schema import Stages
 from seqid_cli.typing import Array

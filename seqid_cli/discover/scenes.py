@@ -8,13 +8,13 @@ import numpy as np
 from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.floor import encoder_residuals
 from seqid_cli.discover.select.options import Options
+from seqid_cli.effects.apply import scene_of_log
+from seqid_cli.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.dynamics.echo import REMEDY, WARNING, echoes
 from seqid_cli.logs.pieces import by_log, whole_of
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.model.effects.apply import scene_of_log
-from seqid_cli.model.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import decimated, estimate_motion

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from seqid_cli.effects.effect import Effect
+from seqid_cli.effects.fitted import Fitted, FittedEffect
+from seqid_cli.effects.scene import DEFAULT_SIGN_SHARE
 from seqid_cli.errors import ConfigError
-from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.fitted import Fitted, FittedEffect
-from seqid_cli.model.effects.scene import DEFAULT_SIGN_SHARE
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from seqid_cli.effects.declared import BodyTerm, Deviation, Play, Twist, Wave
+from seqid_cli.effects.fitted import Fitted, FittedEffect
+from seqid_cli.effects.law import PLACES, Law, catalogue_symbol, tree_of
+from seqid_cli.effects.memory import Bristles, FrictionSlope, Late, Memory, Rate
+from seqid_cli.effects.smooth import DEGREE, Axis, SmoothTerm
 from seqid_cli.export.composition import BaseModel, Code, is_timing, refuse_without_law
 from seqid_cli.export.syntax import Syntax
 from seqid_cli.export.text import plain, real
-from seqid_cli.model.effects.declared import BodyTerm, Deviation, Play, Twist, Wave
-from seqid_cli.model.effects.fitted import Fitted, FittedEffect
-from seqid_cli.model.effects.law import PLACES, Law, catalogue_symbol, tree_of
-from seqid_cli.model.effects.memory import Bristles, FrictionSlope, Late, Memory, Rate
-from seqid_cli.model.effects.smooth import DEGREE, Axis, SmoothTerm
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.effects.fitted import FittedEffect, fitted_effects
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.formats import BY_TITLE, Format
-from seqid_cli.model.effects.fitted import FittedEffect, fitted_effects
 from seqid_cli.params.io import Document, Source, check_robot, read_any
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.schema import ParameterFile

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
+from seqid_cli.effects.fitted import Fitted, FittedEffect, fitted_effects
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody, bodies_of_urdf
@@ -16,7 +17,6 @@ from seqid_cli.model.bodies.nearest import (
     identified,
     nearest_bodies,
 )
-from seqid_cli.model.effects.fitted import Fitted, FittedEffect, fitted_effects
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import TorqueModel, friction_surfaces
 from seqid_cli.params.results.export import ExportedFriction, ExportedParameter

@@ -14,6 +14,9 @@ from typing import Self
 import numpy as np
 from msgspec import structs
 
+from seqid_cli.effects.apply import placed, scene_of_log
+from seqid_cli.effects.fitted import Fitted, fitted_effects
+from seqid_cli.effects.scene import Scene
 from seqid_cli.errors import SeqidError
 from seqid_cli.identify.common_cutoff import inherited
 from seqid_cli.identify.options import InertiaOptions
@@ -22,9 +25,6 @@ from seqid_cli.identify.regression.equations import torque_motion
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.files import sha256_of
-from seqid_cli.model.effects.apply import placed, scene_of_log
-from seqid_cli.model.effects.fitted import Fitted, fitted_effects
-from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.motion import Motion, thinned
 from seqid_cli.params.schema import InputLog, ParameterFile, Stages

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.effects.fitted import Fitted, FittedEffect
 from seqid_cli.export.equations import Numbers, joint_sums, sum_of
 from seqid_cli.export.fitting import Fitting, deviations
 from seqid_cli.export.kept import decided
@@ -41,7 +42,6 @@ from seqid_cli.export.motions import (
     Unrefined,
 )
 from seqid_cli.model.bodies.nearest import identified
-from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.typing import Array

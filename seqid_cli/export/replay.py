@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.effects.apply import effect_torque
+from seqid_cli.effects.fitted import FittedEffect
+from seqid_cli.effects.measurement import ModelledTorque
+from seqid_cli.effects.scene import Scene
 from seqid_cli.export.motions import FullModel
 from seqid_cli.export.written.arm import Steps, WrittenArm
 from seqid_cli.export.written.read import read_written
 from seqid_cli.logs.read import read_recording
-from seqid_cli.model.effects.apply import effect_torque
-from seqid_cli.model.effects.fitted import FittedEffect
-from seqid_cli.model.effects.measurement import ModelledTorque
-from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import sampled_friction
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.results.export import ReplayedJoint

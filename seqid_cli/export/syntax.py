@@ -4,8 +4,8 @@ import ast
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from seqid_cli.effects.law import direction_of
 from seqid_cli.export.text import real
-from seqid_cli.model.effects.law import direction_of
 
 Named = Callable[[str], str]  # the text that stands for a name, "sign(dq)" among them
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import Predictor
@@ -34,7 +35,6 @@ from seqid_cli.identify.regression.least_squares import (
 from seqid_cli.identify.rigid.posterior import constant_moves, moves_covariance
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.bodies.nearest import identified
-from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel, sampled_friction
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from markupsafe import Markup
 
 from seqid_cli import __version__
-from seqid_cli.model.effects.units import UNDETERMINED_STD_ERROR
+from seqid_cli.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.params.document import worst_level
 from seqid_cli.params.results.tables import Values, heads, values
 from seqid_cli.params.schema import Verdict

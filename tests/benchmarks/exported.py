@@ -9,10 +9,10 @@ from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
+from seqid_cli.effects.fitted import Fitted
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.export.code import identifier
 from seqid_cli.export.formats import export
-from seqid_cli.model.effects.fitted import Fitted
-from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.studies.tables import table

@@ -21,17 +21,17 @@ from unittest.mock import patch
 import numpy as np
 from msgspec.structs import replace as replace_struct
 
+from seqid_cli.effects import own
+from seqid_cli.effects.effect import Coefficient, Effect, Settings
+from seqid_cli.effects.fitted import FittedEffect
+from seqid_cli.effects.law import Law
+from seqid_cli.effects.memory import Bristles, Rate
+from seqid_cli.effects.registry import CATALOGUE, catalogue_of
 from seqid_cli.export.formats import export
 from seqid_cli.export.motions import FullModel
 from seqid_cli.export.replay import replayed
 from seqid_cli.export.written import code
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects import own
-from seqid_cli.model.effects.effect import Coefficient, Effect, Settings
-from seqid_cli.model.effects.fitted import FittedEffect
-from seqid_cli.model.effects.law import Law
-from seqid_cli.model.effects.memory import Bristles, Rate
-from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
 from seqid_cli.params.schema import EffectSession, Stages
 from seqid_cli.robot.formula import parse_formula
 from seqid_cli.robot.types import OwnEffect, Robot

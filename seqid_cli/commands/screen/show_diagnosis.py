@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
-from seqid_cli.model.effects.units import (
+from seqid_cli.effects.units import (
     UNDETERMINED_STD_ERROR,
     UNEXPLAINED,
     smooth_in_words,
@@ -196,7 +196,7 @@ def _show_reasons(
 def parameters_text(effect: diagnosis.FindingEntry | EffectOfJoint) -> str:
     """Return the parameters of an effect with their errors, and its settings."""
     # Imported here: the help of commands needs no effects.
-    from seqid_cli.model.effects.registry import setting_units
+    from seqid_cli.effects.registry import setting_units
 
     if not effect.parameters:
         return "not determined by these logs"

@@ -26,8 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.discover.survey.rows import Rows
+from seqid_cli.effects.scene import Scene
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import sampled_friction
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass

@@ -25,6 +25,7 @@ from scipy.stats import t as student_t
 
 from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import BLOCK_S
+from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import local_effects, predict
 from seqid_cli.identify.regression.equations import LONG, open_if_long, streams
@@ -33,7 +34,6 @@ from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy
-from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.torque_noise import LEVEL

@@ -26,8 +26,8 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Key, TermResult
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
+from seqid_cli.effects.fitted import FittedEffect, as_stage
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.fitted import FittedEffect, as_stage
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot

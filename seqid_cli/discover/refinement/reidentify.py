@@ -28,6 +28,9 @@ from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_term
 from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.effects.apply import session_of, without_effects
+from seqid_cli.effects.fitted import Fitted, FittedEffect
+from seqid_cli.effects.smooth import SmoothTerm
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
@@ -39,9 +42,6 @@ from seqid_cli.identify.rigid.simultaneous_equations import (
     surface_entries,
 )
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.apply import session_of, without_effects
-from seqid_cli.model.effects.fitted import Fitted, FittedEffect
-from seqid_cli.model.effects.smooth import SmoothTerm
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot

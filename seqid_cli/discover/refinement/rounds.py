@@ -37,9 +37,9 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Key, TermResult
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
+from seqid_cli.effects.fitted import Fitted, fitted_effects
 from seqid_cli.identify.prediction.predict import slides_from
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import ParameterFile, Stages

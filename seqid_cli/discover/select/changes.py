@@ -27,7 +27,7 @@ from seqid_cli.discover.select.results import TermInModel, TermResult
 from seqid_cli.discover.select.search import Search
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import FittedTerm
-from seqid_cli.model.effects.registry import catalogue_of
+from seqid_cli.effects.registry import catalogue_of
 
 if TYPE_CHECKING:
     from seqid_cli.discover.select.selection import Selection

@@ -15,7 +15,7 @@ from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import FittedTerm, Tuner, best_of, shape_of
-from seqid_cli.model.effects.effect import Effect
+from seqid_cli.effects.effect import Effect
 
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
 SHORTLIST = 14  # effects, of which settings are searched and blocks are left out

@@ -37,9 +37,9 @@ from seqid_cli.discover.select.rows import ColumnGroup, scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import FittedTerm, Tuner
-from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.registry import catalogue_of
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.effect import Effect
+from seqid_cli.effects.registry import catalogue_of
+from seqid_cli.effects.scene import Scene
 from seqid_cli.typing import Array
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.linalg import eigh
 
 from seqid_cli.discover.survey.rows import Rows
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import (
+from seqid_cli.effects.scene import Scene
+from seqid_cli.effects.smooth import (
     Axis,
     Factor,
     Measure,

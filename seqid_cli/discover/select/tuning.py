@@ -10,7 +10,7 @@ from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import TermFit
 from seqid_cli.discover.select.terms import Term, effects
-from seqid_cli.model.effects.effect import SPACING, Setting
+from seqid_cli.effects.effect import SPACING, Setting
 from seqid_cli.typing import Array
 
 GOLDEN = 0.381966

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF, Rows
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array, Index, Mask

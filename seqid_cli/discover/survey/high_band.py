@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.survey.rows import Rows, stride_of
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.typing import Array, Index, Mask
 
 # share of the power above the cut-off, under which that below says nothing

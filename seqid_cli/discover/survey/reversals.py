@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.torque_noise import DETAIL, power_gain

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from seqid_cli.discover.survey.reversals import Reversal, reversals_of
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.model.torque import REACH
 from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array, Index, Mask

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.effects.fitted import effect_notes
 from seqid_cli.identify.bands.coverage import CoverageCounter
 from seqid_cli.identify.bands.prediction import Bands
 from seqid_cli.identify.inputs import Inputs
@@ -20,7 +21,6 @@ from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writer
 from seqid_cli.identify.prediction.verdicts import joint_verdicts, noise_floors
 from seqid_cli.identify.settings import PredictSettings
-from seqid_cli.model.effects.fitted import effect_notes
 from seqid_cli.params.document import head, present, robot_id, used_settings
 from seqid_cli.params.results import prediction
 from seqid_cli.params.results.prediction import JointError, PredictionFile

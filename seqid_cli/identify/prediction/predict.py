@@ -11,6 +11,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from seqid_cli.effects.apply import added_torque, effects_variance, scene_of_log
+from seqid_cli.effects.fitted import Fitted, fitted_effects
 from seqid_cli.identify.bands.prediction import Bands, Deviation
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
@@ -20,8 +22,6 @@ from seqid_cli.identify.regression.noise_level import PASSED
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
-from seqid_cli.model.effects.apply import added_torque, effects_variance, scene_of_log
-from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import Predicted, TorqueModel, sliding
 from seqid_cli.motion.blocks import Plan, SurveyedLog, motion_blocks, overlapping
 from seqid_cli.motion.motion import Motion, too_short

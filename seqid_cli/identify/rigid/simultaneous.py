@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec.structs import replace as replace_fields
 
+from seqid_cli.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.bands.calibrate import calibrate
 from seqid_cli.identify.bands.left_out import Fit
@@ -50,7 +51,6 @@ from seqid_cli.identify.rigid.simultaneous_equations import (
 )
 from seqid_cli.identify.settings import OneStepSettings, SimultaneousSettings
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.model.friction import EXTENSION_SIZE, SLIDES
 from seqid_cli.model.torque import known_rotors, sliding
 from seqid_cli.motion.options import MotionOptions

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 
 from seqid_cli.discover.scenes import scenes_of as scenes_of_logs
+from seqid_cli.effects.effect import Effect
+from seqid_cli.effects.registry import catalogue_of
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.registry import catalogue_of
 from seqid_cli.motion.planned import REST_S, Shapes
 from seqid_cli.params.results.plan import EffectSeparation, PlannedMove, PlannedStage
 from seqid_cli.params.schema import Stages

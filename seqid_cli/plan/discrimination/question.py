@@ -12,8 +12,8 @@ from typing import Self
 import numpy as np
 from scipy.linalg import block_diag
 
-from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.effects.effect import Effect
+from seqid_cli.effects.scene import Joint, Scene, Scenes
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.stages.goal import Goal
 from seqid_cli.robot.base_parameters import base_regressor

@@ -34,7 +34,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from seqid_cli.discover.select.naming import BEHIND, tempered
-from seqid_cli.model.effects.scene import Scene, Scenes, sign_widths
+from seqid_cli.effects.scene import Scene, Scenes, sign_widths
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.params.evidence_schema import (
     EvidenceEntry,
     RefinementRound,

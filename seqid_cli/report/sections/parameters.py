@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from seqid_cli.model.effects.registry import setting_units
-from seqid_cli.model.effects.units import UNEXPLAINED, smooth_in_words
+from seqid_cli.effects.registry import setting_units
+from seqid_cli.effects.units import UNEXPLAINED, smooth_in_words
 from seqid_cli.params.results.diagnosis import FindingEntry
 from seqid_cli.params.results.tables import Head, Values, heads, of_joints
 from seqid_cli.params.schema import EffectOfJoint, RigidStage

@@ -9,8 +9,8 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
 from seqid_cli.discover.select.tuning import Tuner
 from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.effects.registry import CATALOGUE as EFFECTS
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.registry import CATALOGUE as EFFECTS
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import InputLog, ParameterFile, Stages
 from seqid_cli.robot.types import Robot

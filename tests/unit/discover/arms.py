@@ -13,13 +13,13 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select
 from seqid_cli.discover.survey.rows import rows_of
-from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.effect import Effect
+from seqid_cli.effects.registry import CATALOGUE
+from seqid_cli.effects.scene import Scene
 from seqid_cli.params.schema import Parameter, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from tests import Array
-from tests.unit.model.effects.scenes import scene_of, wander
+from tests.unit.effects.scenes import scene_of, wander
 
 Extra = Callable[[Scene], Array]  # (N, n) N m, not filtered
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.survey.rows import Rows, rows_of
+from seqid_cli.effects.scene import Scene
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages

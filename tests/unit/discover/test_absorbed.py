@@ -10,13 +10,13 @@ from seqid_cli.discover.base import surface_columns
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground
 from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.nuisances import term_of
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.schema import FrictionJoint, Stages
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot

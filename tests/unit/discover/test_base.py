@@ -7,7 +7,7 @@ import pytest
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.survey.rows import rows_of
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.params.schema import FrictionStage, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from tests import Array

@@ -7,7 +7,7 @@ import pytest
 
 from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.diagnosis import separate_by
-from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
+from seqid_cli.effects.registry import CATALOGUE, catalogue_of
 from seqid_cli.robot.formula import parse_formula
 from seqid_cli.robot.types import OwnEffect
 from tests.plants.robots.sample import sample_robot

@@ -22,8 +22,8 @@ from seqid_cli.discover.notes import (
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import Ground
 from seqid_cli.discover.select.rows import ALIKE
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import Stages

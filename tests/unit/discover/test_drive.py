@@ -7,7 +7,7 @@ import pytest
 
 from seqid_cli.discover.candidates import drive_rows
 from seqid_cli.discover.survey.rows import rows_of
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from tests import Array
 from tests.unit.discover.arms import arm_scenes, ground_of, measuring, selected
 

@@ -15,7 +15,7 @@ from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.nuisances import DELAY, Nuisance, nuisances_of
 from seqid_cli.discover.select.model import Ground
 from seqid_cli.discover.verdict import _since, joint_states, verdict_of
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.params.results.diagnosis import UnexplainedPart
 from seqid_cli.params.schema import Stages

@@ -9,8 +9,8 @@ from itertools import product
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Effect, Setting
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.effects.effect import Effect, Setting
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT

@@ -2,7 +2,7 @@
 
 import re
 
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.effects.registry import CATALOGUE
 from tests.unit.docs.effects import PAGE, rewritten
 
 TEXT = PAGE.read_text(encoding="utf-8")

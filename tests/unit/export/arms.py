@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from seqid_cli.effects.fitted import FittedEffect, as_stage
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.export.formats import Exported, export
 from seqid_cli.export.urdf_tree import bodies_of_urdf
-from seqid_cli.model.effects.fitted import FittedEffect, as_stage
-from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Array, Robot

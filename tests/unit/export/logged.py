@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.effects.fitted import FittedEffect, as_stage
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.export.motions import FullModel
 from seqid_cli.logs.storage.files import sha256_of
-from seqid_cli.model.effects.fitted import FittedEffect, as_stage
-from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.dates import now
 from seqid_cli.params.document import head, robot_id
 from seqid_cli.params.io import write_json_atomic

@@ -11,18 +11,18 @@ from types import ModuleType
 import numpy as np
 from msgspec.structs import replace as replace_struct
 
-from seqid_cli.export.formats import export
-from seqid_cli.model.effects.apply import added_torque
-from seqid_cli.model.effects.effect import Effect
-from seqid_cli.model.effects.fitted import (
+from seqid_cli.effects.apply import added_torque
+from seqid_cli.effects.effect import Effect
+from seqid_cli.effects.fitted import (
     Fitted,
     FittedEffect,
     as_stage,
     fitted_effects,
 )
-from seqid_cli.model.effects.measurement import ModelledTorque
-from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.measurement import ModelledTorque
+from seqid_cli.effects.registry import CATALOGUE
+from seqid_cli.effects.scene import Scene
+from seqid_cli.export.formats import export
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import SpeedLevel, Stages
 from seqid_cli.robot.types import Robot
@@ -30,8 +30,8 @@ from tests import Array
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.stages import random_bodies, stages_of
 from tests.plants.robots.two_joint import two_joint_robot
+from tests.unit.effects.scenes import motion_of, wander
 from tests.unit.export.compiled import run_c
-from tests.unit.model.effects.scenes import motion_of, wander
 
 CC = shutil.which("cc")
 RATE_HZ = 1000.0

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as replace_struct
 
+from seqid_cli.effects import registry
+from seqid_cli.effects.effect import Coefficient, Columns, Effect, Settings
+from seqid_cli.effects.fitted import Fitted, FittedEffect
+from seqid_cli.effects.law import Law
+from seqid_cli.effects.quadratic_drag import QuadraticDrag
+from seqid_cli.effects.registry import CATALOGUE
+from seqid_cli.effects.scene import Scene
+from seqid_cli.effects.smooth import Axis, SmoothTerm
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.code import identifier
 from seqid_cli.export.formats import export
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.logs.read import read_recording
-from seqid_cli.model.effects import registry
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
-from seqid_cli.model.effects.fitted import Fitted, FittedEffect
-from seqid_cli.model.effects.law import Law
-from seqid_cli.model.effects.quadratic_drag import QuadraticDrag
-from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import Axis, SmoothTerm
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.params.io import read_parameters

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
+from seqid_cli.effects.fitted import FittedEffect, as_stage
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.formats import export
 from seqid_cli.export.model import simple_friction
@@ -17,8 +19,6 @@ from seqid_cli.export.text import plain, real
 from seqid_cli.model.bodies.consistent import consistent_links
 from seqid_cli.model.bodies.nearest import expected_links
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
-from seqid_cli.model.effects.fitted import FittedEffect, as_stage
-from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from seqid_cli.effects.apply import scene_of_log
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.apply import scene_of_log
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions

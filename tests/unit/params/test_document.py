@@ -16,8 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
 
+from seqid_cli.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.errors import ConfigError
-from seqid_cli.model.effects.units import UNDETERMINED_STD_ERROR
 from seqid_cli.params import io
 from seqid_cli.params.document import (
     join,

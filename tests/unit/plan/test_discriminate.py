@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.select.options import Options
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of

@@ -16,9 +16,9 @@ from seqid_cli.discover.noise.floor import (
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
 from seqid_cli.discover.survey.rows import Rows
+from seqid_cli.effects.scene import Scene
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions

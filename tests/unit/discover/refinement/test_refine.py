@@ -23,10 +23,10 @@ from seqid_cli.discover.refinement.held_out import (
 from seqid_cli.discover.refinement.loop import ALL_ALONG, LATE
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, quiet, refine
 from seqid_cli.discover.survey.events import Interval
+from seqid_cli.effects.gear_load import ROTOR
 from seqid_cli.identify.prediction.predict import LongPrediction
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.gear_load import ROTOR
 from seqid_cli.motion import blocks as motion_blocks
 from seqid_cli.params.schema import ParameterFile
 from tests.plants.robots.identified import sequential

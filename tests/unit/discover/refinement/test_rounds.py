@@ -16,11 +16,11 @@ from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import Gain
 from seqid_cli.discover.refinement.loop import CandidateModel, Decision, Judgement
 from seqid_cli.discover.refinement.rounds import refine
-from seqid_cli.model.effects.fitted import FittedEffect
-from seqid_cli.model.effects.position_dependent_friction import (
+from seqid_cli.effects.fitted import FittedEffect
+from seqid_cli.effects.position_dependent_friction import (
     PositionDependentFriction,
 )
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.effects.registry import CATALOGUE
 from tests.unit.discover.refinement.plants import recorded
 
 BOTH = (("presliding_hysteresis", 0, 1.0), ("presliding_hysteresis", 1, 1.0))

@@ -7,7 +7,7 @@ import pytest
 
 from seqid_cli.discover.select.changes import causes_at
 from seqid_cli.discover.select.model import HELD
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.params.schema import FrictionStage, Stages
 from tests import Array
 from tests.plants.robots.made import friction_joint

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.select.model import FIRM, FREE, HELD
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from tests import Array
 from tests.unit.discover.arms import (
     DRAG,

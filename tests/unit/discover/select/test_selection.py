@@ -12,8 +12,8 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import Selection
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.registry import CATALOGUE
+from seqid_cli.effects.scene import Scene
 from tests import Array
 from tests.unit.discover.arms import (
     DRAG,

@@ -8,8 +8,8 @@ import pytest
 from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.survey.rows import rows_of
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import SmoothTerm
+from seqid_cli.effects.scene import Scene
+from seqid_cli.effects.smooth import SmoothTerm
 from tests import Array
 from tests.unit.discover.arms import (
     Extra,

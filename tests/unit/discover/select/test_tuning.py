@@ -7,10 +7,10 @@ import pytest
 from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.tuning import FittedTerm, Tuner
-from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.registry import CATALOGUE
+from seqid_cli.effects.scene import Scene
 from tests.unit.discover.arms import HUMP, arm_scenes, candidate, model_of, stribeck
-from tests.unit.model.effects.two_mass import LOG_HZ, Gear, run, scene
+from tests.unit.effects.two_mass import LOG_HZ, Gear, run, scene
 
 SPEED = 0.37  # rad/s
 

@@ -14,7 +14,7 @@ from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.survey.events import GATE, Interval, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from tests import Array
 from tests.unit.discover.arms import (
     NOISE,

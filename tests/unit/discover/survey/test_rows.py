@@ -10,12 +10,12 @@ from seqid_cli.discover.survey.rows import (
     extrapolated,
     rows_of,
 )
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from tests import Array
 from tests.plants.robots.two_joint import COULOMB, friction_surface
 from tests.unit.discover.arms import arm_scenes, at_joint
-from tests.unit.model.effects.scenes import RATE_HZ, scene_of, wander
+from tests.unit.effects.scenes import RATE_HZ, scene_of, wander
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from seqid_cli.effects.apply import scene_of_log
+from seqid_cli.effects.fitted import FittedEffect, as_stage, fitted_effects
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import (
     LogPrediction,
@@ -18,9 +21,6 @@ from seqid_cli.identify.prediction.predict import (
     predict,
 )
 from seqid_cli.logs.read import read_recording
-from seqid_cli.model.effects.apply import scene_of_log
-from seqid_cli.model.effects.fitted import FittedEffect, as_stage, fitted_effects
-from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion import blocks
 from seqid_cli.motion.blocks import open_surveyed
@@ -32,8 +32,8 @@ from seqid_cli.robot.types import Robot
 from tests.plants.robots.made import friction_joint, made_recording
 from tests.plants.robots.seven_joint import JOINTS, known_model, write_arm, write_log
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
+from tests.unit.effects.scenes import CUTOFF_HZ, RATE_HZ, settings_of, wander
 from tests.unit.inspect.faults import read_columns, write_columns
-from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, settings_of, wander
 
 ROWS, MOVING = 30_000, 24_000
 SAID = ("predicted", "low", "high", "sliding", "used", "q", "dq", "ddq")

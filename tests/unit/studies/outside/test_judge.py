@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.effects.registry import CATALOGUE
 from tests.studies.outside.__main__ import answers
 from tests.studies.outside.effects import KINDS
 from tests.studies.outside.plan import (

@@ -1,0 +1,426 @@
+"""Torque that repeats with the angle: cogging, commutation, strain wave, gear mesh.
+
+    tau = m (c_s sin(p) + c_c cos(p)),        p = order N (q - lag dq)
+
+`order` is in cycles per motor turn (N the gear ratio; per joint turn where the robot
+file gives none, N = 1). On a slide N is the motor's angle per length [rad/m], 2 pi over
+the screw's lead. The multiplier m is the law by which the ripple scales:
+
+    law 0, constant:   m = 1            cogging, also without current [N m]
+    law 1, torque:     m = tau_model    commutation, phase gains [-]
+    law 2, direction:  m = s(v)         friction that varies round the turn [N m]
+    law 3, load:       m = tau_load     mesh under what the gear passes to the link [-]
+
+`lag` [s] is how late a fast ripple shows in the measured torque: the drive answers it
+with a delay of its own, and what is left of it shakes the arm. Both ways and at many
+speeds its waves then fall on different angles, and no sine of the angle alone sums them
+up. It is looked for with law 0.
+
+Candidate orders are the peaks of the residual's least-squares spectrum over position.
+Cogging: Piccoli, Yim, "Anticogging: torque ripple suppression, modeling, and parameter
+selection", IJRR 35(1-3), 2016; strain wave: Ghorbel, Gandhi, "On the kinematic error in
+harmonic drive gears", J. Mech. Des. 123(1), 2001.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+from scipy.optimize import minimize_scalar
+
+from seqid_cli.effects.effect import (
+    Coefficient,
+    Effect,
+    Grid,
+    Setting,
+    Settings,
+    amplitude_and_phase,
+)
+from seqid_cli.effects.law import Law
+from seqid_cli.effects.scene import Scene, Scenes
+from seqid_cli.effects.units import Value
+from seqid_cli.robot.base_parameters import gear_ratios
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array
+
+BINS_PER_CYCLE = 4
+MOST_BINS = 1 << 17
+# Of the Fourier transform, so that a line cannot fall between two of its values.
+PADDING = 4
+TREND = 5  # terms of the smooth dependence on position that is taken out first
+FLOOR_WINDOW = 64  # values of the spectrum over which its level is taken
+XATOL = 5e-4  # of the half width of a line, to which its order is refined
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """A residual r with its multiplier m, summed up over position in B bins.
+
+    Attributes
+    ----------
+    x : Array
+        (B,) mean position of each bin [turns].
+    rm, mm : Array
+        (B,) sums of r m and of m m in each bin.
+    span : float
+        Range of position [turns].
+    highest : float
+        Cycles per turn up to which the bins resolve lines.
+    """
+
+    x: Array
+    rm: Array
+    mm: Array
+    span: float
+    highest: float
+
+    @classmethod
+    def of(
+        cls, x: Sequence[Array], r: Sequence[Array], m: Sequence[Array], highest: float
+    ) -> Self | None:
+        """Sum up the samples of some logs at which r is not 0.
+
+        Parameters
+        ----------
+        x, r, m : sequence of Array
+            Positions (N,) [turns], residuals and multipliers (N,), log by log.
+        highest : float
+            Cycles per turn that are to be resolved.
+
+        Returns
+        -------
+        Profile or None
+            None where the samples are few.
+        """
+        X = np.concatenate(list(x))
+        R = np.concatenate(list(r))
+        M = np.concatenate(list(m))
+        counts = R != 0.0
+        X = X[counts]
+        R = R[counts]
+        M = M[counts]
+        if len(X) < 100 or np.ptp(X) <= 0.0:
+            return None
+
+        start = float(X.min())
+        span = float(np.ptp(X))
+        bins = min(max(int(BINS_PER_CYCLE * highest * span), 16), MOST_BINS)
+        bin_of = np.minimum(((X - start) / span * bins).astype(np.intp), bins - 1)
+
+        number = np.bincount(bin_of, minlength=bins)
+        centre = start + (np.arange(bins) + 0.5) * span / bins
+        mean = np.bincount(bin_of, weights=X, minlength=bins) / np.maximum(number, 1)
+        position = np.where(number > 0, mean, centre)
+        mm = np.bincount(bin_of, weights=M * M, minlength=bins).astype(np.float64)
+        rm = np.bincount(bin_of, weights=R * M, minlength=bins).astype(np.float64)
+
+        # A smooth dependence on position, scaled to [-1, 1], is taken out of r first.
+        basis = chebvander(2 * (position - start) / span - 1, TREND - 1)
+        weighted = basis * mm[:, None]
+        trend = np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
+        rm = rm - weighted @ trend
+        resolved = bins / (BINS_PER_CYCLE * span)
+        return cls(x=position, rm=rm, mm=mm, span=span, highest=min(highest, resolved))
+
+    def gain(self, order: float) -> float:
+        """Return the squared residual that a sine of `order` cycles per turn explains.
+
+        Its phase is free.
+        """
+        p = 2 * np.pi * order * self.x
+        sin = np.sin(p)
+        cos = np.cos(p)
+        cross = float(self.mm @ (sin * cos))
+        A = np.array([[self.mm @ (sin * sin), cross], [cross, self.mm @ (cos * cos)]])
+        b = np.array([self.rm @ sin, self.rm @ cos])
+
+        is_degenerate = np.linalg.det(A) < 1e-3 * float(np.trace(A)) ** 2
+        return 0.0 if is_degenerate else float(b @ np.linalg.solve(A, b))
+
+
+class _Spectrum(NamedTuple):
+    """Orders (F,) of a profile, their power, and that over its surroundings' level."""
+
+    orders: Array
+    power: Array
+    clearness: Array
+
+
+def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
+    """Find at most `count` orders from `lowest` on that stand out.
+
+    Half of them are the clearest lines, the other half the strongest ones.
+    """
+    spectrum = _spectrum(profile, lowest)
+    power = spectrum.power
+    if len(power) < 3:
+        return []
+
+    is_peak = (power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:])
+    tops = np.flatnonzero(is_peak) + 1
+    chosen: list[int] = []
+    for score in (spectrum.clearness, power):
+        taken = 0
+        for k in tops[np.argsort(-score[tops], kind="stable")]:
+            if taken == (count + 1) // 2:
+                break
+            # Padding spreads a line over several values.
+            if all(abs(k - other) > 2 * PADDING for other in chosen):
+                chosen.append(int(k))
+                taken += 1
+
+    width = 1.0 / profile.span / PADDING
+    return [_refined(profile, float(spectrum.orders[k]), width) for k in chosen]
+
+
+def clearest(profile: Profile, lowest: float) -> float:
+    """Return the power of the clearest line over its surroundings' level; 0 if none."""
+    return float(np.max(_spectrum(profile, lowest).clearness, initial=0.0))
+
+
+def clearness(profile: Profile, lowest: float, order: float) -> float:
+    """Return the power of the line nearest to an order over its surroundings' level."""
+    spectrum = _spectrum(profile, lowest)
+    if not len(spectrum.orders):
+        return 0.0
+    nearest = np.argmin(np.abs(spectrum.orders - order))
+    return float(spectrum.clearness[nearest])
+
+
+def _spectrum(profile: Profile, lowest: float) -> _Spectrum:
+    """Compute the spectrum of a profile over position, from the order `lowest` on."""
+    lines = np.abs(np.fft.rfft(profile.rm, PADDING * len(profile.rm))) ** 2
+    orders = np.arange(len(lines)) / (PADDING * profile.span)
+    # The gain that a well spread range of positions would give.
+    power = 2.0 * lines / max(float(profile.mm.sum()), 1e-300)
+
+    inside = (orders >= lowest) & (orders <= profile.highest)
+    orders = orders[inside]
+    power = power[inside]
+    if len(power) == 0:
+        return _Spectrum(orders, power, power)
+
+    # The level of their surroundings: medians of windows, joined by lines.
+    n_windows = len(power) // min(FLOOR_WINDOW, len(power))
+    windows = np.array_split(np.arange(len(power)), n_windows)
+    middles = [window.mean() for window in windows]
+    levels = [np.median(power[window]) for window in windows]
+    floor = np.interp(np.arange(len(power)), middles, levels)
+    return _Spectrum(orders, power, power / np.maximum(floor, 1e-300))
+
+
+def _refined(profile: Profile, order: float, width: float) -> float:
+    """Return the order of most gain within `width` of a peak."""
+    best = minimize_scalar(
+        lambda x: -profile.gain(x),
+        bounds=(order - width, order + width),
+        method="bounded",
+        options={"xatol": XATOL * width},
+    )
+    return float(best.x)
+
+
+LAWS = ("constant", "torque", "direction", "load")
+SCALES = ("", "tau * ", "sign(dq) * ", "load * ")  # of the ripple, by law
+PEAKS = 4  # per law
+# Cycles per motor turn: eccentricity of the drive, a strain wave's two lobes.
+USUAL = (1.0, 2.0)
+# Cycles per joint turn: below it a smooth dependence on position does as well.
+LOWEST = 1.5
+# Cycles per joint turn, below which a ripple is whole per motor turn, or clear.
+FINE = 12.0
+FINE_IN_RANGE = 8.0  # cycles in the range of a slide, likewise: it has no turn
+HIGHEST = 4000.0
+HIGHEST_OF_SLIDE = 40000.0  # cycles per 2 pi m: waves of 0.16 mm
+CYCLES_IN_RANGE = 2.0
+# Of the best gain, from which a whole number is taken.
+WHOLE = 0.98
+WHOLE_IF_SPARSE = 0.9
+SPARSE = 3.0  # motor turns in the range: whole numbers then lie far apart
+TURNED = 0.3  # rad, that a lag must turn a ripple by to be worth a name
+LAGS_S = (0.005, 0.01, 0.015, 0.02)
+# Times the level around it, as the luckiest line of noise: of lag or few waves.
+CLEAR = 15.0
+
+
+class TorqueRipple(Effect):
+    """A sine of the angle, constant or scaled by torque or direction."""
+
+    name = "torque_ripple"
+    family = "transmission"
+    drive = True
+    wide = True
+    settings = (
+        Setting("order", "cycles per motor turn", low=0.0, continuous=False),
+        Setting("law", "1", low=0.0, high=len(LAWS) - 1.0, continuous=False),
+        Setting("lag", "s", low=0.0, high=max(LAGS_S), continuous=False),
+    )
+    over = "wave"
+    alike = ("encoder_eccentricity", "periodic_disturbance", "torque_constant")
+    separate_by = (
+        "slow passes at two constant speeds and two loads, both ways: ripple keeps its"
+        " place in angle; what grows with load, direction or speed tells which kind"
+        " it is"
+    )
+
+    def searched(self, settings: Settings) -> int:
+        """Return 1 for an order that is read off the spectrum.
+
+        Whole orders are where motors have ripple: they are no search.
+        """
+        return int(settings["order"] != round(settings["order"]))
+
+    def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
+        """Return sine and cosine parts."""
+        unit = "1" if settings["law"] in (1.0, 3.0) else "N m"
+        return Coefficient("ripple_sin", unit), Coefficient("ripple_cos", unit)
+
+    def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
+        """Yield the usual orders, then strong and clear lines of every law."""
+        gear = abs(float(scenes[0].gear[joint]))
+        speed = max(usual_speed(scene, joint) for scene in scenes)
+        slides = _slides(scenes[0], joint)
+
+        # The spectrum over position does not reach these where logs are fast.
+        for order in USUAL:
+            if order * gear >= FINE:
+                yield {"order": order, "law": 0.0, "lag": 0.0}
+
+        for law, lag, profile in _profiles(scenes, joint, residual):
+            lowest = max(LOWEST, CYCLES_IN_RANGE / profile.span)
+            fine_from = FINE_IN_RANGE / profile.span if slides else FINE
+            few_waves_count = not slides and LAWS[law] != "direction"
+            orders = [
+                self._whole_if_as_good(profile, cycles / gear, gear)
+                for cycles in peaks(profile, lowest, PEAKS)
+            ]
+            for order in dict.fromkeys(orders):
+                cycles = order * gear
+                is_clear = order == round(order) or cycles >= fine_from
+                if not is_clear and few_waves_count:
+                    is_clear = clearness(profile, lowest, cycles) > CLEAR
+                is_turned = lag == 0.0 or cycles * lag * speed > TURNED
+                if is_clear and is_turned:
+                    yield {"order": order, "law": float(law), "lag": lag}
+
+    def _whole_if_as_good(self, profile: Profile, order: float, gear: float) -> float:
+        """Return a whole number of cycles per motor turn where it explains as much."""
+        whole_order = float(round(order))
+        if whole_order < 1.0:
+            return order
+        enough = WHOLE_IF_SPARSE if gear * profile.span > SPARSE else WHOLE
+        is_as_good = profile.gain(whole_order * gear) >= enough * profile.gain(
+            order * gear
+        )
+        return whole_order if is_as_good else order
+
+    def laws(self, robot: Robot, joint: int, settings: Settings) -> Mapping[int, Law]:
+        """Return sine and cosine of the angle, times the law's multiplier."""
+        turn = "order * theta"
+        if settings["lag"]:
+            turn = "order * (theta - lag * gear * dq)"
+        scale = SCALES[int(settings["law"])]
+        law = Law(
+            terms=(f"{scale}sin(turn)", f"{scale}cos(turn)"),
+            parts={"turn": turn},
+            numbers={**settings, "gear": float(gear_ratios(robot)[joint])},
+        )
+        return {joint: law}
+
+    def values(
+        self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
+    ) -> list[Value]:
+        """Return amplitude and phase of the ripple."""
+        sine, _ = self.coefficients(settings)
+        unit = robot.joints[joint].unit(sine.unit)
+        return amplitude_and_phase("ripple", unit, c, covariance)
+
+
+class _Candidate(NamedTuple):
+    """The residual over the angle for one law and lag [s]."""
+
+    law: int
+    lag: float
+    profile: Profile
+
+
+def _profiles(
+    scenes: Scenes, joint: int, residual: Sequence[Array]
+) -> Iterator[_Candidate]:
+    """Yield the residual over the angle for every law without lag.
+
+    Law 0 follows at the lag that makes its lines clearest, if they are clear.
+    """
+    highest = highest_order(scenes, joint)
+    r = [values[:, joint] for values in residual]
+
+    def profile_of(law: int, lag: float) -> Profile | None:
+        turns = [_angle(scene, joint, lag) / (2 * np.pi) for scene in scenes]
+        multipliers = [multiplier(scene, joint, law) for scene in scenes]
+        return Profile.of(turns, r, multipliers, highest)
+
+    for law in range(len(LAWS)):
+        profile = profile_of(law, 0.0)
+        if profile is not None:
+            yield _Candidate(law, 0.0, profile)
+
+    best: _Candidate | None = None
+    best_clearness = CLEAR
+    for lag in LAGS_S:
+        profile = profile_of(0, lag)
+        if profile is None:
+            continue
+        clear = clearest(profile, FINE)
+        if clear > best_clearness:
+            best = _Candidate(0, lag, profile)
+            best_clearness = clear
+    if best is not None:
+        yield best
+
+
+def _angle(scene: Scene, joint: int, lag: float) -> Array:
+    """Return the angle (N,) rad of a joint as it was `lag` seconds before."""
+    return np.asarray(scene.angle[:, joint] - lag * scene.motion.dq[:, joint])
+
+
+def multiplier(scene: Scene, joint: int, law: int) -> Array:
+    """Return m (N,) of a law, by which the ripple scales."""
+    match LAWS[law]:
+        case "torque":
+            return np.asarray(scene.modelled[:, joint])
+        case "direction":
+            return np.asarray(scene.sign[:, joint])
+        case "load":
+            return np.asarray(scene.load[:, joint])
+    return np.ones(scene.samples)
+
+
+def highest_order(scenes: Scenes, joint: int) -> float:
+    """Return the most cycles per joint turn that can be told apart.
+
+    Speed, sampling rate and encoder set the limit.
+    """
+    limits = [HIGHEST_OF_SLIDE if _slides(scenes[0], joint) else HIGHEST]
+    for scene in scenes:
+        speed = usual_speed(scene, joint)
+        encoder_step = float(scene.motion.cutoff.encoder_step[joint])
+        if encoder_step > 0.0:
+            limits.append(1.0 / encoder_step)
+        if speed > 0.0:
+            limits.append(0.4 * scene.motion.rate_hz * 2 * np.pi / max(speed, 1e-6))
+    return min(limits)
+
+
+def _slides(scene: Scene, joint: int) -> bool:
+    return bool(scene.robot.chain.prismatic[joint])
+
+
+def usual_speed(scene: Scene, joint: int) -> float:
+    """Return the speed that a joint exceeds in a quarter of the time that it moves.
+
+    In rad/s; 0 if it never moves.
+    """
+    speed = np.abs(scene.motion.dq[:, joint])[scene.motion.moving[:, joint]]
+    return float(np.quantile(speed, 0.75)) if len(speed) else 0.0

@@ -1,0 +1,163 @@
+"""Effects of bodies: a payload, a base that leans, a spring beside gravity."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from seqid_cli.effects.base_tilt import (
+    BaseTilt,
+    first_joint_upright,
+    first_link_moments,
+    tilt_axes,
+)
+from seqid_cli.effects.payload import Payload
+from seqid_cli.effects.spring import Spring
+from seqid_cli.robot.regressor import inverse_dynamics
+from seqid_cli.robot.types import Robot
+from tests import Array
+from tests.plants.robots.two_joint import two_joint_robot
+from tests.unit.effects.fitting import (
+    Law,
+    best_fitted,
+    fitted,
+    moved_by,
+    rms_left,
+    trials,
+)
+from tests.unit.effects.scenes import scene_of, wander
+
+# kg, m
+MASS = 2.5
+AT = np.array([0.05, -0.1, 0.15])
+
+
+def point_mass() -> Array:
+    """Inertial parameters of a small body, about the flange's origin."""
+    I = MASS * (AT @ AT * np.eye(3) - np.outer(AT, AT))
+    return np.array(
+        [MASS, *(MASS * AT), I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]]
+    )
+
+
+def test_mass_moment_and_log_come_back() -> None:
+    scenes = [scene_of(wander(15.0, seed=k), log=k) for k in range(3)]
+    phi = scenes[2].model.phi + np.array([np.zeros(10), point_mass()])
+    scenes[2] = moved_by(scenes[2], replace(scenes[2].model, phi=phi))
+    settings, c, rms = best_fitted(Payload(), scenes, None)
+    assert settings == {"from_log": 2.0}
+    visible = Payload().columns(scenes[2], None, settings)
+    assert rms < 1e-6
+    assert max(np.max(np.abs(X @ (c - point_mass()))) for X in visible.values()) < 1e-4
+    assert c[1:3] == pytest.approx(MASS * AT[:2], abs=1e-3)
+
+
+def test_the_lean_comes_back() -> None:
+    """A true rotation of gravity by two degrees, of which the columns are the first
+    order.
+    """
+    scene = scene_of(wander(15.0))
+    axes = np.array(tilt_axes(scene.robot.gravity))
+    lean = np.array([0.03, -0.02])
+    turned = Rotation.from_rotvec(lean @ axes).apply(scene.robot.gravity)
+    leaning = moved_by(
+        scene, replace(scene.model, robot=replace(scene.robot, gravity=turned))
+    )
+    settings = {"upright": 0.0}
+    c, rms = fitted(BaseTilt(), [leaning], None, settings)
+    assert c == pytest.approx(lean, rel=0.05)
+    assert rms < 0.05 * rms_left([leaning])
+    for _ in range(3):
+        settings = BaseTilt().sharpened(settings, c)
+        c, rms = fitted(BaseTilt(), [leaning], None, settings)
+    assert c == pytest.approx(lean, rel=1e-4)
+    assert rms < 1e-5 * rms_left([leaning])
+
+
+def upright_robot() -> Robot:
+    """The two-joint arm with gravity along its first axis."""
+    robot = two_joint_robot()
+    return replace(robot, gravity=-9.81 * robot.chain.rotation[0] @ robot.chain.axis[0])
+
+
+def test_the_first_links_moment_shows_once_its_axis_leans() -> None:
+    """Oracle: the rigid body with that moment, with gravity turned, less the same
+    upright.
+    """
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 2))
+    robot = upright_robot()
+    assert first_joint_upright(robot)
+    still = np.zeros_like(q)
+    phi = np.zeros((2, 10))
+    phi[0, 1:4] = [0.7, -0.4, 0.2]
+    lean = 0.02 * tilt_axes(robot.gravity)[0]
+    across = np.cross(lean, robot.gravity)
+    torque = inverse_dynamics(robot.chain, across, phi, q, still, still)
+    X = first_link_moments(robot, across, q)
+    c, squares = np.linalg.lstsq(X, torque[:, 0], rcond=None)[:2]
+    assert squares.sum() < 1e-20
+    assert np.linalg.norm(c) > 0
+    upright = inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still)
+    np.testing.assert_allclose(upright, 0.0, atol=1e-12)
+
+
+def test_moments_without_a_tilt_are_none() -> None:
+    """Of the first link alone they are any function of its angle."""
+    scene = scene_of(wander(5.0), robot=upright_robot())
+    for tilt, believed in ((0.02, True), (1e-5, False)):
+        c = np.array([tilt, 0.0, 0.3, 0.0])
+        assert BaseTilt().plausible([scene], None, {"upright": 1.0}, c) == believed
+
+
+# N m/rad, rad, N m/rad^3
+K = 12.0
+REST = 0.3
+CUBIC = 4.0
+
+
+def of_energy(energy: Callable[[Array], Array]) -> Law:
+    """Return the first joint's torque: the slope of an energy of its angle."""
+    return lambda t, q, dq: (
+        (energy(q + 1e-4) - energy(q - 1e-4)) / 2e-4 * np.array([1.0, 0.0])
+    )
+
+
+@pytest.mark.parametrize("cubic", [0.0, 1.0])
+def test_stiffness_and_rest_come_back(cubic: float) -> None:
+    scenes = trials(of_energy(lambda q: 0.5 * K * (q - REST) ** 2))
+    c, rms = fitted(Spring(), scenes, 0, {"cubic": cubic})
+    values = Spring().values(
+        scenes[0].robot, 0, {"cubic": cubic}, c, 1e-4 * np.eye(len(c))
+    )
+    assert values[0].value == pytest.approx(K, rel=0.01)
+    assert values[1].value == pytest.approx(REST, abs=0.01)
+    assert values[1].std_error == pytest.approx(
+        1e-2 / K * np.hypot(1.0, REST), rel=0.05
+    )
+    assert rms < 0.05
+
+
+def test_a_stiffening_cable_needs_the_cube() -> None:
+    scenes = trials(of_energy(lambda q: K * q**2 / 2.0 + CUBIC * q**4 / 4.0))
+    settings, c, _ = best_fitted(Spring(), scenes, 0)
+    assert settings == {"cubic": 1.0}
+    assert c[0] == pytest.approx(K, rel=0.02)
+    assert c[2] == pytest.approx(CUBIC, rel=0.03)
+    assert c[3] == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_spring_between_two_points_pulls_otherwise_on_either_side() -> None:
+    """A coil spring from a point 0.3 m off the axis to one 0.25 m off, on the link."""
+
+    def energy(q: Array) -> Array:
+        length = np.sqrt(0.3**2 + 0.25**2 - 2 * 0.3 * 0.25 * np.cos(q + 0.5))
+        return np.asarray(0.5 * 1500.0 * (length - 0.03) ** 2)
+
+    scenes = trials(of_energy(energy))
+    settings, c, rms = best_fitted(Spring(), scenes, 0)
+    _, linear = fitted(Spring(), scenes, 0, {"cubic": 0.0})
+    assert settings == {"cubic": 1.0}
+    assert abs(c[3]) > 5.0
+    assert rms < 0.3 * linear

@@ -429,6 +429,11 @@ def _todo(
     )
     if template.effort == "current" and not has_drive_data:
         yield "torque_constant and gear_ratio of every joint"
+    if not template.effort:
+        yield (
+            "the torques or currents: no column or message was taken for one; name it"
+            " under [channels]"
+        )
     if template.effort == "effort":
         yield 'whether effort is torque in N m or current in A (effort = "current")'
     if template.channels.get("time") == "TODO":

@@ -125,6 +125,14 @@ def test_names_of_any_logger_are_mapped_by_name_or_number(
     assert start.findings() == []
 
 
+def test_a_torque_of_an_unknown_name_is_left_to_be_named(start: Start) -> None:
+    said = start.log({".current": ".xyz"}).init()
+    assert "to do: the torques or currents: no column or message was taken for" in said
+    assert "to do: the torques" not in start.log({}).init(
+        "log.parquet", *WORDS, "--force"
+    )
+
+
 def test_without_a_urdf_the_geometry_is_left_to_be_filled_in(start: Start) -> None:
     start.init("log.parquet", "-o", "new.toml")
     with pytest.raises(ConfigError, match="neither urdf nor joint"):

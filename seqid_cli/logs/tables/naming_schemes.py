@@ -159,22 +159,39 @@ _LEROBOT = {
 LEROBOT_STATE = "observation.state"
 EPISODES = ("episode_index", "episode_id", "episode")
 
-# patterns of a quantity, tried one after the other
-Scheme = Mapping[str, tuple[str, ...]]
+
+@dataclass(frozen=True, kw_only=True)
+class Scheme:
+    """How one logger names its columns.
+
+    `patterns` of a quantity are tried one after the other. `time_unit` is that of a time
+    column whose name does not say. Where `of_lists`, joints are the elements of list
+    columns, and the log may say which element is whose.
+    """
+
+    patterns: Mapping[str, tuple[str, ...]]
+    time_unit: str | None = None
+    of_lists: bool = False
 
 
-def _scheme(form: str, words: Mapping[str, str]) -> Scheme:
+def _scheme(
+    form: str,
+    words: Mapping[str, str],
+    *,
+    time_unit: str | None = None,
+    of_lists: bool = False,
+) -> Scheme:
     """Make a scheme of a form of names; `*` stands for each word of a quantity."""
-    return {
+    patterns = {
         quantity: tuple(form.replace("*", word) for word in listed.split())
         for quantity, listed in words.items()
     }
+    return Scheme(patterns=patterns, time_unit=time_unit, of_lists=of_lists)
 
 
 _NAMED = {name: words.named for name, words in _WORDS.items() if words.named}
 _NUMBERED = {name: words.numbered for name, words in _WORDS.items() if words.numbered}
 DEFAULT = _scheme("{name}.*", {quantity: quantity for quantity in _ALL})
-FRANKA = _scheme("state.*[{index0}]", _FRANKA)
 SCHEMES = (
     DEFAULT,
     _scheme("{name}.*", _NAMED),
@@ -185,13 +202,14 @@ SCHEMES = (
     _scheme("{name}_*", _NAMED),
     _scheme("*_{name}", _NAMED),
     _scheme("*_{index0}", _RTDE),
-    FRANKA,
-    _scheme("observation.*[{index0}]", _LEROBOT),
+    # One column for each joint, whatever its brackets look like.
+    _scheme("state.*[{index0}]", _FRANKA, time_unit="ms"),
+    _scheme("observation.*[{index0}]", _LEROBOT, of_lists=True),
     _scheme("*_{index0}", _NUMBERED),
     _scheme("*_{index}", _NUMBERED),
     _scheme("*{index0}", _NUMBERED),
     _scheme("*{index}", _NUMBERED),
-    _scheme("*[{index0}]", _NUMBERED),
+    _scheme("*[{index0}]", _NUMBERED, of_lists=True),
 )
 
 
@@ -233,9 +251,8 @@ def find_scheme(
         place in them is that in the chain.
     """
     for scheme in SCHEMES:
-        is_of_lists = all(name.endswith("[{index0}]") for name in scheme["position"])
         places = list(range(len(joints)))
-        if entries and is_of_lists and scheme is not FRANKA:
+        if entries and scheme.of_lists:
             places = [entries.get(joint, -1) for joint in joints]
 
         placed_joints = list(zip(joints, places, strict=True))
@@ -251,7 +268,7 @@ def find_scheme(
             if names is not None:
                 columns[quantity] = names
         if "position" in columns:
-            return Match(columns, "ms" if scheme is FRANKA else None)
+            return Match(columns, scheme.time_unit)
     return None
 
 
@@ -283,7 +300,7 @@ def nearest_scheme(joints: Sequence[str], log_columns: Collection[str]) -> list[
     """List the position columns that a log lacks of the scheme that fits it best."""
     missing_by_pattern = []
     for scheme in SCHEMES:
-        for pattern in scheme["position"]:
+        for pattern in scheme.patterns["position"]:
             names = [column_name(pattern, name, k) for k, name in enumerate(joints)]
             missing_by_pattern.append(
                 [name for name in names if name not in log_columns]
@@ -300,7 +317,7 @@ def _columns(
     of_all: bool,
 ) -> list[str | None] | None:
     """Return the columns of the first pattern that has them for all joints, or some."""
-    for pattern in scheme.get(quantity, ()):
+    for pattern in scheme.patterns.get(quantity, ()):
         filled = [column_name(pattern, joint, place) for joint, place in placed_joints]
         names = [name if name in log_columns else None for name in filled]
         if all(names) or (not of_all and any(names)):
@@ -335,7 +352,7 @@ def joints_by_scheme(names: Sequence[str], separators: str) -> NamedJoints | Non
     best: NamedJoints | None = None
     best_rank = (0, 0)
     for scheme in SCHEMES:
-        for pattern in scheme["position"]:
+        for pattern in scheme.patterns["position"]:
             beside = pattern.replace("{name}", "")
             if beside == pattern or not set(separators).intersection(beside):
                 continue
@@ -371,7 +388,7 @@ def _patterns(
     patterns: dict[str, str] = {}
     for quantity in _ALL[1:]:
         key = "torque" if quantity == EFFORT else quantity
-        for pattern in scheme.get(quantity, ()):
+        for pattern in scheme.patterns.get(quantity, ()):
             columns = [column_name(pattern, name, k) for k, name in enumerate(joints)]
             if set(columns) <= set(names):
                 patterns.setdefault(key, pattern)

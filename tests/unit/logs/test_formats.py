@@ -140,7 +140,12 @@ def test_joints_of_a_table(
 
 
 NAMED_PATTERNS = sorted(
-    {name for scheme in SCHEMES for name in scheme["position"] if "{name}" in name}
+    {
+        name
+        for scheme in SCHEMES
+        for name in scheme.patterns["position"]
+        if "{name}" in name
+    }
 )
 
 

@@ -96,6 +96,8 @@ class FrictionSurface:
         At which it was identified [degC].
     torque_constant_error : float
         Relative standard error of the torque constant [-].
+    law_error : float
+        Standard error of the law itself [N m], which the same entries cannot mend.
     speeds : Array
         (K,) rad/s at which it was identified.
     postures : tuple of list of float
@@ -116,6 +118,7 @@ class FrictionSurface:
     directional: bool
     temperature: float | None = None
     torque_constant_error: float = 0.0
+    law_error: float = 0.0
     speeds: Array = field(default_factory=lambda: np.zeros(0))
     postures: tuple[list[float], ...] = ()
     per_kelvin: float = 0.0
@@ -142,6 +145,7 @@ class FrictionSurface:
             directional=joint.directional,
             temperature=joint.temperature,
             torque_constant_error=joint.torque_constant_error,
+            law_error=joint.law_error,
             speeds=np.array([level.speed for level in joint.speeds]),
             postures=tuple(trial.configuration for trial in joint.gravity),
             per_kelvin=sum(thermal),
@@ -304,9 +308,10 @@ class FrictionSurface:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def stated_error(self, q: Array, v: Array) -> Array:
-        """Compute the standard error (N,) N m with that of the torque constant."""
+        """Compute the standard error (N,) N m with those of torque constant and law."""
         of_torque_constant = self.torque_constant_error * self.torque(q, v)
-        return np.asarray(np.hypot(self.std_error(q, v), of_torque_constant))
+        of_entries = np.hypot(self.std_error(q, v), of_torque_constant)
+        return np.asarray(np.hypot(of_entries, self.law_error))
 
     def at_rest(self, q: Array) -> tuple[Array, Array]:
         """Compute the smallest and largest torque (N,) N m of friction at rest."""

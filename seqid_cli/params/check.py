@@ -123,6 +123,8 @@ def _friction(key: str, joint: schema.FrictionJoint) -> Iterator[_Problem]:
     yield from _square(key, joint.covariance, rows * columns, 2 * rows * columns)
     if not 0.0 <= joint.torque_constant_error < 1.0:
         yield f"{key}.torque_constant_error", "must be at least 0 and below 1"
+    if joint.law_error < 0.0:
+        yield f"{key}.law_error", "must be at least 0"
 
 
 def _rigid(key: str, stage: schema.RigidStage) -> Iterator[_Problem]:

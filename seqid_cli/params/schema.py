@@ -185,7 +185,9 @@ class FrictionJoint(Struct, kw_only=True):
 
     `torque_constant_error` is the relative error that the torque constant adds to every
     torque: all entries move together. `covariance` is without it, the standard errors
-    of `speeds` are with it.
+    of `speeds` are with it. `law_error` is by how much friction waves about the law of a
+    simultaneous fit over the positions, RMS: what the law itself errs, which no
+    covariance of its coefficients says.
     """
 
     position_order: int
@@ -204,6 +206,7 @@ class FrictionJoint(Struct, kw_only=True):
     negative: Matrix
     covariance: Matrix  # of [positive, negative] (or of positive alone), row-major
     torque_constant_error: float = 0.0
+    law_error: float = 0.0
     held_out_rmse: float | None = None
     max_abs_error: float | None = None
     max_error_beyond_noise: float | None = None

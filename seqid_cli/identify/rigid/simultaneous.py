@@ -16,8 +16,9 @@ Friction of most gears waves over the position,
 
 which this law does not hold and base parameters take, up to many of their errors'
 worth. So the same equations are solved once more with a and b unknown, 0 +- 0.1 F_c.
-Where they show, the stage is usable, not good. What they change in the parameters
-counts as an error of these, though not of predicted torques, which hold the same law.
+Where they show, the stage is usable, not good. What they change in the rigid body's
+parameters counts as an error of these, and their size as the error of the law of
+friction (`law_error`). Neither counts in predicted torques, which hold the same law.
 """
 
 from collections.abc import Iterable, Sequence
@@ -46,6 +47,7 @@ from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.simultaneous_equations import (
     FRICTION_TERMS,
     SIGN_SHARE,
+    WAVE_TERMS,
     SimultaneousEquations,
     surface_entries,
 )
@@ -258,6 +260,7 @@ class OneStepResult:
             negative=[(back @ values).tolist()],
             covariance=(entries @ covariance @ entries.T).tolist(),
             torque_constant_error=joint.torque_constant_error,
+            law_error=self._wave_rms(j),
             speeds=[level],
             parameters=[
                 schema.Parameter(
@@ -409,6 +412,16 @@ class OneStepResult:
             f"condition {solution.condition:.3g}, {n_missing} parameter(s) not excited"
         )
         return [*verdicts, schema.Verdict(good=not n_missing, reason=reason)]
+
+    def _wave_rms(self, j: int) -> float:
+        """Return the expected RMS [N m] of a joint's friction wave over a whole turn.
+
+        What the logs do not tell of it is what they leave of its prior.
+        """
+        places = self.rows.waves[j]
+        wave = self.waving.theta[places]
+        variance = float(np.trace(self.waving.covariance[places, places]))
+        return float(np.sqrt((wave @ wave + variance) / WAVE_TERMS))
 
     def _wave(self, j: int, settings: OneStepSettings) -> str:
         """Describe a joint's friction wave over q, where it is certain and matters."""

@@ -9,6 +9,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics
@@ -90,6 +91,32 @@ def test_rigid_body_and_friction_are_recovered_and_predict_a_new_motion() -> Non
     predicted = list(predict([record(3, 20.0)], robot(), stages, options=options))
     # White noise below the cut-off; reversals, where the sign is smoothed, come on top.
     assert (rmse(predicted) < 1.5 * NOISE * np.sqrt(2 * 8.0 / RATE) + 0.05).all()
+
+
+def test_the_stated_error_of_friction_has_what_waves_over_the_position() -> None:
+    """The errors of the law's coefficients alone hold the truth at half of the places."""
+    share = 0.15
+    log = record(1)
+    wave = share * COULOMB * np.cos(log.q + 0.4) * np.sign(np.gradient(log.q, axis=0))
+    stages = identified(replace(log, tau=log.tau + wave))
+    rng = np.random.default_rng(3)
+    z = []
+    of_entries = []
+    for k, joint in enumerate(stages.friction.joints.values()):
+        assert joint.law_error == pytest.approx(
+            share * COULOMB[k] / np.sqrt(2), rel=0.2
+        )
+        surface = FrictionSurface.from_stage(joint)
+        q = rng.uniform(*joint.position_range, 50)
+        v = rng.uniform(0.2, 0.9, 50) * joint.speed_range[1]
+        truth = (
+            COULOMB[k] * (1.0 + share * np.cos(q + 0.4)) + VISCOUS[k] * v + OFFSET[k]
+        )
+        error = surface.torque(q, v) - truth
+        z += (error / surface.stated_error(q, v)).tolist()
+        of_entries += (error / surface.std_error(q, v)).tolist()
+    assert np.mean(np.abs(z) < 1.96) >= 0.92
+    assert np.mean(np.abs(of_entries) < 1.96) < 0.7
 
 
 @pytest.mark.parametrize("offset", [True, False])

@@ -216,6 +216,7 @@ def test_smooth_terms_are_proposed_where_they_were_not_allowed_yet() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_effects")
 def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) -> None:
     effects = (("load_dependent_friction", 0, 1.0),)
     logs = recorded(
@@ -234,6 +235,7 @@ def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_effects")
 @pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 def test_logs_too_long_to_be_held_are_fitted_in_pieces_and_judged_as_a_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

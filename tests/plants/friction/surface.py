@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -52,11 +53,14 @@ class SurfaceFriction:
 
     def __call__(self, t: float, q: Array, dq: Array, load: Array) -> Friction:
         """Evaluate at one instant; q and dq are (..., n)."""
-        orders = np.arange(1, self.amplitude.shape[1] + 1)
-        waves = self.amplitude * np.sin(q[..., None] * orders + self.phase)
-        level = self.coulomb * (1.0 + waves.sum(axis=-1))
+        waves = self.amplitude * np.sin(q[..., None] * self._orders + self.phase)
+        level = self.coulomb * (1.0 + np.add.reduce(waves, axis=-1))
         level = level + self.stribeck * np.exp(-((dq / self.stribeck_speed) ** 2))
         return Friction(level, level, self.viscous * dq)
+
+    @cached_property
+    def _orders(self) -> Array:
+        return np.arange(1, self.amplitude.shape[1] + 1)
 
     def begin(self) -> Law:
         return self.__call__

@@ -53,10 +53,18 @@ class SurfaceFriction:
 
     def __call__(self, t: float, q: Array, dq: Array, load: Array) -> Friction:
         """Evaluate at one instant; q and dq are (..., n)."""
+        if self._is_plain:
+            level = np.broadcast_to(self.coulomb, dq.shape)
+            return Friction(level, level, self.viscous * dq)
         waves = self.amplitude * np.sin(q[..., None] * self._orders + self.phase)
         level = self.coulomb * (1.0 + np.add.reduce(waves, axis=-1))
         level = level + self.stribeck * np.exp(-((dq / self.stribeck_speed) ** 2))
         return Friction(level, level, self.viscous * dq)
+
+    @cached_property
+    def _is_plain(self) -> bool:
+        """Whether there is Coulomb and viscous friction alone."""
+        return not (np.any(self.amplitude) or np.any(self.stribeck))
 
     @cached_property
     def _orders(self) -> Array:

@@ -104,7 +104,9 @@ def test_an_offset_that_warms_up_is_no_gravity() -> None:
 def test_averages_of_trials_are_off(
     flicker: float, offset: float, low: float, high: float
 ) -> None:
-    found = [trials(seed, flicker=flicker, offset=offset) for seed in range(TRIAL_SEEDS)]
+    found = [
+        trials(seed, flicker=flicker, offset=offset) for seed in range(TRIAL_SEEDS)
+    ]
     ours = np.sqrt(np.mean([whitened(rows, GRAVITY) ** 2 for rows in found]))
     white = np.sqrt(
         np.mean([standardised(r.H, r.y, GRAVITY, None) ** 2 for r in found])

@@ -42,9 +42,7 @@ def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
     """All stages by the encoders, from logs whose torque of the first joint is scaled."""
     folders = ("friction", "gravity", "inertia")
     drills, slow, pairs = (scaled(rig.logs(name), step) for name in folders)
-    stages = Stages(
-        friction=identify_friction(drills, robot, options=ORDERS)
-    )
+    stages = Stages(friction=identify_friction(drills, robot, options=ORDERS))
     result = identify_gravity(slow + drills, robot, stages)
     stages.gravity, stages.friction = result.gravity, result.friction
     options = InertiaOptions(source="encoder")

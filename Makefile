@@ -68,8 +68,8 @@ audit: $(TOOLS) ## look the locked dependencies up in the list of known holes
 
 # ---- checks
 
-# A file stays with one worker: what its tests share is made once.
-PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+# A file stays with one worker: what its tests share is made once. tests/conftest.py says which come first.
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 .PHONY: test test-all test-oldest docs-test lint types
 test: $(DEV) ## run the tests, apart from those that take long
@@ -84,7 +84,7 @@ $(OLDEST): pyproject.toml $(TOOLS)
 	touch $@
 
 test-oldest: $(OLDEST) ## run the tests with the oldest dependencies that are allowed
-	$(dir $(OLDEST))bin/python -m pytest -n $(WORKERS) --dist loadfile -m 'not slow'
+	$(dir $(OLDEST))bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder -m 'not slow'
 
 docs-test: $(DEV) ## run every command of the documents, also those that take minutes
 	SEQID_DOCS=1 $(BIN)/python -m pytest tests/unit/docs

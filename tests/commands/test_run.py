@@ -269,7 +269,8 @@ def test_an_unsorted_folder_is_sorted_and_some_logs_are_held_out(
         for log in (lab / "logs" / stage).iterdir():
             shutil.copy(log, folder / f"{stage}_{log.name}")
     shutil.copy(lab / "logs" / "robot.toml", folder)
-    words = ["run", str(folder), "-o", str(folder / "results"), "--keep-going"]
+    words = ["run", str(folder), "-o", str(folder / "results")]
+    words += ["--keep-going", "--no-refine"]
     main(words)
     shown = capsys.readouterr()
     lines = dict(
@@ -314,7 +315,7 @@ def test_a_robot_file_is_made_of_a_urdf_and_then_kept(
     urdf.write_text(URDF)
     text = robot.read_text()
     robot.unlink()
-    words = ["run", "logs", "--urdf", str(urdf), "-o", "out"]
+    words = ["run", "logs", "--urdf", str(urdf), "-o", "out", "--no-refine"]
     assert main(words) == 2  # the drive's constants are not in a URDF
     assert "torque_constant and gear_ratio" in capsys.readouterr().err
     made = copied / "out" / "robot.toml"

@@ -38,14 +38,13 @@ class Controller:
 
     def __init__(self, gains: Gains, dt: float) -> None:
         self._gains, self._dt = gains, dt
+        self._by_rate, self._by_change = 2.0 * gains.observer, dt * gains.observer**2
         self._error, self._rate = (np.zeros_like(gains.stiffness) for _ in range(2))
 
     def torque(self, encoder: Array, wanted: Array, ahead: Array) -> Array:
         """Command from encoder and reference, rad, and feedforward, N m."""
         gains = self._gains
         surprise = encoder - wanted - self._error
-        self._error = self._error + self._dt * (
-            self._rate + 2.0 * gains.observer * surprise
-        )
-        self._rate = self._rate + self._dt * gains.observer**2 * surprise
+        self._error = self._error + self._dt * (self._rate + self._by_rate * surprise)
+        self._rate = self._rate + self._by_change * surprise
         return ahead - gains.stiffness * self._error - gains.damping * self._rate

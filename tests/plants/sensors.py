@@ -138,9 +138,9 @@ def tetrahedral_array(size: float) -> tuple[Array, Array]:
 
 def quantise(values: Array, step: Array | float) -> Array:
     """Round to whole steps; a step of zero leaves the value alone."""
-    steps = np.asarray(step)
-    if steps.min() > 0:
-        return np.asarray(np.round(values / steps) * steps)
+    steps = np.atleast_1d(step)
+    if min(steps.tolist()) > 0:
+        return np.asarray(np.rint(values / steps) * steps)
     unit = np.where(steps > 0, step, 1.0)
     return np.where(steps > 0, np.round(values / unit) * unit, values)
 

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from scipy.linalg.lapack import dgesv
 
 from tests import Array
 
@@ -51,11 +53,22 @@ class SurfaceFriction:
 
     def __call__(self, t: float, q: Array, dq: Array, load: Array) -> Friction:
         """Evaluate at one instant; q and dq are (..., n)."""
-        orders = np.arange(1, self.amplitude.shape[1] + 1)
-        waves = self.amplitude * np.sin(q[..., None] * orders + self.phase)
-        level = self.coulomb * (1.0 + waves.sum(axis=-1))
+        if self._is_plain:
+            level = np.broadcast_to(self.coulomb, dq.shape)
+            return Friction(level, level, self.viscous * dq)
+        waves = self.amplitude * np.sin(q[..., None] * self._orders + self.phase)
+        level = self.coulomb * (1.0 + np.add.reduce(waves, axis=-1))
         level = level + self.stribeck * np.exp(-((dq / self.stribeck_speed) ** 2))
         return Friction(level, level, self.viscous * dq)
+
+    @cached_property
+    def _is_plain(self) -> bool:
+        """Whether there is Coulomb and viscous friction alone."""
+        return not (np.any(self.amplitude) or np.any(self.stribeck))
+
+    @cached_property
+    def _orders(self) -> Array:
+        return np.arange(1, self.amplitude.shape[1] + 1)
 
     def begin(self) -> Law:
         return self.__call__
@@ -81,10 +94,10 @@ def stick_slip(
     rad/s^2, the torque of dry friction (n,) N m and the sign (n,).
     """
     stop = -velocity / dt
-    if sign.all():  # most steps: everything slips on
+    if np.count_nonzero(sign) == len(sign):  # most steps: everything slips on
         friction = np.where(sign > 0, dry.forward, -dry.backward)
-        ddq = np.linalg.solve(mass, force - friction)
-        if ((velocity + dt * ddq) * sign).min() >= 0:
+        _, _, ddq, _ = dgesv(mass, force - friction)
+        if min(((velocity + dt * ddq) * sign).tolist()) >= 0:
             return np.asarray(ddq), np.asarray(friction), sign
     for _ in range(12):
         friction = np.where(

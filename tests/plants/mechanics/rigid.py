@@ -129,8 +129,14 @@ class Rigid:
             mass[i] += spin * lever
             mass[:, i] += spin * lever
             bias[i] += spin * axis @ (turn @ data.a[i].angular)
-            bias += spin * dq[i] * jac.T @ np.cross(omega, axis)
+            bias += spin * dq[i] * jac.T @ crossed(omega, axis)
         return mass, bias
+
+
+def crossed(a: Array, b: Array) -> Array:
+    """Cross product of two vectors (3,), without what `np.cross` does for stacks."""
+    (a1, a2, a3), (b1, b2, b3) = a.tolist(), b.tolist()
+    return np.array([a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1])
 
 
 @dataclass(frozen=True)

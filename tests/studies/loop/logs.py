@@ -2,6 +2,7 @@
 far.
 """
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,12 +82,16 @@ def references(case: Condition) -> list[tuple[str, Reference, int]]:
     ]
 
 
-def recorded(case: Condition, cache: Path) -> Logs:
+def recorded(case: Condition, cache: Path, *, without: Collection[str] = ()) -> Logs:
+    """Simulate a case's logs, or read them from the cache; `without` some parts."""
     seed, label = 10_000 + 1000 * case.seed, f"loop|{case.rig}|{case.effects!r}"
     plan = [
         (part, f"{label}|{part}/{k}", reference, seed + k, every)
         for k, (part, reference, every) in enumerate(references(case))
+        if part not in without
     ]
     found = in_turn(cache, built(case)[0], plan, PAUSE)
-    training, held_out = (tuple(found.pop(part)) for part in ("training", "held_out"))
+    training, held_out = (
+        tuple(found.pop(part, ())) for part in ("training", "held_out")
+    )
     return Logs(robot_for(case), training, held_out, earlier=found)

@@ -1,6 +1,7 @@
 """What a file absorbs of an effect is what stages identified with it have more."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -44,19 +45,34 @@ EFFECTS = {
 }
 
 
+@dataclass(frozen=True)
+class SampleArm:
+    """Logs of one joint of a sample robot, and the stages identified from them."""
+
+    robot: Robot
+    logs: list[Recording]
+    stages: Stages
+
+
+@cache
+def sample_arm(sample: str, joint: str) -> SampleArm:
+    robot = load_robot(SAMPLES / sample / "robot.toml")
+    paths = (
+        SAMPLES / sample / f"{folder}/{joint}.parquet"
+        for folder in ("friction", "gravity")
+    )
+    logs = [read_recording(path, robot) for path in paths]
+    return SampleArm(robot, logs, stages_of(*logs, robot))
+
+
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(
     name: str,
 ) -> None:
     stage, (sample, own), settings, size, known = EFFECTS[name]
-    robot = load_robot(SAMPLES / sample / "robot.toml")
+    arm = sample_arm(sample, own)
+    robot, logs, without = arm.robot, arm.logs, arm.stages
     j = robot.joint_names.index(own)
-    paths = (
-        SAMPLES / sample / f"{folder}/{own}.parquet"
-        for folder in ("friction", "gravity")
-    )
-    logs = [read_recording(path, robot) for path in paths]
-    without = stages_of(*logs, robot)
     scenes, changed = scenes_of(logs, robot, without, options=InertiaOptions()), []
     for log, scene in zip(logs, scenes, strict=True):
         torque = CATALOGUE[name].columns(scene.full or scene, j, settings)[j] @ size
@@ -99,21 +115,16 @@ def test_a_skew_is_in_the_delay_of_the_stage() -> None:
     """Torque that comes late is no friction: the drive's delay takes it."""
     seconds = 0.005
     sample, own = LIFT
-    robot = load_robot(SAMPLES / sample / "robot.toml")
-    j = robot.joint_names.index(own)
-    paths = (
-        SAMPLES / sample / f"{folder}/{own}.parquet"
-        for folder in ("friction", "gravity")
-    )
-    logs = [read_recording(path, robot) for path in paths]
+    arm = sample_arm(sample, own)
+    j = arm.robot.joint_names.index(own)
     late = []
-    for log in logs:
+    for log in arm.logs:
         torque = log.tau.copy()
         torque[:, j] = np.interp(log.t - seconds, log.t, log.tau[:, j])
         late.append(replace(log, tau=torque))
     before, after = (
-        term_of(stages_of(*given, robot).friction.joints[own], "delay")
-        for given in (logs, late)
+        term_of(stages.friction.joints[own], "delay")
+        for stages in (arm.stages, stages_of(*late, arm.robot))
     )
     found = after.value - before.value
     assert found > 0.4 * seconds

@@ -18,12 +18,13 @@ from tests.studies.undeclared.logs import logs_of, stages_of
 
 pytestmark = pytest.mark.slow
 
-CASE = next(
+STUDIED = next(
     case
     for case in outside()
     if (case.rig, case.effects[0][0], case.seed)
     == ("two", "outside.acceleration_cube", 0)
 )
+CASE = replace(STUDIED, seconds=11.0)  # the study's own logs are longer
 ELBOW = 1
 
 

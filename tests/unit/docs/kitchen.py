@@ -34,6 +34,8 @@ MADE = {
     "diagnosis.json": (
         "diagnose {r}/validation -r {r}/robot.toml -p inertia.json -o diagnosis.json"
     ),
+    # stands for the plan of a whole session
+    "plan.json": "plan friction -r {r}/robot.toml -o plan.json",
 }
 EXPORT = "export inertia.json -r {r}/robot.toml -o {name}.urdf --json"
 SIMULTANEOUS = "simultaneous {r}/inertia -r {r}/robot.toml -o inertia.json"
@@ -129,6 +131,7 @@ def is_dear(words: Sequence[str]) -> bool:
     rig, new = rig_of(words), any("validation" in word for word in words)
     return {
         "run": rig == "six_joint",
+        "plan": rig == "six_joint" and "all" in words,
         **dict.fromkeys(IDENTIFY, rig != "one_joint"),
         "diagnose": rig != "one_joint" or not new,
         **dict.fromkeys(("inspect", "init"), rig == "six_joint" and not new),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.plants.arms.rigs import plain
+from tests.plants.motions.experiments import friction_trials, gravity_trials
 from tests.studies.coverage.cases import Case, draw, record
 from tests.studies.coverage.score import compare, identified
 from tests.studies.coverage.study import coverage as coverage_of
@@ -38,7 +39,13 @@ def test_identification_without_noise_recovers_the_truths(tmp_path: Path) -> Non
     still = np.zeros(plant.arm.n)
     plant = replace(plant, current_noise=still, current_step=0.0, imus=())
     plant = replace(plant, encoder_step=plant.encoder_step / 64)
-    trials = [trial for trial in drawn.trials if trial.stage != "imu"]
+    # Friction is plain, so that few speeds, and none of the slowest, show all of it.
+    postures = [np.array([0.0, angle]) for angle in (0.0, 1.2)]
+    trials = [
+        *friction_trials(plant, postures[0], speeds=5, lowest=0.3),
+        *gravity_trials(plant, postures, speeds=(0.5,)),
+        *(trial for trial in drawn.trials if trial.stage == "inertia"),
+    ]
     record(case, replace(drawn, plant=plant, trials=trials), tmp_path)
     stages, problem = identified(tmp_path)
     assert not problem

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import ParameterFile
@@ -14,17 +14,38 @@ from tests.plants.robots.identified import simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.studies.undeclared.refine import file_of
 
-RIG, SECONDS, SEED = "vertical_two_joint", 11.0, 1
+RIG, SECONDS, SEED = "vertical_two_joint", 10.0, 1
 Effects = tuple[tuple[str, int, float], ...]  # name, joint, size
 
 
 @dataclass(frozen=True, kw_only=True)
 class Logs:
-    """Logs of one arm, to be fitted and held out."""
+    """Logs of one arm, to be fitted and held out; each simulated when asked for."""
 
-    robot: Robot
-    training: list[Recording]
-    held_out: list[Recording]
+    case: Case
+
+    @cached_property
+    def robot(self) -> Robot:
+        """The robot file, which does not say the effects."""
+        return robot_of(RIG, declared_plant(self.case))
+
+    @cached_property
+    def training(self) -> list[Recording]:
+        return self._simulated(held_out=False)
+
+    @cached_property
+    def held_out(self) -> list[Recording]:
+        return self._simulated(held_out=True)
+
+    def _simulated(self, *, held_out: bool) -> list[Recording]:
+        declared = declared_plant(self.case)
+        plant = injections(self.case)[-1].plant
+        logs = []
+        for number, drill in enumerate(motions(self.case)):
+            if drill.held_out == held_out:
+                made = run_drill(plant, drill, 1000 * SEED + number)
+                logs.append(recording_of(declared, drill.name, made))
+        return logs
 
     @property
     def earlier(self) -> dict[str, list[Recording]]:
@@ -40,14 +61,5 @@ class Logs:
 
 @cache
 def recorded(effects: Effects) -> Logs:
-    """Simulate the arm with effects that its robot file does not say."""
-    case = Case(RIG, SEED, effects, seconds=SECONDS)
-    declared = declared_plant(case)
-    plant = injections(case)[-1].plant if effects else declared
-    logs: dict[bool, list[Recording]] = {False: [], True: []}
-    for number, drill in enumerate(motions(case)):
-        made = run_drill(plant, drill, 1000 * SEED + number)
-        logs[drill.held_out].append(recording_of(declared, drill.name, made))
-    return Logs(
-        robot=robot_of(RIG, declared), training=logs[False], held_out=logs[True]
-    )
+    """Return logs of the arm with effects that its robot file does not say."""
+    return Logs(case=Case(RIG, SEED, effects, seconds=SECONDS))

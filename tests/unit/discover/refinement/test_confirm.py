@@ -25,6 +25,7 @@ REVERSED = ("quadratic_drag", 1, -1.0)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_effects")
 def test_what_the_held_out_logs_do_not_confirm_does_not_stay() -> None:
     """While held-out logs are recorded, the elbow has the reverse of what it had."""
     before, later = recorded((SHOULDER, ELBOW)), recorded((SHOULDER, REVERSED))
@@ -88,6 +89,7 @@ def test_what_the_held_out_logs_do_not_confirm_does_not_stay() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_effects")
 def test_where_nothing_is_confirmed_the_file_stays_as_it_came() -> None:
     before, later = recorded((ELBOW,)), recorded((REVERSED,))
     file = before.file()

@@ -216,11 +216,11 @@ def test_smooth_terms_are_proposed_where_they_were_not_allowed_yet() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_effects")
 def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) -> None:
     effects = (("load_dependent_friction", 0, 1.0),)
-    logs = recorded(
-        Condition("starts", "two", 12, effects, "sequential_with"), tmp_path
-    )
+    case = Condition("starts", "two", 12, effects, "sequential_with")
+    logs = recorded(case, tmp_path, without=["held_out"])
     first, *rest = logs.robot.joints
     reflected = first.gear_ratio**2 * first.rotor_inertia
     robot = replace(logs.robot, joints=(replace(first, rotor_inertia=None), *rest))
@@ -234,6 +234,7 @@ def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_effects")
 @pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 def test_logs_too_long_to_be_held_are_fitted_in_pieces_and_judged_as_a_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

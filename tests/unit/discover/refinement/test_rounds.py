@@ -27,6 +27,7 @@ BOTH = (("presliding_hysteresis", 0, 1.0), ("presliding_hysteresis", 1, 1.0))
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_effects")
 def test_the_same_effect_at_all_joints_is_one_round() -> None:
     """A limit of one round takes it in at every joint, and nothing is left untried."""
     logs = recorded(BOTH)
@@ -48,6 +49,7 @@ def test_the_same_effect_at_all_joints_is_one_round() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_effects")
 def test_a_limit_that_stops_it_is_told() -> None:
     logs = recorded(
         (("presliding_hysteresis", 0, 1.0), ("load_dependent_friction", 1, 1.0))

@@ -23,6 +23,8 @@ from tests.plants.robots.sample import Rig
 
 ERROR = 0.02  # stated
 STEP = 1e-3  # by which a joint's torque is scaled
+# Given, so that they are not looked for: what is scaled moves alike with any orders.
+ORDERS = FrictionOptions(position_order=4, velocity_order=3)
 
 
 def stated(robot: Robot) -> Robot:
@@ -40,9 +42,7 @@ def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
     """All stages by the encoders, from logs whose torque of the first joint is scaled."""
     folders = ("friction", "gravity", "inertia")
     drills, slow, pairs = (scaled(rig.logs(name), step) for name in folders)
-    stages = Stages(
-        friction=identify_friction(drills, robot, options=FrictionOptions())
-    )
+    stages = Stages(friction=identify_friction(drills, robot, options=ORDERS))
     result = identify_gravity(slow + drills, robot, stages)
     stages.gravity, stages.friction = result.gravity, result.friction
     options = InertiaOptions(source="encoder")

@@ -3,6 +3,7 @@ error.
 """
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -90,6 +91,7 @@ def test_noise_of_encoders_is_no_contradiction_and_more_is() -> None:
     assert off[1] == pytest.approx(8.0 * cutoff.acceleration_noise[1] ** 2, rel=0.1)
 
 
+@cache
 def scene(counts: int | None, bend: float) -> Case:
     """The planar rig at 250 Hz, its IMUs calibrated by its logs; joint 2 may bend."""
     plant = two_joint()

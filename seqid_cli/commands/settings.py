@@ -28,7 +28,9 @@ from seqid_cli.identify.settings import (
     SurfaceSettings,
     TrialSettings,
 )
+from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.payload.settings import PayloadSettings
+from seqid_cli.plan.settings import PlanSettings
 from seqid_cli.settings import Entry, Settings, entries, overridden
 
 
@@ -55,6 +57,7 @@ class RunSettings(Settings):
 
 
 SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {
+    "inspect": InspectSettings(),
     "run": RunSettings(),
     "friction": FrictionSettings(),
     "gravity": GravitySettings(),
@@ -64,6 +67,7 @@ SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {
     "diagnose": DiscoverSettings(),
     "refine": DiscoverSettings(),
     "simultaneous": SimultaneousSettings(),
+    "plan": PlanSettings(),
     "payload": PayloadSettings(),
 }
 

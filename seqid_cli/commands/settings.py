@@ -6,7 +6,11 @@ from dataclasses import dataclass, fields
 from typer.core import TyperCommand
 
 from seqid_cli.commands.screen.render import Screen, screen_for
-from seqid_cli.discover.settings import DiscoverSettings
+from seqid_cli.discover.settings import (
+    DiscoverSettings,
+    EventSettings,
+    EvidenceSettings,
+)
 from seqid_cli.identify.settings import (
     AgreementSettings,
     CutoffCheckSettings,
@@ -54,6 +58,8 @@ class RunSettings(Settings):
     rotors: RotorSettings = RotorSettings()
     agreement: AgreementSettings = AgreementSettings()
     errors: PredictionErrorSettings = PredictionErrorSettings()
+    evidence: EvidenceSettings = EvidenceSettings()
+    events: EventSettings = EventSettings()
 
 
 SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {

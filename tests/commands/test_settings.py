@@ -139,3 +139,17 @@ def test_the_page_of_the_settings_is_as_the_classes_are() -> None:
     text = page.PAGE.read_text(encoding="utf-8")
     assert page.rewritten(text) == text, "run python -m tests.unit.docs.settings"
     assert text.count("| `") > 40
+
+
+def test_what_a_study_measured_stands_behind_what_was_written_by_hand() -> None:
+    text = page.PAGE.read_text(encoding="utf-8")
+    place = ("inertia", "cutoff.hopeless")
+    first = page.rewritten(text, {place: "nothing at 1 and 3"})
+    again = page.rewritten(first, {place: "another one at 3"})
+    (row,) = [line for line in again.splitlines() if "`cutoff.hopeless`" in line]
+    assert row.endswith(f"chooses the same. {page.SAMPLES}another one at 3 |")
+    assert page.rewritten(again) == again
+    others = [line for line in again.splitlines() if "`cutoff.hopeless`" not in line]
+    assert others == [
+        line for line in text.splitlines() if "`cutoff.hopeless`" not in line
+    ]

@@ -27,12 +27,15 @@ from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import Parameter, ParameterFile, Verdict
 from seqid_cli.payload import payload
 from seqid_cli.plan import PlanOptions, plan
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
 from seqid_cli.settings import Entry, Settings, entries, overridden
 from tests import ROOT
 from tests.studies.records import package_sources, results
 from tests.unit.docs import settings as page
 from tests.unit.inspect import planting
 from tests.unit.inspect.faults import read_columns, write_columns
+from tests.unit.test_settings import nominal
 
 SAMPLES = ROOT / "sample_logs"
 ONE = SAMPLES / "one_joint"
@@ -109,7 +112,7 @@ def of_friction(logs: Path, robot: Path, settings: Any) -> Outcome:
 
 
 def of_gravity(
-    logs: Path, robot: Path, model: Callable[[], ParameterFile], settings: Any
+    logs: Path, robot: Path | Robot, model: Callable[[], ParameterFile], settings: Any
 ) -> Outcome:
     stage = identify.gravity(logs, robot, model(), settings=settings).stages.gravity
     assert stage is not None
@@ -233,6 +236,13 @@ def gravity_of_six() -> ParameterFile:
     return identify.gravity(SIX / "gravity", SIX / "robot.toml", friction_of_six())
 
 
+@cache
+def heavier_robot() -> Robot:
+    """Return the arm with one joint with inertials of a URDF that weigh twice as much."""
+    stages = read_parameters(ONE / "golden.json").stages
+    return nominal(load_robot(ONE / "robot.toml"), stages, 2.0)
+
+
 def faulty_log(folder: Path) -> Path:
     """Return a log with small faults: spikes and missing values of the current."""
     columns = read_columns(ONE / "validation" / "fourier_1.parquet")
@@ -277,6 +287,23 @@ def cases(folder: Path) -> list[Case]:
             "gravity", "six joints", of_gravity, SIX / "gravity", six, friction_of_six
         ),
         case("imu-calib", "one joint", of_imus, ONE / "imu", one),
+        case(
+            "gravity",
+            "one joint beside a URDF with twice the gravity",
+            of_gravity,
+            ONE / "gravity",
+            heavier_robot(),
+            with_friction_alone,
+        ),
+        case(
+            "inertia",
+            "one joint before and after a change",
+            of_inertia,
+            [ONE / "inertia", ONE / "changed" / "trapezoids.parquet"],
+            one,
+            partial(without_inertia, ONE),
+            encoders,
+        ),
         case(
             "inertia",
             "one joint",
@@ -364,8 +391,15 @@ def cases(folder: Path) -> list[Case]:
 class Moved:
     """A setting that is moved, and the commands that work with it."""
 
+    command: str
     entry: Entry
     cases: tuple[Case, ...]
+
+    @property
+    def key(self) -> str:
+        """Name of the setting, and of all that it is tried on."""
+        logs = ", ".join(f"{case.command} ({case.logs})" for case in self.cases)
+        return f"{self.command} {self.entry.name} on {logs}"
 
     @property
     def values(self) -> Iterator[float]:
@@ -383,21 +417,28 @@ class Effect(msgspec.Struct, kw_only=True):
     by_value: dict[str, list[str]]
 
 
-# Groups that several commands have are moved in these alone, where that is quicker.
+# Groups that are moved in these cases alone, to keep the study short.
 SHARED: Mapping[str, Mapping[str, Sequence[str]]] = {
     "judging": {
         "friction": ("one joint",),
-        "gravity": ("six joints",),
+        "gravity": ("six joints", "one joint beside a URDF with twice the gravity"),
         "inertia": ("one joint",),
     },
+    "cutoff": {
+        "inertia": ("one joint", "six joints"),
+        "simultaneous": ("one joint", "two joints"),
+    },
+    "cutoff_check": {"inertia": ("one joint", "six joints")},
+    "rotors": {"inertia": ("one joint", "six joints")},
+    "reversals": {"inertia": ("one joint", "six joints")},
     "events": {"diagnose": ("one joint",)},
     "hunting": {"friction": ("one joint",)},
 }
 
 
-def moved_settings(all_cases: Sequence[Case]) -> dict[tuple[str, str], Moved]:
-    """Return every setting by the first command that has it, and its name."""
-    found: dict[tuple[str, str], Moved] = {}
+def moved_settings(all_cases: Sequence[Case]) -> list[Moved]:
+    """Return every setting, with the first command that has it."""
+    found: list[Moved] = []
     commands_of: dict[tuple[str, type], list[str]] = {}
     for command, settings in SETTINGS_OF_COMMANDS.items():
         if command == "run":
@@ -416,7 +457,7 @@ def moved_settings(all_cases: Sequence[Case]) -> dict[tuple[str, str], Moved]:
         )
         for entry in entries(SETTINGS_OF_COMMANDS[commands[0]]):
             if entry.name.startswith(f"{group_name}."):
-                found[commands[0], entry.name] = Moved(entry=entry, cases=chosen)
+                found.append(Moved(command=commands[0], entry=entry, cases=chosen))
     return found
 
 
@@ -438,9 +479,11 @@ def usual_outcome(case: Case) -> Outcome:
 def differences(case: Case, before: Outcome, after: Outcome) -> Iterator[str]:
     """Yield in words what a setting changes."""
     for name in sorted({*before.facts, *after.facts}):
-        old = before.facts.get(name, "nothing")
-        new = after.facts.get(name, "nothing")
-        if old != new:
+        old = before.facts.get(name)
+        new = after.facts.get(name, "without a verdict")
+        if old is None:
+            yield f"{case.logs}: {name} {new}"
+        elif old != new:
             yield f"{case.logs}: {name} {new} instead of {old}"
 
     moves = [
@@ -448,8 +491,6 @@ def differences(case: Case, before: Outcome, after: Outcome) -> Iterator[str]:
         for name, (value, std_error) in before.values.items()
         if name in after.values and std_error > 0.0
     ]
-    if set(after.values) != set(before.values):
-        yield f"{case.logs}: other parameters"
     largest = max(moves, default=0.0)
     if largest > LEAST_ERRORS:
         yield f"{case.logs}: parameters by up to {largest:.2g} standard errors"
@@ -473,20 +514,28 @@ def in_words(effect: Effect) -> str:
     """Return the last cell of a setting's row."""
     if not any(effect.by_value.values()):
         return f"nothing at {' and '.join(effect.by_value)}"
-    parts = [
-        f"{value}: {', '.join(changes) or 'nothing'}"
-        for value, changes in effect.by_value.items()
-    ]
-    return "; ".join(parts)
+    return "; ".join(
+        f"at {value} {_grouped(changes)}" for value, changes in effect.by_value.items()
+    )
+
+
+def _grouped(changes: Sequence[str]) -> str:
+    """Return changes by the logs that they are of."""
+    by_logs: dict[str, list[str]] = {}
+    for change in changes:
+        logs, _, text = change.partition(": ")
+        by_logs.setdefault(logs, []).append(text)
+    parts = [f"{logs}: {', '.join(texts)}" for logs, texts in by_logs.items()]
+    return " and ".join(parts) or "nothing"
 
 
 def study(arguments: argparse.Namespace) -> str:
     """Fill the last column of the page, and return what there is to say of all rows."""
     folder = arguments.cache / "settings"
-    moved = moved_settings(cases(folder))
-    by_key = {f"{command} {name}": each for (command, name), each in moved.items()}
+    all_cases = cases(folder)
+    moved = {each.key: each for each in moved_settings(all_cases)}
     effects = results(
-        by_key,
+        moved,
         effect_of,
         Effect,
         folder / "settings.jsonl",
@@ -494,16 +543,15 @@ def study(arguments: argparse.Namespace) -> str:
         told=in_words,
     )
     cells = {
-        (command, name): in_words(effects[f"{command} {name}"])
-        for command, name in moved
-        if f"{command} {name}" in effects
+        (each.command, each.entry.name): in_words(effects[key])
+        for key, each in moved.items()
     }
     if not arguments.quick:
         text = page.PAGE.read_text(encoding="utf-8")
         page.PAGE.write_text(page.rewritten(text, cells), encoding="utf-8")
 
     changing = [effect for effect in effects.values() if any(effect.by_value.values())]
-    logs = ", ".join(f"{case.command} ({case.logs})" for case in cases(folder))
+    logs = ", ".join(f"{case.command} ({case.logs})" for case in all_cases)
     return (
         f"{len(changing)} of {len(effects)} settings change something at half or at"
         f" double their default. Worked on: {logs}."

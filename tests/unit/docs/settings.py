@@ -33,8 +33,9 @@ def rewritten(text: str, measured: Mapping[tuple[str, str], str] | None = None) 
     """
     cells = dict(_measured(text))
     for place, said in (measured or {}).items():
-        by_hand = cells.get(place, "").partition(SAMPLES)[0].strip()
-        cells[place] = f"{by_hand} {SAMPLES}{said}".strip()
+        by_hand = cells.get(place, "").partition(SAMPLES)[0].strip(" .")
+        before = f"{by_hand}. " if by_hand else ""
+        cells[place] = f"{before}{SAMPLES}{said}"
     tables = "".join(_tables(cells))
     new = f"<!-- settings -->\n{tables}<!-- /settings -->"
     return TABLES.sub(lambda _: new, text)

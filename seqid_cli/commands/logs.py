@@ -21,6 +21,8 @@ from seqid_cli.commands.options import (
     NoColorOption,
     OutputOption,
     QuietOption,
+    SetOption,
+    ShowSettingsOption,
     TimeOption,
     VerboseOption,
     command_app,
@@ -34,6 +36,7 @@ from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.robot.urdf import read_urdf_text
+from seqid_cli.settings import overridden
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,6 +86,8 @@ def inspect(
             "--strict", help="Exit with 1 on warnings and unrecorded moves as well."
         ),
     ] = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
     json: JsonOption = False,
@@ -96,16 +101,19 @@ and what is wrong.
     code is 1 when an error is found, 2 when a log cannot be read, 3 when one was read
     in part.
     """  # noqa: D205
+    from seqid_cli.inspect import InspectSettings
     from seqid_cli.inspect import inspect as inspect_logs
 
     screen = screen_for(
         "inspect", quiet=quiet, verbose=verbose, json=json, no_color=no_color
     )
     robot = robot or found_robot_if_any(screen, logs)
+    settings = overridden(InspectSettings(), set_values or ())
     with CommandRun(screen) as run:
         file = inspect_logs(
             logs,
             robot,
+            settings=settings,
             time_source=time_source,
             plan=plan,
             output=output,

@@ -15,6 +15,8 @@ from seqid_cli.commands.options import (
     OutputOption,
     QuietOption,
     RobotOption,
+    SetOption,
+    ShowSettingsOption,
     StrictOption,
     VerboseOption,
     command_app,
@@ -30,6 +32,8 @@ from seqid_cli.params.schema import RobotId
 from seqid_cli.plan import PlanOptions
 from seqid_cli.plan import plan as plan_moves
 from seqid_cli.plan.options import What
+from seqid_cli.plan.settings import PlanSettings
+from seqid_cli.settings import overridden
 
 app = command_app()
 
@@ -202,6 +206,8 @@ def plan(
         typer.Option("--seed", metavar="N", min=0, help="Of the moves that are drawn."),
     ] = 0,
     strict: StrictOption = False,
+    set_values: SetOption = None,
+    show_settings: ShowSettingsOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
     json: JsonOption = False,
@@ -234,12 +240,14 @@ standard errors they will give.
         workspace=None if workspace is None else _box(workspace),
         floor=floor,
     )
+    settings = overridden(PlanSettings(), set_values or ())
     with CommandRun(screen) as run:
         file = plan_moves(
             what,
             robot,
             parameters or (),
             options,
+            settings=settings,
             have=have or (),
             output=output,
             trajectories=trajectories,

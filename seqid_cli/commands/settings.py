@@ -6,7 +6,11 @@ from dataclasses import dataclass, fields
 from typer.core import TyperCommand
 
 from seqid_cli.commands.screen.render import Screen, screen_for
-from seqid_cli.discover.settings import DiscoverSettings
+from seqid_cli.discover.settings import (
+    DiscoverSettings,
+    EventSettings,
+    EvidenceSettings,
+)
 from seqid_cli.identify.settings import (
     AgreementSettings,
     CutoffCheckSettings,
@@ -28,7 +32,9 @@ from seqid_cli.identify.settings import (
     SurfaceSettings,
     TrialSettings,
 )
+from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.payload.settings import PayloadSettings
+from seqid_cli.plan.settings import PlanSettings
 from seqid_cli.settings import Entry, Settings, entries, overridden
 
 
@@ -52,9 +58,12 @@ class RunSettings(Settings):
     rotors: RotorSettings = RotorSettings()
     agreement: AgreementSettings = AgreementSettings()
     errors: PredictionErrorSettings = PredictionErrorSettings()
+    evidence: EvidenceSettings = EvidenceSettings()
+    events: EventSettings = EventSettings()
 
 
 SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {
+    "inspect": InspectSettings(),
     "run": RunSettings(),
     "friction": FrictionSettings(),
     "gravity": GravitySettings(),
@@ -64,6 +73,7 @@ SETTINGS_OF_COMMANDS: Mapping[str, Settings] = {
     "diagnose": DiscoverSettings(),
     "refine": DiscoverSettings(),
     "simultaneous": SimultaneousSettings(),
+    "plan": PlanSettings(),
     "payload": PayloadSettings(),
 }
 

@@ -2,5 +2,6 @@
 
 from seqid_cli.discover.functions import diagnose, refine
 from seqid_cli.discover.options import DiagnoseOptions, RefineOptions
+from seqid_cli.discover.settings import DiscoverSettings
 
-__all__ = ["DiagnoseOptions", "RefineOptions", "diagnose", "refine"]
+__all__ = ["DiagnoseOptions", "DiscoverSettings", "RefineOptions", "diagnose", "refine"]

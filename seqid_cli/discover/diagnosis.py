@@ -29,7 +29,7 @@ from seqid_cli.discover.notes import (
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
-from seqid_cli.discover.select.naming import TOLD, named
+from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.results import TermResult
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
@@ -50,7 +50,6 @@ from seqid_cli.typing import Array
 
 # of a coefficient's variance beforehand, from which the logs tell nothing of it
 UNTOLD_SHARE = 0.9
-HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 
 def diagnose(
@@ -92,7 +91,9 @@ def diagnose(
         )
         for log in usable
     ]
-    options = replace(options, motion=with_own_cutoffs(logs, robot, stages, motion))
+    evidence = options.settings.evidence
+    motion = with_own_cutoffs(logs, robot, stages, motion, evidence)
+    options = replace(options, motion=motion)
     document = described(investigate(logs, robot, stages, options), robot)
     document.notes = [*notes, *document.notes, *deflection_notes(stages, robot)]
     return document
@@ -100,14 +101,15 @@ def diagnose(
 
 def described(investigation: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
+    min_confidence = investigation.settings.evidence.min_confidence
     findings = [
         _finding(investigation, robot, result)
         for result in investigation.selection.effects
-        if named(result).confidence >= TOLD
+        if named(result).confidence >= min_confidence
     ]
     if investigation.events:
         contact = _contact(investigation, robot)
-        if contact.confidence >= TOLD:
+        if contact.confidence >= min_confidence:
             findings.append(contact)
             investigation = investigation.without_told_events()
     findings.sort(key=lambda each: (-round(each.confidence, 2), -each.explains))
@@ -182,12 +184,13 @@ def _events(investigation: Investigation, robot: Robot) -> list[diagnosis.EventE
 
 def _hidden(investigation: Investigation, robot: Robot) -> list[diagnosis.HiddenEntry]:
     """Return the effects that the base nearly absorbs on these motions."""
+    min_visible = investigation.settings.evidence.min_visible
     visible_shares = investigation.selection.visible_shares
     by_share = sorted(visible_shares.items(), key=lambda pair: pair[1])
     return [
         diagnosis.HiddenEntry(effect=name, joint=robot.name_of(joint), visible=share)
         for (name, joint), share in by_share
-        if share < HIDDEN
+        if share < min_visible
     ]
 
 
@@ -220,7 +223,8 @@ def _contact(investigation: Investigation, robot: Robot) -> diagnosis.FindingEnt
     in_terms = sum(
         max(result.scored.score.total, 0.0) for result in investigation.selection.terms
     )
-    certainty = max(event.certainty for event in events)
+    min_sigma = investigation.settings.events.min_sigma
+    certainty = max(event.certainty(min_sigma) for event in events)
     confidence = float(certainty * max(shares))
     return diagnosis.FindingEntry(
         effect=effect.name,

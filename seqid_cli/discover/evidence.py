@@ -317,8 +317,10 @@ def tried_at(
         if joint in joints:
             at_joint.append(scored)
     first_terms = _each_once(at_joint)[:MOST]
+    options = investigation.ground.options
     return [
-        _rival_entry(robot, scored, _why_not_beside(scored)) for scored in first_terms
+        _rival_entry(robot, scored, _why_not_beside(scored, options))
+        for scored in first_terms
     ]
 
 
@@ -353,7 +355,7 @@ def _why_not_in_place(
         )
     if reach <= 0.0:
         return "predicts nothing in its place"
-    if reach < 1.0 - Options().small:
+    if reach < 1.0 - result.model.ground.options.small:
         return f"explains {percent(1.0 - reach)} less"
     of_rival = rival.term.freedom
     of_term = result.term.freedom
@@ -365,9 +367,8 @@ def _why_not_in_place(
     return f"no better: it reaches {percent(reach)} of the gain"
 
 
-def _why_not_beside(scored: ScoredTerm) -> str:
+def _why_not_beside(scored: ScoredTerm, options: Options) -> str:
     """Say why something was not taken beside all that was."""
-    options = Options()
     score = scored.score
     log_bayes_factor = scored.fit.log_bayes_factor
     if score.total <= 0.0:

@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.discover.settings import EventSettings
 from seqid_cli.discover.survey import events
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.effects.fitted import fitted_effects
@@ -97,6 +98,7 @@ def residual_survey(
     robot: Robot,
     stages: Stages,
     options: InertiaOptions,
+    settings: EventSettings = EventSettings(),
 ) -> ResidualSurvey:
     """Pass over one log with torque.
 
@@ -113,6 +115,8 @@ def residual_survey(
         The model.
     options : InertiaOptions
         How motion is low-passed.
+    settings : EventSettings
+        What stands out.
 
     Raises
     ------
@@ -125,7 +129,7 @@ def residual_survey(
     n = robot.n
     blocks: list[Index] = []
     sums: list[Array] = []
-    places = _PlacesInSpans()
+    places = _PlacesInSpans(settings)
     n_samples = 0
     for part in _parts(log, robot, stages, options):
         residual = part.tau - part.predicted
@@ -166,7 +170,8 @@ def residual_survey(
 class _PlacesInSpans:
     """Places of a log at which the residual stands out, looked for span by span."""
 
-    def __init__(self) -> None:
+    def __init__(self, settings: EventSettings) -> None:
+        self._settings = settings
         self._tracks: list[events.Track] = []
         self._n_samples = 0
         self._places: list[events.Interval] = []
@@ -178,7 +183,7 @@ class _PlacesInSpans:
         if self._n_samples < 2 * SPAN:
             return
         joined = events.joined(self._tracks)
-        self._places += _standing_out(joined[:SPAN])
+        self._places += _standing_out(joined[:SPAN], self._settings)
         # The next span begins a little before the end of this one.
         first = int(np.searchsorted(joined.t, joined.t[SPAN - 1] - OVERLAP_S))
         self._tracks = [joined[first:]]
@@ -186,7 +191,8 @@ class _PlacesInSpans:
 
     def finished(self) -> list[events.Interval]:
         """Return the places of all spans."""
-        return self._places + _standing_out(events.joined(self._tracks))
+        last = _standing_out(events.joined(self._tracks), self._settings)
+        return self._places + last
 
 
 def _parts(
@@ -239,7 +245,9 @@ def _track(
     )
 
 
-def _standing_out(track: events.Track) -> list[events.Interval]:
+def _standing_out(
+    track: events.Track, settings: EventSettings
+) -> list[events.Interval]:
     """Return the places of one span at which the residual stands out."""
     if len(track.t) < SAMPLES_PER_CUTOFF or not np.isfinite(track.values[-1]).any():
         return []
@@ -248,7 +256,7 @@ def _standing_out(track: events.Track) -> list[events.Interval]:
         windows = events.windows_of([track], length_s)
         if len(windows.centre):
             scored.append((windows, events.scores(windows)))
-    return events.places(0, scored)
+    return events.places(0, scored, settings)
 
 
 def _strongest(places: Iterable[events.Interval]) -> tuple[events.Interval, ...]:
@@ -338,6 +346,7 @@ def take_excerpts(
     stages: Stages,
     *,
     options: InertiaOptions,
+    settings: EventSettings = EventSettings(),
     most_values: int = MOST_VALUES,
     places: bool = True,
 ) -> Excerpts:
@@ -353,6 +362,8 @@ def take_excerpts(
         The model.
     options : InertiaOptions
         How motion is low-passed.
+    settings : EventSettings
+        What stands out.
     most_values : int
         Samples times joints that are held, as `MOST_VALUES` counts them.
     places : bool
@@ -365,7 +376,14 @@ def take_excerpts(
     """
     n_imu_channels = sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
     most_samples = most_values / (robot.n + ARM + CHANNEL * n_imu_channels)
-    survey = partial(residual_survey, robot=robot, stages=stages, options=options)
+    # It is sent to processes that read logs, with all that it decides by.
+    survey = partial(
+        residual_survey,
+        robot=robot,
+        stages=stages,
+        options=options,
+        settings=settings,
+    )
     logs: Sequence[Path | Recording]
     clock: TimeSource = "header"
     if isinstance(recordings, LogSet) and _is_long(recordings, most_samples):

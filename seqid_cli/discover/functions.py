@@ -68,10 +68,12 @@ def diagnose(
 
     arm = inputs.robot
     stages = inputs.stages
-    discover_options = _discover_options(inputs, options)
+    discover_options = _discover_options(inputs, options, settings)
     motion_options = discover_options.motion
     log_set = LogSet.of(inputs)
-    excerpts = take_excerpts(log_set, arm, stages, options=motion_options)
+    excerpts = take_excerpts(
+        log_set, arm, stages, options=motion_options, settings=settings.events
+    )
     diagnosis = find_what_is_missing(
         excerpts.recordings, arm, stages, options=discover_options
     )
@@ -134,7 +136,7 @@ def refine(
         logs, robot, parameters, options, needs=needs, stored=False, **keywords
     )
     discover_options = replace(
-        _discover_options(inputs, options),
+        _discover_options(inputs, options, settings),
         max_effects=options.rounds,
         with_unexplained=options.with_unexplained,
     )
@@ -142,7 +144,6 @@ def refine(
         inputs,
         held_out,
         discover_options,
-        settings,
         keep_unconfirmed=options.keep_unconfirmed,
     )
     if output is not None:
@@ -150,21 +151,23 @@ def refine(
     return file
 
 
-def _discover_options(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
+def _discover_options(
+    inputs: Inputs, options: DiagnoseOptions, settings: DiscoverSettings
+) -> DiscoverOptions:
     """Return what a user asked for, with the cut-off that the model was made with."""
     from seqid_cli.identify.common_cutoff import inherited
     from seqid_cli.identify.options import InertiaOptions
 
     filtering = inherited(inputs.stages, options.cutoff_hz)
     source = "needed" if options.source == "auto" else options.source
-    return DiscoverOptions(motion=InertiaOptions(filtering, source=source))
+    motion = InertiaOptions(filtering, source=source)
+    return DiscoverOptions(motion=motion, settings=settings)
 
 
 def _refined(
     inputs: Inputs,
     held_out: Sequence[Path | Recording],
     options: DiscoverOptions,
-    settings: DiscoverSettings,
     *,
     keep_unconfirmed: bool,
 ) -> ParameterFile:
@@ -231,7 +234,7 @@ def _refined(
     )
 
     verdicts = [
-        *physics_verdicts(stages, robot, settings.judging),
+        *physics_verdicts(stages, robot, options.settings.judging),
         *training.verdicts(),
         *held_out_set.verdicts(),
     ]
@@ -243,7 +246,7 @@ def _refined(
         incoming=stages_before(previous, confirmed.stages),
         motion=motion_uses(one_of_each_log, robot, stages.imu, options=options.motion),
         verdicts=verdicts,
-        settings=used_settings(settings),
+        settings=used_settings(options.settings),
         notes=[
             *(f"fitted: {note}" for note in fitted.notes(robot)),
             *(f"held out: {note}" for note in unseen.notes(robot)),

@@ -20,11 +20,11 @@ from seqid_cli.discover.noise.floor import (
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
-from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select, select_among
-from seqid_cli.discover.survey.events import GATE, Interval, find_events
+from seqid_cli.discover.settings import DiscoverSettings
+from seqid_cli.discover.survey.events import Interval, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.logs.recording import Recording
@@ -118,6 +118,8 @@ class Investigation:
         Short stretches in which something pushed the arm.
     file_residual : FileResidual
         What the file leaves.
+    settings : DiscoverSettings
+        What was decided by.
     """
 
     logs: tuple[Recording, ...]
@@ -125,6 +127,7 @@ class Investigation:
     floor: NoiseFloor
     events: tuple[Interval, ...]
     file_residual: FileResidual
+    settings: DiscoverSettings
 
     @property
     def model(self) -> Model:
@@ -165,7 +168,7 @@ def investigate(
     stages: Stages,
     options: DiscoverOptions,
     *,
-    least: float = TOLD,
+    least: float | None = None,
 ) -> Investigation:
     """Select what a model lacks, and find events in what is left.
 
@@ -179,14 +182,17 @@ def investigate(
         The parameter file's.
     options : DiscoverOptions
         Where motion comes from.
-    least : float
-        Probability to be there from which an effect is told.
+    least : float, optional
+        Probability to be there from which an effect is told; by default that of the
+        settings.
     """
+    settings = options.settings
+    selection_options = Options.of(settings.evidence)
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
 
     step("choosing effects", 4, 10)
-    ground = Ground.of(rows, stages)
+    ground = Ground.of(rows, stages, selection_options)
     file_residual = FileResidual.of(ground)
     selection = select(ground)
 
@@ -194,7 +200,7 @@ def investigate(
     step("looking for events", 8, 10)
     first_model = selection.model
     left_out = guessed(first_model)
-    events = events_of(first_model, left_out)
+    events = events_of(first_model, left_out, settings)
     _mark(events, rows.scenes, left_out)
     remaining = rows.without(left_out)
 
@@ -202,7 +208,9 @@ def investigate(
     is_changed = not all(map(np.array_equal, remaining.used, rows.used))
     if is_changed:
         selection = select_among(
-            Ground.of(remaining, stages), first_model.hold, first_model.candidates
+            Ground.of(remaining, stages, selection_options),
+            first_model.hold,
+            first_model.candidates,
         )
         selection.run()
     result = selection.told(least)
@@ -223,6 +231,7 @@ def investigate(
         floor=floor,
         events=tuple(events),
         file_residual=file_residual,
+        settings=settings,
     )
 
 
@@ -271,11 +280,12 @@ def investigate_beside(
         Whether all was looked for.
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
-    ground = Ground.of(rows, stages)
+    ground = Ground.of(rows, stages, Options.of(options.settings.evidence))
     selection = select_among(ground, HELD, candidates)
     largest = selection.largest()
     is_complete = all(
-        result.scored.score.share <= Options.improvement for result in largest.terms
+        result.scored.score.share <= ground.options.improvement
+        for result in largest.terms
     )
     chosen = largest
     if is_complete:
@@ -305,7 +315,11 @@ def guessed(model: Model) -> list[Mask]:
 
 
 def events_of(
-    model: Model, guess: Sequence[Mask], *, most: float = 0.5
+    model: Model,
+    guess: Sequence[Mask],
+    settings: DiscoverSettings = DiscoverSettings(),
+    *,
+    most: float = 0.5,
 ) -> list[Interval]:
     """Find stretches that stand out in the residual, and are no errors of laws.
 
@@ -315,6 +329,8 @@ def events_of(
         The model with what was selected.
     guess : sequence of (N, n) masks
         By data set, where an effect may have any torque.
+    settings : DiscoverSettings
+        Numbers that decide.
     most : float
         Share of an event's samples that may be unknown: by `guess`, or as a joint does
         not slide, or stops above the cut-off.
@@ -327,12 +343,13 @@ def events_of(
         for residual, sigma in zip(left_out, model.noise.sigma, strict=False)
     ]
     events: list[Interval] = []
-    for event in find_events(rows, scaled):
+    for event in find_events(rows, scaled, settings.events):
         scene = rows.scenes[event.scene]
         is_unknown = guess[event.scene] | scene.stops | ~scene.slides
         at_joints = is_unknown[event.inside(scene)][:, list(event.joints)]
         is_known = np.mean(at_joints) <= most
-        if is_known and not of_law(event, scene, left_by_scene[event.scene]):
+        residual = left_by_scene[event.scene]
+        if is_known and not of_law(event, scene, residual, settings):
             events.append(event)
     return events
 
@@ -355,7 +372,12 @@ def not_of_terms(events: Sequence[Interval], model: Model) -> list[Interval]:
     return of_push
 
 
-def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
+def of_law(
+    event: Interval,
+    scene: Scene,
+    residual: Array,
+    settings: DiscoverSettings = DiscoverSettings(),
+) -> bool:
     """Return whether an event is small beside the torque's swing around it.
 
     The more it stands out against moments of like motion, at which a law errs alike,
@@ -370,16 +392,21 @@ def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
         Its data set.
     residual : (N, n) array
         What is left there [N m; N where prismatic].
+    settings : DiscoverSettings
+        Numbers that decide.
     """
+    negligible_share = settings.evidence.negligible_share
     inside = event.inside(scene)
     around = event.inside(scene, AROUND_S)
     period = round(scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)
     for joint in event.joints:
-        least = Options.small * float(np.ptp(scene.modelled[around, joint]))
+        least = negligible_share * float(np.ptp(scene.modelled[around, joint]))
         away_from_rest = inside & shrink(scene.slides[:, joint], period)
         size = max(
             rms(residual[inside, joint]),
-            rms(residual[away_from_rest, joint]) * event.score / GATE,
+            rms(residual[away_from_rest, joint])
+            * event.score
+            / settings.events.min_sigma,
         )
         if size >= least:
             return False

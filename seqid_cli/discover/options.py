@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.identify.options import InertiaOptions, LogOptions, Source
 
 
@@ -42,6 +43,8 @@ class DiscoverOptions:
         Rounds in which refinement adds effects; None for no limit.
     with_unexplained : bool
         Whether refinement adds smooth terms where no effect explains.
+    settings : DiscoverSettings
+        Numbers that decide.
     """
 
     motion: InertiaOptions = field(
@@ -49,3 +52,4 @@ class DiscoverOptions:
     )
     max_effects: int | None = None
     with_unexplained: bool = False
+    settings: DiscoverSettings = field(default_factory=DiscoverSettings)

@@ -7,7 +7,7 @@ import numpy as np
 
 from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.floor import encoder_residuals
-from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.settings import EvidenceSettings
 from seqid_cli.effects.apply import scene_of_log
 from seqid_cli.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.errors import InputError
@@ -84,7 +84,11 @@ def scenes_of(
 
 
 def with_own_cutoffs(
-    logs: Sequence[Recording], robot: Robot, stages: Stages, options: InertiaOptions
+    logs: Sequence[Recording],
+    robot: Robot,
+    stages: Stages,
+    options: InertiaOptions,
+    settings: EvidenceSettings = EvidenceSettings(),
 ) -> InertiaOptions:
     """Return options that filter some logs at their own cut-off.
 
@@ -101,6 +105,8 @@ def with_own_cutoffs(
         The model.
     options : InertiaOptions
         As the user gave them.
+    settings : EvidenceSettings
+        They say which share of a residual matters.
     """
     if options.motion.kept is None:
         options = replace(options, motion=replace(options.motion, kept={}))
@@ -118,15 +124,13 @@ def with_own_cutoffs(
     coarse = {
         log.sha256
         for log, scene in zip(doubtful, scenes, strict=True)
-        if _is_coarse(log, scene)
+        if _is_coarse(log, scene, settings.negligible_share)
     }
     motion = replace(options.motion, own=options.motion.own | coarse)
     return replace(options, motion=motion)
 
 
-def _is_coarse(
-    log: Recording, scene: Scene, *, most: float = Options.improvement
-) -> bool:
+def _is_coarse(log: Recording, scene: Scene, most: float) -> bool:
     """Return whether encoder noise makes more than a share `most` of some residual.
 
     By the squares of a joint where it slides; the share is the one from which on terms

@@ -16,7 +16,6 @@ import numpy as np
 
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.select.changes import Cause, causes_at
-from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.params.results import diagnosis
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
@@ -95,15 +94,17 @@ def _state(
 def predicted_worse(investigation: Investigation, joint: int) -> bool:
     """Return whether a model fitted to some blocks surely predicts others worse."""
     fitted, file = _squares(investigation, joint)
-    loss = fitted - (1.0 + Options.improvement) * file
-    return doubt_of(loss) <= Options.doubt
+    options = investigation.ground.options
+    loss = fitted - (1.0 + options.improvement) * file
+    return doubt_of(loss) <= options.doubt
 
 
 def predicted_better(investigation: Investigation, joint: int) -> bool:
     """Return whether a model fitted to some blocks surely predicts others better."""
     fitted, file = _squares(investigation, joint)
-    gain = (1.0 - Options.improvement) * file - fitted
-    return doubt_of(gain) <= Options.doubt
+    options = investigation.ground.options
+    gain = (1.0 - options.improvement) * file - fitted
+    return doubt_of(gain) <= options.doubt
 
 
 def _squares(investigation: Investigation, joint: int) -> tuple[Array, Array]:

@@ -1,5 +1,6 @@
 """Content and faults of logs, before anything is identified from them."""
 
 from seqid_cli.inspect.functions import inspect
+from seqid_cli.inspect.settings import InspectSettings
 
-__all__ = ["inspect"]
+__all__ = ["InspectSettings", "inspect"]

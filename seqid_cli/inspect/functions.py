@@ -10,6 +10,7 @@ from msgspec import structs
 
 from seqid_cli.errors import UsageError
 from seqid_cli.inspect.progress import Progress
+from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
@@ -25,6 +26,7 @@ def inspect(
     logs: Logs,
     robot: PathLike | Robot | None = None,
     *,
+    settings: InspectSettings = InspectSettings(),
     time_source: TimeSource = "header",
     plan: PathLike | None = None,
     output: PathLike | None = None,
@@ -38,6 +40,8 @@ def inspect(
         Logs of any format that can be read.
     robot : path or Robot, optional
         Torque and IMUs are compared with its geometry; joints are guessed without it.
+    settings : InspectSettings
+        Numbers that decide; `seqid inspect --show-settings` lists them.
     time_source : {"header", "log"}
         Which stamps of an MCAP log count.
     plan : path, optional
@@ -73,6 +77,7 @@ def inspect(
     report = inspect_logs(
         files,
         arm,  # type: ignore[arg-type]
+        settings=settings,
         time_source=time_source,
         on_progress=on_progress,
     )
@@ -84,6 +89,7 @@ def inspect(
             arm,  # type: ignore[arg-type]
             files,
             time_source,
+            settings,
         )
         report = structs.replace(report, planned=parts)
     if output_path is not None:

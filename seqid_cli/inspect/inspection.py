@@ -15,6 +15,7 @@ from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.parts import Gathered, Inspected
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.inspect.serves import serve_together
+from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.left_out import in_logged_posture, standing_joints
 from seqid_cli.logs.pieces import read_parts
@@ -25,7 +26,7 @@ from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.table import missing_columns
 from seqid_cli.params.dates import created_from
-from seqid_cli.params.document import head
+from seqid_cli.params.document import head, used_settings
 from seqid_cli.params.results.inspection import (
     INSPECTION_SCHEMA,
     InspectedLog,
@@ -39,6 +40,7 @@ def inspect_logs(
     paths: Sequence[Path],
     robot: Robot | None = None,
     *,
+    settings: InspectSettings = InspectSettings(),
     time_source: TimeSource = "header",
     on_progress: Callable[[Progress], None] | None = None,
 ) -> InspectionFile:
@@ -50,6 +52,8 @@ def inspect_logs(
         Logs of any format that can be read.
     robot : Robot, optional
         The arm; joints are guessed without it.
+    settings : InspectSettings
+        Numbers that decide.
     time_source : {"header", "log"}
         Which stamps of an MCAP log count.
     on_progress : callable, optional
@@ -67,7 +71,9 @@ def inspect_logs(
         if on_progress is not None:
             on_progress(Progress("reading", done, len(paths), str(path)))
         with local_copy(path) as file:
-            inspected = inspect_log(file, robot, time_source=time_source)
+            inspected = inspect_log(
+                file, robot, settings=settings, time_source=time_source
+            )
         # A log on object storage is named by its address, not by the copy.
         logs.append(structs.replace(inspected.log, path=str(path)))
         findings_of_logs += located(inspected.findings, path)
@@ -87,6 +93,7 @@ def inspect_logs(
         logs=logs,
         findings=findings,
         advice=_advice(logs, findings, robot),
+        settings=used_settings(settings),
     )
 
 
@@ -105,7 +112,11 @@ def _duplicates(logs: Sequence[InspectedLog]) -> list[InspectionFinding]:
 
 
 def inspect_log(
-    path: Path, robot: Robot | None = None, *, time_source: TimeSource = "header"
+    path: Path,
+    robot: Robot | None = None,
+    *,
+    settings: InspectSettings = InspectSettings(),
+    time_source: TimeSource = "header",
 ) -> Inspected:
     """Inspect one log.
 
@@ -115,6 +126,8 @@ def inspect_log(
         A log of any format that can be read.
     robot : Robot, optional
         The arm; joints are guessed without it, and where the log does not have them.
+    settings : InspectSettings
+        Numbers that decide.
     time_source : {"header", "log"}
         Which stamps of an MCAP log count.
 
@@ -128,7 +141,12 @@ def inspect_log(
     except InputError as error:
         return _unreadable(path, error)
 
-    reader = _Reader(path=path, form=surveyed.format, time_source=time_source)
+    reader = _Reader(
+        path=path,
+        form=surveyed.format,
+        time_source=time_source,
+        settings=settings,
+    )
     names = list(surveyed.channels)
     missing: dict[str, str] = {}
     problem: InputError | None = None
@@ -166,6 +184,7 @@ class _Reader:
     path: Path
     form: str
     time_source: TimeSource
+    settings: InspectSettings
 
     def inspect(
         self, robot: Robot, findings: Sequence[InspectionFinding], *, modelled: bool
@@ -192,6 +211,7 @@ class _Reader:
                 robot=robot,
                 modelled=modelled,
                 first_stamp_ns=first_stamp_ns,
+                settings=self.settings,
             )
             if first_stamp_ns is None:
                 first_stamp_ns = int(data.joints.stamp_ns[0])

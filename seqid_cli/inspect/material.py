@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from seqid_cli.errors import SeqidError
+from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.raw import RawLog, Stream
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
@@ -29,6 +30,8 @@ class LogData:
     modelled: bool = True
     # First stamp of the log, from which times count; None: that of these samples.
     first_stamp_ns: int | None = None
+    # What the checks decide by; it travels with the samples.
+    settings: InspectSettings = InspectSettings()
 
     @property
     def joints(self) -> Stream:

@@ -21,6 +21,7 @@ from scipy.signal import correlate
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.inspect.screening import Screened, read_screened
+from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.motion.planned import sampled
 from seqid_cli.params.io import read_any
@@ -34,7 +35,11 @@ ORDER = ("missing", "spoiled", "recorded")
 
 
 def recorded_parts(
-    plan: Path, robot: Robot, logs: Sequence[Path], time_source: TimeSource = "header"
+    plan: Path,
+    robot: Robot,
+    logs: Sequence[Path],
+    time_source: TimeSource = "header",
+    settings: InspectSettings = InspectSettings(),
 ) -> list[PlannedPart]:
     """Return for each move of a plan whether it is recorded, missing or spoiled.
 
@@ -48,6 +53,8 @@ def recorded_parts(
         Logs in which the moves are looked for.
     time_source : {"header", "log"}
         Which stamps of an MCAP log count.
+    settings : InspectSettings
+        What spoils a move is found by them.
 
     Raises
     ------
@@ -64,7 +71,10 @@ def recorded_parts(
         hint = f"It is of {file.robot.name}: give that robot file."
         raise ConfigError("is a plan for other joints", where=str(plan), hint=hint)
     screened = (
-        read_screened(log, robot, imus=False, time_source=time_source) for log in logs
+        read_screened(
+            log, robot, imus=False, time_source=time_source, settings=settings
+        )
+        for log in logs
     )
     return compared(file, robot.joint_names, screened)
 

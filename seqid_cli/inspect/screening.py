@@ -17,6 +17,7 @@ from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
 from seqid_cli.inspect.findings import grouped, located
 from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.long import READERS, Block, Bridge
 from seqid_cli.logs.raw import GAP_INTERVALS, GAP_LEAST_S, RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
@@ -55,7 +56,12 @@ def sound(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
 
 
 def read_screened(
-    path: Path, robot: Robot, *, time_source: TimeSource = "header", imus: bool = True
+    path: Path,
+    robot: Robot,
+    *,
+    time_source: TimeSource = "header",
+    imus: bool = True,
+    settings: InspectSettings = InspectSettings(),
 ) -> Screened:
     """Read and check a log as a whole.
 
@@ -69,6 +75,8 @@ def read_screened(
         Which stamps of an MCAP log count.
     imus : bool
         Whether its IMUs are used, and hence checked.
+    settings : InspectSettings
+        Numbers that decide; stages have the defaults.
 
     Returns
     -------
@@ -77,7 +85,7 @@ def read_screened(
         `read_recording`.
     """
     recording, raw = read_both(path, robot, time_source=time_source)
-    data = LogData(recording=recording, raw=raw, robot=robot)
+    data = LogData(recording=recording, raw=raw, robot=robot, settings=settings)
     checked, findings, _ = check(data, imus=imus, quality=False)
     return Screened(checked.recording, located(findings, data.recording.path))
 

@@ -2,5 +2,6 @@
 
 from seqid_cli.plan.functions import plan
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.settings import PlanSettings
 
-__all__ = ["PlanOptions", "plan"]
+__all__ = ["PlanOptions", "PlanSettings", "plan"]

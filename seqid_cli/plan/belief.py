@@ -36,6 +36,7 @@ from seqid_cli.plan.nuisance import (
     friction_size,
     move_terms,
 )
+from seqid_cli.plan.settings import MarginSettings
 from seqid_cli.robot.base_parameters import (
     Basis,
     base_regressor,
@@ -84,6 +85,8 @@ class Belief:
     geometry : Geometry, optional
         Shapes of the arm, and boxes to keep out of.
     floor : Floor, optional
+    margins : MarginSettings
+        How far moves stay from the limits of the torque.
     """
 
     robot: Robot
@@ -100,6 +103,7 @@ class Belief:
     noise_origin: str
     geometry: Geometry | None = None
     floor: Floor | None = None
+    margins: MarginSettings = MarginSettings()
 
     @property
     def bounded(self) -> bool:
@@ -218,8 +222,10 @@ class Belief:
             )
             total.add(rows)
 
-    def torque(self, moves: Moves, H: Array, *, sigmas: float = 3.0) -> Array:
-        """Return the torque that the joints need, with its error on top.
+    def torque(self, moves: Moves, H: Array) -> Array:
+        """Return the torque that the joints need, with the margin for its error on top.
+
+        The robot may be heavier than believed.
 
         Parameters
         ----------
@@ -227,8 +233,6 @@ class Belief:
             Samples of M moves.
         H : (M, N, n, b) float
             Their rows of the base parameters.
-        sigmas : float
-            Standard errors that are added: the robot may be heavier than believed.
 
         Returns
         -------
@@ -245,7 +249,7 @@ class Belief:
         )
         tau += friction.reshape(tau.shape)
         std_error = np.sqrt(np.sum((H @ self.root) ** 2, axis=3))
-        return np.asarray(np.abs(tau) + sigmas * std_error)
+        return np.asarray(np.abs(tau) + self.margins.torque_sigma * std_error)
 
     def overload(self, moves: Moves, H: Array) -> Array:
         """Return each move's largest torque over its limit (M,); 1 is the most."""
@@ -259,6 +263,7 @@ def belief_of(
     *,
     geometry: Geometry | None = None,
     floor: Floor | None = None,
+    margins: MarginSettings = MarginSettings(),
     rest_share: float = 0.02,
     friction_share: float = 0.1,
 ) -> Belief:
@@ -272,6 +277,8 @@ def belief_of(
     limits : Limits
     geometry : Geometry, optional
     floor : Floor, optional
+    margins : MarginSettings
+        How far moves stay from the limits of the torque.
     rest_share : float
         Share of the largest speed below which samples count little.
     friction_share : float
@@ -301,6 +308,7 @@ def belief_of(
         prior=gravity.A.T @ gravity.A,
         slow=np.maximum(slowest_speeds(surfaces), rest_share * limits.speed),
         noise_origin="",
+        margins=margins,
     )
     usual_torque = _usual_torque(without_noise)
     density, noise_origin = _density(without_noise, stages, usual_torque)

@@ -17,6 +17,7 @@ from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.plan.options import PlanOptions, What
+from seqid_cli.plan.settings import MarginSettings, PlanSettings
 
 if TYPE_CHECKING:
     from seqid_cli.plan.limits import Limits
@@ -31,6 +32,7 @@ def plan(
     parameters: Models = (),
     options: PlanOptions = PlanOptions(),
     *,
+    settings: PlanSettings = PlanSettings(),
     have: Logs = (),
     output: PathLike | None = None,
     trajectories: PathLike | None = None,
@@ -48,6 +50,8 @@ def plan(
     parameters : path or ParameterFile, or a sequence of them
         What is identified already: torque and noise are taken from it.
     options : PlanOptions
+    settings : PlanSettings
+        Numbers that decide; `seqid plan --show-settings` lists them.
     have : path, table, recording, or a sequence of them
         Logs that the inertia stage, or the diagnosis that tells two effects apart, gets
         as well.
@@ -101,7 +105,9 @@ def plan(
     )
     logs = LogSet(log_paths, arm)
     geometry = _geometry(arm, limits, options)
-    floor = _floor(arm, limits, geometry) if options.floor else None
+    floor = None
+    if options.floor:
+        floor = _floor(arm, limits, geometry, settings.margins)
     file = make_plan(
         what,
         arm,
@@ -112,6 +118,7 @@ def plan(
         have=logs.again(imus=False),
         geometry=geometry,
         floor=floor,
+        settings=settings,
     )
     file = structs.replace(file, created=logs.created(model for _, model in models))
 
@@ -185,7 +192,9 @@ def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | 
     return geometry
 
 
-def _floor(robot: Robot, limits: Limits, geometry: Geometry | None) -> Floor | None:
+def _floor(
+    robot: Robot, limits: Limits, geometry: Geometry | None, margins: MarginSettings
+) -> Floor | None:
     """Return the base plane as the floor; None where no joint lifts anything."""
     import numpy as np
 
@@ -193,4 +202,4 @@ def _floor(robot: Robot, limits: Limits, geometry: Geometry | None) -> Floor | N
     from seqid_cli.plan.moves.strokes import postures_of
 
     postures = postures_of(limits, 500, np.random.default_rng(0))
-    return floor_of(robot, limits, postures, geometry)
+    return floor_of(robot, limits, postures, geometry, margins=margins)

@@ -9,7 +9,7 @@ from msgspec import structs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.planned import sampled
 from seqid_cli.params.dates import now
-from seqid_cli.params.document import head, robot_id
+from seqid_cli.params.document import head, robot_id, used_settings
 from seqid_cli.params.results.plan import (
     PLAN_SCHEMA,
     EffectSeparation,
@@ -20,11 +20,12 @@ from seqid_cli.params.results.plan import (
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of, information_of
-from seqid_cli.plan.discrimination.discriminate import ENOUGH, plan_discriminate
+from seqid_cli.plan.discrimination.discriminate import plan_discriminate
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.floor import Floor
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.settings import DiscriminationSettings, PlanSettings
 from seqid_cli.plan.stages.goal import Planned
 from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.inertia import plan_inertia, plan_validation
@@ -49,6 +50,7 @@ def make_plan(
     have: Iterable[Recording] = (),
     geometry: Geometry | None = None,
     floor: Floor | None = None,
+    settings: PlanSettings = PlanSettings(),
 ) -> PlanFile:
     """Plan one stage, or all in the order of the work.
 
@@ -67,14 +69,27 @@ def make_plan(
         Logs that are there already: moves are to show what these do not.
     geometry : Geometry, optional
     floor : Floor, optional
+    settings : PlanSettings
+        Numbers that decide.
 
     Returns
     -------
     PlanFile
     """
-    belief = belief_of(robot, stages, limits, geometry=geometry, floor=floor)
+    belief = belief_of(
+        robot,
+        stages,
+        limits,
+        geometry=geometry,
+        floor=floor,
+        margins=settings.margins,
+    )
     if what == "discriminate":
-        planned = {what: plan_discriminate(belief, stages, options, list(have))}
+        planned = {
+            what: plan_discriminate(
+                belief, stages, options, list(have), settings.discrimination
+            )
+        }
     else:
         planned = _plan_stages(what, belief, stages, options, have)
 
@@ -90,7 +105,7 @@ def make_plan(
     duration_s = sum(move.duration_s for move in moves)
     verdicts = []
     for name, of_stage in planned.items():
-        verdicts += _verdicts(name, of_stage)
+        verdicts += _verdicts(name, of_stage, settings.discrimination)
     return PlanFile(
         **head(PLAN_SCHEMA, now()),
         robot=robot_id(robot),
@@ -106,6 +121,7 @@ def make_plan(
         total_s=duration_s + _time_between(moves, limits, names),
         speed_scale=options.speed_scale,
         verdicts=verdicts,
+        settings=used_settings(settings),
         notes=_notes(belief, options),
     )
 
@@ -227,11 +243,13 @@ def _time_between(
     return total_s
 
 
-def _verdicts(stage_name: str, planned: Planned) -> list[Verdict]:
+def _verdicts(
+    stage_name: str, planned: Planned, settings: DiscriminationSettings
+) -> list[Verdict]:
     """Return whether moves will determine all that their stage is about."""
     stage = planned.stage
     if stage.separation is not None:
-        return [_separation_verdict(stage.separation)]
+        return [_separation_verdict(stage.separation, settings.min_power)]
     if stage_name == "discriminate":
         return [Verdict(good=False, reason=stage.notes[0])]
     if stage.rank is None:
@@ -240,7 +258,7 @@ def _verdicts(stage_name: str, planned: Planned) -> list[Verdict]:
     return [Verdict(good=stage.rank == stage.structural_rank, reason=reason)]
 
 
-def _separation_verdict(separation: EffectSeparation) -> Verdict:
+def _separation_verdict(separation: EffectSeparation, min_power: float) -> Verdict:
     """Return whether a diagnosis after these moves will tell two effects apart."""
     outcomes = zip(
         separation.between,
@@ -256,7 +274,7 @@ def _separation_verdict(separation: EffectSeparation) -> Verdict:
             f" {percent(power, 0)} ({rival} reaches up to {percent(imitated)} of the"
             " gain)"
         )
-    return Verdict(good=separation.power >= ENOUGH, reason="; ".join(sentences))
+    return Verdict(good=separation.power >= min_power, reason="; ".join(sentences))
 
 
 def _notes(belief: Belief, options: PlanOptions) -> list[str]:

@@ -7,6 +7,7 @@ import pytest
 
 from seqid_cli.commands.run_logs import STAGES
 from seqid_cli.commands.settings import SETTINGS_OF_COMMANDS, words_for_step
+from seqid_cli.settings import entries
 from tests.commands.conftest import ONE_JOINT, Rig
 from tests.unit.docs import settings as page
 
@@ -36,6 +37,36 @@ def test_a_wrong_setting_stops_before_anything_is_read(rig: Rig) -> None:
     assert "there is no setting 'judging.max_factor'" in done.err
     assert "Did you mean judging.max_gravity_factor" in done.err
     assert not (rig.folder / "out.json").exists()
+
+
+@pytest.mark.parametrize("command", sorted(SETTINGS_OF_COMMANDS))
+def test_every_command_with_settings_shows_them_and_takes_others(
+    rig: Rig, command: str
+) -> None:
+    *_, last = entries(SETTINGS_OF_COMMANDS[command])
+    given = f"{last.name}={last.high:g}"
+    shown = rig.run(command, "--show-settings", "--set", given, "--json")
+    assert shown.code == 0, shown.err
+    values = {each["name"]: each["value"] for each in json.loads(shown.out)["settings"]}
+    assert values == {
+        entry.name: last.high if entry.name == last.name else entry.default
+        for entry in entries(SETTINGS_OF_COMMANDS[command])
+    }
+
+
+@pytest.mark.parametrize("command", ["inspect", "plan"])
+def test_settings_without_a_stage_stand_in_the_document(rig: Rig, command: str) -> None:
+    words = {
+        "inspect": ("inspect", str(ONE_JOINT / "gravity")),
+        "plan": ("plan", "friction"),
+    }
+    given = {"inspect": "channels.max_speed=3", "plan": "margins.floor_clearance=0.05"}
+    robot = ("-r", str(ONE_JOINT / "robot.toml"))
+    done = rig.run(*words[command], *robot, "--set", given[command], "--json", "-q")
+    assert done.code == 0, done.err
+    name, value = given[command].split("=")
+    document = json.loads(done.out)
+    assert document["settings"]["changed"] == {name: float(value)}
 
 
 def test_settings_decide_and_stand_in_the_result(rig: Rig) -> None:
@@ -108,3 +139,17 @@ def test_the_page_of_the_settings_is_as_the_classes_are() -> None:
     text = page.PAGE.read_text(encoding="utf-8")
     assert page.rewritten(text) == text, "run python -m tests.unit.docs.settings"
     assert text.count("| `") > 40
+
+
+def test_what_a_study_measured_stands_behind_what_was_written_by_hand() -> None:
+    text = page.PAGE.read_text(encoding="utf-8")
+    place = ("inertia", "cutoff.hopeless")
+    first = page.rewritten(text, {place: "nothing at 1 and 3"})
+    again = page.rewritten(first, {place: "another one at 3"})
+    (row,) = [line for line in again.splitlines() if "`cutoff.hopeless`" in line]
+    assert row.endswith(f"chooses the same. {page.SAMPLES}another one at 3 |")
+    assert page.rewritten(again) == again
+    others = [line for line in again.splitlines() if "`cutoff.hopeless`" not in line]
+    assert others == [
+        line for line in text.splitlines() if "`cutoff.hopeless`" not in line
+    ]

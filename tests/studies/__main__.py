@@ -12,6 +12,7 @@ from tests.studies import (
     exported_effects,
     recorded,
     reduced,
+    settings,
     tables,
     unseen,
 )
@@ -47,6 +48,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {
     "discovery": (COSTS, discovery.study),
     "exported_step": (COSTS, exported.study),
     "exported_effects": ("evidence/exported.md", exported_effects.study),
+    "settings": ("reference/settings.md", settings.study),
 }
 USUAL = ("one_joint", "two_joint", "six_joint", "recorded")  # where none is named
 SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig

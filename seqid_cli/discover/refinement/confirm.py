@@ -82,7 +82,11 @@ def confirm(
 
     held_out, notes_on_logs = usable_logs(held_out, robot)
     motion_options = with_own_cutoffs(
-        held_out, robot, refinement.incoming_stages, options.motion
+        held_out,
+        robot,
+        refinement.incoming_stages,
+        options.motion,
+        options.settings.evidence,
     )
     errors = _Errors(
         logs=held_out, robot=robot, options=motion_options, whole_logs=whole_logs
@@ -125,7 +129,7 @@ def confirm(
             *notes_on_logs,
             *errors.notes,
             *_taken_out_note(taken_out, rounds),
-            *_loss_note(gains),
+            *_loss_note(gains, refinement.material.selection_options),
             *excess_note(floors_left, smooth=options.with_unexplained),
             *floor.doubts(rmse_after, robot.joints),
         ],
@@ -313,12 +317,12 @@ def _taken_out_note(
     return (note,)
 
 
-def _loss_note(gains: Mapping[str, Gain]) -> tuple[str, ...]:
+def _loss_note(gains: Mapping[str, Gain], options: Options) -> tuple[str, ...]:
     """Say which joints are certainly predicted worse, by more than is small."""
     losses = {
         name: -change.value
         for name, change in gains.items()
-        if change.loses and -change.value > Options.small
+        if change.loses and -change.value > options.small
     }
     if not losses:
         return ()

@@ -259,6 +259,8 @@ class Judgement:
     ----------
     change : Gain
         At its joints, on the logs that are fitted.
+    min_gain : float
+        The least that counts.
     chance_probability : float
         Probability that nothing is gained there.
     is_likely : bool
@@ -270,6 +272,7 @@ class Judgement:
     """
 
     change: Gain
+    min_gain: float
     chance_probability: float
     is_likely: bool
     is_determined: bool
@@ -278,7 +281,7 @@ class Judgement:
     @property
     def gains(self) -> bool:
         """Whether it gains as much as a finding does, and not by chance."""
-        is_enough = self.change.value >= Options.improvement
+        is_enough = self.change.value >= self.min_gain
         return is_enough and self.chance_probability <= Options.doubt
 
     @property
@@ -388,6 +391,7 @@ class CandidateModel:
         probability = reality(max(change.value, result.share), result.evidence)
         return Judgement(
             change=change,
+            min_gain=self.loop.material.selection_options.improvement,
             chance_probability=doubt(error_before, error_after, joints),
             is_likely=probability > 0.5,
             is_determined=self._size(number) > 1.0,

@@ -24,6 +24,7 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of, shared_starts
 from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Model
+from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_term
@@ -125,6 +126,11 @@ class Material:
         init=False, default_factory=list, compare=False, repr=False
     )
 
+    @property
+    def selection_options(self) -> Options:
+        """What decides, by the user's settings."""
+        return Options.of(self.options.settings.evidence)
+
     def ground(self, stages: Stages) -> Ground:
         """Return the problem of the training logs beside these stages.
 
@@ -136,7 +142,8 @@ class Material:
             scenes = scenes_of(
                 self.training, self.robot, stages, options=self.options.motion
             )
-            latest = stages, Ground.of(rows_of(scenes), stages)
+            rows = rows_of(scenes)
+            latest = stages, Ground.of(rows, stages, self.selection_options)
         self._grounds[:] = [latest, *earlier[:1]]
         return latest[1]
 
@@ -291,7 +298,8 @@ def fitted_smooth(
         model.stages,
         options=material.options.motion,
     )
-    fit = Model(Ground.of(rows_of(scenes), model.stages), FIRM)
+    ground = Ground.of(rows_of(scenes), model.stages, material.selection_options)
+    fit = Model(ground, FIRM)
     term = smooth_term(fit.ground.stage, function, fit.ground.size)
     fit.terms.append(term)
     fit.settle()

@@ -77,7 +77,9 @@ def refine(
     """
     training, notes = usable_logs(training, robot)
     options = on_the_same_samples(options, file.stages, robot)
-    motion = with_own_cutoffs(training, robot, file.stages, options.motion)
+    motion = with_own_cutoffs(
+        training, robot, file.stages, options.motion, options.settings.evidence
+    )
     options = replace(options, motion=motion)
     material = Material(tuple(training), earlier, robot, options)
 

@@ -21,7 +21,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from seqid_cli.discover.select.model import Model
-from seqid_cli.discover.select.naming import TOLD, reality, shares_of, tempered
+from seqid_cli.discover.select.naming import reality, shares_of, tempered
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import TermInModel, TermResult
 from seqid_cli.discover.select.search import Search
@@ -91,7 +91,9 @@ def value_changes(
         One per joint at most, and one for the whole arm.
     """
     sure_terms = [
-        result.term for result in told if reality(result.share, result.evidence) >= TOLD
+        result.term
+        for result in told
+        if reality(result.share, result.evidence) >= selection.options.told
     ]
     places = (None, *range(selection.model.ground.n))
     changes = [_change_at(selection, joint, sure_terms, least) for joint in places]
@@ -150,7 +152,8 @@ def causes_at(model: Model, joint: int, terms: Sequence[Term]) -> list[Cause]:
     score_of = {
         fitted.term.name: score for fitted, score in zip(possible, scores, strict=True)
     }
-    scale = tempered(max(score.total for score in scores))
+    largest = max(score.total for score in scores)
+    scale = tempered(largest, model.ground.options)
     probability_of = shares_of(
         {name: score.drawn / scale for name, score in score_of.items()}
     )

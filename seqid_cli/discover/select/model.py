@@ -26,6 +26,7 @@ from seqid_cli.discover.nuisances import DELAY
 from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.noise import Noise, settled
+from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import ColumnGroup, Observations
 from seqid_cli.discover.select.smooth import smooth_functions, smooth_products
 from seqid_cli.discover.select.terms import Term, effects, smooth_term
@@ -118,16 +119,21 @@ class Ground:
         Rows of all joints below and above the cut-off, and of drives.
     size : (channels,) array
         RMS that the file leaves [N m; N where prismatic].
+    options : Options
+        What decides.
     """
 
     stage: CandidateColumns
     base: Base
     rows: Observations
     size: Array
+    options: Options = field(default_factory=Options)
     _smooth: dict[tuple[int, bool], list[Term]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, kept_rows: Rows, stages: Stages) -> Ground:
+    def of(
+        cls, kept_rows: Rows, stages: Stages, options: Options | None = None
+    ) -> Ground:
         """Set the problem of a selection.
 
         Parameters
@@ -136,6 +142,8 @@ class Ground:
             The rows of all logs below the cut-off.
         stages : Stages
             The parameter file's.
+        options : Options, optional
+            What decides.
         """
         base = base_of(kept_rows, stages)
         stage = CandidateColumns(
@@ -165,12 +173,17 @@ class Ground:
             base=base,
             rows=rows,
             size=np.maximum(np.array(rms_left), 1e-12),
+            options=options or Options(),
         )
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return self.stage.rows.n
+
+    def tuner(self, linear: LinearModel) -> Tuner:
+        """Return where settings of effects are searched beside a model."""
+        return Tuner(self.stage, linear, self.size, self.options)
 
     @cached_property
     def torque(self) -> tuple[Array, ...]:
@@ -398,7 +411,7 @@ class Model:
 
     def _polished(self, term: Term, candidate: Candidate) -> Term:
         """Return an effect of the model at its best settings."""
-        tuner = Tuner(self.ground.stage, self.beside(term), self.ground.size)
+        tuner = self.ground.tuner(self.beside(term))
         starts = [candidate]
         # A line in time, a ripple: what is left without it says where it is.
         if candidate.effect.wide:

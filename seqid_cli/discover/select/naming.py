@@ -25,7 +25,6 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import TermResult
 from seqid_cli.typing import Array
 
-TOLD = 0.7  # probability from which something is told
 BEHIND = -float(logit(Options.doubt))  # log odds against a rival that is not told
 
 
@@ -49,13 +48,13 @@ class NameConfidence:
     others: tuple[str, ...] = ()
 
 
-def tempered(gain: Array | float) -> Array:
+def tempered(gain: Array | float, options: Options) -> Array:
     """Return what gains are divided by before names compete.
 
     A rival that lacks a small share of `gain` is just not told then. Differences are
     never enlarged.
     """
-    return np.maximum(Options.small * np.asarray(gain) / BEHIND, 1.0)
+    return np.maximum(options.small * np.asarray(gain) / BEHIND, 1.0)
 
 
 def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
@@ -142,7 +141,7 @@ def probable_names(result: TermResult, *, of_most: float = 0.5) -> set[str]:
 
 def _name_probabilities(result: TermResult) -> dict[str, float]:
     """Return the probability of each name, over drawn weights of the blocks."""
-    scale = tempered(result.scored.score.total)
+    scale = tempered(result.scored.score.total, result.model.ground.options)
     gains: dict[str, Array] = {}
     for rival in result.rivals:
         if rival.term.smooth:

@@ -1,11 +1,22 @@
 """What the selection decides by."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from seqid_cli.discover.settings import EvidenceSettings
+
+
+def _negligible_share() -> float:
+    return EvidenceSettings().negligible_share
 
 
 @dataclass(frozen=True)
 class Options:
     """What decides whether a term is taken, kept and told.
+
+    Those that are settings have no value in the class: `Options.small` would be the
+    default whatever the user has set.
 
     Attributes
     ----------
@@ -20,6 +31,8 @@ class Options:
         Share of the squared error left out that a term must take away.
     chance : float
         Log evidence that the best of all terms has on noise.
+    told : float
+        Probability to be there from which a term is told.
     apart : float
         Share of an effect's torque that may be the error of its law, beside effects
         that look like it, where motor and link move apart.
@@ -28,8 +41,19 @@ class Options:
     """
 
     doubt: float = 0.025
-    small: float = 0.04
-    improvement: float = small
-    chance: float = 6.0
+    small: float = field(default_factory=_negligible_share)
+    improvement: float = field(default_factory=_negligible_share)
+    chance: float = field(default_factory=lambda: EvidenceSettings().min_log_evidence)
+    told: float = field(default_factory=lambda: EvidenceSettings().min_confidence)
     apart: float = 0.5
     most: int = 8
+
+    @classmethod
+    def of(cls, settings: EvidenceSettings) -> Options:
+        """Return the options by a user's settings."""
+        return cls(
+            small=settings.negligible_share,
+            improvement=settings.negligible_share,
+            chance=settings.min_log_evidence,
+            told=settings.min_confidence,
+        )

@@ -180,7 +180,7 @@ class Search:
         return best
 
     def _tuner(self, linear: LinearModel) -> Tuner:
-        return Tuner(self.model.ground.stage, linear, self.model.ground.size)
+        return self.model.ground.tuner(linear)
 
     def _candidates(
         self, joints: Collection[int | None], without: Term | None = None

@@ -22,9 +22,8 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.changes import MOST_ERRORS, value_changes
 from seqid_cli.discover.select.linear import LinearModel
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Model, PriorScale
-from seqid_cli.discover.select.naming import TOLD, probable_names, reality
+from seqid_cli.discover.select.naming import probable_names, reality
 from seqid_cli.discover.select.noise import Noise
-from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import (
     Key,
     ScoredTerm,
@@ -36,18 +35,14 @@ from seqid_cli.discover.select.results import (
 from seqid_cli.discover.select.rows import ColumnGroup, scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.select.tuning import FittedTerm, Tuner
+from seqid_cli.discover.select.tuning import FittedTerm
 from seqid_cli.effects.effect import Effect
 from seqid_cli.effects.registry import catalogue_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.typing import Array
 
 
-def select(
-    ground: Ground,
-    options: Options | None = None,
-    catalogue: Sequence[Effect] | None = None,
-) -> Selection:
+def select(ground: Ground, catalogue: Sequence[Effect] | None = None) -> Selection:
     """Select what the model lacks.
 
     Friction trials tell what a file has taken up of an effect. Without them the base is
@@ -59,19 +54,16 @@ def select(
     ----------
     ground : Ground
         The problem.
-    options : Options, optional
-        What decides.
     catalogue : sequence of Effect, optional
         What the model may lack; by default all effects.
     """
     catalogue = _known_effects(ground) if catalogue is None else catalogue
-    options = options or Options()
-    held = Selection(Model(ground, HELD), options, catalogue)
+    held = Selection(Model(ground, HELD), catalogue)
     held.finish()
     if has_trials(ground.stage.scenes[0], None):
         return _best_of_all([held]).merged()
 
-    free = Selection(Model(ground, FREE), options, catalogue)
+    free = Selection(Model(ground, FREE), catalogue)
     free.run()
     is_rescaled = free.model.rescale()
     best = _best_of_all([held, free])
@@ -83,7 +75,7 @@ def select(
         free.run()
         best = _best_of_all([held, free])
     if best.model.hold.doubt(ground.n) and best.keys != held.keys:
-        again_held = Selection(Model(ground, HELD), options, catalogue)
+        again_held = Selection(Model(ground, HELD), catalogue)
         again_held.model.terms = list(best.model.terms)
         again_held.tied = dict(best.tied)
         again_held.model.settle()
@@ -129,7 +121,7 @@ def select_among(
         The effects.
     """
     model = Model(ground, hold, candidates)
-    selection = Selection(model, Options(), _known_effects(ground))
+    selection = Selection(model, _known_effects(ground))
     selection.eliminate()
     return selection
 
@@ -152,8 +144,6 @@ class Selection:
     ----------
     model : Model
         It may have some terms to begin with.
-    options : Options
-        What decides.
     catalogue : sequence of Effect
         What the model may lack.
 
@@ -165,11 +155,9 @@ class Selection:
         Other finished models.
     """
 
-    def __init__(
-        self, model: Model, options: Options, catalogue: Sequence[Effect]
-    ) -> None:
+    def __init__(self, model: Model, catalogue: Sequence[Effect]) -> None:
         self.model = model
-        self.options = options
+        self.options = model.ground.options
         self.catalogue = catalogue
         self.tied: dict[Key, list[Term]] = {}
         self.others: list[_OtherModel] = []
@@ -339,7 +327,7 @@ class Selection:
 
     # ---- what is told
 
-    def told(self, least: float = TOLD) -> SelectionResult:
+    def told(self, least: float | None = None) -> SelectionResult:
         """Return what was taken, each term with its rivals.
 
         What may be the error of another term's law stays in the model, for that term's
@@ -348,9 +336,12 @@ class Selection:
 
         Parameters
         ----------
-        least : float
-            Probability to be there from which a term is told.
+        least : float, optional
+            Probability to be there from which a term is told; by default that of the
+            options.
         """
+        if least is None:
+            least = self.options.told
         scored = _scored(self.model.linear, self._last_tried)
         results = self._with_value_changes(self._results_by_simplest(least), least)
         return SelectionResult(
@@ -489,7 +480,7 @@ class Selection:
             neither = model.beside(smooth, term)
             gain_of_both = model.linear.evidence - neither.evidence
             least = (1.0 - self.options.small) * gain_of_both
-            tuner = Tuner(model.ground.stage, neither, model.ground.size)
+            tuner = model.ground.tuner(neither)
             for start in tuner.tried([term.what]):
                 alone = tuner.tuned(start)
                 if alone.evidence >= least:

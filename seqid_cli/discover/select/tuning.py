@@ -50,11 +50,14 @@ class Tuner:
         The model.
     size : (channels,) array
         What the file leaves [N m; N where prismatic].
+    options : Options
+        What decides.
     """
 
     stage: CandidateColumns
     linear: LinearModel
     size: Array
+    options: Options
 
     def tried(self, candidates: Sequence[Candidate]) -> list[FittedTerm]:
         """Fit candidates; those whose coefficients are not physical are left out."""
@@ -154,10 +157,11 @@ class Tuner:
         """
         without = None if setting.asked else self._moved(start, setting.name)
         usual = [self._moved(start, **{setting.name: x}) for x in setting.usual]
-        if without is not None and without.evidence > start.evidence - Options.chance:
+        least = start.evidence - self.options.chance
+        if without is not None and without.evidence > least:
             return without
 
-        least = (1.0 - Options.small) * start.evidence
+        least = (1.0 - self.options.small) * start.evidence
         near = [
             moved for moved in usual if moved is not None and moved.evidence > least
         ]

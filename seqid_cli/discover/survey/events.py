@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from seqid_cli.discover.settings import EventSettings
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
@@ -227,14 +228,10 @@ def _means(values: Array, low: Index, high: Index, *, fewest: float) -> Array:
 # ---- events
 
 LENGTHS_S = (0.15, 0.3, 0.6)
-GATE = 5.2  # robust sigmas that an event must reach
 # robust sigmas within its class from which a window is compared with like ones
 LOOKED_AT = 3.0
 MOST_REFERENCES = 3000
 EDGE_SHARE = 0.4  # of an event's peak, down to which it reaches
-# share of a log (or LONGEST_S, whichever is more) that events may fill
-MOST_TIME = 0.05
-LONGEST_S = 2.0  # of one event
 NEIGHBOURS = 24
 SPEEDS = 4  # classes of speed
 FEWEST = 8  # windows that a class must have to be one
@@ -264,10 +261,12 @@ class Interval:
     joints: tuple[int, ...]
     score: float
 
-    @property
-    def certainty(self) -> float:
-        """Probability by its score that no noise made it: a half at the gate."""
-        return float(1.0 - 0.5 ** (self.score / GATE) ** 2)
+    def certainty(self, min_sigma: float) -> float:
+        """Return the probability by its score that no noise made it.
+
+        It is a half at `min_sigma`, the least score of an event.
+        """
+        return float(1.0 - 0.5 ** (self.score / min_sigma) ** 2)
 
     def inside(self, scene: Scene, margin: float = 0.0) -> Mask:
         """Return which samples (N,) lie in it, or within a margin [s] of it."""
@@ -300,7 +299,9 @@ class Interval:
         return independent * float(np.sum(np.maximum(of_joints**2 - 1.0, 0.0)))
 
 
-def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
+def find_events(
+    rows: Rows, left_out: Sequence[Array], settings: EventSettings = EventSettings()
+) -> list[Interval]:
     """Find what stands out, unless it fills much of a log.
 
     Parameters
@@ -309,6 +310,8 @@ def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
         The rows of all data sets.
     left_out : sequence of (M_j,) arrays
         Each joint's residual in units of its noise, on blocks left out of the fit.
+    settings : EventSettings
+        What counts as an event.
 
     Returns
     -------
@@ -321,13 +324,14 @@ def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
 
     events: list[Interval] = []
     for number in range(len(rows.scenes)):
-        in_log = places(number, scored)
+        in_log = places(number, scored, settings)
         log_s = max(
             windows.length_s * np.count_nonzero(windows.scene == number) / OVERLAP
             for windows in windows_by_length
         )
         filled_s = sum(end - start for start, end in _occasions(in_log))
-        if filled_s <= max(MOST_TIME * log_s, LONGEST_S):
+        # One event may fill a short log.
+        if filled_s <= max(settings.max_time * log_s, settings.longest):
             events += in_log
     return events
 
@@ -504,7 +508,9 @@ def _class_size(windows: Windows, joint: int) -> Array:
     return size
 
 
-def places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
+def places(
+    number: int, scored: Sequence[tuple[Windows, Array]], settings: EventSettings
+) -> list[Interval]:
     """Find where one data set stands out.
 
     Parameters
@@ -513,25 +519,30 @@ def places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interva
         Of the data set.
     scored : sequence of (Windows, (W, n) array)
         Windows of every length over all data sets, with their `scores`.
+    settings : EventSettings
+        What counts as an event.
     """
     peaks: list[Interval] = []
     for windows, z in scored:
         in_log = windows.scene == number
-        peaks += _peaks(number, windows.length_s, z[in_log], windows.centre[in_log])
-    return _merged(peaks)
+        centre = windows.centre[in_log]
+        peaks += _peaks(number, windows.length_s, z[in_log], centre, settings)
+    return _merged(peaks, settings.longest)
 
 
-def _peaks(number: int, length_s: float, z: Array, centre: Array) -> list[Interval]:
+def _peaks(
+    number: int, length_s: float, z: Array, centre: Array, settings: EventSettings
+) -> list[Interval]:
     """Return peaks above the gate, with the windows around that belong to them."""
     score = combined(z)
     margin = 0.25 * length_s
     peaks: list[Interval] = []
-    while len(score) and float(np.max(score)) > GATE:
+    while len(score) and float(np.max(score)) > settings.min_sigma:
         peak = int(np.argmax(score))
         top = float(score[peak])
 
         # Windows around belong to it while they reach a share of its height.
-        is_near = np.abs(centre - centre[peak]) < LONGEST_S
+        is_near = np.abs(centre - centre[peak]) < settings.longest
         is_high = np.where(is_near, score, 0.0) > EDGE_SHARE * top
         first, stop = next(
             (begin, end)
@@ -542,8 +553,9 @@ def _peaks(number: int, length_s: float, z: Array, centre: Array) -> list[Interv
         end = float(centre[stop - 1]) + margin
 
         height = np.abs(z[first:stop]).max(axis=0)
-        joints = np.flatnonzero(height > 0.5 * max(GATE, height.max())).tolist()
-        if end - start <= LONGEST_S:
+        least_height = 0.5 * max(settings.min_sigma, height.max())
+        joints = np.flatnonzero(height > least_height).tolist()
+        if end - start <= settings.longest:
             # A push may stand out in several joints together and in none of them.
             joints = joints or [int(np.argmax(height))]
             peaks.append(
@@ -559,7 +571,7 @@ def _peaks(number: int, length_s: float, z: Array, centre: Array) -> list[Interv
     return peaks
 
 
-def _merged(peaks: Sequence[Interval]) -> list[Interval]:
+def _merged(peaks: Sequence[Interval], longest_s: float) -> list[Interval]:
     """Join what overlaps to the interval of the higher score, or nearly touches it."""
     merged: list[Interval] = []
     for event in sorted(peaks, key=lambda peak: -peak.score):
@@ -575,7 +587,7 @@ def _merged(peaks: Sequence[Interval]) -> list[Interval]:
         start = min(higher.start, event.start)
         end = max(higher.end, event.end)
         touches = gaps_s[nearest] >= 0.0
-        if not touches or end - start > LONGEST_S:
+        if not touches or end - start > longest_s:
             start, end = higher.start, higher.end
         merged[nearest] = Interval(
             scene=event.scene,

@@ -81,7 +81,7 @@ def position_findings(
 
 
 def position_quality(
-    data: LogData, broken: Container[str], *, max_ratio: float = 2.0
+    data: LogData, broken: Container[str]
 ) -> Iterator[InspectionFinding]:
     """Check how well positions are measured.
 
@@ -91,15 +91,14 @@ def position_quality(
         The log.
     broken : container of str
         Joints of which only missing values are looked for.
-    max_ratio : float
-        Multiple of the speed limit that a joint may reach.
     """
+    settings = data.settings.channels
     for j, joint in enumerate(data.robot.joints):
         column = data.joints.channels["position"][:, j]
         q = column[np.isfinite(column)]
         if len(q) < 3:
             continue
-        yield from missing(column, joint.name, "position")
+        yield from missing(column, joint.name, "position", settings.max_missing)
         if joint.name in broken:
             continue
 
@@ -118,7 +117,7 @@ def position_quality(
 
         speed = top_speed(data, j)
         limit = joint.velocity_limit
-        if limit is not None and speed > max_ratio * limit:
+        if limit is not None and speed > settings.max_speed * limit:
             text = f"reaches {speed:.3g}, velocity_limit is {limit:.3g}"
             yield found("speed_limit", text, joint.name, "position")
 

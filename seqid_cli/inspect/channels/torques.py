@@ -16,6 +16,7 @@ from seqid_cli.inspect.dynamics.echo import WARNING, echoes
 from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.settings import ChannelSettings
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
@@ -80,7 +81,7 @@ def _of_channel(
         yield "torque_stuck", stuck
         return
 
-    spikes = _spikes(values)
+    spikes = _spikes(values, data.settings.channels)
     if len(spikes):
         text = f"is {values[spikes[0]]:.4g} for a moment at {t[spikes[0]]:.3f} s"
         if len(spikes) > 1:
@@ -93,11 +94,11 @@ def _of_channel(
         yield "torque_saturated", text
 
 
-def _spikes(values: Array, *, min_ratio: float = 10.0, min_share: float = 1.0) -> Index:
+def _spikes(values: Array, settings: ChannelSettings) -> Index:
     """Return samples of a channel (M,), one or two at a time, far from both sides.
 
-    What lasts longer may be a hard acceleration. `min_ratio` is of the usual distance
-    from the median of five, `min_share` of the channel's span.
+    What lasts longer may be a hard acceleration. Distances are from the median of five
+    samples.
     """
     max_spikes = 16
     if len(values) <= 4 * max_spikes:
@@ -106,7 +107,7 @@ def _spikes(values: Array, *, min_ratio: float = 10.0, min_share: float = 1.0) -
     # The largest distance that is none of the spikes.
     usual = float(np.partition(distance, len(values) - max_spikes)[-max_spikes - 1])
     span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
-    least = max(min_ratio * usual, min_share * span)
+    least = max(settings.min_spike_ratio * usual, settings.min_spike_share * span)
     rows: Index = np.flatnonzero(distance > least)
     return rows if len(rows) <= max_spikes else rows[:0]
 
@@ -138,7 +139,7 @@ def torque_quality(
     quantity, all_values = effort
     for j, name in enumerate(data.robot.joint_names):
         column = all_values[:, j]
-        yield from missing(column, name, quantity)
+        yield from missing(column, name, quantity, data.settings.channels.max_missing)
         if not data.moves(j) or name in broken:
             continue
         present = np.isfinite(column)

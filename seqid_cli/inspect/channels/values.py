@@ -120,7 +120,7 @@ def lattice(values: Array) -> float:
 
 
 def missing(
-    values: Array, joint: str, channel: str, *, max_missing: float = 0.01
+    values: Array, joint: str, channel: str, max_missing: float
 ) -> Iterator[InspectionFinding]:
     """Find values that are missing at uneven distances.
 

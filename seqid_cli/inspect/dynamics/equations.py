@@ -77,18 +77,17 @@ def _structural(
     data: LogData,
     sample: Sample,
     *,
-    suspicious: float = 0.1,
-    poor: float = 0.6,
     min_steps: int = 10,
 ) -> Iterator[InspectionFinding]:
-    """Look for a cause where the equations leave more than `suspicious` of the torque.
+    """Look for a cause where the equations leave too much of the torque.
 
-    More than `poor` without a cause is a finding of its own, where joints move faster
-    than `min_steps` encoder steps per second.
+    Far too much without a cause is a finding of its own, where joints move faster than
+    `min_steps` encoder steps per second.
     """
+    settings = data.settings.dynamics
     thin = sample.thinned()
     error = _structural_error(thin)
-    if error < suspicious:
+    if error < settings.max_left:
         yield from _nearly_right(thin, error)
         return
     causes = [*causes_of(data, thin, units=True)]
@@ -97,7 +96,7 @@ def _structural(
         yield mended
         return
     is_fast = (sample.rms_speeds > min_steps * data.step)[list(sample.moving)].all()
-    if error > poor and is_fast:
+    if error > settings.max_unexplained and is_fast:
         text = f"the equations leave {percent(error, 0)} of the torque's RMS"
         yield found("model_mismatch", text)
 

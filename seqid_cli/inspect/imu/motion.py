@@ -482,7 +482,8 @@ def _axes(
 
     # What the channels would read at rest, gravity along each axis of the link.
     gravity = float(np.linalg.norm(data.robot.gravity)) or 9.81
-    odd = odd_channel(imu, gravity * of_force.T, gravity)
+    max_error = data.settings.imus.max_gravity_error
+    odd = odd_channel(imu, gravity * of_force.T, gravity, max_error=max_error)
     if odd:
         yield odd
         return

@@ -18,7 +18,6 @@ from seqid_cli.robot.types import Array, Imu, Robot
 from seqid_cli.shares import percent
 
 STANDARD_GRAVITY = 9.80665
-WRONG = 0.05  # of gravity
 
 
 def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
@@ -33,13 +32,8 @@ def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
             yield found("imu_layout", text, imu.name)
 
 
-def imu_findings(
-    data: LogData, *, max_bias: float = 0.1
-) -> Iterator[InspectionFinding]:
-    """Check the channels of every IMU in a log.
-
-    `max_bias` [rad/s] is what a gyro may read at rest.
-    """
+def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
+    """Check the channels of every IMU in a log."""
     strength = float(np.linalg.norm(data.robot.gravity))
     is_on_earth = abs(strength - STANDARD_GRAVITY) <= 0.5
     for imu in data.robot.imus:
@@ -55,19 +49,17 @@ def imu_findings(
 
         gyro = data.recording.gyros.get(imu.name)
         if gyro is not None:
-            yield from _bias(data, imu, gyro, max_bias)
+            yield from _bias(data, imu, gyro)
 
 
-def _bias(
-    data: LogData, imu: Imu, gyro: Array, max_bias: float
-) -> Iterator[InspectionFinding]:
-    """Find a gyro (N, 3) rad/s that reads more than `max_bias` at rest."""
+def _bias(data: LogData, imu: Imu, gyro: Array) -> Iterator[InspectionFinding]:
+    """Find a gyro (N, 3) rad/s that reads too much at rest."""
     rest = rest_rows(data, gyro)
     if not len(rest):
         return
     bias = rest.mean(axis=0)
     size = np.linalg.norm(bias)
-    if size > max_bias:
+    if size > data.settings.imus.max_bias:
         channel = channel_name(imu, GYRO, int(np.abs(bias).argmax()))
         yield found("gyro_bias", f"reads {size:.3g} rad/s at rest", imu.name, channel)
 
@@ -86,6 +78,7 @@ def _channels(
 
     A channel is stuck that stays at a value for `stuck_s` and so many samples.
     """
+    max_missing = data.settings.channels.max_missing
     # The streams of an IMU follow each other in the order of its channels.
     first = {ACCELEROMETERS: 0, GYRO: 0}
     for stream in data.raw.imus.get(imu.name, ()):
@@ -103,7 +96,7 @@ def _channels(
             )
             for k, present in enumerate(columns):
                 name = channel_name(imu, quantity, first[quantity] + k)
-                lost = [*missing(values[:, k], imu.name, name)]
+                lost = [*missing(values[:, k], imu.name, name, max_missing)]
                 if lost:
                     yield from lost
                     continue
@@ -179,10 +172,11 @@ def _force(
         return
     gravity = float(np.linalg.norm(data.robot.gravity))
     norm = force_of(imu, rest)
-    odd = odd_channel(imu, rest, gravity)
+    max_error = data.settings.imus.max_gravity_error
+    odd = odd_channel(imu, rest, gravity, max_error=max_error)
     if odd is not None:
         yield odd
-    elif abs(norm / gravity - 1.0) > WRONG:
+    elif abs(norm / gravity - 1.0) > max_error:
         text = f"reads {norm:.4g} m/s^2 at rest, gravity is {gravity:.4g}"
         yield found("imu_gravity", text, imu.name)
 
@@ -196,7 +190,7 @@ class _Change(NamedTuple):
 
 
 def odd_channel(
-    imu: Imu, rest: Array, gravity: float, *, max_left: float = 0.1
+    imu: Imu, rest: Array, gravity: float, *, max_error: float, max_left: float = 0.1
 ) -> InspectionFinding | None:
     """Find the one change with which readings at rest agree on gravity (Eq. 29).
 
@@ -208,11 +202,13 @@ def odd_channel(
         Readings at R rests [m/s^2].
     gravity : float
         Strength of gravity [m/s^2].
+    max_error : float
+        Share of gravity by which channels may disagree on it.
     max_left : float
         Share of the squared error that a change leaves at most.
     """
     error = _disagreement(rest, imu.axes)
-    if rest.shape[1] <= 3 or np.sqrt(error) < WRONG * gravity:
+    if rest.shape[1] <= 3 or np.sqrt(error) < max_error * gravity:
         return None
     # Leaving a channel out mends it even where it is only reversed: that is tried last.
     for changes in (

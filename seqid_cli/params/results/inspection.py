@@ -3,7 +3,7 @@
 from typing import Literal
 
 from seqid_cli.params.base import FrozenStruct, Struct
-from seqid_cli.params.schema import Written
+from seqid_cli.params.schema import UsedSettings, Written
 
 INSPECTION_SCHEMA = "seqid/inspection@1"
 InspectionVerdict = Literal["good", "usable", "faulty", "unreadable"]
@@ -117,3 +117,4 @@ class InspectionFile(Written, kw_only=True):
     findings: list[InspectionFinding]
     advice: list[str]
     planned: list[PlannedPart] = []
+    settings: UsedSettings | None = None

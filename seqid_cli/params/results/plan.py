@@ -4,7 +4,7 @@ import math
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import OfRobot, Verdict
+from seqid_cli.params.schema import OfRobot, UsedSettings, Verdict
 
 PLAN_SCHEMA = "seqid/plan@1"
 HARMONICS = 5  # of a Fourier motion
@@ -201,6 +201,7 @@ class PlanFile(OfRobot, kw_only=True):
     total_s: float  # with the ways between them
     speed_scale: float = 1.0  # of the trajectories' files
     verdicts: list[Verdict] = []
+    settings: UsedSettings | None = None
     notes: list[str] = []
 
     def __post_init__(self) -> None:

@@ -33,15 +33,18 @@ from seqid_cli.plan.moves.strokes import (
     top_speed,
 )
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.settings import DiscriminationSettings, MarginSettings
 from seqid_cli.plan.stages.goal import Goal, Planned
 from seqid_cli.plan.stages.search import check_torque, draw_pool, within_limits
 from seqid_cli.robot.types import Robot
 
-ENOUGH = 0.9  # power from which a plan is good
-
 
 def plan_discriminate(
-    belief: Belief, stages: Stages, options: PlanOptions, have: Sequence[Recording] = ()
+    belief: Belief,
+    stages: Stages,
+    options: PlanOptions,
+    have: Sequence[Recording] = (),
+    settings: DiscriminationSettings = DiscriminationSettings(),
 ) -> Planned:
     """Choose moves after which a diagnosis tells two effects apart.
 
@@ -54,6 +57,8 @@ def plan_discriminate(
         Names the effects and the joint.
     have : sequence of Recording
         Logs that the diagnosis will have as well.
+    settings : DiscriminationSettings
+        When the effects are told apart.
 
     Returns
     -------
@@ -118,7 +123,7 @@ def plan_discriminate(
         f"if it is {effect.name}, these moves may leave it open: record"
         f" {effect.separate_by}"
         for effect, power in zip(effects, described.powers, strict=True)
-        if power < ENOUGH
+        if power < settings.min_power
     ]
     return Planned(moves, PlannedStage(separation=described, notes=notes))
 
@@ -181,7 +186,8 @@ def effects_and_joint(
 def _usual_torque(belief: Belief, joint: int | None) -> float:
     """Return the RMS torque [N m] of a joint, or of all, in typical moves."""
     moves = typical(belief, seed=0)
-    torque = belief.torque(moves, belief.regressor(moves), sigmas=0.0)
+    without_margin = replace(belief, margins=MarginSettings(torque_sigma=0.0))
+    torque = without_margin.torque(moves, belief.regressor(moves))
     if joint is not None:
         torque = torque[..., joint]
     return float(np.sqrt(np.mean(torque**2)))

@@ -34,6 +34,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from seqid_cli.discover.select.naming import BEHIND, tempered
+from seqid_cli.discover.select.options import Options
 from seqid_cli.effects.scene import Scene, Scenes, sign_widths
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import Cutoff
@@ -74,7 +75,7 @@ class Outcome:
     @property
     def required_lack(self) -> Array:
         """Gain (..., D) that a rival must lack to be dropped."""
-        return BEHIND * tempered(self.gain)
+        return BEHIND * tempered(self.gain, Options())
 
     @property
     def power(self) -> Array:
@@ -380,7 +381,7 @@ def _reading_of_logs(
         if slot.is_within_bounds(c):
             gains[k] = white @ white / 2.0
 
-    scale = float(tempered(gains.max()))
+    scale = float(tempered(gains.max(), Options()))
     likelihood = np.exp((gains - gains.max()) / scale)
     counts = rng.multinomial(draws, likelihood / likelihood.sum())
     reading = []

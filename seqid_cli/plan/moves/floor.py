@@ -24,6 +24,7 @@ import numpy as np
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.plan.limits import Limits
+from seqid_cli.plan.settings import MarginSettings
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import Geometry, LinkPoints, frame_points, shape_points
@@ -144,7 +145,7 @@ def floor_of(
     postures: Array,
     geometry: Geometry | None = None,
     *,
-    clearance_m: float = 0.02,
+    margins: MarginSettings = MarginSettings(),
     still_m: float = 1e-3,
 ) -> Floor | None:
     """Build the floor of an arm; None where gravity has no direction or lifts nothing.
@@ -158,9 +159,9 @@ def floor_of(
         Drawn within the limits [rad; m where prismatic]: what they lift counts.
     geometry : Geometry, optional
         Collision shapes, where the URDF has them.
-    clearance_m : float
-        Height that is kept above the plane [m]: between the samples that are checked a
-        point may be lower by a millimetre or two, and a controller overshoots.
+    margins : MarginSettings
+        They say how high above the plane the arm keeps: between the samples that are
+        checked a point may be lower by a millimetre or two, and a controller overshoots.
     still_m : float
         Points whose height changes by less are lifted by no joint [m].
 
@@ -177,6 +178,7 @@ def floor_of(
     if gravity == 0.0:
         return None
     up = -robot.gravity / gravity
+    clearance_m = margins.floor_clearance
     points, with_shapes = _points_of(robot, geometry)
     heights = _heights(robot, up, points, postures)
     is_lifted = np.ptp(heights, axis=0) > still_m

@@ -14,17 +14,19 @@ import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.settings import DiscoverSettings
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.logs.read import read_recording
 from seqid_cli.params.io import read_parameters
 from seqid_cli.robot.file import load_robot
+from seqid_cli.settings import entries, overridden
 from tests import ROOT
 from tests.studies.outside.cases import prepared, told
 from tests.studies.outside.plan import drawn
@@ -39,13 +41,18 @@ FACTORS = (0.7, 1.3)
 
 def numbers() -> dict[str, tuple[str, str]]:
     """Name and file of every number in the page's table of discovery that can be
-    changed.
+    changed; the settings of discovery are in none.
     """
     part = PAGE.read_text(encoding="utf-8").split("## Discovery\n")[1].split("<!-- ")[0]
     rows = [
         line.split("|")[1:5] for line in part.splitlines() if line.startswith("| `")
     ]
-    return {
+    settings = {
+        f"`{entry.name}`": (entry.name, "")
+        for entry in entries(DiscoverSettings())
+        if not entry.name.startswith("judging.")
+    }
+    return settings | {
         name.strip(): (name.strip().strip("`"), where.strip(" `"))
         for name, default, _, where in rows
         if re.fullmatch(r"`[\w.]+`( of `\w+`)?", name.strip()) and "," not in default
@@ -53,7 +60,13 @@ def numbers() -> dict[str, tuple[str, str]]:
 
 
 @contextmanager
-def changed(name: str, where: str, factor: float) -> Iterator[None]:
+def changed(name: str, where: str, factor: float) -> Iterator[DiscoverSettings]:
+    """Yield the settings to diagnose with, while a number of a module is changed."""
+    if not where:
+        defaults = {entry.name: entry.default for entry in entries(DiscoverSettings())}
+        given = f"{name}={factor * defaults[name]!r}"
+        yield overridden(DiscoverSettings(), [given])
+        return
     module = importlib.import_module(
         f"seqid_cli.{where.removesuffix('.py').replace('/', '.')}"
     )
@@ -75,20 +88,19 @@ def changed(name: str, where: str, factor: float) -> Iterator[None]:
                 function, "__kwdefaults__", known | {argument: known[argument] * factor}
             )
         elif name.startswith("Options."):
-            value = getattr(Options, name.removeprefix("Options."))
-            same = [
-                key for key in Options.__annotations__ if getattr(Options, key) == value
-            ]
-            for key in same:
-                put(Options, key, value * factor)
-            defaults = tuple(getattr(Options, key) for key in Options.__annotations__)
-            put(Options.__init__, "__defaults__", defaults)
+            key = name.removeprefix("Options.")
+            value = getattr(Options, key)
+            put(Options, key, value * factor)
+            place = [field.name for field in fields(Options)].index(key)
+            of_init = list(Options.__init__.__defaults__)  # type: ignore[arg-type]
+            of_init[place] = value * factor
+            put(Options.__init__, "__defaults__", tuple(of_init))
         else:
             value = getattr(module, name)
             own = [x for key, x in sys.modules.items() if key.startswith("seqid_cli")]
             for place in (x for x in own if vars(x).get(name) == value):
                 put(place, name, value * factor)
-        yield
+        yield DiscoverSettings()
     finally:
         for owner, key, value in reversed(undo):
             setattr(owner, key, value)
@@ -108,8 +120,9 @@ def answered(seed: int) -> dict[str, Any]:
         filtering = replace(options.motion.motion, kept={})
         options = replace(options, motion=replace(options.motion, motion=filtering))
 
-        def row() -> dict[str, Any]:
-            found = told(diagnose(logs, robot, stages, options=options))
+        def row(settings: DiscoverSettings) -> dict[str, Any]:
+            chosen = replace(options, settings=settings)
+            found = told(diagnose(logs, robot, stages, options=chosen))
             hidden = {
                 "kinds": [x.name for x in case.effects],
                 "flow": case.outline.flow,
@@ -127,11 +140,11 @@ def answered(seed: int) -> dict[str, Any]:
             right = sum(x in ("right", "alike") for x in labels)
             return {"names": names, "right": right, "wrong": surely_wrong(whole, LOUD)}
 
-        rows["as it is"] = row()
+        rows["as it is"] = row(DiscoverSettings())
         for title, (name, where) in numbers().items():
             for factor in FACTORS:
-                with changed(name, where, factor):
-                    rows[f"{title} x {factor}"] = row()
+                with changed(name, where, factor) as settings:
+                    rows[f"{title} x {factor}"] = row(settings)
     return {"seed": seed, "rows": rows}
 
 

@@ -13,9 +13,10 @@ from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.plan.belief import belief_of
-from seqid_cli.plan.discrimination.discriminate import ENOUGH, plan_discriminate
+from seqid_cli.plan.discrimination.discriminate import plan_discriminate
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.settings import DiscriminationSettings
 from tests.plants.motions.trials import drills
 from tests.plants.planned import recorded
 from tests.studies.records import package_sources, results
@@ -89,7 +90,7 @@ class Outcome:
 
     @property
     def told(self) -> bool:
-        return self.power < ENOUGH
+        return self.power < DiscriminationSettings().min_power
 
 
 def study(chosen: argparse.Namespace) -> str:

@@ -7,7 +7,6 @@ from seqid_cli.discover.refinement.loop import with_effects
 from seqid_cli.discover.refinement.reidentify import Material, Refitted, refitted
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
-from seqid_cli.discover.select.tuning import Tuner
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.effects.registry import CATALOGUE as EFFECTS
 from seqid_cli.logs.recording import Recording
@@ -46,7 +45,7 @@ def told_model(
     model = Model(Ground.of(rows, stages), HELD if late else FREE)
     for truth in truths:
         names = material.robot.joint_names
-        tuner = Tuner(model.ground.stage, model.linear, model.ground.size)
+        tuner = model.ground.tuner(model.linear)
         every = candidates_of(scenes, [EFFECTS[str(truth.kind)]], model.left())
         here = [
             c

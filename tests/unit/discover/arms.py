@@ -95,7 +95,7 @@ def selected(
 ) -> SelectionResult:
     """Return what is selected of some effects of the catalogue, or of others."""
     chosen = [CATALOGUE[one] if isinstance(one, str) else one for one in effects]
-    return select(ground_of(scenes, stages), options, chosen).told()
+    return select(ground_of(scenes, stages, options), chosen).told()
 
 
 def model_of(
@@ -104,9 +104,13 @@ def model_of(
     return Model(ground_of(scenes, stages), hold)
 
 
-def ground_of(scenes: Sequence[Scene], stages: Stages | None = None) -> Ground:
+def ground_of(
+    scenes: Sequence[Scene],
+    stages: Stages | None = None,
+    options: Options | None = None,
+) -> Ground:
     """Return the rows of scenes, and what they have to be explained by."""
-    return Ground.of(rows_of(scenes), stages or Stages())
+    return Ground.of(rows_of(scenes), stages or Stages(), options)
 
 
 def candidate(name: str, joint: int | None, **settings: float) -> Candidate:

@@ -22,6 +22,7 @@ from seqid_cli.discover.notes import (
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import Ground
 from seqid_cli.discover.select.rows import ALIKE
+from seqid_cli.discover.settings import DiscoverSettings, EvidenceSettings
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.evidence_schema import EvidenceEntry
@@ -280,6 +281,17 @@ def test_less_than_a_sample_between_torque_and_position_is_a_note() -> None:
     assert none == []
     told = re.search(r"joint elbow: torque is (\S+) ms late", note)
     assert 3.0 < float(told[1]) < 6.0  # this arm's own is up to a millisecond
+
+
+def test_what_is_told_is_a_setting() -> None:
+    case = given(HUMP)
+    usual = diagnosis(HUMP)
+    evidence = EvidenceSettings(negligible_share=0.9, min_visible=1.0)
+    options = replace(OPTIONS, settings=DiscoverSettings(evidence=evidence))
+    blind = diagnose(case.logs, case.robot, case.stages, options=options)
+    assert usual.findings
+    assert not blind.findings
+    assert len(blind.hidden) > len(usual.hidden)
 
 
 def test_more_than_noise_is_said_and_shown_though_nothing_is_taken() -> None:

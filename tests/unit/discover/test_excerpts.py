@@ -4,6 +4,7 @@ overlooked.
 
 import gc
 import tracemalloc
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,10 +16,14 @@ from seqid_cli.discover import excerpts
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.excerpts import Excerpts, one_each, take_excerpts
 from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.settings import EventSettings
+from seqid_cli.discover.survey.events import Interval
+from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.scale import processes
 from tests.unit.discover.long_logs import BEGUN, MOST, LongCase, long_case
 
 pytestmark = [
@@ -108,6 +113,34 @@ def test_a_push_outside_the_pieces_is_found(folder: Path) -> None:
     assert found.findings[0].confidence > 0.5
     for name, joint in clean_diagnosis(folder).joints.items():
         assert found.joints[name].rmse == pytest.approx(joint.rmse, rel=0.2)
+
+
+def test_what_stands_out_is_a_setting_in_worker_processes_too(folder: Path) -> None:
+    case = long_case()
+    push = np.exp(-(((case.log.t - PUSHED) / 0.1) ** 2))
+    case = case.with_torque(np.outer(push, [4.0, 1.5]))
+    path = case.written(folder / "pushed_again.parquet")
+
+    def places(
+        settings: EventSettings, executor: Executor | None
+    ) -> tuple[Interval, ...]:
+        (survey,) = take_excerpts(
+            LogSet([path], case.robot, executor=executor),
+            case.robot,
+            case.stages,
+            options=OPTIONS.motion,
+            settings=settings,
+            most_values=MOST,
+        ).surveys
+        return survey.places
+
+    both = (EventSettings(), EventSettings(longest=0.1))
+    here = [places(settings, None) for settings in both]
+    with processes(2) as executor:
+        there = [places(settings, executor) for settings in both]
+    assert any(place.start < PUSHED < place.end for place in here[0])
+    assert not any(place.start < PUSHED < place.end for place in here[1])
+    assert there == here
 
 
 def test_a_slow_drift_is_found(folder: Path) -> None:

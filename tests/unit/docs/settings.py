@@ -1,7 +1,8 @@
 """The page of the settings, from their classes: `python -m tests.unit.docs.settings`.
 
-Names, defaults, units, bounds and reasons are written anew. What was measured of a
-setting stands in the last column, is written by hand and kept.
+Names, defaults, units, bounds and reasons are written anew. The last column says what
+moving a setting does. What stands there by hand is kept; behind `SAMPLES` a study writes
+what changes on the sample logs (`python -m tests.studies --only settings`).
 """
 
 import re
@@ -16,17 +17,31 @@ PAGE = ROOT / "docs" / "reference" / "settings.md"
 TABLES = re.compile(r"(?s)<!-- settings -->\n.*?<!-- /settings -->")
 _ROW = re.compile(r"\| `(\w+\.\w+)` \|.*\| ([^|]*) \|$")
 _HEADING = re.compile(r"### \w+: `([\w-]+)`")
+SAMPLES = "On the samples, "
 HEAD = "| setting | default | unit | from | to | what it guards | what moving it does |"
 
 
-def rewritten(text: str) -> str:
-    """Return the page with its tables as the classes say."""
-    tables = "".join(_tables(text))
+def rewritten(text: str, measured: Mapping[tuple[str, str], str] | None = None) -> str:
+    """Return the page with its tables as the classes say.
+
+    Parameters
+    ----------
+    text : str
+        The page.
+    measured : mapping of (str, str) to str, optional
+        What a study has measured, by the first command of a table and the setting.
+    """
+    cells = dict(_measured(text))
+    for place, said in (measured or {}).items():
+        by_hand = cells.get(place, "").partition(SAMPLES)[0].strip(" .")
+        before = f"{by_hand}. " if by_hand else ""
+        cells[place] = f"{before}{SAMPLES}{said}"
+    tables = "".join(_tables(cells))
     new = f"<!-- settings -->\n{tables}<!-- /settings -->"
     return TABLES.sub(lambda _: new, text)
 
 
-def _tables(before: str) -> Iterator[str]:
+def _tables(measured: Mapping[tuple[str, str], str]) -> Iterator[str]:
     commands: dict[tuple[str, type[Group]], list[str]] = {}
     for command, settings in SETTINGS_OF_COMMANDS.items():
         if command == "run":  # it has the settings of its stages
@@ -35,7 +50,6 @@ def _tables(before: str) -> Iterator[str]:
             kind = type(getattr(settings, each.name))
             commands.setdefault((each.name, kind), []).append(command)
 
-    measured = _measured(before)
     for (name, kind), users in commands.items():
         heading = f"{name}: {', '.join(f'`{user}`' for user in users)}"
         yield (

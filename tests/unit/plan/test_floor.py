@@ -17,6 +17,7 @@ from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.moves.floor import Floor, floor_of
 from seqid_cli.plan.moves.strokes import postures_of
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.settings import MarginSettings, PlanSettings
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf_model import geometry_of
@@ -83,6 +84,18 @@ def test_no_planned_move_goes_below_the_base(pole: Robot, what: str) -> None:
     for move in planned.moves:
         assert lowest_by_hand(sampled(move, pole.joint_names, 200.0)[1]).min() > 0.0
     assert any("base plane" in note and "--no-floor" in note for note in planned.notes)
+
+
+def test_the_height_that_is_kept_is_a_setting(pole: Robot) -> None:
+    settings = PlanSettings(margins=MarginSettings(floor_clearance=0.2))
+    planned = plan("friction", pole, options=OPTIONS, settings=settings)
+    for move in planned.moves:
+        q = sampled(move, pole.joint_names, 200.0)[1]
+        assert lowest_by_hand(q).min() > 0.19  # a millimetre or two between samples
+    assert any("20 cm above the base plane" in note for note in planned.notes)
+    assert planned.settings is not None
+    assert planned.settings.changed == {"margins.floor_clearance": 0.2}
+    assert planned.settings.values["margins.torque_sigma"] == 3.0
 
 
 @pytest.mark.parametrize("what", ["friction", "gravity"])

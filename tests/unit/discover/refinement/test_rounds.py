@@ -16,6 +16,7 @@ from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import Gain
 from seqid_cli.discover.refinement.loop import CandidateModel, Decision, Judgement
 from seqid_cli.discover.refinement.rounds import refine
+from seqid_cli.discover.select.options import Options
 from seqid_cli.effects.fitted import FittedEffect
 from seqid_cli.effects.position_dependent_friction import (
     PositionDependentFriction,
@@ -119,6 +120,7 @@ class Round:
         return tuple(
             Judgement(
                 change=Gain(gain, gain - 0.01, gain + 0.01),
+                min_gain=Options().improvement,
                 chance_probability=0.0 if gain > 0.0 else 1.0,
                 is_likely=True,
                 is_determined=self.sizes.get(effect.settings.get("waves", 0.0), 9.0)

@@ -1,6 +1,7 @@
 """What the selection takes, what it leaves, and which name it gives."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import Selection
 from seqid_cli.discover.select.terms import Term
+from seqid_cli.discover.settings import EvidenceSettings
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.effects.scene import Scene
 from tests import Array
@@ -81,10 +83,17 @@ def test_what_no_effect_explains_is_a_smooth_function() -> None:
     assert (one.term.smooth, one.term.joint) == (True, 0)
     with_it, without = found.model.linear.left_out[0], one.left_without[0]
     assert (
-        Options.improvement
+        Options().improvement
         < one.share
         <= 1.0 - np.sum(with_it**2) / np.sum(without**2) + 1e-9
     )
+
+
+def test_the_evidence_that_is_asked_for_is_a_setting() -> None:
+    scenes = arm_scenes(at_joint(0, drag))
+    low = Options.of(EvidenceSettings(min_log_evidence=3.0))
+    assert keys(selected(scenes, SOME, low)) == [("quadratic_drag", 0)]
+    assert keys(selected(scenes, SOME, replace(low, chance=1e9))) == []
 
 
 def gain_and_losses(scene: Scene) -> Array:
@@ -211,7 +220,7 @@ def test_one_effect_goes_before_two_that_explain_as_much() -> None:
     drift, bias = candidate("drift", 1, duration=100.0), candidate("torque_bias", 1)
     extra = at_joint(1, lambda scene: 0.8 + 0.01 * scene.time)  # an offset that drifts
     model, (of_two, one) = with_terms(extra, "time of all logs", bias, drift)
-    found, before = Selection(model, Options(), []), list(model.terms)
+    found, before = Selection(model, []), list(model.terms)
     found.merged()
     assert model.terms == before
     found.tied = {of_two.key: [one]}
@@ -238,4 +247,4 @@ def test_a_function_does_not_hide_the_effect_whose_law_it_mends(
 ) -> None:
     loss = candidate("load_dependent_friction", 1)
     model, _ = with_terms(at_joint(1, law), "load x direction", loss)
-    assert keys(Selection(model, Options(), []).told(0.0)) == [(told, 1)]
+    assert keys(Selection(model, []).told(0.0)) == [(told, 1)]

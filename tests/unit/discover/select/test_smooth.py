@@ -53,7 +53,7 @@ def selection(seed: int, extra: Extra | None) -> Selection:
         )
         whole.motion.tau[:] += coloured(scene, rng)
         scenes.append(whole)
-    return select(ground_of(scenes), None, [])
+    return select(ground_of(scenes), [])
 
 
 @pytest.mark.parametrize("seed", [0, 1])

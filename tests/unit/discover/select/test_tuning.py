@@ -16,7 +16,7 @@ SPEED = 0.37  # rad/s
 
 
 def tuner_in(model: Model) -> Tuner:
-    return Tuner(model.ground.stage, model.linear, model.ground.size)
+    return model.ground.tuner(model.linear)
 
 
 def grid(model: Model, name: str, joint: int | None) -> list[FittedTerm]:

@@ -11,8 +11,8 @@ import pytest
 from seqid_cli.discover import investigate
 from seqid_cli.discover.investigate import of_law
 from seqid_cli.discover.select.model import Model
-from seqid_cli.discover.select.naming import TOLD
-from seqid_cli.discover.survey.events import GATE, Interval, find_events
+from seqid_cli.discover.settings import EventSettings, EvidenceSettings
+from seqid_cli.discover.survey.events import Interval, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.effects.scene import Scene
 from tests import Array
@@ -25,6 +25,8 @@ from tests.unit.discover.arms import (
     related_scenes,
 )
 
+GATE = EventSettings().min_sigma
+TOLD = EvidenceSettings().min_confidence
 Extra = Callable[[int, Scene], Array]  # in units of the noise's RMS
 
 
@@ -113,7 +115,7 @@ def test_what_recurs_is_no_event(
 ) -> None:
     for seed, rows in enumerate(many_rows):
         events = found(rows, seed, lambda _, scene: np.outer(law(scene), [0.0, 1.0]))
-        assert all(one.certainty < TOLD for one in events)
+        assert all(one.certainty(GATE) < TOLD for one in events)
 
 
 def test_pushes_all_the_time_are_not_events(many_rows: list[Rows]) -> None:

@@ -1,7 +1,8 @@
 """A short catalogue for tests of what a refinement does with the effects it is given."""
 
 import pytest
-from seqid_cli.model.effects import registry
+
+from seqid_cli.effects import registry
 
 # Friction over load, over speed and at reversals: each looks a little like the others.
 ALIKE = (

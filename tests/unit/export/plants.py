@@ -16,6 +16,7 @@ from tests.plants.motions.trials import drills, run_drill
 from tests.plants.robotfile import robot_toml
 from tests.plants.robots.lab import write_log
 from tests.plants.simulate import Plant
+from tests.unit.export.few import only_effects
 
 SEED = 31  # below 10000: of no study
 OTHER_SEED = 57
@@ -46,6 +47,16 @@ class Recorded:
     def refined(self) -> Path:
         return self.folder / "refined.json"
 
+
+# What the cases have, and what is most like it.
+LOOKED_FOR = (
+    "gear_efficiency",
+    "load_dependent_friction",
+    "nonlinear_viscous",
+    "quadratic_drag",
+    "stribeck",
+    "transmission_coupling",
+)
 
 # Name of a case: the arm, and what it has that its robot file does not say.
 CASES: Mapping[str, tuple[Callable[[], Plant], tuple[tuple[str, int, float], ...]]] = {
@@ -88,12 +99,13 @@ def recorded(name: str, own_seed: int = SEED, other_seed: int = OTHER_SEED) -> R
         folder=folder, **{key: tuple(paths) for key, paths in logs.items()}
     )
     simultaneous(found.training, found.robot, output=found.simultaneous)
-    refine(
-        found.training,
-        found.held_out,
-        found.robot,
-        found.simultaneous,
-        RefineOptions(rounds=len(effects)),
-        output=found.refined,
-    )
+    with only_effects(LOOKED_FOR):
+        refine(
+            found.training,
+            found.held_out,
+            found.robot,
+            found.simultaneous,
+            RefineOptions(rounds=len(effects)),
+            output=found.refined,
+        )
     return found

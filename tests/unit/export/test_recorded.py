@@ -10,7 +10,8 @@ from seqid_cli.export import export
 from seqid_cli.export.written.code import compiler
 from seqid_cli.identify.functions import simultaneous
 from seqid_cli.params.results.export import ExportFile
-from tests.unit.export.recordings import DATA, ROBOTS
+from tests.unit.export.few import only_effects
+from tests.unit.export.recordings import DATA, EFFECTS, ROBOTS, TESTED
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +27,7 @@ class Refined(NamedTuple):
     held_out: Path
 
 
-@pytest.fixture(scope="module", params=ROBOTS)
+@pytest.fixture(scope="module", params=TESTED)
 def refined(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Refined:
@@ -42,7 +43,8 @@ def refined(
         folder / "after.json",
     )
     simultaneous(logs, robot, output=before)
-    refine(logs, source / held_out, robot, before, output=after)
+    with only_effects(EFFECTS):
+        refine(logs, source / held_out, robot, before, output=after)
     return Refined(robot, before, after, source / held_out)
 
 

@@ -1,4 +1,4 @@
-"""Sizes of values: root mean squares, and deviations that a few large ones do not move."""
+"""Sizes of values: RMS, and deviations that a few large ones do not move."""
 
 import numpy as np
 

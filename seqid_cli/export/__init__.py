@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,8 +29,10 @@ from seqid_cli.robot.file import load_robot
 
 if TYPE_CHECKING:
     from seqid_cli.export.model import ExportModel
-    from seqid_cli.export.motions import Motions, Unrefined
+    from seqid_cli.export.motions import FoundLogs, Motions, Unrefined
     from seqid_cli.robot.types import Robot
+
+_UNCHECKED = "nothing was checked against logs"
 
 
 def export(
@@ -70,87 +73,97 @@ def export(
     ExportFile
         Its `replay` says whether what was written is as good as it states.
     """
-    place, goal, given = Path(robot), Path(output), listed(parameters)
-    kind = format_of(goal, target)
-    files = [Path(model) for model in given if not isinstance(model, ParameterFile)]
-    check_output(goal, [*files, place])
-    form = BY_TITLE[kind]
+    robot_path = Path(robot)
+    output_path = Path(output)
+    models_or_paths = listed(parameters)
+    form = BY_TITLE[format_of(output_path, target)]
+    paths = [
+        Path(model) for model in models_or_paths if not isinstance(model, ParameterFile)
+    ]
+    check_output(output_path, [*paths, robot_path])
     if form.extent == "load":
-        return _load(kind, files, place, goal)
+        return _export_load(form, paths, robot_path, output_path)
 
-    models = read_models(given)
-    previous = join(models)
-    arm = robot_of(place, models)
+    models = read_models(models_or_paths)
+    file = join(models)
+    arm = robot_of(robot_path, models)
     if arm.urdf is not None:
-        check_output(goal, [arm.urdf])
-    folders = list(dict.fromkeys([*(file.parent for file in files), place.parent]))
+        check_output(output_path, [arm.urdf])
 
-    loop = previous.closed_loop
-    errors = {name: joint.rmse for name, joint in loop.after.items()} if loop else None
-    chosen, said = _replayed_logs(previous, folders, replay)
-    motions = _motions(previous, arm, folders, form, chosen)
-    done = export_form(
+    # Logs are looked for where their entries say, and beside the files.
+    folders = list(dict.fromkeys([*(path.parent for path in paths), robot_path.parent]))
+    logs = _logs_to_replay(file, folders, replay)
+    motions = _motions(file, arm, folders, form, logs.files)
+
+    exported = export_form(
         arm,
-        previous.stages,
-        kind=kind,
-        errors=errors,
-        before=_unrefined(previous, folders, motions),
+        file.stages,
+        kind=form.title,
+        errors=_held_out_errors(file),
+        unrefined=_unrefined(file, folders, motions),
         motions=motions,
     )
-    write_text_atomic(goal, done.text)
-    model = done.model
+    write_text_atomic(output_path, exported.text)
+
+    model = exported.model
+    notes = list(model.notes)
     loss: dict[str, float | None] = {}
     loss_range: dict[str, list[float]] = {}
-    lost_here: dict[str, float | None] = {}
+    loss_on_replayed: dict[str, float | None] = {}
     if model.loss is not None:
         loss = model.loss.stated(arm.joint_names)
         loss_range = model.loss.ranges(arm.joint_names)
-        lost_here = model.loss.on_replayed(arm.joint_names)
+        loss_on_replayed = model.loss.on_replayed(arm.joint_names)
 
-    result, notes = None, list(model.notes)
+    replay_result = None
     if no_replay:
-        notes.append("nothing was checked against logs (--no-replay)")
+        notes.append(f"{_UNCHECKED} (--no-replay)")
     else:
-        result, why = _replay(goal, form, previous, arm, chosen, lost_here)
-        notes += [*said, *why]
+        checked = _check(output_path, form, file, arm, logs.files, loss_on_replayed)
+        replay_result = checked.replay
+        notes += [f"{reason}: it is not replayed" for reason in logs.lost]
+        notes += checked.notes
+
     return ExportFile(
-        **head(EXPORT_SCHEMA, previous.created),
+        **head(EXPORT_SCHEMA, file.created),
         robot=robot_id(arm),
-        format=kind,
-        path=str(goal),
-        parameters=[model_id(name, file, files) for name, file in models],
-        stages=list(present(previous.stages)),
+        format=form.title,
+        path=str(output_path),
+        parameters=[model_id(name, model_file, paths) for name, model_file in models],
+        stages=list(present(file.stages)),
         exact=model.nearest.exact,
         largest_deviation=model.largest_deviation,
         base_parameters=list(model.deviations),
-        joints={name: _link(model, k) for k, name in enumerate(arm.joint_names)},
+        joints={name: _link(model, j) for j, name in enumerate(arm.joint_names)},
         refitted=model.refitted,
         fitted_on=(
             [] if motions is None else [str(log.path) for log in motions.recordings]
         ),
         loss=loss,
         loss_range=loss_range,
-        replay=result,
+        replay=replay_result,
         observer_gain=float(model.observer.gain),
         collision={
-            name: _collision(model, k) for k, name in enumerate(arm.joint_names)
+            name: _collision(model, j) for j, name in enumerate(arm.joint_names)
         },
         notes=notes,
     )
 
 
-def _load(kind: str, files: list[Path], place: Path, goal: Path) -> ExportFile:
+def _export_load(
+    form: Format, paths: Sequence[Path], robot_path: Path, output_path: Path
+) -> ExportFile:
     """Write what a robot carries as its controller takes it."""
     from seqid_cli.export.loads import load_setting, read_load
 
-    arm = load_robot(place)
-    source = read_load(files)
-    write_text_atomic(goal, load_setting(source, arm, kind))
+    arm = load_robot(robot_path)
+    source = read_load(paths)
+    write_text_atomic(output_path, load_setting(source, arm, form.title))
     return ExportFile(
         **head(EXPORT_SCHEMA, created_from((), otherwise=Path(source.path))),
         robot=robot_id(arm),
-        format=kind,
-        path=str(goal),
+        format=form.title,
+        path=str(output_path),
         parameters=[FileId(path=source.path, sha256=source.sha256)],
         stages=[],
         exact=True,
@@ -161,119 +174,170 @@ def _load(kind: str, files: list[Path], place: Path, goal: Path) -> ExportFile:
     )
 
 
-def _replayed_logs(
-    previous: ParameterFile, folders: Sequence[Path], given: Sequence[PathLike]
-) -> tuple[list[Path], list[str]]:
-    """Return the logs to replay, and a sentence for each of the file's that is gone."""
-    if given:
-        return [Path(log) for log in expand([str(log) for log in given])], []
-    from seqid_cli.export.motions import find_logs
+def _held_out_errors(file: ParameterFile) -> dict[str, float] | None:
+    """Return the RMS error [N m] of each joint on held-out logs, None without any."""
+    closed_loop = file.closed_loop
+    if closed_loop is None:
+        return None
+    return {name: joint.rmse for name, joint in closed_loop.after.items()}
 
-    found = find_logs(held_out_logs(previous), folders)
-    return list(found.files), [f"{text}: it is not replayed" for text in found.lost]
+
+def _logs_to_replay(
+    file: ParameterFile, folders: Sequence[Path], replay: Sequence[PathLike]
+) -> FoundLogs:
+    """Return the logs that were asked for, or else the held-out logs of the file."""
+    from seqid_cli.export.motions import FoundLogs, find_logs
+
+    if replay:
+        paths = expand([str(log) for log in replay])
+        return FoundLogs(files=tuple(Path(path) for path in paths), lost=())
+    return find_logs(held_out_logs(file), folders)
 
 
 def _motions(
-    previous: ParameterFile,
+    file: ParameterFile,
     arm: Robot,
     folders: Sequence[Path],
     form: Format,
-    replayed: Sequence[Path],
+    replayed_logs: Sequence[Path],
 ) -> Motions | None:
-    """Return the motions that a form is fitted to; None for one that holds the whole model."""
+    """Return the motions that a form is fitted to; None if it holds the whole model."""
     if form.extent == "whole" or arm.locked:
         return None
     from seqid_cli.export.motions import FullModel, motions_of
 
-    return motions_of(
-        FullModel.of(arm, previous.stages), previous.inputs, replayed, folders
-    )
+    full = FullModel.of(arm, file.stages)
+    return motions_of(full, file.inputs, replayed_logs, folders)
 
 
 def _unrefined(
-    previous: ParameterFile, folders: Sequence[Path], motions: Motions | None
+    file: ParameterFile, folders: Sequence[Path], motions: Motions | None
 ) -> Unrefined | None:
     """Return the file as it came into its refinement, for forms that are fitted."""
     if motions is None:
         return None
     from seqid_cli.export.motions import Unrefined
 
-    return Unrefined.of(previous, folders)
+    return Unrefined.of(file, folders)
 
 
-def _replay(
-    goal: Path,
+@dataclass(frozen=True, kw_only=True)
+class _Check:
+    """The replay of what was written, or None and a note that says why."""
+
+    replay: Replay | None = None
+    notes: tuple[str, ...] = ()
+
+
+def _check(
+    output_path: Path,
     form: Format,
-    previous: ParameterFile,
+    file: ParameterFile,
     arm: Robot,
     logs: Sequence[Path],
     loss: Mapping[str, float | None],
-) -> tuple[Replay | None, list[str]]:
-    """Run what was written over logs; None, and a note, where there is nothing to run."""
-    if form.extent == "joints":
-        return None, [f"nothing was replayed: this form holds no links ({form.title})"]
-    unchecked = "nothing was checked against logs"
-    if arm.locked:
-        names = ", ".join(joint.name for joint in arm.locked)
-        reason = f"the robot file leaves out {names}, which may stand anywhere in a log"
-        return None, [f"{unchecked}: {reason}"]
-    if not logs:
-        lacking = "none of the held-out logs is there"
-        if not held_out_logs(previous):
-            lacking = "the file has no held-out log"
-        return None, [f"{unchecked}: {lacking} (--replay names some)"]
+) -> _Check:
+    """Run what was written over logs, where there is something to run.
+
+    Parameters
+    ----------
+    output_path : Path
+        What was written.
+    form : Format
+        Its form.
+    file : ParameterFile
+        The file that it was written from.
+    arm : Robot
+        The arm of both.
+    logs : sequence of Path
+        Logs with torque.
+    loss : mapping of str to float or None
+        What the form states to lose on these logs, by joint, N m (N where prismatic).
+    """
+    reason = _reason_for_no_replay(form, file, arm, logs)
+    if reason is not None:
+        return _Check(notes=(reason,))
+
     from seqid_cli.export.motions import FullModel
     from seqid_cli.export.replay import failures, replayed
     from seqid_cli.export.written.arm import UnreadableFormError
     from seqid_cli.export.written.code import NoCompilerError
 
-    full = FullModel.of(arm, previous.stages)
-    replayed_logs = [str(log) for log in logs]
+    full = FullModel.of(arm, file.stages)
+    names = [str(log) for log in logs]
     try:
-        joints = replayed(goal, form.title, full, logs, loss)
+        joints = replayed(output_path, form.title, full, logs, loss)
     except NoCompilerError as error:
-        return None, [f"{unchecked}: {error}"]
+        return _Check(notes=(f"{_UNCHECKED}: {error}",))
     except UnreadableFormError as error:
-        said = str(error) if error.where else f"{goal}: {error}"
-        nothing = Replay(logs=replayed_logs, joints={}, passed=False, failures=[said])
-        return nothing, []
-    failed = failures(joints, arm, goal)
-    passed = not failed
-    return Replay(logs=replayed_logs, joints=joints, passed=passed, failures=failed), []
+        # What cannot be run has failed, whatever its numbers are.
+        message = str(error) if error.where else f"{output_path}: {error}"
+        return _Check(
+            replay=Replay(logs=names, joints={}, passed=False, failures=[message])
+        )
+
+    messages = failures(joints, arm, output_path)
+    return _Check(
+        replay=Replay(logs=names, joints=joints, passed=not messages, failures=messages)
+    )
+
+
+def _reason_for_no_replay(
+    form: Format, file: ParameterFile, arm: Robot, logs: Sequence[Path]
+) -> str | None:
+    """Say why a form cannot be replayed; return None where it can."""
+    if form.extent == "joints":
+        return f"nothing was replayed: this form holds no links ({form.title})"
+    if arm.locked:
+        names = ", ".join(joint.name for joint in arm.locked)
+        return (
+            f"{_UNCHECKED}: the robot file leaves out {names}, which may stand anywhere"
+            " in a log"
+        )
+    if not logs:
+        lacking = "the file has no held-out log"
+        if held_out_logs(file):
+            lacking = "none of the held-out logs is there"
+        return f"{_UNCHECKED}: {lacking} (--replay names some)"
+    return None
 
 
 def held_out_logs(file: ParameterFile) -> list[InputLog]:
     """Return the logs that a refined file was evaluated on."""
-    loop = file.closed_loop
-    if loop is None:
+    closed_loop = file.closed_loop
+    if closed_loop is None:
         return []
-    if loop.held_out:
-        return list(loop.held_out)
+    if closed_loop.held_out:
+        return list(closed_loop.held_out)
     # Files of earlier versions name them only, among all their inputs.
-    return [entry for entry in file.inputs if entry.path in loop.evaluated_on]
+    return [entry for entry in file.inputs if entry.path in closed_loop.evaluated_on]
 
 
-def _collision(model: ExportModel, k: int) -> CollisionLimits:
-    limit = float(model.observer.limit[k])
+def _collision(model: ExportModel, joint: int) -> CollisionLimits:
+    """Return the limits of a joint's external torque, as the result states them."""
+    limit = float(model.observer.limit[joint])
     return CollisionLimits(
         limit=limit if math.isfinite(limit) else None,
-        stiction=float(model.observer.stiction[k]),
-        slow=float(model.observer.slow[k]),
+        stiction=float(model.observer.stiction[joint]),
+        slow=float(model.observer.slow[joint]),
     )
 
 
-def _link(model: ExportModel, k: int) -> ExportedLink:
+def _link(model: ExportModel, joint: int) -> ExportedLink:
+    """Return the body, rotor and friction of a joint, as the result states them."""
     from seqid_cli.model.bodies.pseudo_inertia import Body
     from seqid_cli.robot.base_parameters import gear_ratios
 
-    existing = model.physical or model.nearest
-    body = Body.of(existing.links[k] + model.kept[k])
+    # Code has links that no body need have: the result states those that can exist.
+    bodies = model.physical or model.nearest
+    body = Body.of(bodies.links[joint] + model.locked_links[joint])
+    gear_ratio = gear_ratios(model.robot)[joint]
     return ExportedLink(
         mass=body.mass,
         center_of_mass=body.center.tolist(),
         inertia=body.inertia.tolist(),
-        rotor_inertia=float(existing.rotor[k]),
-        armature=float(gear_ratios(model.robot)[k] ** 2 * existing.rotor[k]),
-        prior="urdf" if model.nearest.from_cad[k] else "guessed",
-        friction=model.friction[k],
+        rotor_inertia=float(bodies.rotor[joint]),
+        armature=float(gear_ratio**2 * bodies.rotor[joint]),
+        prior="urdf" if model.nearest.from_cad[joint] else "guessed",
+        friction=model.friction[joint],
     )

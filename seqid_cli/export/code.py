@@ -1,8 +1,8 @@
-"""A self-contained C99 header or numpy module: inverse dynamics and a momentum observer.
+"""A C99 header or numpy module that needs nothing else: dynamics and an observer.
 
-The joint torque is that of recursive Newton-Euler, with the numbers inlined. Unlike
-model files they keep the whole friction surface, the coupling of rotors and every
-effect (`export.laws`).
+The joint torque is that of recursive Newton-Euler, with the numbers inlined; the
+observer is one of momentum. Unlike model files they keep the whole friction surface,
+the coupling of rotors and every effect (`export.laws`).
 """
 
 import re
@@ -99,7 +99,7 @@ def _coupling(model: ExportModel) -> Array:
 
 @dataclass(frozen=True)
 class _Warmth:
-    """By what share a joint's friction changes per kelvin, and from which temperature on."""
+    """Change of a joint's friction per kelvin, as a share, from a temperature on."""
 
     per_kelvin: float
     celsius: float

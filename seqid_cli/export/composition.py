@@ -1,6 +1,6 @@
-"""What exported code composes torque of: the model without effects, and lines of effects.
+"""The parts of exported code's torque: the model without effects, and lines of effects.
 
-`predict` adds effects to a model that knows nothing of them (`model.effects.apply`):
+`predict` adds effects to a model that knows nothing of them (`effects.apply`):
 each sees the load and the torque of the `BaseModel`. Exported code does the same.
 """
 
@@ -187,16 +187,14 @@ def refuse_without_law(item: FittedEffect, robot: Robot) -> None:
         return
 
     place = robot.name_of(item.joint) or "all joints"
-    message = (
-        f"effect {effect.name!r} ({place}) declares no law that code can be written"
-        " from"
-    )
-    hint = (
-        "Give its class `laws` (docs/how-to/own_effects.md), or export a form that"
-        " leaves effects out:"
-    )
     raise ConfigError(
-        message, where=str(robot.source), hint=f"{hint} URDF, MJCF, ROS 2."
+        f"effect {effect.name!r} ({place}) declares no law that code can be written"
+        " from",
+        where=str(robot.source),
+        hint=(
+            "Give its class `laws` (docs/how-to/own_effects.md), or export a form that"
+            " leaves effects out: URDF, MJCF, ROS 2."
+        ),
     )
 
 

@@ -34,9 +34,21 @@ from seqid_cli.typing import Array, Mask
 FRICTION_TERMS = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CoulombViscous:
-    """Coulomb and viscous friction of one joint, with an offset, as a law of friction."""
+    """Coulomb and viscous friction of one joint, with an offset, as a friction law.
+
+    Attributes
+    ----------
+    coulomb, viscous : float
+        N m and N m s/rad (N and N s/m where prismatic).
+    offset : float
+        A constant torque, N m.
+    sign_width : float
+        Speed over which the direction of motion changes, rad/s.
+    per_kelvin : float
+        Share by which friction changes per kelvin.
+    """
 
     coulomb: float
     viscous: float
@@ -57,9 +69,14 @@ class CoulombViscous:
 class Numbers:
     """What a form is given.
 
-    `base` (b,) are all base parameters, `friction` (n, 3) Coulomb, viscous and constant
-    friction, `held` is 1 where the form has the effects that it holds as they are, 0
-    where it has not.
+    Attributes
+    ----------
+    base : (b,) array
+        All base parameters.
+    friction : (n, 3) array
+        Coulomb, viscous and constant friction.
+    held : float
+        1 where the form has the effects that it holds as they are, 0 where it has not.
     """
 
     base: Array
@@ -82,19 +99,28 @@ class Numbers:
         held : float
             1 where the model has the held effects, 0 where not.
         """
-        standard = np.concatenate([model.bodies.ravel(), model.nearest.rotor])
         friction = np.zeros((model.robot.n, FRICTION_TERMS))
         for j, fit in enumerate(model.friction):
             if fit is not None:
                 offset = fit.offset if model.writes_offset else 0.0
                 friction[j] = [fit.coulomb, fit.viscous, offset]
-        base = identified.basis.expression @ (standard - added)
+        base = identified.basis.expression @ (model.standard - added)
         return cls(base=base, friction=friction, held=held)
 
     def row(self, joint: int, *, of_model: bool = False) -> Array:
-        """Return what the columns of a joint's rows count (m,), as `JointSums` has them.
+        """Return by what the columns of a joint's rows are multiplied.
 
-        `of_model`: to meet the whole model's torque instead of the measured one.
+        Parameters
+        ----------
+        joint : int
+            The joint.
+        of_model : bool
+            Whether the whole model's torque is to be met instead of the measured one.
+
+        Returns
+        -------
+        (m,) array
+            One number for each column of `JointSums`.
         """
         # The torque to be met is without the held effects.
         beside = [self.held - 1.0, 1.0 if of_model else 0.0]
@@ -105,9 +131,19 @@ class Numbers:
 class JointSums:
     """Sums over the sliding rows of each joint, as if each were `share` of a sample.
 
-    With m = b + 5 columns (base parameters, friction, held effects, what the model
-    leaves): `matrix` (n, m, m), `right` (n, m), `squares` (n,) (N m)^2 of the measured
-    torque, `counts` (n,).
+    There are m = b + 5 columns: base parameters, friction, held effects, and what the
+    model leaves of the measured torque.
+
+    Attributes
+    ----------
+    matrix : (n, m, m) array
+        Products of the columns.
+    right : (n, m) array
+        Products of the columns and the measured torque.
+    squares : (n,) array
+        Squares of the measured torque, (N m)^2.
+    counts : (n,) array
+        Numbers of rows.
     """
 
     matrix: Array
@@ -137,8 +173,15 @@ class JointSums:
     def drawn_to(self, numbers: Numbers, weights: Array) -> "JointSums":
         """Return the sums with rows of the torque of given numbers beside each row.
 
-        `weights` (n,): how often these count, by joint. Errors are not to be asked of
-        the result, which has the squares of the measured torque alone.
+        Errors are not to be asked of the result, which has the squares of the measured
+        torque alone.
+
+        Parameters
+        ----------
+        numbers : Numbers
+            Whose torque the sums are drawn to.
+        weights : (n,) array
+            How often its rows count, by joint.
         """
         torque = np.stack(
             [self.matrix[j] @ numbers.row(j) for j in range(self.n_joints)]
@@ -151,9 +194,19 @@ class JointSums:
         )
 
     def squared_errors(self, numbers: Numbers, *, of_model: bool = False) -> Array:
-        """Return the sum (n,) (N m)^2 of the squared errors of numbers.
+        """Return the sums of the squared errors of numbers.
 
-        `of_model`: the error against the whole model instead of the measured torque.
+        Parameters
+        ----------
+        numbers : Numbers
+            Of a form.
+        of_model : bool
+            Whether the error is against the whole model instead of the measured torque.
+
+        Returns
+        -------
+        (n,) array
+            (N m)^2.
         """
         errors = np.zeros(self.n_joints)
         for j in range(self.n_joints):
@@ -204,14 +257,17 @@ def joint_sums(
     right = np.zeros((pieces, robot.n, width))
     squares = np.zeros((pieces, robot.n))
     counts = np.zeros((pieces, robot.n))
+
     reflected_rotors = gear_ratios(robot) ** 2 * identified.known
     for part in samples:
+        # The rotors that are known are no unknowns: their torque goes to the right.
         motion = part.motion
         H = base_regressor(robot, identified.basis, motion.q, motion.dq, motion.ddq)
         H = motion.filtered(np.ascontiguousarray(H))
         torque = part.measured - motion.filtered(reflected_rotors * motion.ddq)
         beside = np.stack([part.held, part.measured - part.of_model], axis=2)
         columns = np.concatenate([H, friction_columns(motion), beside], axis=2)
+
         share = independent_share(motion)
         for piece, rows in enumerate(_pieces(part.sliding, pieces)):
             for j in range(robot.n):
@@ -221,6 +277,7 @@ def joint_sums(
                 right[piece, j] += share * (X.T @ tau)
                 squares[piece, j] += share * (tau @ tau)
                 counts[piece, j] += share * len(tau)
+
     return tuple(
         JointSums(
             matrix=matrix[k], right=right[k], squares=squares[k], counts=counts[k]
@@ -240,8 +297,9 @@ def _pieces(sliding: Mask, pieces: int) -> list[Mask]:
 
 
 def friction_columns(motion: Motion) -> Array:
-    """Return columns (N, n, 3) of Coulomb, viscous and constant friction, low-passed."""
+    """Return columns (N, n, 3) of Coulomb, viscous, constant friction, low-passed."""
     n_joints = motion.q.shape[1]
-    sign = sampled_friction([CoulombViscous(1.0, 0.0)] * n_joints, motion)
+    unit = CoulombViscous(coulomb=1.0, viscous=0.0)
+    sign = sampled_friction([unit] * n_joints, motion)
     columns = np.stack([sign, motion.dq, np.ones_like(sign)], axis=2)
     return motion.filtered(columns, times=2)

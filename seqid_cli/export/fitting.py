@@ -57,8 +57,14 @@ _ROUNDING = 1e-12  # of a scaled diagonal, added so that a factor stays real
 class Fitting:
     """What a fit takes besides the sums of motions.
 
-    `model` has the file's own numbers, which are the prior, `stages` are the file's;
-    `added` (11 n,) are standard parameters of the bodies that are no part of the torque.
+    Attributes
+    ----------
+    model : ExportModel
+        With the file's own numbers, which are the prior.
+    stages : Stages
+        Those of the file.
+    added : (11 n,) array
+        Standard parameters of the bodies that are no part of the torque.
     """
 
     model: ExportModel
@@ -88,36 +94,50 @@ class Fitting:
         return model
 
     def fitted_beside(self, sums: JointSums, errors: Array) -> ExportModel:
-        """Return the model fitted with given errors (n,) N m of the joints."""
+        """Return the model fitted with given errors.
+
+        Parameters
+        ----------
+        sums : JointSums
+            What the motion tells.
+        errors : (n,) array
+            Of the joints' torque, N m (N where prismatic).
+        """
         model = self.model
         of_file = self.identified
+        n_base = len(of_file.rows)
         quadratic = self._weighted(sums, errors, of_file)
         values = _solved(quadratic, sums.n_joints, writes_offset=model.writes_offset)
 
         # What the bodies' own effects add is known, and was not part of the torque.
         with_added = identified(self.stages, model.robot, more=self.added)
-        rows = of_file.basis.expression[list(of_file.rows)]
-        asked = replace(
+        expression = of_file.basis.expression[list(of_file.rows)]
+        by_motion = replace(
             with_added,
-            values=values[: len(of_file.rows)] + rows @ self.added,
-            covariance=_covariance(quadratic, len(of_file.rows)),
+            values=values[:n_base] + expression @ self.added,
+            covariance=_covariance(quadratic, n_base),
         )
-        nearest = nearest_bodies(model.robot, asked, model.kept)
-        standard = np.concatenate([(nearest.links + model.kept).ravel(), nearest.rotor])
+        nearest = nearest_bodies(model.robot, by_motion, model.locked_links)
+        bodies = nearest.links + model.locked_links
+        standard = np.concatenate([bodies.ravel(), nearest.rotor])
+
         laws = _friction_beside(
-            quadratic, rows @ (standard - self.added), model.writes_offset
+            quadratic,
+            expression @ (standard - self.added),
+            writes_offset=model.writes_offset,
         )
-        friction = tuple(
-            described(law, before, surface) if before is not None or count else None
-            for law, before, surface, count in zip(
-                laws, model.friction, model.surfaces, sums.counts, strict=True
-            )
-        )
+        friction: list[ExportedFriction | None] = []
+        for law, fit, surface, count in zip(
+            laws, model.friction, model.surfaces, sums.counts, strict=True
+        ):
+            # Without rows and without a surface nothing is known of a joint's friction.
+            is_known = fit is not None or count
+            friction.append(described(law, fit, surface) if is_known else None)
         return replace(
             model,
             nearest=nearest,
-            friction=friction,
-            deviations=deviations(with_added, asked.values, standard),
+            friction=tuple(friction),
+            deviations=deviations(with_added, by_motion.values, standard),
             refitted=True,
         )
 
@@ -126,12 +146,13 @@ class Fitting:
     ) -> "_Quadratic":
         """Return the sums of all joints by their `errors` (n,) N m, and the prior."""
         rows = np.array(of_file.rows, dtype=np.intp)
-        whole = self.numbers(self.model).base
-        others = np.setdiff1d(np.arange(len(whole)), rows)
+        base = self.numbers(self.model).base
+        undetermined = np.setdiff1d(np.arange(len(base)), rows)
         n_unknowns = len(rows) + FRICTION_TERMS * sums.n_joints
         quadratic = _Quadratic(
             matrix=np.zeros((n_unknowns, n_unknowns)), right=np.zeros(n_unknowns)
         )
+
         columns = np.concatenate([rows, sums.n_base + np.arange(FRICTION_TERMS)])
         for j, error in enumerate(errors):
             unknowns = np.concatenate(
@@ -139,10 +160,12 @@ class Fitting:
             )
             # Base parameters that the logs did not determine are the bodies' own.
             right = sums.right[j][columns]
-            right = right - sums.matrix[j][np.ix_(columns, others)] @ whole[others]
+            of_bodies = sums.matrix[j][np.ix_(columns, undetermined)]
+            right = right - of_bodies @ base[undetermined]
             matrix = sums.matrix[j][np.ix_(columns, columns)]
             quadratic.matrix[np.ix_(unknowns, unknowns)] += matrix / error**2
             quadratic.right[unknowns] += right / error**2
+
         _add_base_prior(quadratic, of_file)
         for j, surface in enumerate(self.model.surfaces):
             weight = PRIOR_WEIGHT * max(sums.counts[j], 1.0) / errors[j] ** 2
@@ -169,10 +192,11 @@ def _errors_of_file(stages: Stages, robot: Robot) -> Array:
     """Return the error (n,) N m of each joint's torque that the file states."""
     rigid = stages.inertia or stages.gravity
     errors = rigid.rmse if rigid is not None else {}
-    found = np.array([errors.get(name) or np.nan for name in robot.joint_names])
+    stated = np.array([errors.get(name) or np.nan for name in robot.joint_names])
+    is_stated = np.isfinite(stated)
     # A joint whose error is not known counts as the others do.
-    usual = np.nanmean(found) if np.isfinite(found).any() else 1.0
-    return np.maximum(np.where(np.isfinite(found), found, usual), _LEAST_SIGMA)
+    usual = np.nanmean(stated) if is_stated.any() else 1.0
+    return np.maximum(np.where(is_stated, stated, usual), _LEAST_SIGMA)
 
 
 def _add_base_prior(quadratic: _Quadratic, of_file: Identified) -> None:
@@ -194,7 +218,10 @@ def _add_base_prior(quadratic: _Quadratic, of_file: Identified) -> None:
 
 
 def _precision(of_file: Identified) -> Array:
-    """Return the inverse (b, b) of the file's covariance, errors no smaller than rounding."""
+    """Return the inverse (b, b) of the file's covariance.
+
+    Errors count as no smaller than rounding.
+    """
     errors = np.sqrt(np.maximum(np.diag(of_file.covariance), 0.0))
     scale = np.abs(of_file.values).max(initial=0.0) + errors.max(initial=0.0)
     W = whitening(of_file.covariance, 1e-9 * max(scale, 1e-12))
@@ -254,27 +281,31 @@ def _bounded(matrix: Array, right: Array, lowest: Array) -> Array:
     sizes = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
     scaled = matrix / np.outer(sizes, sizes)
     factor = np.linalg.cholesky(scaled + _ROUNDING * np.eye(len(scaled)))
-    seen = np.linalg.solve(factor, right / sizes)
-    solution = lsq_linear(factor.T, seen, bounds=(lowest, np.inf), method="bvls")
+    # With A = F F' it is the least squares of F' x against F^-1 b.
+    target = np.linalg.solve(factor, right / sizes)
+    solution = lsq_linear(factor.T, target, bounds=(lowest, np.inf), method="bvls")
     return np.asarray(solution.x / sizes)
 
 
 def _covariance(quadratic: _Quadratic, n_base: int) -> Array:
-    """Return the covariance (b, b) of the base parameters by the motion, friction free."""
+    """Return the covariance (b, b) of the base parameters by the motion.
+
+    Friction is free: what could be friction as well tells nothing of the bodies.
+    """
     of_base = quadratic.matrix[:n_base, :n_base]
     of_both = quadratic.matrix[:n_base, n_base:]
     of_friction = quadratic.matrix[n_base:, n_base:]
-    told = of_base - of_both @ np.linalg.pinv(of_friction) @ of_both.T
-    sizes = np.sqrt(np.maximum(np.diag(told), np.finfo(float).tiny))
-    scaled = told / np.outer(sizes, sizes)
+    information = of_base - of_both @ np.linalg.pinv(of_friction) @ of_both.T
+    sizes = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    scaled = information / np.outer(sizes, sizes)
     inverse = np.linalg.inv(scaled + _ROUNDING * np.eye(n_base))
     return np.asarray(inverse / np.outer(sizes, sizes))
 
 
 def _friction_beside(
-    quadratic: _Quadratic, base: Array, writes_offset: bool
+    quadratic: _Quadratic, base: Array, *, writes_offset: bool
 ) -> list[CoulombViscous]:
-    """Fit friction beside base parameters (b,) as the bodies that were found have them."""
+    """Fit friction beside given base parameters (b,): those of the bodies."""
     n_base = len(base)
     n_joints = (len(quadratic.right) - n_base) // FRICTION_TERMS
     n_terms = FRICTION_TERMS if writes_offset else FRICTION_TERMS - 1
@@ -285,17 +316,33 @@ def _friction_beside(
         matrix = quadratic.matrix[np.ix_(unknowns, unknowns)]
         by_bodies = quadratic.matrix[np.ix_(unknowns, np.arange(n_base))] @ base
         values = _bounded(matrix, quadratic.right[unknowns] - by_bodies, lowest)
-        laws.append(CoulombViscous(*values.tolist()))
+        laws.append(
+            CoulombViscous(
+                coulomb=float(values[0]),
+                viscous=float(values[1]),
+                offset=float(values[2]) if writes_offset else 0.0,
+            )
+        )
     return laws
 
 
 def described(
     law: CoulombViscous,
-    before: ExportedFriction | None,
+    fit: ExportedFriction | None,
     surface: FrictionSurface | None,
 ) -> ExportedFriction:
-    """Return friction as a result, with its misfit to the file's surface."""
-    if before is None or surface is None:
+    """Return friction as a result, with its misfit to the file's surface.
+
+    Parameters
+    ----------
+    law : CoulombViscous
+        The friction that is written.
+    fit : ExportedFriction, optional
+        The one that was fitted to the surface alone.
+    surface : FrictionSurface, optional
+        The joint's friction in the file.
+    """
+    if fit is None or surface is None:
         return ExportedFriction(
             coulomb=law.coulomb,
             viscous=law.viscous,
@@ -307,7 +354,7 @@ def described(
     q, v = surface_grid(surface)
     misfit = surface.torque(q, v) - law.torque(q, v)
     return msgspec.structs.replace(
-        before,
+        fit,
         coulomb=law.coulomb,
         viscous=law.viscous,
         offset=law.offset,
@@ -316,15 +363,23 @@ def described(
 
 
 def deviations(
-    of_file: Identified, asked: Array, standard: Array
+    of_file: Identified, fitted_values: Array, standard: Array
 ) -> tuple[ExportedParameter, ...]:
-    """Compare bodies (11 n,) with the base parameters (b,) that they were to meet.
+    """Compare bodies with the base parameters that they were to meet.
 
-    Differences are in the file's standard errors.
+    Parameters
+    ----------
+    of_file : Identified
+        What the file says, in whose standard errors differences are.
+    fitted_values : (b,) array
+        The base parameters that were to be met.
+    standard : (11 n,) array
+        Standard parameters of the bodies, rotors last.
     """
     split = PER_LINK * (len(standard) // (PER_LINK + 1))
-    bodies, rotor = standard[:split], standard[split:]
-    against_fit = replace(of_file, values=asked).deviations(bodies, rotor)
+    against_fit = replace(of_file, values=fitted_values).deviations(
+        phi=standard[:split], rotor=standard[split:]
+    )
     return tuple(
         msgspec.structs.replace(
             entry, identified=float(value), refitted=entry.identified

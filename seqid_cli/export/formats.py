@@ -1,13 +1,9 @@
-"""Forms of files, by their suffix or as a target.
-
-A writer is imported only when needed.
-"""
+"""Forms of files, by their suffix or as a target."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -28,16 +24,26 @@ Extent = Literal["whole", "reduced", "joints", "load"]
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """One form of file: who writes it, and what it has a place for.
+    """One form of file, and what it has a place for.
 
-    `target` is its name for `--target`, `suffixes` choose it without one. `effects` are
-    those that it holds as they are, None where it holds every one.
+    Attributes
+    ----------
+    title : str
+        Its name in results and messages.
+    target : str
+        Its name for `--target`.
+    extent : str
+        How much of a file's model it can hold.
+    suffixes : tuple of str
+        Those that choose it without a target.
+    effects : tuple of str or None
+        Effects that it holds as they are, None where it holds every one.
+    offset : bool
+        Whether it has a place for a constant torque.
     """
 
     title: str
     target: str
-    module: str
-    function: str
     extent: Extent
     suffixes: tuple[str, ...] = ()
     effects: tuple[str, ...] | None = ()
@@ -48,16 +54,12 @@ ALL: tuple[Format, ...] = (
     Format(
         title="URDF",
         target="urdf",
-        module="urdf",
-        function="urdf",
         extent="reduced",
         suffixes=(".urdf",),
     ),
     Format(
         title="MJCF",
         target="mujoco",
-        module="mjcf",
-        function="mjcf",
         extent="reduced",
         suffixes=(".xml", ".mjcf"),
         effects=("spring", "backlash"),
@@ -65,24 +67,18 @@ ALL: tuple[Format, ...] = (
     Format(
         title="MJCF with position actuators",
         target="mujoco-position",
-        module="mjcf",
-        function="mjcf_with_positions",
         extent="reduced",
         effects=("spring", "backlash"),
     ),
     Format(
         title="MJCF with DC motors",
         target="mujoco-dcmotor",
-        module="mjcf",
-        function="mjcf_with_dc_motors",
         extent="reduced",
         effects=("spring", "backlash"),
     ),
     Format(
         title="ROS 2 parameters",
         target="ros2-parameters",
-        module="text",
-        function="ros2_parameters",
         extent="reduced",
         suffixes=(".yaml", ".yml"),
         offset=True,
@@ -90,8 +86,6 @@ ALL: tuple[Format, ...] = (
     Format(
         title="C header",
         target="c",
-        module="code",
-        function="c_header",
         extent="whole",
         suffixes=(".h",),
         effects=None,
@@ -99,8 +93,6 @@ ALL: tuple[Format, ...] = (
     Format(
         title="numpy module",
         target="numpy",
-        module="code",
-        function="numpy_module",
         extent="whole",
         suffixes=(".py",),
         effects=None,
@@ -108,43 +100,31 @@ ALL: tuple[Format, ...] = (
     Format(
         title="ros2_control controllers",
         target="ros2-control",
-        module="targets",
-        function="ros2_control",
         extent="joints",
     ),
     Format(
         title="UR friction model parameters",
         target="ur-friction",
-        module="targets",
-        function="ur_friction",
         extent="joints",
     ),
     Format(
         title="USD joint attributes",
         target="usd",
-        module="targets",
-        function="usd_joints",
         extent="joints",
     ),
     Format(
         title="Isaac Lab actuator configuration",
         target="isaac-lab",
-        module="targets",
-        function="isaac_lab",
         extent="joints",
     ),
     Format(
         title="UR payload",
         target="ur-payload",
-        module="loads",
-        function="ur_payload",
         extent="load",
     ),
     Format(
         title="Franka load",
         target="franka-load",
-        module="loads",
-        function="franka_load",
         extent="load",
     ),
 )
@@ -164,22 +144,31 @@ class Exported(NamedTuple):
 
 
 def format_of(path: Path, target: str | None = None) -> str:
-    """Return the title of the form that `target` names, or else the suffix of `path`."""
+    """Return the title of the form that `target` names, or else the suffix of `path`.
+
+    Raises
+    ------
+    UsageError
+        There is no form of this name or suffix.
+    """
     if target is not None:
         form = BY_TARGET.get(target)
         if form is None:
-            known = ", ".join(BY_TARGET)
+            targets = ", ".join(BY_TARGET)
             raise UsageError(
-                f"no target is named {target!r}", hint=f"Choose one of: {known}."
+                f"no target is named {target!r}", hint=f"Choose one of: {targets}."
             )
         return form.title
-    kind = FORMATS.get(path.suffix.lower())
-    if kind is None:
-        known = ", ".join(f"{suffix} ({name})" for suffix, name in FORMATS.items())
-        message = f"no format is known for the suffix {path.suffix!r}"
-        hint = f"Choose one of: {known}; or name a form with --target."
-        raise UsageError(message, where=str(path), hint=hint)
-    return kind
+
+    title = FORMATS.get(path.suffix.lower())
+    if title is None:
+        suffixes = ", ".join(f"{suffix} ({name})" for suffix, name in FORMATS.items())
+        raise UsageError(
+            f"no format is known for the suffix {path.suffix!r}",
+            where=str(path),
+            hint=f"Choose one of: {suffixes}; or name a form with --target.",
+        )
+    return title
 
 
 def export(
@@ -188,7 +177,7 @@ def export(
     *,
     kind: str,
     errors: Mapping[str, float] | None = None,
-    before: Unrefined | None = None,
+    unrefined: Unrefined | None = None,
     motions: Motions | None = None,
 ) -> Exported:
     """Write an arm in a form of `BY_TITLE`.
@@ -202,11 +191,16 @@ def export(
     errors : mapping, optional
         RMS errors of the torque [N m] on new logs, which set the limits of collision
         detection.
-    before : Unrefined, optional
+    unrefined : Unrefined, optional
         The file as it came into its refinement; `stages` without effects if left out.
     motions : Motions, optional
         What forms are fitted to that cannot hold the whole model. Without them these
         get the file's own parameters, and nothing is said of what they lose.
+
+    Returns
+    -------
+    Exported
+        The text, and the model whose numbers stand in it.
     """
     from seqid_cli.export.model import export_model, with_file_torque
 
@@ -217,11 +211,32 @@ def export(
         from seqid_cli.export.reduced import Form, reduced
 
         held = Form(offset=form.offset, effects=form.effects or ())
-        if before is None:
+        if unrefined is None:
             without_effects = structs.replace(stages, effects=None)
-            before = Unrefined(stages=without_effects, is_known=False)
-        model = reduced(model, stages, before, motions, held)
+            unrefined = Unrefined(stages=without_effects, is_known=False)
+        model = reduced(model, stages, unrefined, motions, held)
     if form.extent == "whole":
         model = with_file_torque(model, stages)
-    writer = getattr(import_module(f"seqid_cli.export.{form.module}"), form.function)
-    return Exported(model, writer(model))
+    return Exported(model=model, text=_writers()[form.title](model))
+
+
+def _writers() -> Mapping[str, Callable[[ExportModel], str]]:
+    """Return the function that writes each form of an arm, by the form's title.
+
+    They are imported here: a command that only lists the forms has no use for them.
+    """
+    from seqid_cli.export import code, mjcf, targets, text, urdf
+
+    return {
+        "URDF": urdf.urdf,
+        "MJCF": mjcf.mjcf,
+        "MJCF with position actuators": mjcf.mjcf_with_positions,
+        "MJCF with DC motors": mjcf.mjcf_with_dc_motors,
+        "ROS 2 parameters": text.ros2_parameters,
+        "C header": code.c_header,
+        "numpy module": code.numpy_module,
+        "ros2_control controllers": targets.ros2_control,
+        "UR friction model parameters": targets.ur_friction,
+        "USD joint attributes": targets.usd_joints,
+        "Isaac Lab actuator configuration": targets.isaac_lab,
+    }

@@ -2,12 +2,12 @@
 
 A form that has no place for the effects of a refined file has had its numbers before:
 those of the file as it came into the refinement. A joint is fitted anew only where that
-predicts pieces of the logs better that the fit has not seen; at the others the fit is to
-keep the torque of the earlier numbers. With H_j the rows of joint j in the unknowns x it
-minimises
+predicts pieces of the logs better that the fit has not seen; at the others the fit is
+to keep the torque of the earlier numbers. With H_j the rows of joint j in the unknowns
+x it minimises
 
     sum over all joints   |tau_j - H_j x|^2 / sigma_j^2
-    + w sum over kept joints   |H_j x - H_j x_before|^2 / sigma_j^2.
+    + w sum over kept joints   |H_j x - H_j x_earlier|^2 / sigma_j^2.
 
 The earlier numbers have seen the pieces. So a fit has to gain more at a joint than it
 owes to the rows that it was fitted to, and where no joint gains, the form is exactly
@@ -31,10 +31,13 @@ KEPT_WEIGHT = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
-    """Fits to all pieces of the logs but one, and what they leave on that one.
+    """Squared errors of fits to all pieces of the logs but one, on that one.
 
-    `measured` and `of_model` (n,) (N m)^2 are summed over all pieces, by the measured
-    torque and by that of the whole model.
+    Attributes
+    ----------
+    measured, of_model : (n,) array
+        (N m)^2, summed over all pieces, by the measured torque and by that of the whole
+        model.
     """
 
     measured: Array
@@ -46,43 +49,64 @@ class LeftOut:
         fitting: Fitting,
         pieces: Sequence[JointSums],
         errors: Array,
-        before: Numbers | None,
-        kept: Mask,
+        earlier: Numbers | None,
+        kept_joints: Mask,
     ) -> "LeftOut":
-        """Fit as often as there are pieces, with the errors (n,) N m of the joints."""
+        """Fit as often as there are pieces.
+
+        Parameters
+        ----------
+        fitting : Fitting
+            What a fit takes besides the sums.
+        pieces : sequence of JointSums
+            Each is left out once.
+        errors : (n,) array
+            Of the joints' torque, N m.
+        earlier : Numbers, optional
+            Those from before the refinement.
+        kept_joints : (n,) array of bool
+            Joints that keep their torque.
+        """
         sums = sum_of(pieces)
         measured = np.zeros(sums.n_joints)
         of_model = np.zeros(sums.n_joints)
         for piece in pieces:
-            seen = with_kept(sums.minus(piece), before, kept)
-            numbers = fitting.numbers(fitting.fitted_beside(seen, errors))
+            fitted_to = with_kept(sums.minus(piece), earlier, kept_joints)
+            numbers = fitting.numbers(fitting.fitted_beside(fitted_to, errors))
             measured += piece.squared_errors(numbers)
             of_model += piece.squared_errors(numbers, of_model=True)
         return cls(measured=measured, of_model=of_model)
 
 
-def with_kept(sums: JointSums, before: Numbers | None, kept: Mask) -> JointSums:
-    """Return sums that draw the kept joints (n,) to the torque from before."""
-    if before is None or not kept.any():
+def with_kept(sums: JointSums, earlier: Numbers | None, kept_joints: Mask) -> JointSums:
+    """Return sums that draw the kept joints (n,) to the torque of earlier numbers."""
+    if earlier is None or not kept_joints.any():
         return sums
-    return sums.drawn_to(before, np.where(kept, KEPT_WEIGHT, 0.0))
+    return sums.drawn_to(earlier, np.where(kept_joints, KEPT_WEIGHT, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Decided:
-    """The fit that is taken, None where every joint keeps its torque; which joints do.
+    """The fit that is taken, and the joints that keep their torque.
 
-    `excess` (n,) (N m)^2 is by how much more of the model's torque a fit loses, in the
-    mean square, on what it has not seen.
+    Attributes
+    ----------
+    fit : ExportModel or None
+        None where every joint keeps its torque.
+    kept_joints : (n,) array of bool
+        Joints that keep their torque.
+    excess : (n,) array
+        By how much more of the model's torque a fit loses, in the mean square, on what
+        it has not seen, (N m)^2.
     """
 
     fit: ExportModel | None
-    kept: Mask
+    kept_joints: Mask
     excess: Array
 
 
 def decided(
-    fitting: Fitting, pieces: Sequence[JointSums], before: Numbers | None
+    fitting: Fitting, pieces: Sequence[JointSums], earlier: Numbers | None
 ) -> Decided:
     """Fit a form anew at those joints at which that helps.
 
@@ -92,29 +116,32 @@ def decided(
         What a fit takes besides the sums.
     pieces : sequence of JointSums
         Pieces of the logs.
-    before : Numbers, optional
+    earlier : Numbers, optional
         Those that the form had before the refinement, where there was one.
     """
     sums = sum_of(pieces)
     fit = fitting.fitted(sums)
     errors = fitting.joint_errors(fit, sums)
-    kept = np.zeros(sums.n_joints, dtype=bool)
-    left_out = LeftOut.of(fitting, pieces, errors, before, kept)
+    kept_joints = np.zeros(sums.n_joints, dtype=bool)
+    left_out = LeftOut.of(fitting, pieces, errors, earlier, kept_joints)
     excess = _excess(left_out, sums, fitting.numbers(fit))
-    if before is None:
-        return Decided(fit=fit, kept=kept, excess=excess)
+    if earlier is None:
+        return Decided(fit=fit, kept_joints=kept_joints, excess=excess)
 
-    errors_before = sums.squared_errors(before)
     # A joint that gains beside others may lose without them: until those that are left
     # gain by themselves.
-    while (worse := (left_out.measured >= errors_before) & ~kept).any():
-        kept = kept | worse
-        if kept.all():
-            return Decided(fit=None, kept=kept, excess=excess)
-        left_out = LeftOut.of(fitting, pieces, errors, before, kept)
-        fit = fitting.fitted_beside(with_kept(sums, before, kept), errors)
+    earlier_errors = sums.squared_errors(earlier)
+    loses = left_out.measured >= earlier_errors
+    while (loses & ~kept_joints).any():
+        kept_joints = kept_joints | loses
+        if kept_joints.all():
+            return Decided(fit=None, kept_joints=kept_joints, excess=excess)
+        left_out = LeftOut.of(fitting, pieces, errors, earlier, kept_joints)
+        fitted_to = with_kept(sums, earlier, kept_joints)
+        fit = fitting.fitted_beside(fitted_to, errors)
         excess = _excess(left_out, sums, fitting.numbers(fit))
-    return Decided(fit=fit, kept=kept, excess=excess)
+        loses = left_out.measured >= earlier_errors
+    return Decided(fit=fit, kept_joints=kept_joints, excess=excess)
 
 
 def _excess(left_out: LeftOut, sums: JointSums, fit: Numbers) -> Array:

@@ -1,9 +1,10 @@
-"""Effects of a refined file as lines of code: what follows from the instant, and what remembers.
+"""Effects of a refined file as lines of code.
 
-Every effect is written as `predict` composes it (`model.effects.apply`): it sees the
-load and the torque of the model without effects. Names in the lines are those of the
-templates: `q`, `dq`, `ddq`, `load`, `friction`, `modelled` (all of the model without
-effects), `temperature`, `time`; links deviate by `x`, `v` and `a`.
+Some follow from the motion of the instant, others remember. Every effect is written as
+`predict` composes it (`effects.apply`): it sees the load and the torque of the model
+without effects. Names in the lines are those of the templates: `q`, `dq`, `ddq`,
+`load`, `friction`, `modelled` (all of the model without effects), `temperature`,
+`time`; links deviate by `x`, `v` and `a`.
 """
 
 from __future__ import annotations
@@ -93,7 +94,10 @@ def late_text(syntax: Syntax, j: int, seconds: float) -> str:
 
 
 def late_lines(base: BaseModel, syntax: Syntax) -> list[tuple[int, str]]:
-    """Return joints whose logged torque is late by their friction stage, and the late torque."""
+    """Return joints whose logged torque is late, each with the text of that torque.
+
+    The delays are those of the friction stage.
+    """
     late = enumerate(base.delays_s.tolist())
     return [(j, late_text(syntax, j, delay)) for j, delay in late if delay != 0.0]
 
@@ -181,7 +185,7 @@ class _Writer:
 
     def _if_measured(self, joints: Sequence[int], *conditions: str) -> str:
         """Write a condition: the temperatures of joints are known, and what else is."""
-        temperatures = [self.syntax.known.format(j=joint) for joint in joints]
+        temperatures = [self.syntax.has_temperature.format(j=joint) for joint in joints]
         return f" {self.syntax.also} ".join([*conditions, *temperatures])
 
     def _table(self, name: str, values: Array) -> Iterator[str]:
@@ -210,6 +214,7 @@ class _Writer:
         return self.syntax.term(tree, lambda name: self._quantity(axis.joint, name))
 
     def _title(self, joint: int | None) -> str:
+        """Return a joint's name as it can stand in a comment."""
         return plain(self.robot.name_of(joint) or "all joints")
 
     # ---- laws
@@ -369,6 +374,7 @@ class _Writer:
         ]
 
     def _slot(self, name: str, k: int) -> str:
+        """Write a field of the state."""
         return f"{self.syntax.state}{name}[{k}]"
 
     # ---- deviations of links, and bodies
@@ -461,9 +467,10 @@ class _Writer:
 
 
 def _local(name: str) -> str:
-    """Return the name of a part in code, where it must not hide what is there already."""
+    """Return the name of a part in code, where it must not hide another."""
     return f"{name}_part" if name in TAKEN else name
 
 
 def _is_zero(term: str) -> bool:
+    """Return whether a term of a law is zero."""
     return term in ("0", "0.0")

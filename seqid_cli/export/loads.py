@@ -11,14 +11,13 @@ import numpy as np
 
 from seqid_cli.effects.fitted import FittedEffect, fitted_effects
 from seqid_cli.errors import ConfigError
-from seqid_cli.export.formats import BY_TITLE, Format
 from seqid_cli.params.io import Document, Source, check_robot, read_any
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.types import Robot
 
 # Of each form: the key under which a result of `seqid payload` has it.
-_SETTINGS = {"UR payload": "urscript", "Franka load": "libfranka"}
+_SETTING_KEYS = {"UR payload": "urscript", "Franka load": "libfranka"}
 
 
 def read_load(paths: Sequence[Path]) -> Source[Document]:
@@ -32,54 +31,76 @@ def read_load(paths: Sequence[Path]) -> Source[Document]:
     sources = read_any(paths)
     kinds = (PayloadFile, ParameterFile)
     if len(sources) != 1 or not isinstance(sources[0].content, kinds):
-        message = (
-            "a load comes from one file: of seqid payload, or a refined parameter file"
+        raise ConfigError(
+            "a load comes from one file: of seqid payload, or a refined parameter file",
+            where=", ".join(str(path) for path in paths),
+            hint="Run seqid payload on logs with the load, and give its result.",
         )
-        hint = "Run seqid payload on logs with the load, and give its result."
-        raise ConfigError(message, where=", ".join(map(str, paths)), hint=hint)
     return sources[0]
 
 
 def load_setting(source: Source[Document], robot: Robot, kind: str) -> str:
     """Return the line with which a controller is told of a load.
 
+    Parameters
+    ----------
+    source : Source
+        The result of `seqid payload`, or a refined parameter file.
+    robot : Robot
+        The robot that carries the load.
+    kind : str
+        The title of the form.
+
     Raises
     ------
     ConfigError
         The file knows of no load, or its logs do not determine mass and centre of mass.
     """
-    form: Format = BY_TITLE[kind]
-    key, content = _SETTINGS[form.title], source.content
+    content = source.content
     if isinstance(content, PayloadFile):
         check_robot(content, robot, where=source.path)
         settings = content.settings
     else:
         assert isinstance(content, ParameterFile)
         check_robot(content, robot, where=source.path)
-        settings = _of_effects(content, robot, source.path)
+        settings = _settings_of_effects(content, robot, source.path)
+
+    key = _SETTING_KEYS[kind]
     if key not in settings:
-        message = "mass and centre of mass of the load are not determined"
-        hint = "Record moves with the load in more poses, and run seqid payload."
-        raise ConfigError(message, where=source.path, hint=hint)
+        raise ConfigError(
+            "mass and centre of mass of the load are not determined",
+            where=source.path,
+            hint="Record moves with the load in more poses, and run seqid payload.",
+        )
     return settings[key] + "\n"
 
 
-def _of_effects(file: ParameterFile, robot: Robot, where: str) -> dict[str, str]:
+def _settings_of_effects(
+    file: ParameterFile, robot: Robot, where: str
+) -> dict[str, str]:
     """Return the settings of the payloads that a refined file found, all together."""
     from seqid_cli.payload.result import carried, settings_of
 
-    found = [
+    payloads = [
         item
         for item in fitted_effects(file.stages, robot)
         if isinstance(item, FittedEffect) and item.effect.name == "payload"
     ]
-    if not found:
-        message = "the file holds no payload effect"
-        hint = "Run seqid payload on logs with the load, and give its result."
-        raise ConfigError(message, where=where, hint=hint)
-    phi = np.sum([item.coefficients for item in found], axis=0)
-    covariance = np.sum([item.covariance for item in found], axis=0)
+    if not payloads:
+        raise ConfigError(
+            "the file holds no payload effect",
+            where=where,
+            hint="Run seqid payload on logs with the load, and give its result.",
+        )
+
+    phi = np.sum([item.coefficients for item in payloads], axis=0)
+    covariance = np.sum([item.covariance for item in payloads], axis=0)
     if phi[0] <= 0.0:
+        # No body has such a mass, so that there is nothing to tell the controller.
         return {}
+
     values, _, _ = carried(phi, covariance)
-    return settings_of(values[0], values[1:4], values[4:].reshape(3, 3).tolist())
+    mass = values[0]
+    center = values[1:4]
+    inertia = values[4:].reshape(3, 3)
+    return settings_of(mass, center, inertia.tolist())

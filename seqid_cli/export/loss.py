@@ -18,25 +18,42 @@ from seqid_cli.typing import Array
 
 
 def written_torque(model: ExportModel, motion: Motion, added: Array) -> Array:
-    """Return what a model file's numbers make of a motion (N, n) N m, low-passed.
+    """Return what a model file's numbers make of a motion, low-passed.
 
-    `added` (11 n,): standard parameters that are left out.
+    Parameters
+    ----------
+    model : ExportModel
+        With the numbers that are written.
+    motion : Motion
+        N samples.
+    added : (11 n,) array
+        Standard parameters that are left out.
+
+    Returns
+    -------
+    (N, n) array
+        Torque, N m (N where prismatic).
     """
-    robot, n = model.robot, model.robot.n
-    phi = model.bodies - added[: PER_LINK * n].reshape(n, PER_LINK)
-    armature = model.armature - gear_ratios(robot) ** 2 * added[PER_LINK * n :]
-    states = motion.q, motion.dq, motion.ddq
-    rigid = inverse_dynamics(robot.chain, robot.gravity, phi, *states)
-    rigid = rigid + armature * motion.ddq
+    robot = model.robot
+    rotors = PER_LINK * robot.n
+    phi = model.bodies - added[:rotors].reshape(robot.n, PER_LINK)
+    armature = model.armature - gear_ratios(robot) ** 2 * added[rotors:]
+    links = inverse_dynamics(
+        robot.chain, robot.gravity, phi, motion.q, motion.dq, motion.ddq
+    )
+    rigid = links + armature * motion.ddq
+
     laws = [None if fit is None else law_of(fit, model) for fit in model.friction]
     friction = sampled_friction(laws, motion)
     return motion.filtered(rigid) + motion.filtered(friction, times=2)
 
 
 def law_of(fit: ExportedFriction, model: ExportModel) -> CoulombViscous:
-    """Return the friction that a form writes, the offset where it has a place for it."""
+    """Return the friction that a form writes, without an offset that has no place."""
     return CoulombViscous(
-        fit.coulomb, fit.viscous, fit.offset if model.writes_offset else 0.0
+        coulomb=fit.coulomb,
+        viscous=fit.viscous,
+        offset=fit.offset if model.writes_offset else 0.0,
     )
 
 
@@ -44,8 +61,12 @@ def law_of(fit: ExportedFriction, model: ExportModel) -> CoulombViscous:
 class LostTorque:
     """Sums of the squared difference between the torques of file and form.
 
-    `squares` (k, n) (N m)^2 are over the sliding samples of each of k motions, `counts`
-    (k, n) how many these are.
+    Attributes
+    ----------
+    squares : (k, n) array
+        Over the sliding samples of each of k motions, (N m)^2.
+    counts : (k, n) array
+        How many these are.
     """
 
     squares: Array

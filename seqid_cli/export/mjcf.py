@@ -7,6 +7,9 @@ backlash a joint of its own between two stiff stops. Capsules along the links sh
 arm, without mass or contact.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from seqid_cli.errors import ConfigError
@@ -17,30 +20,34 @@ from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.types import Joint
 from seqid_cli.typing import Array
 
-# entries of an inertia in MuJoCo's order
+# Rows and columns of an inertia's entries in the order of MuJoCo's `fullinertia`.
 _FULL = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 
 
 def mjcf(model: ExportModel) -> str:
     """Return the arm as an MJCF document whose actuators take torques."""
-    return _document(
-        model, ['<motor name="NAME_motor" joint="NAME" />'] * model.robot.n
-    )
+    motor = '<motor name="NAME_motor" joint="NAME" />'
+    return _document(model, [motor] * model.robot.n)
 
 
 def mjcf_with_positions(model: ExportModel) -> str:
-    """Return the arm with actuators that take positions, as stiff as `position_gains` says."""
-    stiffness, damping = position_gains(model)
-    lines = [
+    """Return the arm with actuators that take positions.
+
+    They are as stiff as `position_gains` says.
+    """
+    gains = position_gains(model)
+    actuators = [
         f'<position name="NAME_position" joint="NAME" kp="{real(kp)}"'
         f' kv="{real(kv)}" />'
-        for kp, kv in zip(stiffness, damping, strict=True)
+        for kp, kv in zip(gains.stiffness, gains.damping, strict=True)
     ]
-    return _document(model, lines)
+    return _document(model, actuators)
 
 
 def mjcf_with_dc_motors(model: ExportModel) -> str:
-    """Return the arm with DC motors that take a voltage, by the drive data of the robot file.
+    """Return the arm with DC motors that take a voltage.
+
+    Their constants are the drive data of the robot file.
 
     Raises
     ------
@@ -48,33 +55,41 @@ def mjcf_with_dc_motors(model: ExportModel) -> str:
         The robot file does not give torque constant, gear ratio and winding resistance
         of every joint, or the MuJoCo that is installed knows no `dcmotor`.
     """
-    lines = [_dc_motor(joint, model) for joint in model.robot.joints]
-    text = _document(model, lines)
+    motors = [_dc_motor(joint, model) for joint in model.robot.joints]
+    text = _document(model, motors)
     try:
         import mujoco
     except ImportError:
         return text
+
     try:
         mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         message = f"MuJoCo {mujoco.__version__} does not take DC motors: {error}"
-        hint = "Install MuJoCo 3.6 or later, or export to --target mujoco."
-        raise ConfigError(message.splitlines()[0], hint=hint) from error
+        raise ConfigError(
+            message.splitlines()[0],
+            hint="Install MuJoCo 3.6 or later, or export to --target mujoco.",
+        ) from error
     return text
 
 
 def _dc_motor(joint: Joint, model: ExportModel) -> str:
-    constant, resistance = joint.torque_constant, joint.winding_resistance
+    """Return the actuator of a joint; raises ConfigError where its data is missing."""
+    constant = joint.torque_constant
+    resistance = joint.winding_resistance
     ratio = joint.gear_ratio
     if constant is None or resistance is None or ratio is None:
-        message = (
+        raise ConfigError(
             f"joint {joint.name}: a DC motor needs torque_constant, gear_ratio and"
+            " winding_resistance",
+            where=str(model.robot.source),
+            hint="Give them in the robot file, or export to --target mujoco.",
         )
-        hint = "Give them in the robot file, or export to --target mujoco."
-        where = str(model.robot.source)
-        raise ConfigError(f"{message} winding_resistance", where=where, hint=hint)
+
+    limits = ""
     supply = joint.supply_voltage
-    limits = "" if supply is None else f' ctrlrange="{real(-supply)} {real(supply)}"'
+    if supply is not None:
+        limits = f' ctrlrange="{real(-supply)} {real(supply)}"'
     return (
         f'<dcmotor name="NAME_dcmotor" joint="NAME" gear="{real(ratio)}"'
         f' motorconst="{real(constant)}" resistance="{real(resistance)}"{limits} />'
@@ -83,42 +98,78 @@ def _dc_motor(joint: Joint, model: ExportModel) -> str:
 
 def _document(
     model: ExportModel,
-    actuators: list[str],
+    actuators: Sequence[str],
     *,
     share: float = 0.01,
     min_length: float = 1e-3,
     thickness: float = 0.1,
 ) -> str:
-    """Return the arm as an MJCF document; NAME in an actuator is that of its joint.
+    """Return the arm as an MJCF document.
 
-    `share`: of the motor's armature that a link gets which plays; only relative
-    acceleration feels it. Links of `min_length` m are drawn, `thickness` of their
-    length thick.
+    Parameters
+    ----------
+    model : ExportModel
+        The arm.
+    actuators : sequence of str
+        An element for each joint; NAME in it is that of the joint.
+    share : float
+        Share of the motor's armature that a link gets which plays; only relative
+        acceleration feels it.
+    min_length : float
+        Length from which on a link is drawn, m.
+    thickness : float
+        Of a drawn link, as a share of its length.
     """
-    reach = np.vstack([model.robot.chain.position[1 : model.robot.n], np.zeros(3)])
-    lengths = np.linalg.norm(reach, axis=1)
+    chain = model.robot.chain
+    to_next_joint = np.vstack([chain.position[1 : model.robot.n], np.zeros(3)])
+    lengths = np.linalg.norm(to_next_joint, axis=1)
     return rendered(
         "arm.xml.jinja",
         model,
         arm=model.robot,
-        chain=model.robot.chain,
-        bodies=list(map(Body.of, model.bodies)),
+        chain=chain,
+        bodies=[Body.of(phi) for phi in model.bodies],
         full=_FULL,
-        reach=reach,
+        reach=to_next_joint,
         thick=np.where(lengths > min_length, thickness * lengths, 0.0),
-        springs=list(map(_spring, model.springs)),
+        springs=[_spring(coefficients) for coefficients in model.springs],
         gaps=np.where(model.armature > 0.0, model.gaps, 0.0),
         share=share,
         actuators=actuators,
     )
 
 
-def _spring(coefficients: Array) -> tuple[Array, float] | None:
-    """Stiffness by powers of the way from where a spring is slack, and that position."""
+@dataclass(frozen=True, kw_only=True)
+class _Spring:
+    """A spring as MuJoCo takes it.
+
+    Attributes
+    ----------
+    stiffness : (k,) array
+        Torque by powers of the way from where the spring is slack, the first one
+        linear: N m/rad, N m/rad^2 ...
+    slack : float
+        Where the spring is slack, rad.
+    """
+
+    stiffness: Array
+    slack: float
+
+
+def _spring(coefficients: Array) -> _Spring | None:
+    """Return the spring of a torque by powers (4,) of the position, None for no torque.
+
+    The torque may vanish at several positions: the spring is slack at the real one
+    nearest to zero.
+    """
     if not coefficients.any():
         return None
     torque = np.polynomial.Polynomial(coefficients)
     roots = torque.trim().roots()
     slack = float(min(roots, key=lambda root: (abs(root.imag), abs(root))).real)
-    moved = torque(np.polynomial.Polynomial([slack, 1.0])).trim()
-    return np.asarray(moved.coef[1:], dtype=np.float64), slack
+
+    # The position by how far the spring is stretched.
+    position = np.polynomial.Polynomial([slack, 1.0])
+    torque_by_stretch = torque(position).trim()
+    stiffness = np.asarray(torque_by_stretch.coef[1:], dtype=np.float64)
+    return _Spring(stiffness=stiffness, slack=slack)

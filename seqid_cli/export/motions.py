@@ -1,4 +1,4 @@
-"""The motions that a form is fitted to and checked on, and the file's own torque on them.
+"""The motions that a form is fitted to and checked on, and the file's torque on them.
 
 A parameter file names the logs that it was identified from, with their digests. Where
 they are still there, their motion says which torques matter: a form that cannot hold
@@ -7,7 +7,7 @@ within the positions and speeds at which friction was identified.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -38,33 +38,49 @@ _SAMPLES_PER_CUTOFF = 10  # as many as an identification keeps
 _MADE_SECONDS = 60.0  # of made motion: as long as a usual excitation
 _MADE_LOGS = 3
 _HARMONICS = 5
+_USUAL_REACH = 1.0  # rad to either side, of joints without friction and limits
+_USUAL_SPEED = 1.0  # rad/s, of joints whose friction is not known
+_USUAL_CUTOFF_HZ = 10.0  # of files that tell none
 
 
 @dataclass(frozen=True, kw_only=True)
 class FoundLogs:
-    """The logs of a parameter file that are still there, and what happened to the others."""
+    """The logs of a parameter file that are still there.
+
+    Attributes
+    ----------
+    files : tuple of Path
+        The logs.
+    lost : tuple of str
+        A sentence on each that is gone, or has another content now.
+    """
 
     files: tuple[Path, ...]
-    lost: tuple[str, ...]  # a sentence for each
+    lost: tuple[str, ...]
 
 
 def find_logs(entries: Sequence[InputLog], folders: Sequence[Path]) -> FoundLogs:
-    """Look for logs where their entries say, and then in `folders`, and check their digests.
+    """Look for logs where their entries say, and then in `folders`.
 
-    A log of the right name and another content is another log: it is not taken.
+    Digests are checked: a log of the right name and another content is another log, and
+    is not taken.
     """
     files: list[Path] = []
     lost: list[str] = []
-    for entry in {entry.sha256: entry for entry in entries}.values():
-        given = Path(entry.path)
-        beside = [
-            folder / part for folder in folders for part in (given, Path(given.name))
-        ]
-        there = [path for path in dict.fromkeys([given, *beside]) if path.is_file()]
-        same = next((path for path in there if sha256_of(path) == entry.sha256), None)
-        if same is not None:
-            files.append(same)
-        elif there:
+    by_digest = {entry.sha256: entry for entry in entries}
+    for entry in by_digest.values():
+        path = Path(entry.path)
+        places = [path]
+        for folder in folders:
+            places += [folder / path, folder / path.name]
+        candidates = [place for place in dict.fromkeys(places) if place.is_file()]
+
+        log = next(
+            (place for place in candidates if sha256_of(place) == entry.sha256), None
+        )
+        if log is not None:
+            files.append(log)
+        elif candidates:
             lost.append(f"{entry.path} has another content than when it was used")
         else:
             lost.append(f"{entry.path} is not there")
@@ -82,7 +98,21 @@ def logs_like_work(entries: Sequence[InputLog]) -> list[InputLog]:
 
 @dataclass(frozen=True, kw_only=True)
 class FullModel:
-    """The whole model of a parameter file: `seqid predict --with-unexplained` takes as much."""
+    """The whole model of a parameter file.
+
+    `seqid predict --with-unexplained` takes as much.
+
+    Attributes
+    ----------
+    robot, stages : Robot, Stages
+        The arm, and what was identified of it.
+    model : TorqueModel
+        The model without effects.
+    effects : tuple of FittedEffect or SmoothTerm
+        All effects, those of no known cause among them.
+    options : InertiaOptions
+        How the logs are filtered.
+    """
 
     robot: Robot
     stages: Stages
@@ -92,7 +122,20 @@ class FullModel:
 
     @classmethod
     def of(cls, robot: Robot, stages: Stages) -> Self:
-        """Return the model of a file's stages, filtered as they were identified."""
+        """Return the model of a file, whose logs are filtered as when it was made.
+
+        Parameters
+        ----------
+        robot : Robot
+            The arm.
+        stages : Stages
+            Those of the file.
+
+        Raises
+        ------
+        ConfigError
+            An effect is not known, or has not the numbers that it takes.
+        """
         return cls(
             robot=robot,
             stages=stages,
@@ -103,9 +146,14 @@ class FullModel:
 
     def motion(self, log: Recording) -> Motion:
         """Return a log's motion at its own rate, filtered as `seqid predict` does."""
-        every = replace(self.options.motion, samples_per_cutoff=float("inf"))
-        imu, source = self.stages.imu, self.options.source
-        return torque_motion(log, self.robot, every, imu=imu, source=source)
+        unthinned = replace(self.options.motion, samples_per_cutoff=float("inf"))
+        return torque_motion(
+            log,
+            self.robot,
+            unthinned,
+            imu=self.stages.imu,
+            source=self.options.source,
+        )
 
     def predicted(
         self,
@@ -146,7 +194,7 @@ class FullModel:
         return part.predicted, part.sliding
 
     def scene(self, log: Recording, motion: Motion) -> Scene:
-        """Return a log as the effects see it, on the clock of the first effect's session."""
+        """Return a log as effects see it, on the clock of the first one's session."""
         scene = scene_of_log(log, self.robot, self.model, motion)
         session = self.effects[0].session if self.effects else None
         return placed(scene, log, session)
@@ -154,13 +202,23 @@ class FullModel:
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueSamples:
-    """A thinned motion (N samples) and the file's own torque (N, n) N m on it.
+    """A thinned motion (N samples), and torques (N, n) N m (N where prismatic) on it.
 
-    `torque` is without the effects that the form holds as they are, and not late;
-    `measured` (N, n) N m is what was measured of it: the same plus what the whole file
-    leaves of the log, and the same where nothing was measured. `held` (N, n) N m is
-    what the held effects add, `left_out` (N, n) N m what they add besides as far as the
-    form's static torque lacks it.
+    Attributes
+    ----------
+    motion : Motion
+        Thinned to a few samples per period of the cut-off.
+    torque : (N, n) array
+        The file's own, without the effects that the form holds as they are, not late.
+    measured : (N, n) array
+        What was measured of it: `torque` and what the whole file leaves of the log; the
+        same as `torque` where nothing was measured.
+    sliding : (N, n) array of bool
+        Samples at which a joint certainly slides.
+    held : (N, n) array
+        What the held effects add.
+    left_out : (N, n) array
+        What they add besides, as far as the form's static torque lacks it.
     """
 
     motion: Motion
@@ -172,22 +230,30 @@ class TorqueSamples:
 
     @property
     def of_model(self) -> Array:
-        """What a form without the held effects is to have (N, n) N m, by the model."""
+        """Torque (N, n) N m that the rest of a form is to have, by the file's model."""
         return self.torque + self.left_out
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motions:
-    """Where motions come from: logs, or what is made within the identified ranges.
+    """The motions of logs, or made ones within the identified ranges.
 
-    Forms are fitted to the `recordings` alone. What they lose is looked at on the
-    motion of the `held_out` logs as well.
+    Attributes
+    ----------
+    recordings : tuple of Recording
+        Forms are fitted to these alone.
+    are_made : bool
+        Whether these are no logs.
+    held_out : tuple of Recording
+        On these, what a form loses is looked at as well.
+    notes : tuple of str
+        What the reader of the file has to know of them.
     """
 
     recordings: tuple[Recording, ...]
-    made: bool
+    are_made: bool
     held_out: tuple[Recording, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
     def samples(
         self,
@@ -199,46 +265,71 @@ class Motions:
     ) -> Iterator[TorqueSamples]:
         """Yield the motions with the file's torque.
 
-        `held`: effects that the form holds as they are, `unseen` those of them that no
-        static torque shows (backlash). `held_out`: whether the held-out logs are
-        wanted.
+        Parameters
+        ----------
+        full : FullModel
+            That of the file.
+        held : sequence of FittedEffect or SmoothTerm
+            Effects that the form holds as they are.
+        unseen : sequence of FittedEffect or SmoothTerm
+            Held effects that no static torque shows (backlash).
+        held_out : bool
+            Whether the held-out logs are wanted.
         """
-        rest = _without(full.effects, [*held, *unseen])
-        shown = _without(full.effects, held)
         for log in self.held_out if held_out else self.recordings:
-            motion = full.motion(log)
-            torque, sliding = full.predicted(log, motion, effects=rest, late=False)
-            left_out = np.zeros_like(torque)
-            if unseen:
-                with_unseen, _ = full.predicted(log, motion, effects=shown, late=False)
-                left_out = with_unseen - torque
-            of_held = np.zeros_like(torque)
-            if held:
-                not_held = _without(full.effects, held)
-                whole, _ = full.predicted(log, motion, late=False)
-                alone, _ = full.predicted(log, motion, effects=not_held, late=False)
-                of_held = whole - alone
-            measured = torque
-            if motion.tau is not None and log.tau is not None and log.tau.any():
-                measured = torque + motion.tau - full.predicted(log, motion)[0]
-            per_period = motion.rate_hz / motion.lowpass.cutoff_hz
-            step = 1
-            if motion.lowpass.active:
-                step = max(1, int(per_period / _SAMPLES_PER_CUTOFF))
-            yield TorqueSamples(
-                motion=thinned(motion, step) if step > 1 else motion,
-                torque=torque[::step],
-                measured=measured[::step],
-                sliding=sliding[::step],
-                held=of_held[::step],
-                left_out=left_out[::step],
-            )
+            yield _torque_samples(full, log, held, unseen)
 
 
-def _without(effects: Sequence[Fitted], others: Sequence[Fitted]) -> list[Fitted]:
-    # By identity: effects hold arrays, which have no truth value when they are
-    # compared.
-    return [item for item in effects if not any(item is other for other in others)]
+def _torque_samples(
+    full: FullModel, log: Recording, held: Sequence[Fitted], unseen: Sequence[Fitted]
+) -> TorqueSamples:
+    """Return the torque of a log, with and without effects that a form holds."""
+    motion = full.motion(log)
+    without_held = _without(full.effects, held)
+    without_both = _without(full.effects, [*held, *unseen])
+    torque, sliding = full.predicted(log, motion, effects=without_both, late=False)
+
+    left_out = np.zeros_like(torque)
+    if unseen:
+        with_unseen, _ = full.predicted(log, motion, effects=without_held, late=False)
+        left_out = with_unseen - torque
+
+    of_held = np.zeros_like(torque)
+    if held:
+        with_all, _ = full.predicted(log, motion, late=False)
+        not_held, _ = full.predicted(log, motion, effects=without_held, late=False)
+        of_held = with_all - not_held
+
+    measured = torque
+    if motion.tau is not None and log.tau is not None and log.tau.any():
+        as_logged, _ = full.predicted(log, motion)
+        measured = torque + motion.tau - as_logged
+
+    step = 1
+    if motion.lowpass.active:
+        samples_per_period = motion.rate_hz / motion.lowpass.cutoff_hz
+        step = max(1, int(samples_per_period / _SAMPLES_PER_CUTOFF))
+    return TorqueSamples(
+        motion=thinned(motion, step) if step > 1 else motion,
+        torque=torque[::step],
+        measured=measured[::step],
+        sliding=sliding[::step],
+        held=of_held[::step],
+        left_out=left_out[::step],
+    )
+
+
+def is_among(item: Fitted, effects: Sequence[Fitted]) -> bool:
+    """Return whether an effect is one of these very objects.
+
+    Effects hold arrays, which have no truth value when they are compared.
+    """
+    return any(item is effect for effect in effects)
+
+
+def _without(effects: Sequence[Fitted], removed: Sequence[Fitted]) -> list[Fitted]:
+    """Return the effects that are none of the removed ones."""
+    return [item for item in effects if not is_among(item, removed)]
 
 
 def motions_of(
@@ -247,35 +338,57 @@ def motions_of(
     held_out: Sequence[Path],
     folders: Sequence[Path],
 ) -> Motions:
-    """Return the motions of the logs that a file names, or made ones where none is there."""
-    found = find_logs(logs_like_work(entries), folders)
-    recordings, notes = _readable(full, found.files)
-    notes = [*found.lost, *notes]
-    others, _ = _readable(full, held_out)
+    """Return the motions of the logs that a file names, or made ones if none is there.
+
+    Parameters
+    ----------
+    full : FullModel
+        That of the file.
+    entries : sequence of InputLog
+        The logs that the file was identified from.
+    held_out : sequence of Path
+        Logs that no number was fitted to.
+    folders : sequence of Path
+        Where logs are looked for besides.
+    """
+    logs = find_logs(logs_like_work(entries), folders)
+    recordings, unreadable = _readable(full, logs.files)
+    held_out_recordings, _ = _readable(full, held_out)
     if recordings:
+        reasons = [*logs.lost, *unreadable]
         return Motions(
             recordings=recordings,
-            made=False,
-            held_out=others,
-            notes=tuple(f"{text}: its motion is left out" for text in notes),
+            are_made=False,
+            held_out=held_out_recordings,
+            notes=tuple(f"{reason}: its motion is left out" for reason in reasons),
         )
 
-    made = "motions made within the identified positions and speeds stand for the logs"
     reason = "none of the file's logs is there" if entries else "the file names no logs"
     return Motions(
         recordings=tuple(made_motions(full)),
-        made=True,
-        held_out=others,
-        notes=(f"{reason}: {made}, so that what is lost is known less well",),
+        are_made=True,
+        held_out=held_out_recordings,
+        notes=(
+            f"{reason}: motions made within the identified positions and speeds stand"
+            " for the logs, so that what is lost is known less well",
+        ),
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unrefined:
-    """The file as it came into its refinement: its stages, and the logs that it named.
+    """The file as it came into its refinement.
 
-    `folders` are where these are looked for. Where it `is_known` the refined file holds
-    it; else it is the file without its effects.
+    Attributes
+    ----------
+    stages : Stages
+        Its stages; where they are not known, those of the refined file without effects.
+    is_known : bool
+        Whether the refined file holds them.
+    entries : tuple of InputLog
+        The logs that it named.
+    folders : tuple of Path
+        Where these are looked for.
     """
 
     stages: Stages
@@ -285,15 +398,23 @@ class Unrefined:
 
     @classmethod
     def of(cls, file: ParameterFile, folders: Sequence[Path]) -> Self:
-        """Return what a refined file says of it; else the file without its effects."""
-        loop = file.closed_loop
-        stages = structs.replace(file.stages, effects=None)
-        is_known = loop is not None and loop.incoming is not None
-        if loop is not None and loop.incoming is not None:
-            stages = loop.incoming
+        """Return what a refined file says of it.
+
+        Parameters
+        ----------
+        file : ParameterFile
+            The refined file.
+        folders : sequence of Path
+            Where logs are looked for besides.
+        """
+        closed_loop = file.closed_loop
+        incoming = None if closed_loop is None else closed_loop.incoming
+        stages = incoming
+        if stages is None:
+            stages = structs.replace(file.stages, effects=None)
         return cls(
             stages=stages,
-            is_known=is_known,
+            is_known=incoming is not None,
             entries=tuple(entry for entry in file.inputs if entry.stage != "effects"),
             folders=tuple(folders),
         )
@@ -309,17 +430,17 @@ def _readable(
     full: FullModel, paths: Sequence[Path]
 ) -> tuple[tuple[Recording, ...], list[str]]:
     """Return the logs whose motion can be had, and why that of the others cannot."""
-    notes: list[str] = []
+    reasons: list[str] = []
     recordings: list[Recording] = []
     for path in paths:
         try:
             log = _with_torque(read_recording(path, full.robot))
             full.motion(log)
         except SeqidError as error:
-            notes.append(str(error))
+            reasons.append(str(error))
             continue
         recordings.append(log)
-    return tuple(recordings), notes
+    return tuple(recordings), reasons
 
 
 def _with_torque(log: Recording) -> Recording:
@@ -332,31 +453,27 @@ def made_motions(full: FullModel) -> Iterable[Recording]:
 
     Each joint moves by a sum of harmonics with random phases, as excitation motions do.
     """
-    robot = full.robot
-    centres, reaches, speeds = _ranges(full)
-    hz = full.options.motion.cutoff_hz or 10.0
+    n_joints = full.robot.n
+    ranges = _ranges(full)
+    cutoff_hz = full.options.motion.cutoff_hz or _USUAL_CUTOFF_HZ
     # Samples enough for the effects, which need some two dozen per period of the
     # cut-off.
-    rate_hz = 30.0 * hz
+    rate_hz = 30.0 * cutoff_hz
     t = np.arange(int(_MADE_SECONDS * rate_hz)) / rate_hz
-    orders = np.arange(1, _HARMONICS + 1)
+
     for number in range(_MADE_LOGS):
         rng = np.random.default_rng(number)
-        q = np.empty((len(t), robot.n))
-        for j in range(robot.n):
-            phases = rng.uniform(0.0, 2.0 * np.pi, size=_HARMONICS)
-            sizes = rng.uniform(0.5, 1.0, size=_HARMONICS) / orders
-            # The base period follows from the speed that a motion of this reach must
-            # have.
-            turn = np.linspace(0.0, 2.0 * np.pi, 720)
-            unit = np.sin(np.outer(turn, orders) + phases) @ sizes
-            scale = reaches[j] / np.abs(unit).max()
-            rise = np.abs(np.gradient(unit, turn)).max() * scale
-            # Incommensurate periods, so that joints meet in all combinations.
-            omega = speeds[j] / max(rise, 1e-9) * rng.uniform(0.8, 1.0)
-            omega = min(omega, 2.0 * np.pi * 0.1 * hz)
-            angle = np.outer(omega * t, orders) + phases
-            q[:, j] = centres[j] + scale * (np.sin(angle) @ sizes)
+        q = np.empty((len(t), n_joints))
+        for j in range(n_joints):
+            q[:, j] = _excitation(
+                rng,
+                t,
+                centre=ranges.centres[j],
+                reach=ranges.reaches[j],
+                speed=ranges.speeds[j],
+                # So the fifth harmonic stays at half of the cut-off.
+                fastest_hz=0.1 * cutoff_hz,
+            )
         yield Recording(
             path=Path(f"made motion {number + 1}"),
             sha256="",
@@ -369,20 +486,84 @@ def made_motions(full: FullModel) -> Iterable[Recording]:
         )
 
 
-def _ranges(full: FullModel) -> tuple[Array, Array, Array]:
-    """Return centres and half ranges (n,) rad of positions, and top speeds (n,) rad/s."""
-    # rad and rad/s, of joints whose friction is not known
-    usual_reach = 1.0
-    usual_speed = 1.0
-    low, high, speeds = [], [], []
+def _excitation(
+    rng: np.random.Generator,
+    t: Array,
+    *,
+    centre: float,
+    reach: float,
+    speed: float,
+    fastest_hz: float,
+) -> Array:
+    """Return a sum of harmonics with random phases and sizes.
+
+    Parameters
+    ----------
+    rng : Generator
+        Where phases and sizes come from.
+    t : (N,) array
+        Time, s.
+    centre, reach : float
+        Middle and half range of the positions, rad (m).
+    speed : float
+        Speed to be reached, rad/s (m/s).
+    fastest_hz : float
+        Largest base frequency, Hz.
+
+    Returns
+    -------
+    (N,) array
+        Positions, rad (m).
+    """
+    orders = np.arange(1, _HARMONICS + 1)
+    phases = rng.uniform(0.0, 2.0 * np.pi, size=_HARMONICS)
+    sizes = rng.uniform(0.5, 1.0, size=_HARMONICS) / orders
+
+    # The base period follows from the speed that a motion of this reach must have.
+    turn = np.linspace(0.0, 2.0 * np.pi, 720)
+    shape = np.sin(np.outer(turn, orders) + phases) @ sizes
+    scale = reach / np.abs(shape).max()
+    steepest = np.abs(np.gradient(shape, turn)).max() * scale
+
+    # Incommensurate periods, so that joints meet in all combinations.
+    omega = speed / max(steepest, 1e-9) * rng.uniform(0.8, 1.0)
+    omega = min(omega, 2.0 * np.pi * fastest_hz)
+    angle = np.outer(omega * t, orders) + phases
+    return np.asarray(centre + scale * (np.sin(angle) @ sizes))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Ranges:
+    """Centres and half ranges (n,) rad of positions, and top speeds (n,) rad/s."""
+
+    centres: Array
+    reaches: Array
+    speeds: Array
+
+
+def _ranges(full: FullModel) -> _Ranges:
+    """Return where and how fast friction was identified.
+
+    A joint without friction gets its position limits and a usual speed.
+    """
+    lowest = []
+    highest = []
+    speeds = []
     for joint, surface in zip(full.robot.joints, full.model.surfaces, strict=True):
-        limits = joint.position_limits or (-usual_reach, usual_reach)
-        low.append(limits[0] if surface is None else surface.scaling.position[0])
-        high.append(limits[1] if surface is None else surface.scaling.position[1])
-        speeds.append(usual_speed if surface is None else surface.scaling.speed[1])
-    bottom, top = np.array(low), np.array(high)
-    return (
-        0.5 * (bottom + top),
-        np.maximum(0.5 * (top - bottom), 1e-3),
-        np.array(speeds),
+        if surface is None:
+            low, high = joint.position_limits or (-_USUAL_REACH, _USUAL_REACH)
+            speed = _USUAL_SPEED
+        else:
+            low, high = surface.scaling.position
+            speed = surface.scaling.speed[1]
+        lowest.append(low)
+        highest.append(high)
+        speeds.append(speed)
+
+    bottom = np.array(lowest)
+    top = np.array(highest)
+    return _Ranges(
+        centres=0.5 * (bottom + top),
+        reaches=np.maximum(0.5 * (top - bottom), 1e-3),
+        speeds=np.array(speeds),
     )

@@ -9,8 +9,8 @@ For a file with more than that there are two answers:
 
 The second came from a fit of the same form, often to more logs, with more care for what
 torque does not show. The first are better where the file has learnt what the form can
-hold. `kept` decides joint by joint, on pieces of the logs that a fit has not seen. So no
-joint gets worse by a refinement.
+hold. `kept` decides joint by joint, on pieces of the logs that a fit has not seen. So
+no joint gets worse by a refinement.
 
 What is lost is the RMS of the difference to the file's torque, while a joint slides. It
 is stated for motion that no number was fitted to: that of the held-out logs, else that
@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.effects.fitted import Fitted, FittedEffect
+from seqid_cli.effects.fitted import Fitted
 from seqid_cli.export.equations import Numbers, joint_sums, sum_of
 from seqid_cli.export.fitting import Fitting, deviations
 from seqid_cli.export.kept import decided
@@ -33,13 +33,17 @@ from seqid_cli.export.model import (
     WRITTEN,
     ExportModel,
     Loss,
+    added_parameters,
+    effect_name,
     export_model,
+    is_of_bodies,
 )
 from seqid_cli.export.motions import (
     FullModel,
     Motions,
     TorqueSamples,
     Unrefined,
+    is_among,
 )
 from seqid_cli.model.bodies.nearest import identified
 from seqid_cli.params.schema import Stages
@@ -63,7 +67,11 @@ _KEPT = "the torque of links and friction is that from before the refinement"
 
 @dataclass(frozen=True, kw_only=True)
 class Form:
-    """What a form has a place for, beside links, armature, Coulomb and viscous friction."""
+    """What a form has a place for besides links, armature and simple friction.
+
+    `offset`: whether for a constant torque; `effects`: names of those that it holds as
+    they are.
+    """
 
     offset: bool = False
     effects: tuple[str, ...] = ()
@@ -84,7 +92,7 @@ def needs_refit(model: ExportModel, left_over: Sequence[Fitted]) -> bool:
 def reduced(
     model: ExportModel,
     stages: Stages,
-    before: Unrefined,
+    unrefined: Unrefined,
     motions: Motions,
     form: Form,
 ) -> ExportModel:
@@ -96,7 +104,7 @@ def reduced(
         With the file's own parameters, and friction fitted to its surfaces.
     stages : Stages
         Those of the file.
-    before : Unrefined
+    unrefined : Unrefined
         The file as it came into its refinement.
     motions : Motions
         On which torque counts.
@@ -105,81 +113,56 @@ def reduced(
     """
     model = replace(model, writes_offset=form.offset)
     full = FullModel.of(model.robot, stages)
-    in_bodies = [item for item in full.effects if _is_of_bodies(item, model)]
-    held = [item for item in full.effects if _name(item) in form.effects]
-    unseen = [item for item in held if _name(item) == "backlash"]
-    exact = [item for item in [*in_bodies, *held] if not _is_among(item, unseen)]
-    left_over = [
-        item for item in full.effects if not _is_among(item, [*exact, *unseen])
-    ]
+    in_bodies = [item for item in full.effects if is_of_bodies(item, model.coupling)]
+    held = [item for item in full.effects if effect_name(item) in form.effects]
+    unseen = [item for item in held if effect_name(item) == "backlash"]
+    exact = [item for item in [*in_bodies, *held] if not is_among(item, unseen)]
+    placed = [*exact, *unseen]
+    left_over = [item for item in full.effects if not is_among(item, placed)]
     samples = list(motions.samples(full, held=exact, unseen=unseen))
-    others = list(motions.samples(full, held=exact, unseen=unseen, held_out=True))
+    held_out = list(motions.samples(full, held=exact, unseen=unseen, held_out=True))
 
-    added = _added_parameters(in_bodies, model)
-    found = _Reduced(model=model, added=added)
+    added = added_parameters(in_bodies, model.robot.n)
+    best = _Reduced(model=model, added=added)
     if needs_refit(model, left_over):
-        fitting = Fitting(model=model, stages=stages, added=added)
-        found = _reduced(
-            fitting,
-            before,
+        best = _reduced(
+            Fitting(model=model, stages=stages, added=added),
+            unrefined,
             samples,
-            refined=bool(full.effects),
-            measured=not motions.made,
+            is_refined=bool(full.effects),
+            is_measured=not motions.are_made,
         )
 
-    on_fitted = found.lost(samples)
-    on_replayed = found.lost(others)
-    left_out_rms = np.sqrt(on_fitted.rms**2 + found.excess)
+    # A joint that slides in no held-out log has only the pieces that were left out.
+    on_fitted = best.lost(samples)
+    on_replayed = best.lost(held_out)
+    left_out_rms = np.sqrt(on_fitted.rms**2 + best.excess)
     loss = Loss(
         rms=np.where(np.isnan(on_replayed.rms), left_out_rms, on_replayed.rms),
         replayed_rms=on_replayed.rms,
         by_log=np.vstack([on_fitted.by_motion, on_replayed.by_motion]),
         logs=len(samples),
-        replayed_logs=len(others),
-        made=motions.made,
+        replayed_logs=len(held_out),
+        is_made=motions.are_made,
     )
-    notes = (*found.model.notes, *motions.notes)
-    return replace(found.model, loss=loss, notes=notes)
-
-
-def _is_among(item: Fitted, others: Sequence[Fitted]) -> bool:
-    # By identity: effects hold arrays, which have no truth value when they are
-    # compared.
-    return any(item is other for other in others)
-
-
-def _name(item: Fitted) -> str:
-    return item.effect.name if isinstance(item, FittedEffect) else ""
-
-
-def _is_of_bodies(item: Fitted, model: ExportModel) -> bool:
-    """Return whether an effect is part of the links' and rotors' own parameters."""
-    if _name(item) == "payload":
-        return True
-    alone = isinstance(item, FittedEffect) and not item.settings.get("coupling")
-    return _name(item) == "rotor_inertia" and model.coupling == "diagonal" and alone
-
-
-def _added_parameters(effects: Sequence[Fitted], model: ExportModel) -> Array:
-    """Return what effects add to the standard parameters (11 n,), rotors last."""
-    n = model.robot.n
-    added = np.zeros((PER_LINK + 1) * n)
-    for item in effects:
-        assert isinstance(item, FittedEffect)
-        if _name(item) == "payload":
-            added[PER_LINK * (n - 1) : PER_LINK * n] += item.coefficients
-        else:
-            added[PER_LINK * n + (item.joint or 0)] += float(item.coefficients[0])
-    return added
+    notes = (*best.model.notes, *motions.notes)
+    return replace(best.model, loss=loss, notes=notes)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Reduced:
     """A model as it is written, and how it stands to the file's torque.
 
-    `added` (11 n,) are standard parameters of its bodies that are no part of the torque
-    to be met; `held` is 1 where it has the held effects; `excess` (n,) (N m)^2 is by how
-    much more it loses, in the mean square, where it was not fitted.
+    Attributes
+    ----------
+    model : ExportModel
+        With the numbers that are written.
+    added : (11 n,) array
+        Standard parameters of its bodies that are no part of the torque to be met.
+    held : float
+        1 where it has the held effects, 0 where it has not.
+    excess : (n,) array or float
+        By how much more it loses where it was not fitted, in the mean square, (N m)^2.
     """
 
     model: ExportModel
@@ -194,11 +177,11 @@ class _Reduced:
 
 def _reduced(
     fitting: Fitting,
-    before: Unrefined,
+    unrefined: Unrefined,
     samples: Sequence[TorqueSamples],
     *,
-    refined: bool,
-    measured: bool,
+    is_refined: bool,
+    is_measured: bool,
 ) -> _Reduced:
     """Fit a form, but for the joints at which it was better before a refinement.
 
@@ -207,23 +190,25 @@ def _reduced(
     """
     nothing = np.zeros_like(fitting.added)
     earlier = fitting.model
-    numbers = None
-    if refined:
-        earlier = _earlier(fitting.model, before)
-        if before.is_known and not measured:
+    earlier_numbers = None
+    if is_refined:
+        earlier = _earlier(fitting.model, unrefined)
+        if unrefined.is_known and not is_measured:
             model = _as_before(fitting.model, earlier, fitting.stages)
             return _Reduced(model=model, added=nothing, held=0.0)
-        numbers = Numbers.of(earlier, fitting.identified, nothing, held=0.0)
+        earlier_numbers = Numbers.of(earlier, fitting.identified, nothing, held=0.0)
+
     pieces = joint_sums(fitting.model, fitting.identified, samples, pieces=_PIECES)
-    decision = decided(fitting, pieces, numbers)
+    decision = decided(fitting, pieces, earlier_numbers)
     if decision.fit is None:
         model = _as_before(fitting.model, earlier, fitting.stages)
         return _Reduced(model=model, added=nothing, held=0.0, excess=decision.excess)
 
     notes = [text.replace(LEFT_OUT, _FITTED) for text in decision.fit.notes]
-    joints = zip(fitting.model.robot.joint_names, decision.kept, strict=True)
-    if names := ", ".join(name for name, is_kept in joints if is_kept):
-        notes.append(f"{names}: {_KEPT}")
+    joints = zip(fitting.model.robot.joint_names, decision.kept_joints, strict=True)
+    names = [name for name, is_kept in joints if is_kept]
+    if names:
+        notes.append(f"{', '.join(names)}: {_KEPT}")
     return _Reduced(
         model=replace(decision.fit, notes=tuple(notes)),
         added=fitting.added,
@@ -231,16 +216,16 @@ def _reduced(
     )
 
 
-def _earlier(model: ExportModel, before: Unrefined) -> ExportModel:
+def _earlier(model: ExportModel, unrefined: Unrefined) -> ExportModel:
     """Return a model as it was written before its refinement."""
     robot = model.robot
-    earlier = export_model(robot, before.stages, (), None)
+    earlier = export_model(robot, unrefined.stages, (), None)
     earlier = replace(earlier, writes_offset=model.writes_offset)
     if not needs_refit(earlier, ()):
         return earlier
     nothing = np.zeros((PER_LINK + 1) * robot.n)
-    fitting = Fitting(model=earlier, stages=before.stages, added=nothing)
-    samples = before.samples(robot)
+    fitting = Fitting(model=earlier, stages=unrefined.stages, added=nothing)
+    samples = unrefined.samples(robot)
     # Summed up as then: where bodies are hardly determined, the last digits tell.
     pieces = joint_sums(earlier, fitting.identified, samples, pieces=_PIECES)
     return fitting.fitted(sum_of(pieces))
@@ -252,16 +237,23 @@ def _as_before(model: ExportModel, earlier: ExportModel, stages: Stages) -> Expo
     Its bodies are compared with the base parameters that the earlier file asked for.
     """
     of_file = identified(stages, model.robot)
-    standard = np.concatenate([earlier.bodies.ravel(), earlier.nearest.rotor])
-    exported = of_file.basis.expression[list(of_file.rows)] @ standard
-    asked_for = {
+    expression = of_file.basis.expression[list(of_file.rows)]
+    exported = expression @ earlier.standard
+
+    # A parameter that the earlier file did not determine was not asked for: there the
+    # bodies cannot deviate.
+    asked_by_name = {
         entry.name: entry.identified if entry.refitted is None else entry.refitted
         for entry in earlier.deviations
     }
-    asked = [
-        asked_for.get(of_file.basis.names[row], value)
-        for row, value in zip(of_file.rows, exported.tolist(), strict=True)
-    ]
+    names = [of_file.basis.names[row] for row in of_file.rows]
+    asked_values = np.array(
+        [
+            asked_by_name.get(name, value)
+            for name, value in zip(names, exported.tolist(), strict=True)
+        ]
+    )
+
     notes = list(model.notes)
     for fate in (LEFT_OUT, ADDED, WRITTEN):
         notes = [text.replace(fate, _AS_BEFORE) for text in notes]
@@ -269,7 +261,7 @@ def _as_before(model: ExportModel, earlier: ExportModel, stages: Stages) -> Expo
         model,
         nearest=earlier.nearest,
         friction=earlier.friction,
-        deviations=deviations(of_file, np.array(asked), standard),
+        deviations=deviations(of_file, asked_values, earlier.standard),
         springs=np.zeros_like(model.springs),
         gaps=np.zeros_like(model.gaps),
         refitted=earlier.refitted,

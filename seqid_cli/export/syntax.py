@@ -1,4 +1,4 @@
-"""How terms of laws are written in C99 and in Python with numpy: the same text but for this."""
+"""Terms of laws in C99 and in Python with numpy: what differs between the two."""
 
 import ast
 from collections.abc import Callable, Mapping, Sequence
@@ -34,8 +34,10 @@ class Syntax:
         end.
     braces : bool
         Whether blocks stand in braces, or are indented alone.
-    known, also : str
-        Whether a temperature was given and is a number; how two conditions are joined.
+    has_temperature : str
+        The condition that the temperature of joint `{j}` was given and is a number.
+    also : str
+        How two conditions are joined.
     """
 
     functions: Mapping[str, str]
@@ -45,7 +47,7 @@ class Syntax:
     comment: tuple[str, str]
     end: str
     braces: bool
-    known: str
+    has_temperature: str
     also: str
 
     def term(self, tree: ast.expr, named: Named) -> str:
@@ -56,10 +58,19 @@ class Syntax:
         return text
 
     def factor(self, tree: ast.expr, named: Named) -> str:
-        """Write a tree as it can stand within another, in brackets if it is an operation."""
+        """Write a tree as it can stand within another, operations in brackets.
+
+        Parameters
+        ----------
+        tree : ast.expr
+            A term, or a part of one.
+        named : callable
+            Returns the text that stands for a name.
+        """
         direction = direction_of(tree)
         if direction is not None:
             return named(f"sign({direction})")
+
         match tree:
             case ast.Constant(value=value):
                 return real(float(value))  # type: ignore[arg-type]
@@ -83,6 +94,7 @@ class Syntax:
             case ast.Call(func=ast.Name(id=name), args=arguments):
                 texts = [self.term(argument, named) for argument in arguments]
                 return self.call(name, *texts)
+        # The grammar of laws has nothing else.
         raise AssertionError(ast.dump(tree))
 
     def call(self, name: str, *arguments: str) -> str:
@@ -99,7 +111,17 @@ class Syntax:
         return f"{text}{self.end}"
 
     def block(self, title: str, lines: Sequence[str], condition: str = "") -> list[str]:
-        """Write lines under a comment, and under a condition if there is one."""
+        """Write lines under a comment, and under a condition if there is one.
+
+        Parameters
+        ----------
+        title : str
+            The comment.
+        lines : sequence of str
+            Statements, not indented.
+        condition : str
+            Under which they are run; always where it is empty.
+        """
         heading = self.remark(title)
         inner = [f"    {line}" for line in lines]
         if self.braces:
@@ -128,7 +150,7 @@ def c99(prefix: str) -> Syntax:
         comment=("/* ", " */"),
         end=";",
         braces=True,
-        known="temperature && isfinite(temperature[{j}])",
+        has_temperature="temperature && isfinite(temperature[{j}])",
         also="&&",
     )
 
@@ -146,6 +168,6 @@ def python() -> Syntax:
         comment=("# ", ""),
         end="",
         braces=False,
-        known="temperature is not None and np.isfinite(temperature[{j}])",
+        has_temperature="temperature is not None and np.isfinite(temperature[{j}])",
         also="and",
     )

@@ -16,6 +16,7 @@ Formats and their sources:
 """
 
 import json
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from seqid_cli.export.observer import largest_mass
 from seqid_cli.export.text import joint_remarks, rendered
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.results.export import ExportedFriction
+from seqid_cli.robot.types import Joint
 from seqid_cli.typing import Array, Mask
 
 # Hz, of the closed position loop: a tenth of what usual arms resonate at. A start to
@@ -39,6 +41,9 @@ _COVERED = 0.95
 # Significant digits: those of an identified number, and as many again for the reader's
 # sums.
 _DIGITS = 6
+_UR_JOINTS = 6
+_SCALE_DECIMALS = 3  # a thousandth of the friction
+_DEGREES = 180.0 / np.pi  # per radian
 
 
 def ur_friction(model: ExportModel) -> str:
@@ -48,126 +53,191 @@ def ur_friction(model: ExportModel) -> str:
     nowhere but in a twentieth of the identified positions and speeds, either way. That
     takes the robot's own friction at a scale of 1 for the Coulomb and viscous friction
     identified here, since its numbers are not published.
+
+    Raises
+    ------
+    ConfigError
+        The robot has not six joints, so it is no UR.
     """
-    if model.robot.n != 6:
-        message = f"a UR has six joints, {model.robot.name!r} has {model.robot.n}"
-        hint = "Choose another target."
-        raise ConfigError(message, where=str(model.robot.source), hint=hint)
-    pairs = [
-        (0.0, 0.0) if fit is None or surface is None else safe_scales(fit, surface)
-        for fit, surface in zip(model.friction, model.surfaces, strict=True)
-    ]
+    robot = model.robot
+    if robot.n != _UR_JOINTS:
+        raise ConfigError(
+            f"a UR has six joints, {robot.name!r} has {robot.n}",
+            where=str(robot.source),
+            hint="Choose another target.",
+        )
+
+    coulomb_scales = []
+    viscous_scales = []
+    for fit, surface in zip(model.friction, model.surfaces, strict=True):
+        scales = SafeScales(coulomb=0.0, viscous=0.0)
+        if fit is not None and surface is not None:
+            scales = safe_scales(fit, surface)
+        coulomb_scales.append(round(scales.coulomb, _SCALE_DECIMALS))
+        viscous_scales.append(round(scales.viscous, _SCALE_DECIMALS))
     request = {
         "parameters": {
-            "viscous_scale": [round(viscous, 3) for _, viscous in pairs],
-            "coulomb_scale": [round(coulomb, 3) for coulomb, _ in pairs],
+            "viscous_scale": viscous_scales,
+            "coulomb_scale": coulomb_scales,
         }
     }
     return json.dumps(request, indent=2) + "\n"
 
 
-def safe_scales(fit: ExportedFriction, surface: FrictionSurface) -> tuple[float, float]:
-    """Return the largest scales of Coulomb and viscous friction that do not overcompensate."""
+class SafeScales(NamedTuple):
+    """Shares of Coulomb and viscous friction, from 0 to 1, that do not push a joint."""
+
+    coulomb: float
+    viscous: float
+
+
+def safe_scales(fit: ExportedFriction, surface: FrictionSurface) -> SafeScales:
+    """Return the largest scales of friction that do not overcompensate.
+
+    Parameters
+    ----------
+    fit : ExportedFriction
+        Coulomb and viscous friction that are scaled.
+    surface : FrictionSurface
+        The joint's friction as it was identified.
+
+    Returns
+    -------
+    SafeScales
+        The first from the speeds at which Coulomb friction is the larger part, the
+        second from the others.
+    """
     q, v = surface_grid(surface)
     speed = np.abs(v)
-    against = surface.torque(q, v) * np.sign(v)
-    held = fit.coulomb + fit.viscous * speed
-    if not held.any():
-        return 0.0, 0.0
-    share = against / np.maximum(held, np.finfo(float).tiny)
-    slow = fit.viscous * speed <= fit.coulomb
-    return _covered(share, slow), _covered(share, ~slow)
+    resisting = surface.torque(q, v) * np.sign(v)
+    compensation = fit.coulomb + fit.viscous * speed
+    if not compensation.any():
+        return SafeScales(coulomb=0.0, viscous=0.0)
+
+    share = resisting / np.maximum(compensation, np.finfo(float).tiny)
+    is_slow = fit.viscous * speed <= fit.coulomb
+    return SafeScales(
+        coulomb=_covered(share, is_slow), viscous=_covered(share, ~is_slow)
+    )
 
 
 def _covered(share: Array, where: Mask) -> float:
-    """Return the share that is reached at most of the chosen places, between 0 and 1."""
+    """Return the share (M,) that nearly all chosen places exceed, from 0 to 1.
+
+    Where no place is chosen, all of them count.
+    """
     chosen = share[where] if where.any() else share
     return float(np.clip(np.quantile(chosen, 1.0 - _COVERED), 0.0, 1.0))
 
 
-def position_gains(model: ExportModel) -> tuple[Array, Array]:
-    """Return gains (n,) N m/rad and (n,) N m s/rad of a position loop of `BANDWIDTH_HZ`.
+class PositionGains(NamedTuple):
+    """Gains (n,) of a position loop: N m/rad and N m s/rad (N/m, N s/m)."""
 
-    They are those for the largest inertia that a joint feels over all postures.
+    stiffness: Array
+    damping: Array
+
+
+def position_gains(model: ExportModel) -> PositionGains:
+    """Return the gains of a position loop of `BANDWIDTH_HZ`.
+
+    They are those for the largest inertia that a joint feels over all postures: with a
+    smaller one the loop is faster, and damped better.
     """
-    inertia = np.diag(largest_mass(model.robot, model.bodies, model.armature))
+    mass = largest_mass(model.robot, model.bodies, model.armature)
+    inertia = np.diag(mass)
     omega = 2.0 * np.pi * BANDWIDTH_HZ
-    viscous = np.array([0.0 if fit is None else fit.viscous for fit in model.friction])
+
+    # Viscous friction damps already.
+    viscous = np.array([_viscous(fit) for fit in model.friction])
     damping = 2.0 * DAMPING_RATIO * omega * inertia - viscous
-    return np.asarray(omega**2 * inertia), np.maximum(damping, 0.0)
+    return PositionGains(
+        stiffness=np.asarray(omega**2 * inertia), damping=np.maximum(damping, 0.0)
+    )
 
 
 def ros2_control(model: ExportModel) -> str:
     """Return a controller configuration with effort commands, friction fed forward."""
-    stiffness, damping = position_gains(model)
+    gains = position_gains(model)
     return rendered(
         "controllers.yaml.jinja",
         model,
         remarks=joint_remarks(model),
-        stiffness=[_short(value) for value in stiffness],
-        damping=[_short(value) for value in damping],
+        stiffness=[_rounded(value) for value in gains.stiffness],
+        damping=[_rounded(value) for value in gains.damping],
         bandwidth_hz=BANDWIDTH_HZ,
     )
 
 
-def _short(value: float) -> float:
+def _rounded(value: float) -> float:
+    """Return a number with as many digits as a reader has use for."""
     return float(f"{value:.{_DIGITS}g}")
 
 
+def _coulomb(fit: ExportedFriction | None) -> float:
+    """Return Coulomb friction [N m], none where it was not identified."""
+    return 0.0 if fit is None else fit.coulomb
+
+
+def _viscous(fit: ExportedFriction | None) -> float:
+    """Return viscous friction [N m s/rad], none where it was not identified."""
+    return 0.0 if fit is None else fit.viscous
+
+
 def static_friction(model: ExportModel, joint: int) -> float:
-    """Return the torque [N m] that a joint at rest can hold, at least its Coulomb friction."""
-    fit = model.friction[joint]
-    coulomb = 0.0 if fit is None else fit.coulomb
-    return max(coulomb, float(model.observer.stiction[joint]))
+    """Return the torque [N m] that a joint at rest can hold.
+
+    It is at least the Coulomb friction, against which the joint slides.
+    """
+    stiction = float(model.observer.stiction[joint])
+    return max(_coulomb(model.friction[joint]), stiction)
 
 
 def usd_joints(model: ExportModel) -> str:
-    """Return a USD layer of overrides, with PhysX's and Newton's attributes of each joint."""
-    radian = 180.0 / np.pi
-    joints = []
-    for k, joint in enumerate(model.robot.joints):
-        fit = model.friction[k]
-        # Angular attributes of USD are per degree.
-        viscous = 0.0 if fit is None else fit.viscous
-        joints.append(
-            {
-                "name": identifier_of_prim(joint.name),
-                "axis": "linear" if joint.prismatic else "angular",
-                "armature": float(model.armature[k]),
-                "static": static_friction(model, k),
-                "dynamic": 0.0 if fit is None else fit.coulomb,
-                "viscous": viscous if joint.prismatic else viscous / radian,
-            }
-        )
+    """Return a USD layer of overrides, with attributes of PhysX and Newton."""
     return rendered(
         "joints.usda.jinja",
         model,
         remarks=joint_remarks(model),
         prim=identifier(model.robot.name),
-        parts=joints,
+        parts=[
+            _usd_joint(model, j, joint) for j, joint in enumerate(model.robot.joints)
+        ],
     )
+
+
+def _usd_joint(model: ExportModel, j: int, joint: Joint) -> dict[str, object]:
+    """Return what the template says of one joint."""
+    fit = model.friction[j]
+    viscous = _viscous(fit)
+    if not joint.prismatic:
+        viscous /= _DEGREES  # angular attributes of USD are per degree
+    return {
+        "name": identifier_of_prim(joint.name),
+        "axis": "linear" if joint.prismatic else "angular",
+        "armature": float(model.armature[j]),
+        "static": static_friction(model, j),
+        "dynamic": _coulomb(fit),
+        "viscous": viscous,
+    }
 
 
 def identifier_of_prim(name: str) -> str:
     """Return a joint's name as USD spells prims: letters, digits and underscores."""
-    text = "".join(
+    letters = [
         letter if letter.isalnum() and letter.isascii() else "_" for letter in name
-    )
+    ]
+    text = "".join(letters)
     return f"_{text}" if text[:1].isdigit() else text
 
 
 def isaac_lab(model: ExportModel) -> str:
-    """Return a Python file with the friction and armature of an actuator configuration."""
+    """Return a Python file with friction and armature of an actuator configuration."""
     names = model.robot.joint_names
     values = {
         "armature": [float(value) for value in model.armature],
-        "friction": [static_friction(model, k) for k in range(model.robot.n)],
-        "dynamic_friction": [
-            0.0 if fit is None else fit.coulomb for fit in model.friction
-        ],
-        "viscous_friction": [
-            0.0 if fit is None else fit.viscous for fit in model.friction
-        ],
+        "friction": [static_friction(model, j) for j in range(model.robot.n)],
+        "dynamic_friction": [_coulomb(fit) for fit in model.friction],
+        "viscous_friction": [_viscous(fit) for fit in model.friction],
     }
     groups = {key: dict(zip(names, row, strict=True)) for key, row in values.items()}
     return rendered(

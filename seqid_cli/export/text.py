@@ -1,7 +1,8 @@
-"""Numbers and remarks of model files, their templates, and the one of ROS 2 parameters."""
+"""Numbers, remarks and templates of model files, and those of ROS 2 parameters."""
 
 import json
 import re
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -9,21 +10,29 @@ from seqid_cli import __version__
 from seqid_cli.export.model import ExportModel
 from seqid_cli.export.urdf_tree import root_link
 from seqid_cli.model.bodies.pseudo_inertia import Body
+from seqid_cli.params.results.export import ExportedParameter
 from seqid_cli.templates import filled
+from seqid_cli.typing import Array
 
 
 def real(value: float, *, digits: int = 15) -> str:
     """Return a number in 15 digits, always with a point: YAML takes 9e-05 for text."""
-    mantissa, mark, exponent = f"{float(value) + 0.0:.{digits}g}".partition("e")
-    return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{mark}{exponent}"
+    text = f"{float(value) + 0.0:.{digits}g}"  # -0 + 0 is 0
+    mantissa, mark, exponent = text.partition("e")
+    if "." not in mantissa:
+        mantissa = f"{mantissa}.0"
+    return f"{mantissa}{mark}{exponent}"
 
 
 def rendered(template: str, model: ExportModel, **content: object) -> str:
-    """Fill in a template; names of a robot are written by `e` or `tojson_ascii` there."""
+    """Fill in a template.
+
+    Names of a robot are written by `e` or `tojson_ascii` there.
+    """
     filters = {
         "real": real,
-        "spaced": lambda values: " ".join(map(real, values)),
-        "row": lambda values: ", ".join(map(real, np.ravel(values))),
+        "spaced": _spaced,
+        "row": _row,
         "tojson_ascii": json.dumps,
     }
     of_every_form = {
@@ -38,14 +47,30 @@ def rendered(template: str, model: ExportModel, **content: object) -> str:
     )
 
 
+def _spaced(values: Iterable[float]) -> str:
+    """Return numbers with spaces between them, as XML has them."""
+    return " ".join(real(value) for value in values)
+
+
+def _row(values: Array) -> str:
+    """Return the numbers of an array of any shape with commas between them."""
+    return ", ".join(real(value) for value in np.ravel(values))
+
+
 def plain(text: str) -> str:
-    """Return text that can stand in a comment of XML, YAML or C: ASCII, on one line, no marks."""
+    """Return text that can stand in a comment of XML, YAML or C.
+
+    It is ASCII, on one line, and no mark ends the comment.
+    """
     line = re.sub(r"[^ -\[\]-~]", ".", text)
     return re.sub(r"(?<=[-*/])(?=[-*/])", " ", line).rstrip("-")
 
 
 def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
-    """Return the remarks that a reader of any exported file needs, a line each."""
+    """Return the remarks that a reader of any exported file needs, a line each.
+
+    `min_errors` are the standard errors from which on a deviation is worth a line.
+    """
     lines = [
         f"Inertial parameters of {model.robot.name!r} identified by seqid"
         f" {__version__}."
@@ -65,22 +90,9 @@ def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
         )
         lines.append(f"The identified base parameters are met {met}.")
 
-    lines += [
-        f"{d.name}: identified {d.identified:.6g} {d.unit}, exported {d.exported:.6g}"
-        f" ({d.std_errors:+.2f} standard errors)"
-        for d in model.deviations
-        if not model.nearest.exact
-        and d.std_errors is not None
-        and abs(d.std_errors) >= min_errors
-    ]
-
-    lines += [
-        f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g}"
-        f" friction, RMS misfit {fit.rms_misfit:.3g} {joint.unit('N m')} over"
-        f" {fit.speed_range[0]:.3g} to {fit.speed_range[1]:.3g} {joint.unit('rad/s')}"
-        for joint, fit in zip(model.robot.joints, model.friction, strict=True)
-        if fit is not None
-    ]
+    if not model.nearest.exact:
+        lines += _deviation_lines(model.deviations, min_errors)
+    lines += _friction_lines(model)
     lines += _loss_lines(model)
     if model.coupling == "gyroscopic":
         lines.append(
@@ -90,8 +102,35 @@ def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
     return [plain(line) for line in [*lines, *model.notes]]
 
 
+def _deviation_lines(
+    deviations: Sequence[ExportedParameter], min_errors: float
+) -> list[str]:
+    """Say which base parameters are not met, a line for each."""
+    return [
+        f"{d.name}: identified {d.identified:.6g} {d.unit}, exported {d.exported:.6g}"
+        f" ({d.std_errors:+.2f} standard errors)"
+        for d in deviations
+        if d.std_errors is not None and abs(d.std_errors) >= min_errors
+    ]
+
+
+def _friction_lines(model: ExportModel) -> list[str]:
+    """Say what friction is written, a line for each joint that has any."""
+    lines = []
+    for joint, fit in zip(model.robot.joints, model.friction, strict=True):
+        if fit is None:
+            continue
+        slowest, fastest = fit.speed_range
+        lines.append(
+            f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g}"
+            f" friction, RMS misfit {fit.rms_misfit:.3g} {joint.unit('N m')} over"
+            f" {slowest:.3g} to {fastest:.3g} {joint.unit('rad/s')}"
+        )
+    return lines
+
+
 def joint_remarks(model: ExportModel) -> list[str]:
-    """Return the remarks of a file that holds friction and armatures alone, a line each."""
+    """Return the remarks of a file of friction and armatures alone, a line each."""
     name = (
         f"Friction and armatures of {model.robot.name!r} identified by seqid"
         f" {__version__}."
@@ -100,7 +139,7 @@ def joint_remarks(model: ExportModel) -> list[str]:
 
 
 def _loss_lines(model: ExportModel) -> list[str]:
-    """Say what the form loses of the file's torque, a line for each joint that loses any."""
+    """Say what the form loses of the file's torque, a line for each joint."""
     if model.loss is None:
         return []
     lines = []

@@ -6,8 +6,8 @@ finger) were locked at zero during identification, but move where the file is lo
 they keep their own inertials.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -18,45 +18,111 @@ from seqid_cli.robot.urdf import UrdfText, link_of
 from seqid_cli.robot.urdf_model import whole_model
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UrdfBody:
-    """The links that one identified joint moves."""
+    """The links that one identified joint moves.
+
+    Attributes
+    ----------
+    link : str
+        The link behind the joint, which carries the body's inertial.
+    merged : tuple of str
+        Links that are fixed to it.
+    locked_links : (10,) array
+        Standard parameters, in the frame of `link`, of all links behind joints that are
+        not identified.
+    """
 
     link: str
-    merged: tuple[str, ...] = ()  # fixed to it
-    # (10,) standard parameters, in its frame, of all links behind joints that are not
-    # identified.
-    kept: Array = field(default_factory=lambda: np.zeros(PER_LINK))
+    merged: tuple[str, ...]
+    locked_links: Array
 
 
 def bodies_of_urdf(urdf: UrdfText, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
-    """Find the body of each identified joint; raises ConfigError where the URDF is inconsistent."""
+    """Find the body of each identified joint.
+
+    Parameters
+    ----------
+    urdf : UrdfText
+        The URDF of the robot.
+    joints : sequence of str
+        Names of the identified joints, from the base on.
+
+    Returns
+    -------
+    tuple of UrdfBody
+        One for each joint.
+
+    Raises
+    ------
+    ConfigError
+        The URDF is inconsistent.
+    """
     model = whole_model(urdf)
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
-    elements = urdf.root.findall("joint")
-    welds = (x for x in elements if x.get("type") == "fixed")
-    fixed = {link_of(x, "child"): link_of(x, "parent") for x in welds}
-    found = []
-    for name in joints:
-        first = next(link_of(x, "child") for x in elements if x.get("name") == name)
-        merged = [first]
-        for link in merged:  # grows until nothing is fixed to any of them
-            merged += [child for child, parent in fixed.items() if parent == link]
-        at, kept = model.getJointId(name), np.zeros(PER_LINK)
-        # grows by the joints that are not identified, up to those that are
-        behind = [at]
-        for k in behind:
-            behind += [j for j in model.children[k] if model.names[j] not in joints]
-        for k in behind[1:]:
-            kept += (
-                data.oMi[at]
-                .actInv(data.oMi[k])
-                .act(model.inertias[k])
-                .toDynamicParameters()
-            )
-        found.append(UrdfBody(first, tuple(merged[1:]), kept))
-    return tuple(found)
+
+    child_by_joint = {}
+    parent_by_weld = {}
+    for joint in urdf.root.findall("joint"):
+        child = link_of(joint, "child")
+        child_by_joint[joint.get("name")] = child
+        if joint.get("type") == "fixed":
+            parent_by_weld[child] = link_of(joint, "parent")
+
+    return tuple(
+        UrdfBody(
+            link=child_by_joint[name],
+            merged=_welded_to(child_by_joint[name], parent_by_weld),
+            locked_links=_locked_links(model, data, name, joints),
+        )
+        for name in joints
+    )
+
+
+def _welded_to(link: str, parent_by_weld: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the links that are fixed to a link, directly or by others."""
+    welded = [link]
+    # The list grows while it is gone through, until nothing is fixed to any of them.
+    for carrier in welded:
+        welded += [
+            child for child, parent in parent_by_weld.items() if parent == carrier
+        ]
+    return tuple(welded[1:])
+
+
+def _locked_links(
+    model: pin.Model, data: pin.Data, name: str, joints: Sequence[str]
+) -> Array:
+    """Return the links behind joints that are not identified, in the frame of a joint.
+
+    Parameters
+    ----------
+    model, data : pin.Model, pin.Data
+        The whole URDF, and the places of its joints at zero.
+    name : str
+        The joint whose body they are part of.
+    joints : sequence of str
+        Names of all identified joints.
+
+    Returns
+    -------
+    (10,) array
+        Standard parameters of all of them together.
+    """
+    joint = model.getJointId(name)
+    behind = [joint]
+    # The list grows by the joints that are not identified, up to those that are.
+    for k in behind:
+        behind += [
+            child for child in model.children[k] if model.names[child] not in joints
+        ]
+
+    phi = np.zeros(PER_LINK)
+    for k in behind[1:]:
+        to_joint = data.oMi[joint].actInv(data.oMi[k])
+        phi += to_joint.act(model.inertias[k]).toDynamicParameters()
+    return phi
 
 
 def root_link(urdf: UrdfText) -> str:

@@ -317,7 +317,7 @@ def with_drive_terms(
     covariance: Array,
     places: Mapping[str, int],
 ) -> FrictionJoint:
-    """Return a joint's friction with the terms of its drive as a later stage finds them.
+    """Return a joint's friction with its drive's terms as a later stage finds them.
 
     Parameters
     ----------

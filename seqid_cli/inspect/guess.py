@@ -1,4 +1,4 @@
-"""A robot guessed from the names in a log alone: joints, channels, IMUs, but no geometry."""
+"""A robot guessed from the names in a log alone: all but its geometry."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -34,7 +34,7 @@ _DEGREES = frozenset({"deg", "degs", "degrees", "grad", "°"})
 
 @dataclass(frozen=True)
 class Guess:
-    """A guess by names: joints in order, `[channels]` patterns, IMUs, units of the positions."""
+    """A guess by names: joints in order, patterns of `[channels]`, IMUs, units."""
 
     joints: tuple[str, ...]
     patterns: Mapping[str, Columns] = field(default_factory=dict)
@@ -118,7 +118,7 @@ def _guess_by_words(names: list[str]) -> tuple[dict[str, Columns], tuple[str, ..
 
 
 def _indexed(forms: Mapping[int, str], numbers: list[int]) -> Columns:
-    """Write the columns of the joints as one pattern where only their number differs."""
+    """Write the columns of joints as one pattern where only their number differs."""
     own = sorted(forms)
     counted = _is_range(own) and _is_range(numbers)
     own = own[: len(numbers)] if counted else numbers
@@ -133,7 +133,7 @@ def _indexed(forms: Mapping[int, str], numbers: list[int]) -> Columns:
 def _numbered(
     names: list[str], *, max_joints: int = 64
 ) -> dict[str, dict[str, dict[int, str]]]:
-    """Forms with `{#}` for the number, by quantity, their form without its unit, and number."""
+    """Forms with `{#}` for the number, by quantity, form without unit, and number."""
     found: dict[str, dict[str, dict[int, str]]] = {}
     for name in names:
         for match in re.finditer(r"[0-9]{1,3}", name):
@@ -181,7 +181,7 @@ def _words(text: str) -> list[str]:
 
 
 def _letters(text: str, *, shortest: int = 3) -> list[str]:
-    """Words in lower case; a compound (`istposition`, `motorstrom`) is parted at its quantity."""
+    """Words in lower case; compounds (`istposition`) are parted at their quantity."""
     words: list[str] = []
     for word in filter(None, re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", text)):
         ends = (word[len(b) :].lower() for b in _BESIDE if word.lower().startswith(b))
@@ -206,7 +206,7 @@ def _is_range(numbers: list[int]) -> bool:
 
 
 def _imus(names: Iterable[str]) -> tuple[Imu, ...]:
-    """IMUs by the default names of columns and topics; positions are unknown and zero."""
+    """IMUs by the default names of columns and topics; unknown positions are zero."""
     counts: dict[str, int] = {}
     gyros: set[str] = set()
     for name in names:

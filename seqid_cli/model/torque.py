@@ -376,7 +376,7 @@ def _of_motion(
     motion: Motion,
     dense: float,
 ) -> Array:
-    """Make friction at samples (N, n) or (N, n, m), in place, that of a sampled motion."""
+    """Make friction at samples (N, n[, m]), in place, that of a sampled motion."""
     if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
         return _warmed(torque, laws, motion)
 

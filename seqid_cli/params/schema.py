@@ -185,8 +185,8 @@ class FrictionJoint(Struct, kw_only=True):
 
     `torque_constant_error` is the relative error that the torque constant adds to every
     torque: all entries move together. `covariance` is without it, the standard errors
-    of `speeds` are with it. `law_error` is by how much friction waves about the law of a
-    simultaneous fit over the positions, RMS: what the law itself errs, which no
+    of `speeds` are with it. `law_error` is by how much friction waves about the law of
+    a simultaneous fit over the positions, RMS: what the law itself errs, which no
     covariance of its coefficients says.
     """
 

@@ -17,7 +17,7 @@ What = Literal[
 
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """Options of a plan; `docs/reference/deciding_numbers.md` gives reasons for the numbers.
+    """Options of a plan; docs/reference/deciding_numbers.md has the numbers' reasons.
 
     Parameters
     ----------

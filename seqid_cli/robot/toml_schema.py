@@ -69,8 +69,8 @@ class JointEntry(Table, frozen=True):
     rotor_inertia: Annotated[
         float | None,
         Meta(
-            description="[kg m^2] on the motor side; identified where it is left out and"
-            " motion tells it"
+            description="[kg m^2] on the motor side; identified where it is left out"
+            " and motion tells it"
         ),
     ] = None
     winding_resistance: Annotated[
@@ -86,8 +86,8 @@ class JointEntry(Table, frozen=True):
     encoder_side: Annotated[
         Literal["motor", "link"],
         Meta(
-            description="'link' where positions are of an encoder behind the gear, which"
-            " does not see the gear twist"
+            description="'link' where positions are of an encoder behind the gear,"
+            " which does not see the gear twist"
         ),
     ] = "motor"
     position_limits: Annotated[

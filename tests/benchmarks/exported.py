@@ -40,7 +40,8 @@ int main(void)
     {name}_start(&s, q);
     begun = clock();
     for (k = 0; k < CALLS; ++k) {{
-        for (i = 0; i < N; ++i) {{ /* no sine, so that the loop costs nothing beside the call */
+        /* no sine, so that the loop costs nothing beside the call */
+        for (i = 0; i < N; ++i) {{
             const double way = (k + 97 * i) % 1000 / 500.0 - 1.0;
             q[i] = way * (1.0 - way * way);
             dq[i] = 2.0 * (1.0 - 3.0 * way * way);

@@ -1,4 +1,6 @@
-"""What the numerical kernels cost against the library calls that one would use instead."""
+"""What the numerical kernels cost against the library calls that one would use
+instead.
+"""
 
 import time
 from argparse import Namespace

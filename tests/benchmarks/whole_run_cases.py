@@ -114,7 +114,9 @@ def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
 
 
 def arrays(robot_path: Path, path: Path) -> Callable[[], dict[str, float]]:
-    """Given motion and torque to base parameters, as the inertia stage solves for them."""
+    """Given motion and torque to base parameters,
+    as the inertia stage solves for them.
+    """
     from seqid_cli.identify.regression.least_squares import Accumulator, solve
     from seqid_cli.robot.base_parameters import base_regressor, free_basis
     from seqid_cli.robot.file import load_robot

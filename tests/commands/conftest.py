@@ -148,7 +148,9 @@ def reader(monkeypatch: pytest.MonkeyPatch) -> Reader:
 
 @pytest.fixture
 def gathering(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hold all logs: those of the fake reader are no files that could be passed over."""
+    """Hold all logs: those of the fake reader are no files that could be passed
+    over.
+    """
 
     def take(recordings: Iterable[Recording], *_: object, **__: object) -> Excerpts:
         return Excerpts(tuple(recordings))

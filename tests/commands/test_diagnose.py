@@ -94,7 +94,9 @@ OPEN = structs.replace(REST, verdict="unexplained", unexplained=[OTHER, PART])
 
 
 class Library:
-    """Stands in for the diagnosis: reads all recordings and returns what it was given."""
+    """Stands in for the diagnosis: reads all recordings and returns what it was
+    given.
+    """
 
     def __init__(self) -> None:
         self.result = FOUND

@@ -88,7 +88,8 @@ def test_scripts_are_valid_and_name_every_command(shell: str) -> None:
 
 
 HEAVY = {
-    "numpy", "scipy", "pinocchio", "pyarrow", "mcap", "mcap_ros2", "rich", "pydantic", "matplotlib",
+    "numpy", "scipy", "pinocchio", "pyarrow", "mcap", "mcap_ros2", "rich", "pydantic",
+    "matplotlib",
 }  # fmt: skip
 LIST_MODULES = (
     "import json, sys\n"

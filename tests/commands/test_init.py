@@ -38,7 +38,9 @@ WORDS = ("--urdf", "arm.urdf", "-o", "new.toml")
 
 @dataclass(frozen=True)
 class Start:
-    """A folder with the sample log and its URDF, from which a robot file is to be made."""
+    """A folder with the sample log and its URDF,
+    from which a robot file is to be made.
+    """
 
     rig: Rig
 
@@ -171,8 +173,8 @@ def test_mimic_and_fixed_joints_and_other_branches_are_left_out(start: Start) ->
          '<joint name="free" type="floating"><parent link="world"/>'
          '<child link="base_link"/></joint>'),
     ],
-    ids=["no limits", "no effort", "link named as joint", "comment", "mesh", "continuous",
-         "no inertials", "floating"],
+    ids=["no limits", "no effort", "link named as joint", "comment", "mesh",
+         "continuous", "no inertials", "floating"],
 )  # fmt: skip
 def test_unusual_urdfs_lead_to_a_file_that_is_accepted(
     start: Start, old: str, new: str
@@ -250,18 +252,23 @@ def test_a_bag_needs_no_names_of_columns(start: Start, write: Write) -> None:
     [
         (
             ["timestamp", *(f"{c}_{k}" for c in ("actual_q", "target_q", "actual_qd",
-             "actual_current", "target_moment", "joint_temperatures") for k in range(6))],
+             "actual_current", "target_moment", "joint_temperatures")
+             for k in range(6))],
             {"position": "actual_q_{index0}", "velocity": "actual_qd_{index0}",
-             "current": "actual_current_{index0}", "temperature": "joint_temperatures_{index0}"},
+             "current": "actual_current_{index0}",
+             "temperature": "joint_temperatures_{index0}"},
             6,
         ),
         (
-            ["t", *(f"{c}_{k}" for c in ("q", "dq", "tau", "tau_des") for k in (1, 2, 3))],
-            {"position": "q_{index}", "velocity": "dq_{index}", "torque": "tau_{index}"},
+            ["t", *(f"{c}_{k}" for c in ("q", "dq", "tau", "tau_des")
+             for k in (1, 2, 3))],
+            {"position": "q_{index}", "velocity": "dq_{index}",
+             "torque": "tau_{index}"},
             3,
         ),
         (
-            ["time", *(f"state.{c}[{k}]" for c in ("q", "q_d", "tau_J") for k in range(7))],
+            ["time", *(f"state.{c}[{k}]" for c in ("q", "q_d", "tau_J")
+             for k in range(7))],
             {"position": "state.q[{index0}]", "torque": "state.tau_J[{index0}]"},
             7,
         ),
@@ -271,17 +278,21 @@ def test_a_bag_needs_no_names_of_columns(start: Start, write: Write) -> None:
             2,
         ),
         (["time", "voltage", "status_1"], {}, 0),
-        (["Zeit [ms]", *(f"{w} A{k} [x]" for w in ("Istposition", "Sollposition", "Istdrehzahl",
-             "Motorstrom") for k in (1, 2))],
-         {"position": "Istposition A{index} [x]", "velocity": "Istdrehzahl A{index} [x]",
+        (["Zeit [ms]", *(f"{w} A{k} [x]" for w in ("Istposition", "Sollposition",
+             "Istdrehzahl", "Motorstrom") for k in (1, 2))],
+         {"position": "Istposition A{index} [x]",
+          "velocity": "Istdrehzahl A{index} [x]",
           "current": "Motorstrom A{index} [x]"}, 2),
         (["time", "q2", "i2"], {"position": "q2", "current": "i2"}, 1),
         (["time", "q2", "q3", "i1", "i2", "i3"],
          {"position": ("q2", "q3"), "current": ("i2", "i3")}, 2),
-        (["Zeit [s]", "Position A1 [°]", "Position A2 [mm]", "Strom A1 [A]", "Strom A2 [A]"],
-         {"position": ("Position A1 [°]", "Position A2 [mm]"), "current": "Strom A{index} [A]"}, 2),
+        (["Zeit [s]", "Position A1 [°]", "Position A2 [mm]", "Strom A1 [A]",
+          "Strom A2 [A]"],
+         {"position": ("Position A1 [°]", "Position A2 [mm]"),
+          "current": "Strom A{index} [A]"}, 2),
         (["time", "q_des", "q_act", "tau"], {"position": "q_act", "torque": "tau"}, 1),
-        (["time", "elbow/pos [deg]", "wrist/pos [deg]"], {"position": "{name}/pos [deg]"}, 2),
+        (["time", "elbow/pos [deg]", "wrist/pos [deg]"],
+         {"position": "{name}/pos [deg]"}, 2),
     ],
 )  # fmt: skip
 def test_guessed_channels(

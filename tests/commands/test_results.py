@@ -124,7 +124,9 @@ def test_the_json_of_a_report_sums_it_up(rig: Rig) -> None:
 
 
 def model_of(folder: Path, *, shift: float = 0.0) -> ParameterFile:
-    """A model of the robot of a folder; bodies exist unless Izz of the last is shifted."""
+    """A model of the robot of a folder;
+    bodies exist unless Izz of the last is shifted.
+    """
     robot = load_robot(folder / "robot.toml")
     bodies = random_bodies(np.random.default_rng(0), robot.n)
     stages = stages_of(robot, bodies)

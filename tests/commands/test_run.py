@@ -33,16 +33,18 @@ WATCH = """
 import sys
 
 def watch(event, arguments):
-    if event.startswith(("socket.connect", "socket.bind", "socket.getaddrinfo", "subprocess.",
-                         "os.system", "os.exec", "os.posix_spawn", "os.spawn", "pickle.find_class",
-                         "urllib.", "ftplib.", "smtplib.", "webbrowser.")):
+    if event.startswith(("socket.connect", "socket.bind", "socket.getaddrinfo",
+                         "subprocess.", "os.system", "os.exec", "os.posix_spawn",
+                         "os.spawn", "pickle.find_class", "urllib.", "ftplib.",
+                         "smtplib.", "webbrowser.")):
         sys.stderr.write(f"FORBIDDEN {event} {arguments}\\n")
 
 sys.addaudithook(watch)
 """
 URDF = """
 <robot name="one_joint"><link name="base"/><link name="arm"/>
-<joint name="joint_1" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<joint name="joint_1" type="revolute">
+<parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
 <limit lower="-2.6" upper="2.6" velocity="8" effort="1"/></joint></robot>
 """
 MAIN = """
@@ -52,7 +54,9 @@ sys.exit(main(sys.argv[1:]))
 
 
 def watched(code: str, *words: str, folder: Path = ROOT) -> str:
-    """What a command says on stderr whose process tells of every way out that it takes."""
+    """What a command says on stderr whose process tells of every way out that
+    it takes.
+    """
     command = [sys.executable, "-W", "error", "-c", WATCH + code + MAIN, *words]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
@@ -147,7 +151,9 @@ def copied(lab: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 def kept_steps(
     capsys: pytest.CaptureFixture[str], *words: str
 ) -> tuple[list[str], list[str]]:
-    """Run a command with --json; return the commands whose results were kept, and made."""
+    """Run a command with --json; return the commands whose results were kept,
+    and made.
+    """
     capsys.readouterr()
     assert main([*words, "--json", "-q"]) == 0
     document = json.loads(capsys.readouterr().out)

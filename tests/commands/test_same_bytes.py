@@ -44,7 +44,9 @@ def lab(rig: Rig) -> Rig:
 
 
 def made(lab: Rig) -> dict[str, bytes]:
-    """Run all commands into one folder; what is there and what they printed, by name."""
+    """Run all commands into one folder; what is there and what they printed,
+    by name.
+    """
     out = lab.folder / "out"
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()

@@ -167,7 +167,8 @@ def test_no_signal_is_forgotten(
     (tmp_path / "program.py").write_text(f"""
 import signal, sys
 import seqid_cli.commands.completion as completion
-signal.signal(signal.{name}, signal.{before})  # tests that run in the background ignore some
+# Tests that run in the background ignore some signals.
+signal.signal(signal.{name}, signal.{before})
 words = completion.all_words()
 def interrupted():
     {during.format(name)}

@@ -1,4 +1,6 @@
-"""What the screen shows: tables, verdicts, progress; names that steer are not obeyed."""
+"""What the screen shows: tables, verdicts, progress;
+names that steer are not obeyed.
+"""
 
 import io
 import json
@@ -246,7 +248,9 @@ def test_80_columns_hold_every_number(
 
 
 def test_parameters_are_shown_by_what_tells_a_person_something() -> None:
-    """A smooth term by what it depends on; one that no sample shows without a number."""
+    """A smooth term by what it depends on;
+    one that no sample shows without a number.
+    """
     coefficients = [
         Parameter(name=f"c_{k}", value=0.1, std_error=0.0, unit="N m", joint="elbow")
         for k in range(12)

@@ -13,7 +13,9 @@ from tests.plants.motions.trajectories import Reference
 
 @dataclass(frozen=True)
 class Gains:
-    """Per joint, (n,): stiffness N m/rad, damping N m s/rad, observer bandwidth rad/s."""
+    """Per joint, (n,): stiffness N m/rad, damping N m s/rad,
+    observer bandwidth rad/s.
+    """
 
     stiffness: Array
     damping: Array

@@ -61,7 +61,9 @@ def back_and_forth(
 def run(
     joint: HuntingJoint, speeds: Array, *, seed: int, every: int, way: float = 2.0
 ) -> HuntingLog:
-    """Move the joint there and back at each speed; log every so many control periods."""
+    """Move the joint there and back at each speed;
+    log every so many control periods.
+    """
     dt = 1.0 / joint.rate_hz
     wanted = back_and_forth(speeds, way=way, rest_s=0.5, rate_hz=joint.rate_hz)
     rates = np.gradient(wanted, dt)

@@ -47,7 +47,9 @@ POSTURES: Mapping[str, Sequence[Sequence[float]]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """A robot with its encoders (rad per count at the joint) and the kind of its IMUs."""
+    """A robot with its encoders (rad per count at the joint) and the kind of
+    its IMUs.
+    """
 
     label: str
     robot: str

@@ -8,7 +8,9 @@ from tests.plants.simulate import Plant
 
 
 def robot_toml(name: str, plant: Plant, *, urdf: str | None = None) -> str:
-    """Text of `robot.toml`; geometry as modified DH unless a URDF's file name is given."""
+    """Text of `robot.toml`; geometry as modified DH unless a URDF's file name
+    is given.
+    """
     arm = plant.arm
     lines = ['schema = "seqid/robot@1"', f'name = "{name}"']
     lines += [] if urdf is None else [f'urdf = "{urdf}"']

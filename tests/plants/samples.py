@@ -44,7 +44,9 @@ class Recipe:
 def changed_trials(
     plant: Plant, seed: int, *, seconds: float, imus: bool
 ) -> list[Trial]:
-    """All joints at 80 % of their speeds: two logs to learn from and one to hold out."""
+    """All joints at 80 % of their speeds:
+    two logs to learn from and one to hold out.
+    """
     rng = np.random.default_rng([seed, 1])
     made = {
         "fourier": waves(plant, rng, period=PERIODS[0], share=0.8, seconds=seconds),

@@ -53,7 +53,9 @@ class Faults:
         rate_hz: float,
         rng: np.random.Generator,
     ) -> Array:
-        """Readings (N, K) of channels that feel `ideal`, already along their own axes."""
+        """Readings (N, K) of channels that feel `ideal`,
+        already along their own axes.
+        """
         n, count = ideal.shape
         steps = self.drift / np.sqrt(rate_hz) * rng.standard_normal((n, count))
         offset = self.biases(count) + self.turn_on * rng.standard_normal(count)
@@ -153,7 +155,9 @@ def noise(
     coloured: float,
     rate_hz: float,
 ) -> Array:
-    """White noise, a share `coloured` of whose variance is spread as 1/f, (samples, n)."""
+    """White noise, a share `coloured` of whose variance is spread as 1/f,
+    (samples, n).
+    """
     white = np.sqrt(1.0 - coloured) * rng.standard_normal((samples, len(std)))
     if coloured == 0.0:
         return np.asarray(white * std)

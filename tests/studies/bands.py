@@ -45,7 +45,9 @@ class Recorded:
     held_out: tuple[str, ...]
 
     def paths(self, names: Sequence[str]) -> list[str]:
-        """Return the logs of some names, which may be folders; none if any is missing."""
+        """Return the logs of some names, which may be folders;
+        none if any is missing.
+        """
         paths = [DATA / name for name in names]
         return (
             [str(path) for path in paths]
@@ -141,7 +143,9 @@ def study(chosen: Namespace) -> str:
 
 
 def _drawn(rig: str, seed: int) -> PredictionFile:
-    """Identify one drawn arm and predict a motion of all joints that no stage has seen."""
+    """Identify one drawn arm and predict a motion of all joints that no stage
+    has seen.
+    """
     case = case_of(rig, seed)
     drawn = draw(case)
     with TemporaryDirectory(prefix="seqid-bands-") as name:

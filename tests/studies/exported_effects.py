@@ -51,8 +51,8 @@ RATE_HZ = 1000.0
 CUTOFF_HZ = 10.0  # of the file
 TORQUE_HZ = 100.0  # up to which the log's torque is the file's
 SECONDS = 12.0
-# At either end, so that states begin at rest. Predictions know no derivative at the very
-# end of a log that is cut off in motion.
+# At either end, so that states begin at rest. Predictions know no derivative at the
+# very end of a log that is cut off in motion.
 REST_S = 0.3
 RISE_S = 0.5  # in which the motion sets in, and in which it fades
 IN_PYTHON = 1500  # samples of the numpy module
@@ -139,7 +139,9 @@ class Replayed:
 
 
 def study(chosen: Namespace) -> str:
-    """Return the table of all effects on all arms; the first arm alone with `--quick`."""
+    """Return the table of all effects on all arms;
+    the first arm alone with `--quick`.
+    """
     arms = ARMS[:1] if chosen.quick else ARMS
     rows = []
     for subject in SUBJECTS:
@@ -164,7 +166,9 @@ def _ratio_cell(ratio: float | None) -> str:
 
 
 def planted(subject: str, arm: str) -> Planted:
-    """Return an arm with an effect at every joint that can have it, its variants in turn."""
+    """Return an arm with an effect at every joint that can have it, its variants in
+    turn.
+    """
     robot, plain = sample(arm)
     plain.inertia.cutoff_hz = CUTOFF_HZ
     if subject in CATALOGUE:
@@ -211,7 +215,9 @@ def replays(
     forms: Sequence[str] = tuple(FORMS),
     seconds: float = SECONDS,
 ) -> list[Replayed]:
-    """Write an arm with an effect in some forms, and run these over a held-out motion."""
+    """Write an arm with an effect in some forms,
+    and run these over a held-out motion.
+    """
     with package_installed():
         plant = planted(subject, arm)
         if not plant.items:

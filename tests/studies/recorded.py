@@ -289,7 +289,9 @@ NOTE = (
 
 
 def effects(chosen: Namespace) -> str:
-    """What was asked and what came out, then one table per robot whose logs are there."""
+    """What was asked and what came out,
+    then one table per robot whose logs are there.
+    """
     found = {case.name: closed(case) for case in CASES if not case.missing}
     answers = [
         one.answer(asked) for name, one in found.items() for asked in ASKED[name]

@@ -87,13 +87,17 @@ def _lines(path: Path, kind: type[R]) -> Iterator[tuple[str, str, R]]:
 
 
 def encoded(value: object) -> bytes:
-    """JSON, with numpy's scalars and arrays as numbers; numbers that are none are null."""
+    """JSON, with numpy's scalars and arrays as numbers;
+    numbers that are none are null.
+    """
     return msgspec.json.encode(value, enc_hook=lambda array: array.tolist())
 
 
 @cache
 def sources_of(*folders: Path, but: tuple[str, ...] = ()) -> str:
-    """Hash of all Python files in folders, without those whose names begin with `but`."""
+    """Hash of all Python files in folders,
+    without those whose names begin with `but`.
+    """
     files = [
         p
         for f in folders

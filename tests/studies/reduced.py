@@ -1,8 +1,8 @@
 """Model files of refined arms: held-out errors beside those of the files themselves.
 
-An arm is identified from its training logs and refined. URDF and MJCF of the file before
-and after refinement are written, read back and run over the held-out logs, on the same
-samples behind the same low-pass.
+An arm is identified from its training logs and refined. URDF and MJCF of the file
+before and after refinement are written, read back and run over the held-out logs, on
+the same samples behind the same low-pass.
 """
 
 import sys
@@ -43,7 +43,9 @@ class Arm:
 
 
 def study(chosen: Namespace) -> str:
-    """Return a table for each arm; the simulated arm of one joint alone with `--quick`."""
+    """Return a table for each arm; the simulated arm of one joint alone with
+    `--quick`.
+    """
     with TemporaryDirectory() as place:
         arms = _simulated(["one_joint"] if chosen.quick else list(CASES))
         parts = [_rendered(arm, Path(place)) for arm in arms]

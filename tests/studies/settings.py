@@ -238,7 +238,7 @@ def gravity_of_six() -> ParameterFile:
 
 @cache
 def heavier_robot() -> Robot:
-    """Return the arm with one joint with inertials of a URDF that weigh twice as much."""
+    """Return the one-joint arm with inertials of a URDF that weigh twice as much."""
     stages = read_parameters(ONE / "golden.json").stages
     return nominal(load_robot(ONE / "robot.toml"), stages, 2.0)
 

@@ -145,7 +145,9 @@ def robot_file(mistake: Mistake, *, stated: bool) -> str:
 def scored(
     mistake: Mistake, logs: dict[str, Log], seed: int, *, stated: bool
 ) -> dict[str, Any]:
-    """Identify the logs with a wrong robot file; compare with the arm that they are of."""
+    """Identify the logs with a wrong robot file;
+    compare with the arm that they are of.
+    """
     plant = vertical_plant()
     with TemporaryDirectory(prefix="seqid-unseen-") as name:
         folder = Path(name)

@@ -97,7 +97,9 @@ def test_results_pass_from_one_function_to_the_next(tmp_path: Path) -> None:
 
 
 def test_a_table_is_a_log(friction: ParameterFile) -> None:
-    """An Arrow table, or whatever gives itself away as one, goes wherever a path does."""
+    """An Arrow table, or whatever gives itself away as one,
+    goes wherever a path does.
+    """
 
     class Frame:
         def __init__(self, table: pa.Table) -> None:

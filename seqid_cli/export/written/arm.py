@@ -62,11 +62,34 @@ class WrittenArm(ABC):
 
     @abstractmethod
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Return the torque (N, n) N m of links, gravity, rotors and springs."""
+        """Return the torque of links, gravity, rotors and springs.
+
+        Parameters
+        ----------
+        q, dq, ddq : (N, n) array
+            Positions [rad], velocities [rad/s], accelerations [rad/s^2] (m where
+            prismatic).
+
+        Returns
+        -------
+        (N, n) array
+            N m (N where prismatic), not filtered.
+        """
 
     @abstractmethod
     def friction(self, q: Array, dq: Array) -> Array:
-        """Return the friction torque (N, n) N m."""
+        """Return the friction torque.
+
+        Parameters
+        ----------
+        q, dq : (N, n) array
+            Positions [rad] and velocities [rad/s] (m where prismatic).
+
+        Returns
+        -------
+        (N, n) array
+            N m (N where prismatic), not filtered.
+        """
 
     def stepped(self, steps: Steps) -> Array:
         """Return the whole torque (N, n) N m as it is logged, sample by sample.

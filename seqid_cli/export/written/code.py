@@ -39,13 +39,16 @@ class NoCompilerError(QualityError):
 _WRAPPER = """
 #include "{header}"
 #define N {n}
-void seqid_rigid(long count, const double *q, const double *dq, const double *ddq, double *tau)
+void seqid_rigid(long count, const double *q, const double *dq, const double *ddq,
+    double *tau)
 {{
-    for (long k = 0; k < count * N; k += N) {name}_rigid_torque(q + k, dq + k, ddq + k, tau + k);
+    for (long k = 0; k < count * N; k += N)
+        {name}_rigid_torque(q + k, dq + k, ddq + k, tau + k);
 }}
 void seqid_friction(long count, const double *q, const double *dq, double *tau)
 {{
-    for (long k = 0; k < count * N; k += N) {name}_friction_torque(q + k, dq + k, tau + k);
+    for (long k = 0; k < count * N; k += N)
+        {name}_friction_torque(q + k, dq + k, tau + k);
 }}
 void seqid_total(long count, const double *q, const double *dq, const double *ddq,
     const double *celsius, const double *time, double dt, double *tau)
@@ -53,8 +56,8 @@ void seqid_total(long count, const double *q, const double *dq, const double *dd
     static {name}_state s;
     {name}_start(&s, q);
     for (long k = 0; k < count; ++k)
-        {name}_step(&s, q + k * N, dq + k * N, ddq + k * N, celsius ? celsius + k * N : 0,
-            time[k], dt, tau + k * N);
+        {name}_step(&s, q + k * N, dq + k * N, ddq + k * N,
+            celsius ? celsius + k * N : 0, time[k], dt, tau + k * N);
 }}
 """
 
@@ -193,7 +196,7 @@ class ImportedArm(WrittenArm):
 
 
 def _imported(path: Path) -> ModuleType:
-    """Import a module from its path, without leaving compiled files or a name behind."""
+    """Import a module from its path; no compiled file and no name is left behind."""
     spec = importlib.util.spec_from_file_location("seqid_exported_arm", path)
     assert spec is not None
     assert spec.loader is not None

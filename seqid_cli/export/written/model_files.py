@@ -100,7 +100,10 @@ def _reflected_inertia(transmission: ElementTree.Element) -> float:
 
 
 def mjcf_arm(path: Path, robot: Robot) -> WrittenArm:
-    """Return MJCF as MuJoCo reads it, or as Pinocchio does where MuJoCo is not installed."""
+    """Return MJCF as MuJoCo reads it, or else as Pinocchio does.
+
+    The latter is for machines on which MuJoCo is not installed.
+    """
     if importlib.util.find_spec("mujoco") is not None:
         return MujocoArm(path, robot)
     return PinocchioMjcfArm(path, robot)

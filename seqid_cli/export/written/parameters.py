@@ -1,4 +1,4 @@
-"""ROS 2 parameters of an arm at work, read by the part of YAML that they are written in."""
+"""ROS 2 parameters of an arm at work, read by a reader of the YAML they are in."""
 
 from __future__ import annotations
 
@@ -76,7 +76,10 @@ def _parameters(text: str) -> dict[str, Any]:
 
 
 def _key_and_value(line: str) -> tuple[str, str, str]:
-    """Split a line at the colon behind its key, which may be a quoted name with colons."""
+    """Split a line at the colon behind its key.
+
+    The key may be a quoted name with colons.
+    """
     if line.startswith('"'):
         key, end = json.JSONDecoder().raw_decode(line)
         return key, ":", line[end:].lstrip()[1:].strip()

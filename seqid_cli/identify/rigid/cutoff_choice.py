@@ -384,7 +384,7 @@ def candidate_of(
 
 
 class _TrialEquations(InertiaEquations):
-    """Equations whose rotors act on their own joints alone, which is enough for a trial."""
+    """Equations whose rotors act on their own joints alone: enough for a trial."""
 
     def coupling_column(self, motion: Motion) -> Array:
         return np.zeros_like(motion.q)

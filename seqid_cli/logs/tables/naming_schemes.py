@@ -164,9 +164,9 @@ EPISODES = ("episode_index", "episode_id", "episode")
 class Scheme:
     """How one logger names its columns.
 
-    `patterns` of a quantity are tried one after the other. `time_unit` is that of a time
-    column whose name does not say. Where `of_lists`, joints are the elements of list
-    columns, and the log may say which element is whose.
+    `patterns` of a quantity are tried one after the other. `time_unit` is that of a
+    time column whose name does not say. Where `of_lists`, joints are the elements of
+    list columns, and the log may say which element is whose.
     """
 
     patterns: Mapping[str, tuple[str, ...]]

@@ -161,7 +161,8 @@ def floor_of(
         Collision shapes, where the URDF has them.
     margins : MarginSettings
         They say how high above the plane the arm keeps: between the samples that are
-        checked a point may be lower by a millimetre or two, and a controller overshoots.
+        checked a point may be lower by a millimetre or two, and a controller
+        overshoots.
     still_m : float
         Points whose height changes by less are lifted by no joint [m].
 

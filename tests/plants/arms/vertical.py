@@ -1,4 +1,6 @@
-"""A two-joint arm of a small industrial robot's size that moves in the vertical plane."""
+"""A two-joint arm of a small industrial robot's size that moves in the vertical
+plane.
+"""
 
 import numpy as np
 

@@ -54,7 +54,9 @@ def payload(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def base_tilt(plant: Plant, joint: int, size: float) -> Plant:
-    """The base leans by 5 degrees times size about a level axis 60 degrees from its x."""
+    """The base leans by 5 degrees times size about a level axis 60 degrees from
+    its x.
+    """
     turn = (
         rot_z(np.array(np.pi / 3))
         @ rot_x(np.deg2rad(5.0) * size)

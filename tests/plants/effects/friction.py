@@ -24,7 +24,9 @@ WARMING = 20.0  # K, after hours of usual work, with a time constant of 300 s
 
 
 def rated_torque(plant: Plant) -> Array:
-    """Largest torque of busy motion in 400 random states, friction included, (n,) N m."""
+    """Largest torque of busy motion in 400 random states, friction included,
+    (n,) N m.
+    """
     rng = np.random.default_rng(0)
     rigid, law = Rigid(plant.arm), plant.friction.begin()
     most = np.zeros(plant.arm.n)

@@ -21,7 +21,9 @@ class Entry:
 
 @dataclass(frozen=True)
 class Injection:
-    """A plant with one undeclared effect more than `declared`, as its robot file says."""
+    """A plant with one undeclared effect more than `declared`,
+    as its robot file says.
+    """
 
     kind: str | None
     joint: int | None  # None: of the whole arm or its measurement

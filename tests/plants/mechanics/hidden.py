@@ -19,7 +19,9 @@ Stage = Callable[[float, Array, Array], Array]
 
 
 class Run(NamedTuple):
-    """One log: start s since power-on, duration s, control period s, seed of all noise."""
+    """One log: start s since power-on, duration s, control period s,
+    seed of all noise.
+    """
 
     start: float
     duration: float
@@ -42,7 +44,9 @@ class Spring:
     gap: float = 0.0
 
     def torque(self, wind: float, rate: float) -> float:
-        """Torque on the link, N m, for drive minus link of `wind` rad and `rate` rad/s."""
+        """Torque on the link, N m, for drive minus link of `wind` rad and
+        `rate` rad/s.
+        """
         sign = 1.0 if wind >= 0.0 else -1.0
         depth = sign * wind - 0.5 * self.gap
         if depth <= 0.0:

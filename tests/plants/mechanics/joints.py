@@ -197,7 +197,9 @@ class ElasticJoints(_Joints):
 
 
 def swung(rigid: Rigid, joint: int, q: Array) -> float:
-    """Inertia of drive and link against each other with the other joints free, kg m^2."""
+    """Inertia of drive and link against each other with the other joints free,
+    kg m^2.
+    """
     reflected, mass = rigid.arm.reflected, rigid.terms(q, np.zeros_like(q))[0].copy()
     mass[joint, joint] -= reflected[joint]
     return float(1.0 / (np.linalg.inv(mass)[joint, joint] + 1.0 / reflected[joint]))

@@ -54,7 +54,9 @@ def rot_z(angle: Array) -> Array:
 
 
 def placement(row: Array) -> tuple[Array, Array]:
-    """Rotation (3, 3) and origin (3,) m of a link frame in the one before it, at q = 0."""
+    """Rotation (3, 3) and origin (3,) m of a link frame in the one before it,
+    at q = 0.
+    """
     alpha, a, d, theta0 = (float(x) for x in row)
     tilt = rot_x(alpha)
     return tilt @ rot_z(np.array(theta0)), np.array([a, 0.0, 0.0]) + tilt @ np.array(
@@ -100,7 +102,9 @@ class Rigid:
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
 
     def inverse(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque (n,) N m of a motion by Pinocchio's RNEA, rotors added, no friction."""
+        """Torque (n,) N m of a motion by Pinocchio's RNEA, rotors added,
+        no friction.
+        """
         tau = pin.rnea(self._model, self._data, q, dq, ddq) + self._reflected @ ddq
         if self.arm.rotor_coupling:
             extra_mass, extra_bias = self._rotor_terms(q, dq)

@@ -120,7 +120,9 @@ def zigzag(
 
 
 def together(home: Array, moving: dict[int, Profile], rate_hz: float) -> Reference:
-    """Several joints at once, each by its own profile; the others stay at `home` (n,)."""
+    """Several joints at once, each by its own profile;
+    the others stay at `home` (n,).
+    """
     rest = [(np.full(1, x), np.zeros(1), np.zeros(1)) for x in home]
     return side_by_side([moving.get(i, rest[i]) for i in range(len(home))], rate_hz)
 
@@ -218,7 +220,9 @@ def _series(weight: Array, angle: Array, rate: Array) -> Profile:
 
 
 def _scaled(motion: Profile, limits: Sequence[Array], rate_hz: float) -> Reference:
-    """Motion about the middle of the ranges, each joint up to the first of its limits."""
+    """Motion about the middle of the ranges,
+    each joint up to the first of its limits.
+    """
     low, high, speed, accel = limits
     sizes = zip((0.5 * (high - low), speed, accel), motion, strict=True)
     scale = np.min([limit / np.abs(x).max(0) for limit, x in sizes], axis=0)

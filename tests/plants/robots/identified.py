@@ -1,4 +1,6 @@
-"""The stages in their order on one experiment, and what they predict of logs not seen."""
+"""The stages in their order on one experiment,
+and what they predict of logs not seen.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

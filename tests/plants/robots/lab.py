@@ -27,7 +27,9 @@ SEED_STRIDE = 1000
 
 @dataclass(frozen=True)
 class Experiment:
-    """One repetition: what was recorded, stage by stage, and what no instrument shows."""
+    """One repetition: what was recorded, stage by stage,
+    and what no instrument shows.
+    """
 
     plant: Plant
     robot: Robot

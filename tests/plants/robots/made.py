@@ -38,7 +38,9 @@ def made_recording(
 def made_motion(
     q: Array, dq: Array, ddq: Array, lowpass: Lowpass, **further: Any
 ) -> Motion:
-    """Wrap what joints did (N, n) at the low-pass's rate, usable unless `further` says."""
+    """Wrap what joints did (N, n) at the low-pass's rate,
+    usable unless `further` says.
+    """
     zeros, every = np.zeros(q.shape[1]), np.ones(len(q), dtype=bool)
     usual = {
         "t": np.arange(len(q)) / lowpass.rate_hz,

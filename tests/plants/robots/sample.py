@@ -1,4 +1,6 @@
-"""The sample logs of one robot, their truth, and every stage identified from them once."""
+"""The sample logs of one robot, their truth,
+and every stage identified from them once.
+"""
 
 from __future__ import annotations
 

@@ -52,10 +52,8 @@ def link(
     )
     geometry = f'<geometry><mesh filename="{mesh}"/></geometry>'
     visual = f"<visual>{geometry}</visual><collision>{geometry}</collision>"
-    return (
-        "<link"
-        f' name="{name}">{inertial if mass is not None else ""}{visual if mesh else ""}</link>'
-    )
+    parts = (inertial if mass is not None else "") + (visual if mesh else "")
+    return f'<link name="{name}">{parts}</link>'
 
 
 def joint(

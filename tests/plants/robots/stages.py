@@ -31,7 +31,9 @@ def save_robot(
 
 
 def seven_joints(rng: np.random.Generator) -> tuple[str, tuple[str, ...]]:
-    """Write a URDF of seven joints about axes in any direction, one fixed in between."""
+    """Write a URDF of seven joints about axes in any direction,
+    one fixed in between.
+    """
     names = tuple(f"j{k}" for k in range(7))
     parts, parent = [link("base", mass=3.0)], "base"
     for k, name in enumerate(names):

@@ -1,4 +1,6 @@
-"""The two-joint arm made by hand: its robot file, and a model with friction and rotors."""
+"""The two-joint arm made by hand: its robot file,
+and a model with friction and rotors.
+"""
 
 from dataclasses import replace
 

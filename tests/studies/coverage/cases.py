@@ -187,7 +187,9 @@ def _one(rng: np.random.Generator, number: int) -> Drawn:
 
 
 def _planar(rng: np.random.Generator, number: int) -> Drawn:
-    """Two parallel axes; every second arm tilted, two of four without accelerometers."""
+    """Two parallel axes; every second arm tilted,
+    two of four without accelerometers.
+    """
     length = rng.uniform(0.2, 0.4)
     upper = _flat_link(
         rng, rng.uniform(0.4, 0.9), rng.uniform(0.3, 0.6) * length, 0.4 * length

@@ -63,7 +63,9 @@ def score(case: Case) -> Result:
 
 
 def identified(folder: Path) -> tuple[Stages, str]:
-    """The stages in their order by the package's own functions, and what stopped them."""
+    """The stages in their order by the package's own functions,
+    and what stopped them.
+    """
     stages, known = Stages(), []
     for name, (identify_it, kinds) in STAGES.items():
         logs = [str(folder / kind) for kind in kinds if (folder / kind).is_dir()]

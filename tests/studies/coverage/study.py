@@ -97,7 +97,9 @@ class Coverage(NamedTuple):
 
 
 def coverage(by_seed: Sequence[Array]) -> Coverage:
-    """Summarise z by seed; values of one seed may depend on each other, seeds do not."""
+    """Summarise z by seed; values of one seed may depend on each other,
+    seeds do not.
+    """
     kept = [z for z in by_seed if len(z)]
     z = np.concatenate(kept)
     inside = [(np.abs(own) <= INSIDE).astype(float) for own in kept]

@@ -9,10 +9,12 @@ import numpy as np
 Damage = Callable[[bytearray, np.random.Generator], None]
 
 _TOKEN = re.compile(rb"[-+]?[0-9][0-9.]*(?:[eE][-+]?[0-9]+)?|\"[^\"\n]*\"|[A-Za-z_]\w*")
-_NUMBERS = b"0 -1 1e300 -1e300 1e-320 1e-9 5e-324 -0.0 1e12 9223372036854775808 65536 0.5 1".split()
+_NUMBERS = b"0 -1 1e300 -1e300 1e-320 1e-9 5e-324 -0.0 1e12".split()
+_NUMBERS += b"9223372036854775808 65536 0.5 1".split()
 _STRINGS = [b"", b" ", b"\\u001b]0;x\\u0007", b"\xff", b"../x", b"1", b"x" * 300]
 _STRINGS += ["\u202e\ufeff".encode()]
-_ANY = b'nan -inf 1e999 NaN true null "" [] {} [[]] {"a":1} [1,2] 0x7fffffff 1_0 .5'.split()
+_ANY = b'nan -inf 1e999 NaN true null "" [] {} [[]] {"a":1} [1,2]'.split()
+_ANY += b"0x7fffffff 1_0 .5".split()
 _ANY += [b"", b"\x1b[31m", b"9" * 400, b"[" * 300, b"\0"]
 _WORDS = [
     struct.pack(f"<{f}", v)

@@ -69,7 +69,8 @@ _URDF = """<?xml version="1.0"?>
 <robot name="arm">
   <link name="base"/>
   <link name="upper"><inertial><origin xyz="0.1 0 0" rpy="0 0 0.1"/><mass value="2.5"/>
-    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial>
+  </link>
   <link name="lower"/>
   <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
     <origin xyz="0 0 0.2" rpy="0.5 0 0"/><axis xyz="0 0 1"/>
@@ -235,7 +236,9 @@ def _with_imus(path: Path, data: formats.Data) -> Path:
 
 
 def _rewritten(work: Path, logs: Sequence[bytes]) -> list[bytes]:
-    """The same without compression and checksums: damage gets through to the messages."""
+    """The same without compression and checksums:
+    damage gets through to the messages.
+    """
     source, target, found = work / "source.mcap", work / "target.mcap", []
     for content in logs:
         source.write_bytes(content)
@@ -296,9 +299,13 @@ def _trend(used: FileId) -> TrendFile:
     return msgspec.convert(
         {
             **msgspec.to_builtins(head(TREND_SCHEMA, day)),
-            "files": [msgspec.to_builtins(used)], "robots": ["arm"], "alarm": False, "limit": 4.0,
-            "inflation": {"friction": 1.0}, "changes": [quantity | {"kind": "step", "since": day}],
+            "files": [msgspec.to_builtins(used)],
+            "robots": ["arm"],
+            "alarm": False,
+            "limit": 4.0,
+            "inflation": {"friction": 1.0},
+            "changes": [quantity | {"kind": "step", "since": day}],
             "series": [quantity | series],
         },
         TrendFile,
-    )  # fmt: skip
+    )

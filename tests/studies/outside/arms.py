@@ -141,7 +141,9 @@ def drawn_links(rng: np.random.Generator, n: int) -> tuple[Link, ...]:
 
 
 def _sizes(links: tuple[Link, ...], joint: int) -> tuple[float, float]:
-    """Weight [N m] and inertia [kg m^2] at a joint of the arm stretched out, at most."""
+    """Weight [N m] and inertia [kg m^2] at a joint of the arm stretched out,
+    at most.
+    """
     away, weight, inertia = 0.0, 0.0, 0.0
     for k, link in enumerate(links[joint:]):
         away += float(np.linalg.norm(link.place)) if k else 0.0

@@ -51,7 +51,9 @@ def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
 
 
 class Recorder:
-    """Writes the robot's files, and one log after the other, as a user's logger does."""
+    """Writes the robot's files, and one log after the other,
+    as a user's logger does.
+    """
 
     def __init__(self, case: Case, folder: Path) -> None:
         self.case, self.folder, self.clock, self.count = case, folder, 0.0, 0

@@ -1,4 +1,6 @@
-"""What a model can lack, and how it acts on the simulated arm: by MuJoCo's own means."""
+"""What a model can lack, and how it acts on the simulated arm:
+by MuJoCo's own means.
+"""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -367,8 +369,9 @@ _ORDER = """
 stribeck spring torque_bias payload load_dependent_friction torque_ripple time_skew
 friction_change joint_elasticity nonlinear_viscous torque_constant external_contact
 asymmetric_friction base_tilt drift gear_efficiency backlash encoder_eccentricity
-presliding_hysteresis transmission_coupling torque_saturation quadratic_drag rotor_inertia
-periodic_disturbance thermal_friction actuator_lag position_dependent_friction
+presliding_hysteresis transmission_coupling torque_saturation quadratic_drag
+rotor_inertia periodic_disturbance thermal_friction actuator_lag
+position_dependent_friction
 """
 
 

@@ -24,7 +24,9 @@ def _rounded(line: Array, width: int) -> Array:
 
 
 def fitted(arm: Arm, unit: Array) -> Array:
-    """Waves (N, n) of at most 1, as positions that keep the joints' ranges and speeds."""
+    """Waves (N, n) of at most 1, as positions that keep the joints' ranges and
+    speeds.
+    """
     links = arm.links[: arm.n]
     fast = np.abs(np.diff(unit, axis=0)).max(axis=0) / STEP_S
     limits = np.array([link.speed for link in links])

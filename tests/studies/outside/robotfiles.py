@@ -18,7 +18,9 @@ def row(values: Array) -> str:
 
 
 def mjcf(arm: Arm) -> ET.Element:
-    """The arm for MuJoCo; dry friction is a constraint there, so that joints can stick."""
+    """The arm for MuJoCo; dry friction is a constraint there,
+    so that joints can stick.
+    """
     root = ET.Element("mujoco")
     ET.SubElement(
         root, "compiler", angle="radian", eulerseq="XYZ", balanceinertia="false"

@@ -105,7 +105,9 @@ def ratios(predicted: dict[str, float], obtained: list[RigidStage]) -> Array:
 
 
 def share_outside(logs: list[Recording], robot: Robot, stages: Stages) -> float:
-    """Return the share of the steady slices of logs where friction was not identified."""
+    """Return the share of the steady slices of logs where friction was not
+    identified.
+    """
     surfaces = friction_surfaces(stages, robot)
     outside, total = 0, 0
     for trial in collect_trials(logs, robot):
@@ -143,7 +145,9 @@ class LongSearch:
     upper: Array
 
     def least(self, *, scaled: bool, starts: int, seed: int, drawn: int = 100) -> float:
-        """Return the least condition that descents from the best of random sets find."""
+        """Return the least condition that descents from the best of random sets
+        find.
+        """
         rng = np.random.default_rng(seed)
         found = []
         for _ in range(starts):

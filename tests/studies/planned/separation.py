@@ -118,10 +118,18 @@ def _table(found: Sequence[Outcome]) -> str:
     ]
     head += ["plan: dropped with", "names after", "answer"]
     rows = [
-        [o.effect, f"{o.log}, {o.size:g}", ", ".join(o.before), o.rival, f"{o.imitated:.1%}",
-         f"{o.power:.0%}", ", ".join(o.after), ANSWERS[o.separated, o.told]]
+        [
+            o.effect,
+            f"{o.log}, {o.size:g}",
+            ", ".join(o.before),
+            o.rival,
+            f"{o.imitated:.1%}",
+            f"{o.power:.0%}",
+            ", ".join(o.after),
+            ANSWERS[o.separated, o.told],
+        ]
         for o in open_
-    ]  # fmt: skip
+    ]
     closed = ", ".join(f"{o.effect} against {o.rival}" for o in found if not o.log)
     return (
         f"of {len(open_)} pairs that a log leaves open {parted} are separated, {right}"

@@ -29,7 +29,9 @@ SLIDES = 1e-3  # rad/s
 def bound(
     plant: Plant, logs: Sequence[Log], name: str, *, friction: bool, motion: bool
 ) -> float:
-    """Smallest standard error of an unbiased estimate of one of `RIGID` (kg m, kg m^2)."""
+    """Smallest standard error of an unbiased estimate of one of `RIGID` (kg m,
+    kg m^2).
+    """
     information = 0.0
     for log in logs:
         rate = 1.0 / float(log.t[1] - log.t[0])
@@ -99,7 +101,9 @@ def rigid_columns(plant: Plant, log: Log) -> Array:
 
 
 def friction_columns(plant: Plant, log: Log) -> Array:
-    """Torque per coefficient of friction of the plant's own form along the true motion."""
+    """Torque per coefficient of friction of the plant's own form along the true
+    motion.
+    """
     q, v = log.truth.q[:, 0], log.truth.dq[:, 0]
     surface = surface_of(plant)
     sign, angle = (

@@ -60,7 +60,9 @@ def shares_up(case: Case) -> list[float]:
 
 
 def heat_of(case: Case, warmth: Array) -> Array:
-    """Return the factor of friction (N, n) at so many kelvin above the cold arm (N, n)."""
+    """Return the factor of friction (N,
+    n) at so many kelvin above the cold arm (N, n).
+    """
     sizes = case.sizes("warmth")
     per_kelvin = np.array(sizes["per_kelvin"]) if sizes else np.zeros(case.arm.n)
     return np.asarray(np.exp(per_kelvin * warmth))

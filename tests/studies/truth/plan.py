@@ -47,7 +47,9 @@ class Case:
     imperfections: tuple[Imperfection, ...] = ()
 
     def sizes(self, kind: str) -> Sizes | None:
-        """Return the sizes of an imperfection, or None where the arm does not have it."""
+        """Return the sizes of an imperfection,
+        or None where the arm does not have it.
+        """
         return next((x.sizes for x in self.imperfections if x.kind == kind), None)
 
     @property

@@ -1,4 +1,6 @@
-"""Tables of the study: silent wrongs and intervals, by group, stage and imperfection."""
+"""Tables of the study: silent wrongs and intervals, by group,
+stage and imperfection.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -23,7 +23,9 @@ class Body:
     inertia: Array
 
     def seen_from(self, rotation: Array, place: Array) -> "Body":
-        """Return the body in a frame in which its own one stands so: (3, 3) and (3,) m."""
+        """Return the body in a frame in which its own one stands so: (3,
+        3) and (3,) m.
+        """
         moment, centre_part = rotation @ self.moment, self.mass * place
         inertia = rotation @ self.inertia @ rotation.T
         # About the other origin: J = J_0 - [p][h] - [h][p] - m [p][p].

@@ -1,4 +1,6 @@
-"""What refinements are held against: a model that is told its effects and their joints."""
+"""What refinements are held against: a model that is told its effects and their
+joints.
+"""
 
 from collections.abc import Mapping, Sequence
 

@@ -13,7 +13,9 @@ SCREEN = Screen("friction")
 
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two arms' folders, with a log each in a folder of a stage, and a working folder."""
+    """Two arms' folders, with a log each in a folder of a stage,
+    and a working folder.
+    """
     for arm in ("left", "right"):
         (tmp_path / arm / "friction").mkdir(parents=True)
         (tmp_path / arm / "friction" / "a.parquet").touch()

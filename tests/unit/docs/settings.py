@@ -1,8 +1,8 @@
 """The page of the settings, from their classes: `python -m tests.unit.docs.settings`.
 
 Names, defaults, units, bounds and reasons are written anew. The last column says what
-moving a setting does. What stands there by hand is kept; behind `SAMPLES` a study writes
-what changes on the sample logs (`python -m tests.studies --only settings`).
+moving a setting does. What stands there by hand is kept; behind `SAMPLES` a study
+writes what changes on the sample logs (`python -m tests.studies --only settings`).
 """
 
 import re
@@ -52,9 +52,8 @@ def _tables(measured: Mapping[tuple[str, str], str]) -> Iterator[str]:
 
     for (name, kind), users in commands.items():
         heading = f"{name}: {', '.join(f'`{user}`' for user in users)}"
-        yield (
-            f"### {heading}\n\n{kind.__doc__}\n\n{HEAD}\n|---|---|---|---|---|---|---|\n"
-        )
+        yield f"### {heading}\n\n{kind.__doc__}\n\n{HEAD}\n"
+        yield "|---|---|---|---|---|---|---|\n"
         for each in fields(kind):
             about = each.metadata
             cells = (

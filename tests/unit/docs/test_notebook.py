@@ -1,4 +1,6 @@
-"""The notebook of the docs: it is executed, its code runs, and it tells what it shows."""
+"""The notebook of the docs: it is executed, its code runs,
+and it tells what it shows.
+"""
 
 import json
 import re
@@ -25,7 +27,9 @@ def printed(cell: dict[str, Any]) -> str:
 
 
 def words(text: str) -> list[str]:
-    """Return the text without its numbers, whose last digits differ between machines."""
+    """Return the text without its numbers,
+    whose last digits differ between machines.
+    """
     return re.sub(r"[-+]?[0-9][0-9.e%+-]*", "#", text).split()
 
 

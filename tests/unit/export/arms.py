@@ -36,7 +36,7 @@ def made(
     rotor = np.zeros(robot.n) if known else np.full(robot.n, 1e-4)
     assert robot.urdf is not None
     bodies = bodies_of_urdf(read_urdf_text(robot.urdf), names)
-    kept = np.array([body.kept for body in bodies])
+    kept = np.array([body.locked_links for body in bodies])
     return robot, stages_of(robot, random_bodies(rng, robot.n) + kept, rotor)
 
 

@@ -1,4 +1,4 @@
-"""A short catalogue: tests of exports need effects in a file, not the search for them."""
+"""A short catalogue: tests of exports need effects in a file, not a search for them."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -59,7 +59,9 @@ class Logged:
 def logged(
     folder: Path, rig: str, effects: Sequence[Effect] = (), *, seed: int = 0
 ) -> Logged:
-    """Write a model, its training log, its held-out one, and one that it does not name."""
+    """Write a model, its training log, its held-out one,
+    and one that it does not name.
+    """
     robot, stages = sample(rig)
     stages.inertia.cutoff_hz = CUTOFF_HZ
     stages.inertia.rmse = dict.fromkeys(robot.joint_names, NOISE)

@@ -56,7 +56,9 @@ def case(joint: int | None, *coefficients: float, **settings: float) -> Case:
 
 
 def arm() -> tuple[Robot, Stages]:
-    """Return the arm without effects, its friction different at every place and speed."""
+    """Return the arm without effects, its friction different at every place and
+    speed.
+    """
     robot = two_joint_robot()
     stages = stages_of(robot, random_bodies(np.random.default_rng(3), robot.n))
     level = SpeedLevel(speed=0.1, forward=9, backward=9, rmse=0.01)

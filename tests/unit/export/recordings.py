@@ -18,8 +18,8 @@ ROBOTS: dict[str, tuple[tuple[str, ...], str]] = {
     "rokae_xmate": (("train.parquet",), "holdout.parquet"),
 }
 
-# Those that tests refine; the study has all. With the whole catalogue `refine` finds these
-# effects and no others on the UR10e and the TX40.
+# Those that tests refine; the study has all. With the whole catalogue `refine` finds
+# these effects and no others on the UR10e and the TX40.
 TESTED = ("staubli_tx40", "ur10e_innopolis")
 EFFECTS = (
     "gear_efficiency",

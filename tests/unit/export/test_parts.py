@@ -45,7 +45,9 @@ def test_inertia_that_may_be_a_rotors_makes_no_link_heavy(rotor: bool) -> None:
 
 
 def test_the_solution_is_the_minimum_of_the_divergence() -> None:
-    """Feasible steps in any direction along the equations make the divergence larger."""
+    """Feasible steps in any direction along the equations make the divergence
+    larger.
+    """
     rng = np.random.default_rng(3)
     phi = random_bodies(rng, 2)
     J = pseudo_inertia(phi)

@@ -47,7 +47,9 @@ FORMS = [
 
 @pytest.fixture(autouse=True)
 def quick_python(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A module for numpy is run on the first seconds of a log: Python takes its time."""
+    """A module for numpy is run on the first seconds of a log:
+    Python takes its time.
+    """
     monkeypatch.setattr(code_readers, "MOST_IN_PYTHON", 900)
 
 
@@ -61,7 +63,9 @@ def exported(case: Logged, kind: str, **more: object) -> ExportFile:
 
 
 def errors(path: Path, kind: str, full: FullModel, logs: Sequence[Path]) -> Array:
-    """Return the error (n,) N m of a written file on logs, filtered as `full` filters."""
+    """Return the error (n,) N m of a written file on logs,
+    filtered as `full` filters.
+    """
     found = replayed(path, kind, full, logs, {})
     return np.array([joint.export_rmse or 0.0 for joint in found.values()])
 

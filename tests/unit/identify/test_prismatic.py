@@ -41,7 +41,9 @@ TOP, ACCELERATION = np.array([0.5, 3.0]), np.array([4.0, 20.0])
 
 
 def slider() -> Robot:
-    """Joint 1 slides up; joint 2 turns about -y, so that x of its link rises with q_2."""
+    """Joint 1 slides up; joint 2 turns about -y,
+    so that x of its link rises with q_2.
+    """
     chain = Chain(
         rotation=np.tile(np.eye(3), (2, 1, 1)),
         position=np.array([[0.0, 0.0, 0.1], [0.2, 0.0, 0.0]]),

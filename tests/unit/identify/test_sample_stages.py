@@ -161,7 +161,9 @@ def test_one_pair_alone_leaves_parameters_open_and_names_them(six_joint: Rig) ->
 def test_pairs_for_an_arm_of_which_nothing_is_known(
     six_joint: Rig, one_joint: Rig
 ) -> None:
-    """With gravity known before, random states of the pairs show every base parameter."""
+    """With gravity known before, random states of the pairs show every base
+    parameter.
+    """
     robot = six_joint.robot
     basis = base_parameters(robot, rotor=())
     pairs = missing_pairs(robot, basis, np.eye(basis.size))

@@ -246,7 +246,9 @@ def write_bag(
     plugin: StoragePlugin = StoragePlugin.SQLITE3,
     compression: CompressionMode | None = None,
 ) -> Path:
-    """Write a ROS 1 bag, where the path ends with `.bag`, or the folder of a ROS 2 bag."""
+    """Write a ROS 1 bag, where the path ends with `.bag`,
+    or the folder of a ROS 2 bag.
+    """
     topics, rows = writers.encoded(messages, "cdr")
     humble, noetic = (
         get_typestore(Stores.ROS2_HUMBLE),

@@ -107,7 +107,9 @@ def test_what_has_to_be_read_as_a_whole(fault: str, tmp_path: Path) -> None:
 def test_a_log_that_changes_between_two_passes_is_refused(
     spooled: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither mixed with what was read before nor told as what the result is made of."""
+    """Neither mixed with what was read before nor told as what the result is
+    made of.
+    """
     if not spooled:
         monkeypatch.setattr(Spool, "complete", False)
     path = with_torque(tmp_path, grid(SAMPLES))

@@ -47,7 +47,9 @@ def having(stream: Stream, **channels: Array | None) -> Stream:
 
 
 def lossy(seed: int, samples: int, *, every: int, gap: int) -> NDArray[np.bool_]:
-    """Which samples are left where some are lost again and again, at uneven distances."""
+    """Which samples are left where some are lost again and again,
+    at uneven distances.
+    """
     rng = np.random.default_rng(100 + seed)
     kept, at = np.ones(samples, np.bool_), every
     while at + gap + 10 < samples:

@@ -81,7 +81,9 @@ def test_accelerometers_match_differentiated_positions(plant: Plant) -> None:
 
 
 def test_torque_balance_is_rnea_on_the_true_motion(plant: Plant) -> None:
-    """Actuator torque minus friction is Pinocchio's inverse dynamics plus the rotors."""
+    """Actuator torque minus friction is Pinocchio's inverse dynamics plus the
+    rotors.
+    """
     rng = np.random.default_rng(3)
     busy, _ = validation_trials(plant, rng, seconds=2.0, points=1)
     log = simulate(plant, busy.reference, 1, imus=False)

@@ -50,7 +50,9 @@ def plain(motion: Reference) -> Array:
 
 @pytest.fixture(scope="module")
 def stiff(motion: Reference) -> Array:
-    """The same with a spring that hardly bends: what elastic joints are compared with."""
+    """The same with a spring that hardly bends:
+    what elastic joints are compared with.
+    """
     return torque_of(replace(rig(), hidden=STIFF), motion)
 
 

@@ -1,4 +1,6 @@
-"""Formulas of own effects: what the grammar takes, and what it refuses with a reason."""
+"""Formulas of own effects: what the grammar takes,
+and what it refuses with a reason.
+"""
 
 from pathlib import Path
 

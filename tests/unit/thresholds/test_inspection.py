@@ -102,7 +102,7 @@ def wrong_gravity(settings: ImuSettings, error: float) -> bool:
 
 
 def disagreement(settings: ImuSettings, error: float) -> bool:
-    """Two triads of accelerometers, of which one channel reads too much or too little."""
+    """Two triads of accelerometers, one channel of which reads too much or little."""
     axes = np.vstack([np.eye(3), np.eye(3)])
     rest = np.random.default_rng(0).standard_normal((20, 3))
     rest *= 9.81 / np.linalg.norm(rest, axis=1, keepdims=True)

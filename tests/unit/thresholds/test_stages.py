@@ -475,7 +475,9 @@ def tried(
     bias: float = 0.0,
     moves: Array | None = None,
 ) -> CutoffChoice:
-    """The choice among cut-offs [Hz] with these errors; all else of those beside 8 Hz."""
+    """The choice among cut-offs [Hz] with these errors;
+    all else of those beside 8 Hz.
+    """
 
     def trial(hz: float) -> Candidate | None:
         if hz not in errors:
@@ -677,7 +679,9 @@ def differing_share(settings: AgreementSettings, share: float, level: str) -> bo
 
 
 def barely_odd(settings: AgreementSettings, independent: float) -> bool:
-    """Whether a log stands out that differs by a third of the noise, if it is certain."""
+    """Whether a log stands out that differs by a third of the noise,
+    if it is certain.
+    """
     all_else = replace(settings, max_left=1.0, usable_share=0.0)
     return bool(odd_log(all_else, 0.03, independent=independent))
 

@@ -68,9 +68,7 @@ def test_a_healthy_robot_gives_no_alarm() -> None:
     assert [file.alarm for file in found] == [False] * 20
 
 
-def test_files_count_in_the_order_of_their_dates_and_quantities_where_two_hold_them() -> (
-    None
-):
+def test_files_count_by_their_dates_and_quantities_where_two_hold_them() -> None:
     files = history(1, STEP)
     found = trend(files)
     alone = replace(files[3].stages.gravity.parameters[0], name="mz_1")

@@ -1,4 +1,4 @@
-"""A short catalogue for tests of what a refinement does with the effects it is given."""
+"""A short catalogue for tests of what a refinement does with given effects."""
 
 import pytest
 

@@ -1,4 +1,6 @@
-"""Bands: left-out residuals against fits anew, factors against known errors, variances."""
+"""Bands: left-out residuals against fits anew, factors against known errors,
+variances.
+"""
 
 import numpy as np
 import pytest

@@ -39,7 +39,9 @@ def identified(log: HuntingLog) -> FrictionStage:
 
 
 def rests_within_counts(log: HuntingLog, speed: float) -> float:
-    """Share of the time at one speed in which the joint stands, or goes the other way."""
+    """Share of the time at one speed in which the joint stands,
+    or goes the other way.
+    """
     slope = np.abs(np.gradient(log.angle, log.t))
     width = max(1, int(0.5 * RATE_HZ))
     mean = np.convolve(slope, np.full(width, 1.0 / width), "same")

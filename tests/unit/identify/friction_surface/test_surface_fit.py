@@ -148,7 +148,9 @@ def drawn(sizes: Sizes, rng: np.random.Generator) -> Array:
 
 @pytest.mark.slow
 def test_standard_errors_hold() -> None:
-    """Of surfaces drawn from the prior, errors of trials and sizes estimated as well."""
+    """Of surfaces drawn from the prior,
+    errors of trials and sizes estimated as well.
+    """
     rng = np.random.default_rng(18)
     z = []
     for _ in range(20):

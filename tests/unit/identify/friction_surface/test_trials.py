@@ -37,7 +37,9 @@ SURFACE = FrictionSurface(
 
 @pytest.mark.parametrize("seed", range(3))
 def test_columns_times_p_xi_are_the_gravity_torque(seed: int) -> None:
-    """p_xi of Eq. 14 is the composite body's first moment across the axis, or its mass."""
+    """p_xi of Eq. 14 is the composite body's first moment across the axis,
+    or its mass.
+    """
     rng = np.random.default_rng(seed)
     model, chain = random_model(rng, PRISMATIC)
     phi = np.array([body.toDynamicParameters() for body in list(model.inertias)[1:]])

@@ -107,7 +107,9 @@ def test_spikes_and_saturation_are_bridged_and_jolts_are_not_spikes() -> None:
 
 
 def test_gravity_at_rest_closes_the_angle_about_a_single_tilted_axis() -> None:
-    """The paper's single joint swings, with rests that are long enough to see gravity."""
+    """The paper's single joint swings, with rests that are long enough to see
+    gravity.
+    """
     plant, parts = one_joint(), []
     for angle in (-0.8, 0.9):
         motion = swing(plant, np.array([angle]), 0, 2, share=0.4, rate_hz=1000.0)

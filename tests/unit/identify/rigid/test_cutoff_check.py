@@ -30,7 +30,9 @@ def result(H: Array, y: Array) -> Result:
 
 
 def checked(seed: int, *, shrunk: float) -> tuple[CutoffDependence, Array]:
-    """Return what the same rows, noisier and one column off, change; standard errors."""
+    """Return what the same rows, noisier and one column off, change;
+    standard errors.
+    """
     rng = np.random.default_rng(seed)
     H = rng.standard_normal((BLOCKS * ROWS, len(THETA)))
     y = H @ THETA + 0.5 * rng.standard_normal(len(H))

@@ -30,7 +30,9 @@ ENTRIES = POSITIVE.size
 
 
 def shares_of(change: float, *, seed: int = 3) -> FrictionShares:
-    """Return the shares of two logs, friction being another by `change` in the second."""
+    """Return the shares of two logs, friction being another by `change` in the
+    second.
+    """
     surface = surface_of(POSITIVE, NEGATIVE, (0.1 * SPREAD) ** 2 * np.eye(2 * ENTRIES))
     first = trials(np.random.default_rng(seed))
     second = [

@@ -51,7 +51,9 @@ def trials(rng: np.random.Generator) -> list[Trial]:
 
 
 def drive_prior(surface: FrictionSurface) -> Prior:
-    """What is known of the drive's terms, behind the two parameters, before any trial."""
+    """What is known of the drive's terms, behind the two parameters,
+    before any trial.
+    """
     # No temperature is logged: what friction has per kelvin is any number, and is zero.
     weights = np.append(1.0 / PRIORS.even_std(friction_rms(surface)), 1.0)
     return Prior(np.pad(np.diag(weights), ((0, 0), (2, 0))), np.zeros(len(weights)))

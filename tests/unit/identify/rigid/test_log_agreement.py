@@ -97,7 +97,9 @@ def test_logs_of_one_arm_agree_also_where_the_law_is_wrong(stribeck: float) -> N
 
 
 def test_friction_may_differ_and_few_rows_say_nothing() -> None:
-    """Only the first parameters are the rigid body's; chance parts short logs as well."""
+    """Only the first parameters are the rigid body's;
+    chance parts short logs as well.
+    """
     rng = np.random.default_rng(0)
     robot = planar_2r()
 

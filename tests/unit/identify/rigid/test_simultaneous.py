@@ -94,7 +94,7 @@ def test_rigid_body_and_friction_are_recovered_and_predict_a_new_motion() -> Non
 
 
 def test_the_stated_error_of_friction_has_what_waves_over_the_position() -> None:
-    """The errors of the law's coefficients alone hold the truth at half of the places."""
+    """Errors of the law's coefficients alone hold the truth at half of the places."""
     share = 0.15
     log = record(1)
     wave = share * COULOMB * np.cos(log.q + 0.4) * np.sign(np.gradient(log.q, axis=0))

@@ -39,7 +39,9 @@ def scaled(logs: list[Recording], step: float) -> list[Recording]:
 
 
 def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
-    """All stages by the encoders, from logs whose torque of the first joint is scaled."""
+    """All stages by the encoders, from logs whose torque of the first joint is
+    scaled.
+    """
     folders = ("friction", "gravity", "inertia")
     drills, slow, pairs = (scaled(rig.logs(name), step) for name in folders)
     stages = Stages(friction=identify_friction(drills, robot, options=ORDERS))

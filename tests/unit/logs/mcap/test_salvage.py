@@ -1,4 +1,6 @@
-"""Damaged MCAP files: what is lost is counted, the rest is used; and memory stays flat."""
+"""Damaged MCAP files: what is lost is counted, the rest is used;
+and memory stays flat.
+"""
 
 import re
 import struct

@@ -274,7 +274,9 @@ def test_rows_without_an_episode_are_left_out(tmp_path: Path) -> None:
 
 
 def read_set(folder: Path, names: object, length: int) -> Recording:
-    """Read a data set that names the motors; the last of `length` values is a gripper."""
+    """Read a data set that names the motors;
+    the last of `length` values is a gripper.
+    """
     info = folder / "meta" / "info.json"
     info.parent.mkdir(parents=True)
     info.write_text(json.dumps({"features": {"observation.state": {"names": names}}}))

@@ -1,10 +1,11 @@
 """The smoother against a dense nonlinear least-squares problem, written down here once
 more.
 
-It follows docs/explanation/fused_motion.md: splines by scipy's B-splines, every reading at its own
-time, all unknowns in one vector, their slopes by differences. The size of the jerk and
-the noise are given, and an encoder's weights are those at the solution. Knots lie
-further apart than the smoother's cells, so that it shares no Jacobians either.
+It follows docs/explanation/fused_motion.md: splines by scipy's B-splines, every reading
+at its own time, all unknowns in one vector, their slopes by differences. The size of
+the jerk and the noise are given, and an encoder's weights are those at the solution.
+Knots lie further apart than the smoother's cells, so that it shares no Jacobians
+either.
 """
 
 from dataclasses import replace

@@ -131,7 +131,9 @@ def test_a_wrong_name_counts_where_it_is_sure() -> None:
 
 
 def test_a_case_goes_the_way_of_a_user_and_is_kept(tmp_path: Path) -> None:
-    """Seed 5 is clean, one log of a drawn arm: recorded, identified, diagnosed, cached."""
+    """Seed 5 is clean, one log of a drawn arm: recorded, identified,
+    diagnosed, cached.
+    """
     (row,) = answers([5], tmp_path)
     assert row["error"] == ""
     assert (row["kinds"], row["flow"]) == ([], "single")

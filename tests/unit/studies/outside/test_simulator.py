@@ -46,7 +46,9 @@ def test_simulator_and_urdf_are_one_arm(label: str) -> None:
 
 
 def test_logged_torque_is_inverse_dynamics_and_friction() -> None:
-    """MuJoCo's inverse dynamics of the logged motion, and friction, make up the torque."""
+    """MuJoCo's inverse dynamics of the logged motion, and friction,
+    make up the torque.
+    """
     arm = quiet_arm(4)
     arm = replace(arm, drives=tuple(replace(d, count=1e-9) for d in arm.drives))
     log = simulate(arm, motions.multisine(arm, np.random.default_rng(2), 6.0), seed=1)

@@ -118,9 +118,9 @@ study-outside: $(DEV) ## cases of the second simulator, into docs/evidence/outsi
 	$(BIN)/python -m tests.studies.outside --set tuning --seeds 0:110 --cache $(OUT)/outside --write
 
 .PHONY: study-truth
-study-truth: $(DEV) ## does `good` mean good: drawn arms with imperfections, into docs/evidence/truth_study.md (10 s an arm)
-	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:40 --cache $(OUT)/truth --processes $(WORKERS) --write
-	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:64 --alone --cache $(OUT)/truth --processes $(WORKERS) --write
+study-truth: $(DEV) ## does `good` mean good: tuning arms with imperfections on the screen, one arm and the rigs into docs/evidence/truth_study.md (10 s an arm)
+	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:40 --cache $(OUT)/truth --processes $(WORKERS)
+	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:64 --alone --cache $(OUT)/truth --processes $(WORKERS)
 	$(BIN)/python -m tests.studies.truth --fixed --seeds 0 --cache $(OUT)/truth --processes $(WORKERS) --write
 	$(BIN)/python -m tests.studies.truth --rigs --seeds 0:10 --cache $(OUT)/truth --processes $(WORKERS) --write
 

@@ -355,7 +355,7 @@ def _why_not_in_place(
         )
     if reach <= 0.0:
         return "predicts nothing in its place"
-    if reach < 1.0 - result.model.ground.options.small:
+    if reach < 1.0 - result.model.ground.options.negligible_share:
         return f"explains {percent(1.0 - reach)} less"
     of_rival = rival.term.freedom
     of_term = result.term.freedom
@@ -373,15 +373,15 @@ def _why_not_beside(scored: ScoredTerm, options: Options) -> str:
     log_bayes_factor = scored.fit.log_bayes_factor
     if score.total <= 0.0:
         return "predicts left-out blocks worse than the model without it"
-    if score.doubt >= options.doubt:
+    if score.doubt >= options.alpha:
         return (
             f"gains nothing in {percent(score.doubt)} of drawn blocks of time;"
-            f" {percent(options.doubt)} is allowed at most"
+            f" {percent(options.alpha)} is allowed at most"
         )
-    if log_bayes_factor <= options.chance:
+    if log_bayes_factor <= options.min_log_bayes_factor:
         return (
             f"log evidence of {log_bayes_factor:.1f}, as of noise;"
-            f" {options.chance:g} is asked at least"
+            f" {options.min_log_bayes_factor:g} is asked at least"
         )
     if score.share <= options.improvement:
         return (

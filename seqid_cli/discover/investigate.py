@@ -19,7 +19,7 @@ from seqid_cli.discover.noise.floor import (
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.select.model import HELD, Ground, Model
+from seqid_cli.discover.select.model import HELD, Model, SelectionProblem
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select, select_among
@@ -57,7 +57,7 @@ class FileResidual:
     counts: tuple[Mask, ...]
 
     @classmethod
-    def of(cls, ground: Ground) -> "FileResidual":
+    def of(cls, ground: SelectionProblem) -> "FileResidual":
         """Take the residual of all rows."""
         residual = ground.base.y
         return cls(
@@ -135,7 +135,7 @@ class Investigation:
         return self.selection.model
 
     @property
-    def ground(self) -> Ground:
+    def ground(self) -> SelectionProblem:
         """Rows and data sets, events left out."""
         return self.selection.model.ground
 
@@ -192,7 +192,7 @@ def investigate(
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
 
     step("choosing effects", 4, 10)
-    ground = Ground.of(rows, stages, selection_options)
+    ground = SelectionProblem.of(rows, stages, selection_options)
     file_residual = FileResidual.of(ground)
     selection = select(ground)
 
@@ -208,7 +208,7 @@ def investigate(
     is_changed = not all(map(np.array_equal, remaining.used, rows.used))
     if is_changed:
         selection = select_among(
-            Ground.of(remaining, stages, selection_options),
+            SelectionProblem.of(remaining, stages, selection_options),
             first_model.hold,
             first_model.candidates,
         )
@@ -280,7 +280,7 @@ def investigate_beside(
         Whether all was looked for.
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
-    ground = Ground.of(rows, stages, Options.of(options.settings.evidence))
+    ground = SelectionProblem.of(rows, stages, Options.of(options.settings.evidence))
     selection = select_among(ground, HELD, candidates)
     largest = selection.largest()
     is_complete = all(

@@ -126,7 +126,10 @@ def with_own_cutoffs(
         for log, scene in zip(doubtful, scenes, strict=True)
         if _is_coarse(log, scene, settings.negligible_share)
     }
-    motion = replace(options.motion, own=options.motion.own | coarse)
+    motion = replace(
+        options.motion,
+        logs_with_own_cutoff=options.motion.logs_with_own_cutoff | coarse,
+    )
     return replace(options, motion=motion)
 
 

@@ -96,7 +96,7 @@ def predicted_worse(investigation: Investigation, joint: int) -> bool:
     fitted, file = _squares(investigation, joint)
     options = investigation.ground.options
     loss = fitted - (1.0 + options.improvement) * file
-    return doubt_of(loss) <= options.doubt
+    return doubt_of(loss) <= options.alpha
 
 
 def predicted_better(investigation: Investigation, joint: int) -> bool:
@@ -104,7 +104,7 @@ def predicted_better(investigation: Investigation, joint: int) -> bool:
     fitted, file = _squares(investigation, joint)
     options = investigation.ground.options
     gain = (1.0 - options.improvement) * file - fitted
-    return doubt_of(gain) <= options.doubt
+    return doubt_of(gain) <= options.alpha
 
 
 def _squares(investigation: Investigation, joint: int) -> tuple[Array, Array]:

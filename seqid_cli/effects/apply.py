@@ -91,8 +91,8 @@ def placed(scene: Scene, recording: Recording, session: EffectSession | None) ->
 
     # A session may know a recording by its own digest, or by that of its log.
     digests = [recording.sha256]
-    if recording.whole:
-        digests.append(recording.whole.sha256)
+    if recording.source_log:
+        digests.append(recording.source_log.sha256)
     digest = next((digest for digest in digests if digest in session.logs), None)
     if digest is not None:
         number = session.logs.index(digest)

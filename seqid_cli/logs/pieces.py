@@ -30,8 +30,8 @@ def whole_of(log: Recording | LongLog) -> Whole:
     if isinstance(log, LongLog):
         length_s = (log.samples - 1) * log.step_s
         return Whole(log.sha256, log.start_ns * 1e-9, length_s)
-    if log.whole is not None:
-        return log.whole
+    if log.source_log is not None:
+        return log.source_log
     return Whole(log.sha256, log.start, float(log.t[-1]))
 
 
@@ -41,8 +41,8 @@ def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
     for number, recording in enumerate(recordings):
         # Two whole logs are two logs even where their content is the same.
         key: object = number
-        if recording.whole is not None:
-            whole = recording.whole
+        if recording.source_log is not None:
+            whole = recording.source_log
             key = (str(recording.path), whole.sha256, whole.start)
         logs.setdefault(key, []).append(recording)
     return list(logs.values())
@@ -95,7 +95,7 @@ def _piece(recording: Recording, whole: Whole) -> Recording:
         recording,
         sha256=hashlib.sha256(place.encode()).hexdigest(),
         health=replace(recording.health, gaps=(), warnings=()),
-        whole=whole,
+        source_log=whole,
     )
 
 

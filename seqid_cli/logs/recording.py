@@ -57,7 +57,7 @@ class Recording:
     gyros: dict[str, Array] = field(default_factory=dict)  # (N, 3) rad/s by IMU
     start: float = 0.0  # s, the first sample on the log's own clock
     partial: str = ""  # what was lost, where the log was salvaged
-    whole: Whole | None = None  # the log, where this is a piece of it
+    source_log: Whole | None = None  # the log, where this is a piece of it
     bridged: Mask | None = None  # (N,) not measured, but known from both sides
 
     @property
@@ -68,7 +68,7 @@ class Recording:
     @property
     def offset(self) -> float:
         """Seconds from the log's first sample to this recording's."""
-        return 0.0 if self.whole is None else self.start - self.whole.start
+        return 0.0 if self.source_log is None else self.start - self.source_log.start
 
 
 def torque_of(recording: Recording) -> Array:

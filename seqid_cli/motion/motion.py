@@ -141,7 +141,7 @@ def estimate_motion(
     resolution = encoder_resolution(robot)
     survey = survey_of_positions(recording.q, rate_hz)
     cutoff = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
-    if recording.sha256 not in options.own:
+    if recording.sha256 not in options.logs_with_own_cutoff:
         cutoff = as_asked(cutoff, recording.path, rate_hz, options)
 
     moving = moving_mask(recording.q, rate_hz, survey.noise_step(resolution))

@@ -24,7 +24,7 @@ class MotionOptions:
         Cut-off that would suit the encoders alone.
     reads_delays : bool
         Whether the jerk is known well enough to estimate delays by it.
-    own : frozenset of str
+    logs_with_own_cutoff : frozenset of str
         SHA-256 of logs that choose for themselves.
     kept : dict, optional
         Motions of logs that are worked on again and again (see `log_motion`).
@@ -35,5 +35,5 @@ class MotionOptions:
     origin: str = ""
     encoder_hz: float | None = None
     reads_delays: bool = True
-    own: frozenset[str] = frozenset()
+    logs_with_own_cutoff: frozenset[str] = frozenset()
     kept: dict[Any, Any] | None = field(default=None, compare=False, repr=False)

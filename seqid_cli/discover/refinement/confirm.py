@@ -17,8 +17,8 @@ from msgspec import structs
 from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_floor
 from seqid_cli.discover.refinement.held_out import (
+    BlockErrors,
     Gain,
-    HeldOutError,
     WholeLogs,
     gain,
     held_out_error,
@@ -151,15 +151,15 @@ class _Errors:
     whole_logs: WholeLogs | None
     _uses_pieces: bool = False
     # by the identity of a model, which is kept so that no other one has it
-    _measured_models: dict[int, tuple[object, HeldOutError]] = field(
+    _measured_models: dict[int, tuple[object, BlockErrors]] = field(
         default_factory=dict
     )
 
-    def of_model(self, model: Refitted) -> HeldOutError:
+    def of_model(self, model: Refitted) -> BlockErrors:
         """Return the squared errors of a model, block by block."""
         return self._of(model, with_effects(model, self.robot))
 
-    def of(self, stages: Stages) -> HeldOutError:
+    def of(self, stages: Stages) -> BlockErrors:
         """Return the squared errors of the stages of a file."""
         return self._of(stages, stages)
 
@@ -182,14 +182,14 @@ class _Errors:
         extent = "pieces of the" if self._uses_pieces else "the whole"
         return (f"errors are of {extent} held-out logs",)
 
-    def _of(self, key: object, stages: Stages) -> HeldOutError:
+    def _of(self, key: object, stages: Stages) -> BlockErrors:
         measured = self._measured_models.get(id(key))
         if measured is None:
             measured = key, self._measured(stages)
             self._measured_models[id(key)] = measured
         return measured[1]
 
-    def _measured(self, stages: Stages) -> HeldOutError:
+    def _measured(self, stages: Stages) -> BlockErrors:
         if self.whole_logs is not None and not self._uses_pieces:
             errors = self.whole_logs.errors([stages], self.options)
             if errors:
@@ -265,8 +265,8 @@ def _measured(
 
 def _with_gain(
     entry: RefinementRound,
-    error_before: HeldOutError,
-    error_after: HeldOutError,
+    error_before: BlockErrors,
+    error_after: BlockErrors,
     refinement: Refinement,
 ) -> RefinementRound:
     """Return an effect with what it gains at its joints."""
@@ -322,7 +322,7 @@ def _loss_note(gains: Mapping[str, Gain], options: Options) -> tuple[str, ...]:
     losses = {
         name: -change.value
         for name, change in gains.items()
-        if change.loses and -change.value > options.small
+        if change.loses and -change.value > options.negligible_share
     }
     if not losses:
         return ()

@@ -45,7 +45,7 @@ def read_earlier(
     """
     pieces_of = by_digest(fitted.recordings)
     held_whole = {
-        sha256 for sha256, pieces in pieces_of.items() if pieces[0].whole is None
+        sha256 for sha256, pieces in pieces_of.items() if pieces[0].source_log is None
     }
     trials = {sha256 for stage in TRIALS for sha256 in earlier.by_stage.get(stage, ())}
 

@@ -47,7 +47,7 @@ MOST_BLOCKS = 1000  # of a log that comes in parts
 ROUNDING = 1e-12
 
 
-class HeldOutError(NamedTuple):
+class BlockErrors(NamedTuple):
     """Squared errors of a model, block by block, where a joint certainly slides.
 
     At rest the model says an interval: a wider one always fits better, and nothing is
@@ -71,7 +71,7 @@ class HeldOutError(NamedTuple):
     outside_samples: Array
 
     @classmethod
-    def zeros(cls, blocks: int, joints: int) -> HeldOutError:
+    def zeros(cls, blocks: int, joints: int) -> BlockErrors:
         """Return sums of nothing yet, each (blocks, joints)."""
         return cls(
             squares=np.zeros((blocks, joints)),
@@ -146,7 +146,7 @@ def held_out_error(
     robot: Robot,
     stages: Stages,
     options: InertiaOptions,
-) -> HeldOutError:
+) -> BlockErrors:
     """Predict logs and add up the squared errors, block by block of time.
 
     Parameters
@@ -162,7 +162,7 @@ def held_out_error(
 
     Returns
     -------
-    HeldOutError
+    BlockErrors
         Blocks of about two seconds of each log, at least `FEWEST_BLOCKS` of them, at
         most `MOST_BLOCKS`. Only samples count at which the joint certainly slides.
     """
@@ -174,7 +174,7 @@ def held_out_error(
         unexplained=True,
         sliding_only=True,
     )
-    errors: list[HeldOutError] = []
+    errors: list[BlockErrors] = []
     samples_of_log = 0
     first_sample = 0
     for part in parts:
@@ -185,7 +185,7 @@ def held_out_error(
                 duration_s *= part.samples / len(part.t)
             n_blocks = round(duration_s / BLOCK_S)
             n_blocks = int(np.clip(n_blocks, FEWEST_BLOCKS, MOST_BLOCKS))
-            errors.append(HeldOutError.zeros(n_blocks, robot.n))
+            errors.append(BlockErrors.zeros(n_blocks, robot.n))
             samples_of_log = part.samples
             first_sample = 0
 
@@ -212,10 +212,10 @@ def _add_by_block(totals: Array, block: Index, values: Array | Mask) -> None:
         )
 
 
-def joined(errors: Iterable[HeldOutError]) -> HeldOutError:
+def joined(errors: Iterable[BlockErrors]) -> BlockErrors:
     """Return the blocks of all logs."""
     of_logs = list(errors)
-    return HeldOutError(
+    return BlockErrors(
         squares=np.vstack([error.squares for error in of_logs]),
         samples=np.vstack([error.samples for error in of_logs]),
         outside=np.vstack([error.outside for error in of_logs]),
@@ -233,7 +233,7 @@ class WholeLogs:
 
     def errors(
         self, models: Sequence[Stages], options: InertiaOptions
-    ) -> list[HeldOutError]:
+    ) -> list[BlockErrors]:
         """Return the errors of models on all samples.
 
         There are none where one of the models cannot be predicted part by part.
@@ -252,13 +252,13 @@ class WholeLogs:
                 errors.append(error)
         return errors if len(errors) == len(models) else []
 
-    def _error(self, stages: Stages, options: InertiaOptions) -> HeldOutError | None:
+    def _error(self, stages: Stages, options: InertiaOptions) -> BlockErrors | None:
         """Return one model's error; None where it must hold a log to predict it."""
         model = TorqueModel.from_stages(stages, self.robot)
         effects = fitted_effects(stages, self.robot, unexplained=True)
         if not (streams(stages, options) and local_effects(model, effects)):
             return None
-        errors: list[HeldOutError] = []
+        errors: list[BlockErrors] = []
         for path in self.paths:
             with local_copy(path) as local:
                 log = self._opened(Path(local))
@@ -281,7 +281,7 @@ class WholeLogs:
         return None
 
 
-def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> Gain:
+def gain(before: BlockErrors, after: BlockErrors, joints: Collection[int]) -> Gain:
     """Compare two models on the same samples at some joints.
 
     The samples of a joint within and those beyond the identified friction are each
@@ -290,7 +290,7 @@ def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> 
 
     Parameters
     ----------
-    before, after : HeldOutError
+    before, after : BlockErrors
         Of the two models.
     joints : collection of int
         Those that count.
@@ -301,7 +301,7 @@ def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> 
     return gain_of(squares_before, squares_after)
 
 
-def likelier(error: HeldOutError, error_of_other: HeldOutError) -> bool:
+def likelier(error: BlockErrors, error_of_other: BlockErrors) -> bool:
     """Return whether one model explains the same samples better than another.
 
     By the likelihood of normal errors of each joint's and model's own size: joints
@@ -315,14 +315,14 @@ def likelier(error: HeldOutError, error_of_other: HeldOutError) -> bool:
     return bool(samples @ (log_squares - log_squares_of_other) < 0.0)
 
 
-def doubt(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> float:
+def doubt(before: BlockErrors, after: BlockErrors, joints: Collection[int]) -> float:
     """Return the probability that nothing is gained, over drawn weights of the blocks.
 
     It is the doubt that the selection goes by.
 
     Parameters
     ----------
-    before, after : HeldOutError
+    before, after : BlockErrors
         Of two models on the same samples.
     joints : collection of int
         Those that count.
@@ -332,7 +332,7 @@ def doubt(before: HeldOutError, after: HeldOutError, joints: Collection[int]) ->
 
 
 def _weighed(
-    before: HeldOutError, after: HeldOutError, joints: Collection[int]
+    before: BlockErrors, after: BlockErrors, joints: Collection[int]
 ) -> tuple[Array, Array]:
     """Return the squared errors (B,) of two models, in units of the mean before.
 

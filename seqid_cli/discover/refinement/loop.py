@@ -12,9 +12,9 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.refinement import held_out
-from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, doubt, gain
+from seqid_cli.discover.refinement.held_out import BlockErrors, Gain, doubt, gain
 from seqid_cli.discover.refinement.reidentify import (
-    Material,
+    RefinementData,
     Refitted,
     fitted_smooth,
     identity,
@@ -88,12 +88,12 @@ class Step:
             effects=tuple(self.effects[number] for number in staying),
         )
 
-    def again(self, material: Material, model_before: Refitted) -> Step:
+    def again(self, material: RefinementData, model_before: Refitted) -> Step:
         """Return the step fitted again to the training logs, on top of another model.
 
         Parameters
         ----------
-        material : Material
+        material : RefinementData
             The logs.
         model_before : Refitted
             The model.
@@ -131,7 +131,7 @@ class Refinement:
 
     Attributes
     ----------
-    material : Material
+    material : RefinementData
         What models are fitted to.
     incoming_stages : Stages
         The file as it came in.
@@ -147,15 +147,15 @@ class Refinement:
         What is to be said of the logs.
     """
 
-    material: Material
+    material: RefinementData
     incoming_stages: Stages
     incoming_model: Refitted
     steps: list[Step] = field(default_factory=list)
     refused: list[RefinementRound] = field(default_factory=list)
     untried: list[Candidate] = field(default_factory=list)
     notes: tuple[str, ...] = ()
-    _training_errors: dict[Refitted, HeldOutError] = field(default_factory=dict)
-    _earlier_errors: dict[Refitted | int, HeldOutError] = field(default_factory=dict)
+    _training_errors: dict[Refitted, BlockErrors] = field(default_factory=dict)
+    _earlier_errors: dict[Refitted | int, BlockErrors] = field(default_factory=dict)
 
     @property
     def model(self) -> Refitted:
@@ -211,13 +211,13 @@ class Refinement:
             path.append(step.again(self.material, model_before))
         return path
 
-    def error_of(self, model: Refitted) -> HeldOutError:
+    def error_of(self, model: Refitted) -> BlockErrors:
         """Return squared errors of a model on the logs that are fitted."""
         if model not in self._training_errors:
             self._training_errors[model] = self._error(self.material.training, model)
         return self._training_errors[model]
 
-    def error_everywhere(self, model: Refitted) -> HeldOutError:
+    def error_everywhere(self, model: Refitted) -> BlockErrors:
         """Return squared errors of a model on all logs.
 
         In the logs of earlier stages what came late was not there.
@@ -241,7 +241,7 @@ class Refinement:
             if identity(log) not in fitted and log.tau is not None
         ]
 
-    def _error(self, logs: Sequence[Recording], model: Refitted) -> HeldOutError:
+    def _error(self, logs: Sequence[Recording], model: Refitted) -> BlockErrors:
         robot = self.material.robot
         return held_out.held_out_error(
             logs,
@@ -282,7 +282,7 @@ class Judgement:
     def gains(self) -> bool:
         """Whether it gains as much as a finding does, and not by chance."""
         is_enough = self.change.value >= self.min_gain
-        return is_enough and self.chance_probability <= Options.doubt
+        return is_enough and self.chance_probability <= Options.alpha
 
     @property
     def fault(self) -> str:

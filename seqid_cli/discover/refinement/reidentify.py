@@ -23,7 +23,7 @@ from msgspec import structs
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of, shared_starts
-from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Model
+from seqid_cli.discover.select.model import FIRM, FREE, HELD, Model, SelectionProblem
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.smooth import SmoothFunction
@@ -103,7 +103,7 @@ def key_of(fitted: Fitted) -> Key | None:
 
 
 @dataclass(frozen=True)
-class Material:
+class RefinementData:
     """What a model is identified from.
 
     Attributes
@@ -122,7 +122,7 @@ class Material:
     earlier: Mapping[str, Sequence[Recording]]
     robot: Robot
     options: DiscoverOptions
-    _grounds: list[tuple[Stages, Ground]] = field(
+    _grounds: list[tuple[Stages, SelectionProblem]] = field(
         init=False, default_factory=list, compare=False, repr=False
     )
 
@@ -131,7 +131,7 @@ class Material:
         """What decides, by the user's settings."""
         return Options.of(self.options.settings.evidence)
 
-    def ground(self, stages: Stages) -> Ground:
+    def ground(self, stages: Stages) -> SelectionProblem:
         """Return the problem of the training logs beside these stages.
 
         The last two are kept: they take most of the time.
@@ -143,7 +143,7 @@ class Material:
                 self.training, self.robot, stages, options=self.options.motion
             )
             rows = rows_of(scenes)
-            latest = stages, Ground.of(rows, stages, self.selection_options)
+            latest = stages, SelectionProblem.of(rows, stages, self.selection_options)
         self._grounds[:] = [latest, *earlier[:1]]
         return latest[1]
 
@@ -225,7 +225,7 @@ def identity(log: Recording) -> tuple[str, str]:
 
 
 def refitted(
-    material: Material,
+    material: RefinementData,
     model: Refitted,
     candidates: Sequence[Candidate],
     *,
@@ -236,7 +236,7 @@ def refitted(
 
     Parameters
     ----------
-    material : Material
+    material : RefinementData
         The logs.
     model : Refitted
         The model as it stands.
@@ -276,7 +276,7 @@ def refitted(
 
 
 def fitted_smooth(
-    material: Material, model: Refitted, function: SmoothFunction
+    material: RefinementData, model: Refitted, function: SmoothFunction
 ) -> SmoothTerm:
     """Fit a smooth term to what a model with its effects leaves of the training logs.
 
@@ -285,7 +285,7 @@ def fitted_smooth(
 
     Parameters
     ----------
-    material : Material
+    material : RefinementData
         The logs.
     model : Refitted
         The model.
@@ -298,7 +298,9 @@ def fitted_smooth(
         model.stages,
         options=material.options.motion,
     )
-    ground = Ground.of(rows_of(scenes), model.stages, material.selection_options)
+    ground = SelectionProblem.of(
+        rows_of(scenes), model.stages, material.selection_options
+    )
     fit = Model(ground, FIRM)
     term = smooth_term(fit.ground.stage, function, fit.ground.size)
     fit.terms.append(term)
@@ -306,7 +308,7 @@ def fitted_smooth(
     return function.fitted(fit.coefficients(term)[: function.size])
 
 
-def _fitted_effects(material: Material, fit: Model) -> list[FittedEffect]:
+def _fitted_effects(material: RefinementData, fit: Model) -> list[FittedEffect]:
     """Return the effects of a model with their coefficients.
 
     Errors are no narrower than the coefficients scatter over blocks.
@@ -329,7 +331,7 @@ def _fitted_effects(material: Material, fit: Model) -> list[FittedEffect]:
 # ---- every stage again
 
 
-def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
+def _stages(material: RefinementData, model: Refitted, fit: Model | None) -> Stages:
     """Identify every stage again, on logs without the effects.
 
     Where the logs of the stages are not at hand, the base moves as `fit` says, or as a
@@ -351,7 +353,10 @@ def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
 
 
 def _simultaneous(
-    material: Material, model: Refitted, friction: FrictionStage, fit: Model | None
+    material: RefinementData,
+    model: Refitted,
+    friction: FrictionStage,
+    fit: Model | None,
 ) -> Stages:
     """Identify friction and rigid body again, in one step."""
     stages = model.stages
@@ -372,7 +377,7 @@ def _simultaneous(
     return held(new, stages, fit or Model(material.ground(stages), FREE))
 
 
-def _sequential(material: Material, model: Refitted) -> Stages:
+def _sequential(material: RefinementData, model: Refitted) -> Stages:
     """Identify friction, gravity and inertia again, one after the other."""
     robot = material.robot
     stages = model.stages

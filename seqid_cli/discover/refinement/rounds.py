@@ -30,7 +30,7 @@ from seqid_cli.discover.refinement.loop import (
     Step,
     effect_of,
 )
-from seqid_cli.discover.refinement.reidentify import Material, Refitted, key_of
+from seqid_cli.discover.refinement.reidentify import RefinementData, Refitted, key_of
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import named
 from seqid_cli.discover.select.options import Options
@@ -81,7 +81,7 @@ def refine(
         training, robot, file.stages, options.motion, options.settings.evidence
     )
     options = replace(options, motion=motion)
-    material = Material(tuple(training), earlier, robot, options)
+    material = RefinementData(tuple(training), earlier, robot, options)
 
     file_effects = fitted_effects(file.stages, robot, unexplained=True)
     stages = msgspec.structs.replace(file.stages, effects=None)
@@ -107,7 +107,9 @@ def refine(
     return loop
 
 
-def _material_to_fit(material: Material, investigation: Investigation) -> Material:
+def _material_to_fit(
+    material: RefinementData, investigation: Investigation
+) -> RefinementData:
     """Return what the model is fitted to.
 
     It is without events, and by encoders alone if no log needs more.
@@ -212,7 +214,9 @@ def _add_effects(loop: Refinement, investigation: Investigation) -> Investigatio
         # More is looked for where the stages have changed, or the search had ended
         # before its time.
         n_terms = len(investigation.model.terms)
-        is_full = bool(decision.candidate_model.effects) and n_terms >= Options.most
+        is_full = (
+            bool(decision.candidate_model.effects) and n_terms >= Options.max_terms
+        )
         was_last = len(new_results) == len(hypothesis)
         if loop.model.stages is not stages_before or (
             was_last and (is_full or not is_complete)

@@ -93,7 +93,7 @@ def value_changes(
     sure_terms = [
         result.term
         for result in told
-        if reality(result.share, result.evidence) >= selection.options.told
+        if reality(result.share, result.evidence) >= selection.options.min_confidence
     ]
     places = (None, *range(selection.model.ground.n))
     changes = [_change_at(selection, joint, sure_terms, least) for joint in places]
@@ -165,7 +165,7 @@ def causes_at(model: Model, joint: int, terms: Sequence[Term]) -> list[Cause]:
         )
         for fitted in possible
     ]
-    likely = [cause for cause in causes if cause.probability > Options.doubt]
+    likely = [cause for cause in causes if cause.probability > Options.alpha]
     return sorted(likely, key=lambda cause: -cause.probability)
 
 

@@ -106,7 +106,7 @@ FIRM = PriorScale(0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ground:
+class SelectionProblem:
     """The problem of a selection: what does not change while terms are taken.
 
     Attributes
@@ -133,7 +133,7 @@ class Ground:
     @classmethod
     def of(
         cls, kept_rows: Rows, stages: Stages, options: Options | None = None
-    ) -> Ground:
+    ) -> SelectionProblem:
         """Set the problem of a selection.
 
         Parameters
@@ -275,7 +275,7 @@ class Model:
 
     Parameters
     ----------
-    ground : Ground
+    ground : SelectionProblem
         The problem.
     hold : PriorScale
         How loosely the base is held to the file.
@@ -295,7 +295,10 @@ class Model:
     """
 
     def __init__(
-        self, ground: Ground, hold: PriorScale, candidates: Sequence[Candidate] = ()
+        self,
+        ground: SelectionProblem,
+        hold: PriorScale,
+        candidates: Sequence[Candidate] = (),
     ) -> None:
         self.ground = ground
         self.hold = hold

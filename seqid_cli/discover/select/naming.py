@@ -25,7 +25,7 @@ from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import TermResult
 from seqid_cli.typing import Array
 
-BEHIND = -float(logit(Options.doubt))  # log odds against a rival that is not told
+BEHIND = -float(logit(Options.alpha))  # log odds against a rival that is not told
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def tempered(gain: Array | float, options: Options) -> Array:
     A rival that lacks a small share of `gain` is just not told then. Differences are
     never enlarged.
     """
-    return np.maximum(options.small * np.asarray(gain) / BEHIND, 1.0)
+    return np.maximum(options.negligible_share * np.asarray(gain) / BEHIND, 1.0)
 
 
 def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
@@ -105,7 +105,7 @@ def named(result: TermResult, floors_left: float = 1.0) -> NameConfidence:
     """
     shares = _name_probabilities(result)
     by_name = shares.pop(result.term.name, 0.0)
-    likely = {name: share for name, share in shares.items() if share > Options.doubt}
+    likely = {name: share for name, share in shares.items() if share > Options.alpha}
 
     is_there = reality(result.share, result.evidence) * steadiness(
         result.log_evidence_of_variation, result.share, floors_left

@@ -21,7 +21,13 @@ from seqid_cli.discover.base import has_trials
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.changes import MOST_ERRORS, value_changes
 from seqid_cli.discover.select.linear import LinearModel
-from seqid_cli.discover.select.model import FREE, HELD, Ground, Model, PriorScale
+from seqid_cli.discover.select.model import (
+    FREE,
+    HELD,
+    Model,
+    PriorScale,
+    SelectionProblem,
+)
 from seqid_cli.discover.select.naming import probable_names, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.results import (
@@ -42,7 +48,9 @@ from seqid_cli.effects.scene import Scene
 from seqid_cli.typing import Array
 
 
-def select(ground: Ground, catalogue: Sequence[Effect] | None = None) -> Selection:
+def select(
+    ground: SelectionProblem, catalogue: Sequence[Effect] | None = None
+) -> Selection:
     """Select what the model lacks.
 
     Friction trials tell what a file has taken up of an effect. Without them the base is
@@ -52,7 +60,7 @@ def select(ground: Ground, catalogue: Sequence[Effect] | None = None) -> Selecti
 
     Parameters
     ----------
-    ground : Ground
+    ground : SelectionProblem
         The problem.
     catalogue : sequence of Effect, optional
         What the model may lack; by default all effects.
@@ -107,13 +115,13 @@ def _best_of_all(selections: Sequence[Selection]) -> Selection:
 
 
 def select_among(
-    ground: Ground, hold: PriorScale, candidates: Sequence[Candidate]
+    ground: SelectionProblem, hold: PriorScale, candidates: Sequence[Candidate]
 ) -> Selection:
     """Begin with effects, and remove those that the model does not need.
 
     Parameters
     ----------
-    ground : Ground
+    ground : SelectionProblem
         The problem.
     hold : PriorScale
         How loosely the base is held to the file.
@@ -126,7 +134,7 @@ def select_among(
     return selection
 
 
-def _known_effects(ground: Ground) -> tuple[Effect, ...]:
+def _known_effects(ground: SelectionProblem) -> tuple[Effect, ...]:
     return tuple(catalogue_of(ground.stage.scenes[0].robot).values())
 
 
@@ -179,8 +187,9 @@ class Selection:
         smooth_gain = sum(
             again(term, model).score.total for term in model.terms if term.smooth
         )
-        granted = self.options.small * smooth_gain + self.options.chance * len(
-            model.terms
+        granted = (
+            self.options.negligible_share * smooth_gain
+            + self.options.min_log_bayes_factor * len(model.terms)
         )
         doubt = model.hold.doubt(model.ground.n)
         return model.under(noise).evidence - (granted + doubt)
@@ -202,7 +211,7 @@ class Selection:
     def run(self) -> None:
         """Add terms, and after each step remove those that are not needed."""
         refused: set[Key] = set()
-        while len(self.model.terms) < self.options.most:
+        while len(self.model.terms) < self.options.max_terms:
             term = self._next_term(refused)
             if term is None:
                 return
@@ -224,7 +233,7 @@ class Selection:
         likely = [
             fitted
             for fitted in self._last_tried
-            if fitted.evidence > self.options.chance
+            if fitted.evidence > self.options.min_log_bayes_factor
         ]
         scored = _scored(self.model.linear, likely)
         passing = [candidate for candidate in scored if self._passes(candidate)]
@@ -256,8 +265,8 @@ class Selection:
         options = self.options
         score = candidate.score
         is_sure = (
-            candidate.fit.log_bayes_factor > options.chance
-            and score.doubt < options.doubt
+            candidate.fit.log_bayes_factor > options.min_log_bayes_factor
+            and score.doubt < options.alpha
         )
         return is_sure and score.share > options.improvement
 
@@ -266,10 +275,10 @@ class Selection:
         options = self.options
         lag = best.score.total - candidate.score.total
         # Standard errors by which the doubt is no more than that.
-        n_errors = -float(ndtri(options.doubt))
+        n_errors = -float(ndtri(options.alpha))
         difference = best.score.block_gains - candidate.score.block_gains
         chance = n_errors * scatter(difference)
-        is_near = lag <= max(chance, options.small * best.score.total, 1.0)
+        is_near = lag <= max(chance, options.negligible_share * best.score.total, 1.0)
         return is_near and bool(candidate.term.channels & best.term.channels)
 
     def eliminate(self) -> set[Key]:
@@ -316,7 +325,7 @@ class Selection:
 
         without_both = self.model.beside(a, b)
         gain_of_both = self.model.linear.evidence - without_both.evidence
-        least = gain_of_both - self.options.chance
+        least = gain_of_both - self.options.min_log_bayes_factor
         fits = without_both.fits([term.part for term in alternatives])
         able = [
             term
@@ -341,7 +350,7 @@ class Selection:
             options.
         """
         if least is None:
-            least = self.options.told
+            least = self.options.min_confidence
         scored = _scored(self.model.linear, self._last_tried)
         results = self._with_value_changes(self._results_by_simplest(least), least)
         return SelectionResult(
@@ -479,7 +488,7 @@ class Selection:
                 continue
             neither = model.beside(smooth, term)
             gain_of_both = model.linear.evidence - neither.evidence
-            least = (1.0 - self.options.small) * gain_of_both
+            least = (1.0 - self.options.negligible_share) * gain_of_both
             tuner = model.ground.tuner(neither)
             for start in tuner.tried([term.what]):
                 alone = tuner.tuned(start)
@@ -632,7 +641,7 @@ class Selection:
 
         It is known less well beside a term that looks like it.
         """
-        small = self.options.small
+        small = self.options.negligible_share
         if not isinstance(term.what, Candidate):
             return small
         effect = term.what.effect

@@ -157,11 +157,11 @@ class Tuner:
         """
         without = None if setting.asked else self._moved(start, setting.name)
         usual = [self._moved(start, **{setting.name: x}) for x in setting.usual]
-        least = start.evidence - self.options.chance
+        least = start.evidence - self.options.min_log_bayes_factor
         if without is not None and without.evidence > least:
             return without
 
-        least = (1.0 - self.options.small) * start.evidence
+        least = (1.0 - self.options.negligible_share) * start.evidence
         near = [
             moved for moved in usual if moved is not None and moved.evidence > least
         ]

@@ -165,8 +165,8 @@ def _inertia_of(
     table = np.vstack(all_rows)
     fit = Clustered.of(table[:, :-1], table[:, -1], np.array(trial_numbers, np.intp))
     n_trials = len(fit.moves)
-    n_spare = len(fit.left) - len(fit.theta)
-    residual_variance = float(fit.left @ fit.left) / max(n_spare, 1)
+    n_spare = len(fit.residual) - len(fit.theta)
+    residual_variance = float(fit.residual @ fit.residual) / max(n_spare, 1)
     squared_moves = float(np.sum(fit.moves[:, 0] ** 2))
     return RampInertia(
         value=float(fit.theta[0]),

@@ -128,7 +128,7 @@ class Clustered:
     """
 
     theta: Array
-    left: Array  # residual
+    residual: Array  # residual
     bread: Array  # inverse of the normal matrix
     moves: Array
     prior_covariance: Array  # (p, p) what the prior's own errors make
@@ -156,7 +156,7 @@ class Clustered:
         if prior_std is None:
             return free
         n_spare = max(len(y) - A.shape[1], 1)
-        white_variance = float(free.left @ free.left) / n_spare
+        white_variance = float(free.residual @ free.residual) / n_spare
         white = white_variance * np.diag(free.bread)
         shared = np.diag(free.covariance)
         # How many times the clusters' variance is that of white noise.
@@ -177,12 +177,12 @@ class Clustered:
         theta = np.asarray(
             np.linalg.lstsq(rows, right, rcond=1e-10)[0], dtype=np.float64
         )
-        left = y - A @ theta
+        residual = y - A @ theta
         bread = np.asarray(np.linalg.pinv(A.T @ A + np.diag(precision), hermitian=True))
         scores = np.zeros((int(cluster.max()) + 1, A.shape[1]))
-        np.add.at(scores, cluster, A * left[:, None])
+        np.add.at(scores, cluster, A * residual[:, None])
         of_prior = bread * precision * np.where(np.isfinite(prior_std), prior_std, 0.0)
-        return cls(theta, left, bread, scores @ bread, of_prior @ of_prior.T)
+        return cls(theta, residual, bread, scores @ bread, of_prior @ of_prior.T)
 
     @property
     def covariance(self) -> Array:
@@ -366,7 +366,7 @@ class _Pairs:
         even_part = EvenPart(
             values=fit.theta[first:], covariance=fit.covariance[first:, first:]
         )
-        beyond = self._beyond(fit.left / root)
+        beyond = self._beyond(fit.residual / root)
         if beyond is None:
             return fit, even_part, None
 

@@ -312,7 +312,9 @@ class InertiaEquations:
 
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
         """Return the same equations at another cut-off, to be compared with."""
-        motion = replace(self.options.motion, cutoff_hz=cutoff_hz, own=frozenset())
+        motion = replace(
+            self.options.motion, cutoff_hz=cutoff_hz, logs_with_own_cutoff=frozenset()
+        )
         options = replace(self.options, motion=motion)
         return InertiaEquations(self.robot, self.stages, options, only_compares=True)
 

@@ -95,7 +95,7 @@ def log_motion(
         id(imu),
         source,
         options.cutoff_hz,
-        recording.sha256 in options.own,
+        recording.sha256 in options.logs_with_own_cutoff,
     )
     if key not in options.kept:
         motion = log_motion(

@@ -13,7 +13,7 @@ from statistics import median
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import held_out_error
-from seqid_cli.discover.refinement.reidentify import Material
+from seqid_cli.discover.refinement.reidentify import RefinementData
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from tests.plants.robots.identified import sequential
 from tests.studies.loop.logs import KINDS, case_of, recorded
@@ -65,7 +65,7 @@ def run_case(case: Condition, cache: Path) -> Result:
     loop = confirm(found, logs.held_out).loop
     seconds = time.process_time() - clock
     options = on_the_same_samples(options, stages, robot)
-    material = Material(logs.training, logs.earlier, robot, options)
+    material = RefinementData(logs.training, logs.earlier, robot, options)
     told = told_model(material, stages, built(case)[1], late=False)
     error = held_out_error(logs.held_out, robot, told, options=options.motion)
     kind, joint, _ = case.effects[0]

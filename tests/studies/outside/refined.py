@@ -11,7 +11,7 @@ from typing import Any
 from seqid_cli import discover
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.held_out import held_out_error
-from seqid_cli.discover.refinement.reidentify import Material
+from seqid_cli.discover.refinement.reidentify import RefinementData
 from seqid_cli.discover.refinement.rounds import on_the_same_samples
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.logs.read import read_recording
@@ -44,7 +44,7 @@ def refined_case(seed: int, folder: Path) -> dict[str, Any]:
         earlier.setdefault(log.stage, []).append(read_recording(Path(log.path), robot))
     options = on_the_same_samples(DiscoverOptions(), file.stages, robot)
     training = tuple(read_recording(path, robot) for path in ready.logs)
-    material = Material(training, earlier, robot, options)
+    material = RefinementData(training, earlier, robot, options)
     truth = Truth(effect.name, effect.name, tuple(joints) or (None,), ())
     # It came later, or was there all along; in the only log it cannot have come later.
     accounts = (False,) if case.outline.flow == "single" else (False, True)

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.refinement.loop import with_effects
-from seqid_cli.discover.refinement.reidentify import Material, Refitted, refitted
+from seqid_cli.discover.refinement.reidentify import RefinementData, Refitted, refitted
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
+from seqid_cli.discover.select.model import FREE, HELD, Model, SelectionProblem
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.effects.registry import CATALOGUE as EFFECTS
 from seqid_cli.logs.recording import Recording
@@ -33,7 +33,7 @@ def file_of(
 
 
 def told_model(
-    material: Material, stages: Stages, truths: Sequence[Truth], *, late: bool
+    material: RefinementData, stages: Stages, truths: Sequence[Truth], *, late: bool
 ) -> Stages | None:
     """The model that is told its effects and their joints; None where they cannot be
     told.
@@ -44,7 +44,7 @@ def told_model(
         material.training, material.robot, stages, options=material.options.motion
     )
     rows = rows_of(scenes)
-    model = Model(Ground.of(rows, stages), HELD if late else FREE)
+    model = Model(SelectionProblem.of(rows, stages), HELD if late else FREE)
     for truth in truths:
         names = material.robot.joint_names
         tuner = model.ground.tuner(model.linear)

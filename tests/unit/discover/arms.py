@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.select.model import FREE, Ground, Model, PriorScale
+from seqid_cli.discover.select.model import FREE, Model, PriorScale, SelectionProblem
 from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import SelectionResult
 from seqid_cli.discover.select.selection import select
@@ -108,9 +108,9 @@ def ground_of(
     scenes: Sequence[Scene],
     stages: Stages | None = None,
     options: Options | None = None,
-) -> Ground:
+) -> SelectionProblem:
     """Return the rows of scenes, and what they have to be explained by."""
-    return Ground.of(rows_of(scenes), stages or Stages(), options)
+    return SelectionProblem.of(rows_of(scenes), stages or Stages(), options)
 
 
 def candidate(name: str, joint: int | None, **settings: float) -> Candidate:

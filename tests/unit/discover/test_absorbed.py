@@ -9,7 +9,7 @@ import pytest
 from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import surface_columns
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.select.model import Ground
+from seqid_cli.discover.select.model import SelectionProblem
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.identify.friction_surface.stage import identify_friction
@@ -80,7 +80,7 @@ def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(
     with_it = stages_of(*changed, robot)
 
     (scene,) = scenes_of(logs[:1], robot, without, options=InertiaOptions())
-    ground = Ground.of(rows_of([scene]), without)
+    ground = SelectionProblem.of(rows_of([scene]), without)
     trials = FileTrials(ground.stage.scenes[0], ground.base, without)
     taken = trials.absorbed(CATALOGUE[name], j, settings)
     if stage == "friction":

@@ -20,7 +20,7 @@ from seqid_cli.discover.notes import (
     outside_notes,
 )
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.select.model import Ground
+from seqid_cli.discover.select.model import SelectionProblem
 from seqid_cli.discover.select.rows import ALIKE
 from seqid_cli.discover.settings import DiscoverSettings, EvidenceSettings
 from seqid_cli.effects.registry import CATALOGUE
@@ -360,7 +360,7 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     assert not any("go with the motion" in note for note in said.notes)
 
 
-def on(found: Investigation, ground: Ground) -> Investigation:
+def on(found: Investigation, ground: SelectionProblem) -> Investigation:
     """The same with its fitted model in other scenes, or beside another file."""
     model = copy(found.model)
     model.ground = ground

@@ -67,7 +67,7 @@ def test_pieces_are_of_the_log_with_its_stamps(folder: Path) -> None:
         <= MOST
     )
     for piece in pieces.recordings:
-        assert piece.whole.start == pytest.approx(BEGUN)
+        assert piece.source_log.start == pytest.approx(BEGUN)
         first = round(piece.offset * case.log.rate_hz)
         part = slice(first, first + len(piece.t))
         np.testing.assert_array_equal(piece.q, case.log.q[part])

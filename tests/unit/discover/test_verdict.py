@@ -13,7 +13,8 @@ from seqid_cli.discover import base
 from seqid_cli.discover.investigate import FileResidual
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.nuisances import DELAY, Nuisance, nuisances_of
-from seqid_cli.discover.select.model import Ground
+from seqid_cli.discover.select.model import SelectionProblem
+from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.verdict import _since, joint_states, verdict_of
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
@@ -57,7 +58,7 @@ class Left:
             block=[np.repeat(np.arange(BLOCKS), EACH)], blocks=BLOCKS
         )
         base = SimpleNamespace(y=[np.full(BLOCKS * EACH, self.by_file)])
-        return SimpleNamespace(n=1, rows=rows, base=base)
+        return SimpleNamespace(n=1, rows=rows, base=base, options=Options())
 
 
 @pytest.mark.parametrize(
@@ -160,7 +161,7 @@ def test_one_delay_may_be_that_of_all_joints(monkeypatch: pytest.MonkeyPatch) ->
         return [Nuisance(name=DELAY, columns=columns, std=1.0)]
 
     monkeypatch.setattr(base, "nuisances_of", common)
-    ground: Ground = ground_of(scenes)
+    ground: SelectionProblem = ground_of(scenes)
     (rows,) = ground.base.nuisances
     assert rows.term.joint is None
     assert sorted(rows.columns) == [0, 1]

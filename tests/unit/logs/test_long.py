@@ -129,7 +129,10 @@ def test_a_log_that_changes_between_two_passes_is_refused(
 
 
 def assert_same(one: Recording, other: Recording) -> None:
-    assert (one.sha256, one.whole) == (other.sha256, other.whole)
+    assert (one.sha256, one.source_log) == (
+        other.sha256,
+        other.source_log,
+    )
     assert one.start == pytest.approx(other.start, abs=1e-6)
     assert one.rate_hz == pytest.approx(other.rate_hz, rel=1e-9)
     for name in (

@@ -98,7 +98,7 @@ def question_of(options: PlanOptions, scenes: Sequence[Scene]) -> Question:
 
 def test_power_is_what_the_diagnosis_asks() -> None:
     gain = 4000.0
-    required = Options().small * gain
+    required = Options().negligible_share * gain
     lack = np.array([[required], [2.0 * required], [0.5 * required]])
     outcome = Outcome(np.full((3, 1), gain), 2.0 * lack)
     assert outcome.power == pytest.approx([0.5, 1.0, 0.0], abs=1e-3)

@@ -11,9 +11,9 @@ import pytest
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import confirm as confirming
 from seqid_cli.discover.refinement.confirm import confirm
-from seqid_cli.discover.refinement.held_out import HeldOutError, held_out_error
+from seqid_cli.discover.refinement.held_out import BlockErrors, held_out_error
 from seqid_cli.discover.refinement.loop import Step, with_effects
-from seqid_cli.discover.refinement.reidentify import Material, Refitted
+from seqid_cli.discover.refinement.reidentify import RefinementData, Refitted
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from seqid_cli.discover.select.smooth import smooth_functions
 from seqid_cli.params.evidence_schema import RefinementRound
@@ -156,8 +156,8 @@ class Errors:
     def measure(self, came: frozenset[str], models: list[frozenset[str]]) -> None:
         assert all(model in self.factors for model in models)
 
-    def of_model(self, model: frozenset[str]) -> HeldOutError:
-        return HeldOutError(self.factors[model] * SAMPLES, SAMPLES, NONE, NONE)
+    def of_model(self, model: frozenset[str]) -> BlockErrors:
+        return BlockErrors(self.factors[model] * SAMPLES, SAMPLES, NONE, NONE)
 
 
 def settled(path: Path, errors: dict[str, float]) -> tuple[list[str], list[str]]:
@@ -205,7 +205,7 @@ def test_a_smooth_term_is_fitted_again_to_the_training_logs() -> None:
     """On top of a model without the effect it takes in what the effect left."""
     logs = recorded((ELBOW,))
     options = on_the_same_samples(DiscoverOptions(), logs.file().stages, logs.robot)
-    material = Material(tuple(logs.training), logs.earlier, logs.robot, options)
+    material = RefinementData(tuple(logs.training), logs.earlier, logs.robot, options)
     before = Refitted(logs.file().stages, ())
     rows = material.ground(before.stages).stage.rows
     speed = next(

@@ -14,8 +14,8 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import held_out
 from seqid_cli.discover.refinement.confirm import confirm, excess_note
 from seqid_cli.discover.refinement.held_out import (
+    BlockErrors,
     Gain,
-    HeldOutError,
     gain,
     gain_of,
     likelier,
@@ -139,11 +139,11 @@ def test_events_are_not_fitted() -> None:
     np.testing.assert_array_equal(second.valid[outside], logs[1].valid[outside])
 
 
-def errors(*squares: float, blocks: int = 12) -> HeldOutError:
+def errors(*squares: float, blocks: int = 12) -> BlockErrors:
     """Squared errors of one sample in each block, alike in all blocks."""
     values = np.tile(squares, (blocks, 1))
     none = np.zeros_like(values)
-    return HeldOutError(values, np.ones_like(values), none, none)
+    return BlockErrors(values, np.ones_like(values), none, none)
 
 
 @pytest.mark.parametrize(("first", "better"), [(9.0, True), (2.0, False)])
@@ -160,9 +160,9 @@ def test_what_extrapolation_misses_hides_no_gain() -> None:
     """
     rng, samples = np.random.default_rng(0), np.full((16, 1), 200.0)
     beyond = 10.0 * rng.uniform(0.2, 1.8, (16, 1))
-    old = HeldOutError(0.2 + beyond, samples, beyond, 0.5 * samples)
+    old = BlockErrors(0.2 + beyond, samples, beyond, 0.5 * samples)
     moved = beyond * rng.uniform(0.9, 1.1, (16, 1))
-    new = HeldOutError(0.1 + moved, samples, moved, 0.5 * samples)
+    new = BlockErrors(0.1 + moved, samples, moved, 0.5 * samples)
     assert not gain_of(old.squares[:, 0], new.squares[:, 0]).certain
     found = gain(old, new, [0])
     assert found.certain

@@ -93,7 +93,7 @@ def test_the_evidence_that_is_asked_for_is_a_setting() -> None:
     scenes = arm_scenes(at_joint(0, drag))
     low = Options.of(EvidenceSettings(min_log_evidence=3.0))
     assert keys(selected(scenes, SOME, low)) == [("quadratic_drag", 0)]
-    assert keys(selected(scenes, SOME, replace(low, chance=1e9))) == []
+    assert keys(selected(scenes, SOME, replace(low, min_log_bayes_factor=1e9))) == []
 
 
 def gain_and_losses(scene: Scene) -> Array:
@@ -105,10 +105,10 @@ def gain_and_losses(scene: Scene) -> Array:
 @pytest.mark.parametrize(
     ("moves_apart", "options", "told"),
     [
-        (False, Options(small=0.0), 2),
-        (False, Options(small=0.04), 1),
-        (True, Options(small=0.0, apart=0.0), 2),
-        (True, Options(small=0.0, apart=0.2), 1),
+        (False, Options(negligible_share=0.0), 2),
+        (False, Options(negligible_share=0.04), 1),
+        (True, Options(negligible_share=0.0, apart=0.0), 2),
+        (True, Options(negligible_share=0.0, apart=0.2), 1),
     ],
 )
 def test_the_lesser_of_two_that_look_alike_may_be_the_error_of_the_other(

@@ -48,7 +48,9 @@ def test_nothing_left_is_an_error() -> None:
 
 def test_pieces_stay_together() -> None:
     def piece(name: str, seed: int, coulomb: float) -> Recording:
-        return replace(log(name, seed, coulomb=coulomb), whole=Whole(name, 0.0, 80.0))
+        return replace(
+            log(name, seed, coulomb=coulomb), source_log=Whole(name, 0.0, 80.0)
+        )
 
     good, odd = [piece("one", k, 0.8) for k in range(2)], piece("one", 2, 0.0)
     assert usable_logs([*good, odd], ROBOT) == ([*good, odd], ())

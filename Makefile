@@ -122,7 +122,7 @@ study-truth: $(DEV) ## does `good` mean good: tuning arms with imperfections on 
 	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:40 --cache $(OUT)/truth --processes $(WORKERS)
 	$(BIN)/python -m tests.studies.truth --set tuning --seeds 0:64 --alone --cache $(OUT)/truth --processes $(WORKERS)
 	$(BIN)/python -m tests.studies.truth --fixed --seeds 0 --cache $(OUT)/truth --processes $(WORKERS) --write
-	$(BIN)/python -m tests.studies.truth --rigs --seeds 0:10 --cache $(OUT)/truth --processes $(WORKERS) --write
+	$(BIN)/python -m tests.studies.truth --rigs --seeds 0:2 --cache $(OUT)/truth --processes $(WORKERS) --write
 
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/evidence/benchmarks.md (minutes)

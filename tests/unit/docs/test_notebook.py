@@ -48,10 +48,6 @@ def test_every_cell_was_run_and_none_failed() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="the refined model's 90 % band holds in 77 % of the held-out samples only",
-    strict=False,
-)
 def test_its_code_shows_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -64,4 +60,5 @@ def test_its_code_shows_what_it_says(
     loop = names["refined"].closed_loop
     assert all(item.confirmed for item in loop.rounds)
     assert loop.after["joint_2"].rmse < 0.5 * loop.before["joint_2"].rmse
-    assert names["page"].verdict == "good"
+    # The band of the refined model holds too rarely on the held-out log; it says so.
+    assert names["page"].verdict == "reservations"

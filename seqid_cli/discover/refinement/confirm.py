@@ -2,7 +2,8 @@
 
 They choose no effect, no setting and no value. By a rule that is fixed beforehand they
 take out what they do not confirm: the effect of the smallest gain among those whose
-gain is not certainly more than nothing, as long as there is one. The rest of its round
+gain is not certainly more than nothing, or is less than what the other joints lose, as
+long as there is one. The rest of its round
 and what was added after it are then fitted again to the logs to fit, on top of a model
 that never had the effect, and measured again. So every effect that stays is confirmed
 beside those that stay, and the error after is that of the model that is written.
@@ -69,7 +70,8 @@ def confirm(
     -------
     Confirmed
         Each effect's gain is beside the model before its round, with the round's other
-        effects; it is confirmed where that is certainly more than nothing.
+        effects. It is confirmed where that is certainly more than nothing, and the
+        other joints do not lose more.
 
     Raises
     ------
@@ -234,6 +236,10 @@ def _reason_against(entry: RefinementRound) -> str:
     """Return why an effect does not stay."""
     if entry.interval and entry.interval[1] < 0.0:
         return "the held-out logs are predicted worse with it"
+    if entry.interval and entry.interval[0] > 0.0:
+        return (
+            "the other joints lose more by it on the held-out logs than its own gains"
+        )
     return "its gain on the held-out logs is not certainly more than nothing"
 
 
@@ -269,17 +275,23 @@ def _with_gain(
     error_after: BlockErrors,
     refinement: Refinement,
 ) -> RefinementRound:
-    """Return an effect with what it gains at its joints."""
+    """Return an effect with what it gains at its joints.
+
+    It is confirmed where that is certain, and where all joints together gain as well.
+    """
     robot = refinement.material.robot
-    joints = list(range(robot.n))
+    every_joint = list(range(robot.n))
+    joints = every_joint
     if entry.joint is not None:
         joints = [robot.joint_names.index(entry.joint)]
     change = gain(error_before, error_after, joints)
+    # Stages that are identified anew with an effect may make another joint worse.
+    change_of_arm = gain(error_before, error_after, every_joint)
     return structs.replace(
         entry,
         held_out_gain=change.value,
         interval=change.limits,
-        confirmed=change.certain,
+        confirmed=change.certain and change_of_arm.value > 0.0,
     )
 
 

@@ -200,6 +200,23 @@ def test_what_stood_on_something_that_is_gone_may_go_as_well() -> None:
     assert settled(path, errors) == (["a"], ["b", "c"])
 
 
+@pytest.mark.parametrize(("other", "confirmed"), [(1.1, True), (1.6, False)])
+def test_what_the_other_joints_lose_counts(other: float, *, confirmed: bool) -> None:
+    """An effect takes half of the error at its joint, and changes that of another."""
+    robot = SimpleNamespace(n=2, joint_names=("joint", "other"))
+    refinement = SimpleNamespace(material=SimpleNamespace(robot=robot))
+    samples = np.ones((16, 2))
+    before = BlockErrors(samples, samples, 0.0 * samples, 0.0 * samples)
+    after = before._replace(squares=samples * [0.5, other])
+    entry = RefinementRound(effect="a", joint="joint")
+    entry = confirming._with_gain(entry, before, after, refinement)
+    assert entry.confirmed is confirmed
+    assert entry.held_out_gain == pytest.approx(0.5)
+    if not confirmed:
+        said = confirming._reason_against(entry)
+        assert said.startswith("the other joints lose more by it")
+
+
 @pytest.mark.slow
 def test_a_smooth_term_is_fitted_again_to_the_training_logs() -> None:
     """On top of a model without the effect it takes in what the effect left."""

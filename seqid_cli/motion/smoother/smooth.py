@@ -462,8 +462,9 @@ def smoothed_motion(
     rate_hz = recording.rate_hz
     steps = _encoder_steps(recording, robot)
     coarse_ratio = max(COARSE_S, 1.0 / rate_hz) / FINE_S
-    # The mean of white jerk over a longer interval is smaller.
-    jerk_size = np.full(robot.n, first_jerk / np.sqrt(coarse_ratio))
+    # The mean of white jerk over a longer interval is smaller. A guess that is larger
+    # smooths little, and the search comes down from there.
+    jerk_size = np.full(robot.n, first_jerk * np.sqrt(coarse_ratio))
     current = {x.name: x for x in mounted_imus(recording, robot, stage)}
 
     joined = np.zeros((n_samples, 3, robot.n))

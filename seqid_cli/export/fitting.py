@@ -27,14 +27,14 @@ from seqid_cli.export.equations import (
     JointSums,
     Numbers,
 )
-from seqid_cli.export.model import ExportModel
+from seqid_cli.export.model import ExportModel, SurfaceGrid, surface_grid
 from seqid_cli.model.bodies.nearest import (
     Identified,
     identified,
     nearest_bodies,
     whitening,
 )
-from seqid_cli.model.friction import SLIDES, FrictionSurface
+from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.results.export import ExportedFriction, ExportedParameter
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import PER_LINK
@@ -239,21 +239,16 @@ def _add_friction_prior(
         # Nothing is known of its friction: none is the best guess.
         quadratic.matrix[unknowns, unknowns] += weight
         return
-    q, v = surface_grid(surface)
-    X = np.column_stack([np.sign(v), v, np.ones_like(v)])
-    share = weight / len(q)
+    grid = coarse_grid(surface)
+    X = np.column_stack([np.sign(grid.v), grid.v, np.ones_like(grid.v)])
+    share = weight / len(grid.q)
     quadratic.matrix[np.ix_(unknowns, unknowns)] += share * (X.T @ X)
-    quadratic.right[unknowns] += share * (X.T @ surface.torque(q, v))
+    quadratic.right[unknowns] += share * (X.T @ surface.torque(grid.q, grid.v))
 
 
-def surface_grid(surface: FrictionSurface) -> tuple[Array, Array]:
-    """Return positions and velocities (M,) all over a surface, in both directions."""
-    slowest, fastest = surface.scaling.speed
-    slowest = min(max(slowest, SLIDES * surface.sign_width), fastest)
-    speeds = np.linspace(slowest, fastest, _SURFACE_SPEEDS)
-    positions = np.linspace(*surface.scaling.position, _SURFACE_POSITIONS)
-    q, v = np.meshgrid(positions, np.concatenate([-speeds, speeds]))
-    return q.ravel(), v.ravel()
+def coarse_grid(surface: FrictionSurface) -> SurfaceGrid:
+    """Return places of a surface where friction is fitted and its misfit measured."""
+    return surface_grid(surface, positions=_SURFACE_POSITIONS, speeds=_SURFACE_SPEEDS)
 
 
 def _solved(quadratic: _Quadratic, n_joints: int, *, writes_offset: bool) -> Array:
@@ -351,8 +346,8 @@ def described(
             rms=0.0,
             speed_range=[0.0, 0.0],
         )
-    q, v = surface_grid(surface)
-    misfit = surface.torque(q, v) - law.torque(q, v)
+    grid = coarse_grid(surface)
+    misfit = surface.torque(grid.q, grid.v) - law.torque(grid.q, grid.v)
     return msgspec.structs.replace(
         fit,
         coulomb=law.coulomb,

@@ -475,14 +475,9 @@ def simple_friction(surface: FrictionSurface) -> ExportedFriction:
     Neither c nor d of c sign(v) + d v is negative; the offset is the mean part that
     does not flip with the direction.
     """
-    slowest, fastest = surface.scaling.speed
-    slowest = min(max(slowest, SLIDES * surface.sign_width), fastest)
-    speeds = np.linspace(slowest, fastest, _SPEEDS)
-    positions = np.linspace(*surface.scaling.position, _POSITIONS)
-    grid = np.meshgrid(positions, np.concatenate([-speeds, speeds]))
-    q = grid[0].ravel()
-    v = grid[1].ravel()
-
+    grid = surface_grid(surface, positions=_POSITIONS, speeds=_SPEEDS)
+    q = grid.q
+    v = grid.v
     tau = surface.torque(q, v)
     columns = np.column_stack([np.sign(v), v])
     coefficients, _ = nnls(columns, tau)
@@ -493,5 +488,28 @@ def simple_friction(surface: FrictionSurface) -> ExportedFriction:
         offset=float(tau.mean()),
         rms_misfit=float(np.sqrt(np.mean(misfit**2))),
         rms=float(np.sqrt(np.mean(tau**2))),
-        speed_range=[float(slowest), float(fastest)],
+        speed_range=[float(np.abs(v).min()), float(np.abs(v).max())],
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceGrid:
+    """Positions `q` (M,) [rad] and velocities `v` (M,) [rad/s] all over a surface."""
+
+    q: Array
+    v: Array
+
+
+def surface_grid(
+    surface: FrictionSurface, *, positions: int, speeds: int
+) -> SurfaceGrid:
+    """Return so many positions, each at so many speeds in both directions.
+
+    Speeds at which friction changes its sign are left out.
+    """
+    slowest, fastest = surface.scaling.speed
+    slowest = min(max(slowest, SLIDES * surface.sign_width), fastest)
+    speed = np.linspace(slowest, fastest, speeds)
+    position = np.linspace(*surface.scaling.position, positions)
+    q, v = np.meshgrid(position, np.concatenate([-speed, speed]))
+    return SurfaceGrid(q=q.ravel(), v=v.ravel())

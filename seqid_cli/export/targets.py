@@ -22,7 +22,7 @@ import numpy as np
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.code import identifier
-from seqid_cli.export.fitting import surface_grid
+from seqid_cli.export.fitting import coarse_grid
 from seqid_cli.export.model import ExportModel
 from seqid_cli.export.observer import largest_mass
 from seqid_cli.export.text import joint_remarks, rendered
@@ -107,9 +107,9 @@ def safe_scales(fit: ExportedFriction, surface: FrictionSurface) -> SafeScales:
         The first from the speeds at which Coulomb friction is the larger part, the
         second from the others.
     """
-    q, v = surface_grid(surface)
-    speed = np.abs(v)
-    resisting = surface.torque(q, v) * np.sign(v)
+    grid = coarse_grid(surface)
+    speed = np.abs(grid.v)
+    resisting = surface.torque(grid.q, grid.v) * np.sign(grid.v)
     compensation = fit.coulomb + fit.viscous * speed
     if not compensation.any():
         return SafeScales(coulomb=0.0, viscous=0.0)

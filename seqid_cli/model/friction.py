@@ -501,9 +501,18 @@ class FrictionFamily:
         return np.column_stack([member.extension[-1] for member in self.members])
 
 
-def friction_torque(laws: Sequence[FrictionLaw | None], q: Array, dq: Array) -> Array:
-    """Compute friction torque (N, n) N m; zero for a joint without a law."""
-    torque = np.zeros(q.shape)
+def friction_torque(
+    laws: Sequence[FrictionLaw | FrictionFamily | None],
+    q: Array,
+    dq: Array,
+    *,
+    members: tuple[int, ...] = (),
+) -> Array:
+    """Compute friction torque (N, n) N m; zero for a joint without a law.
+
+    Of families it has an axis more, (N, n, m), with m as the only one of `members`.
+    """
+    torque = np.zeros((*q.shape, *members))
     for j, law in enumerate(laws):
         if law is not None:
             torque[:, j] = law.torque(q[:, j], dq[:, j])

@@ -363,10 +363,7 @@ def sampled_families(
     Array
         (N, n, size) N m per unit of each member.
     """
-    torque = np.zeros((*motion.q.shape, size))
-    for j, family in enumerate(families):
-        if family is not None:
-            torque[:, j] = family.torque(motion.q[:, j], motion.dq[:, j])
+    torque = friction_torque(families, motion.q, motion.dq, members=(size,))
     return _of_motion(torque, families, motion, dense)
 
 

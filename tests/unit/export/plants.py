@@ -16,7 +16,7 @@ from tests.plants.motions.trials import drills, run_drill
 from tests.plants.robotfile import robot_toml
 from tests.plants.robots.lab import write_log
 from tests.plants.simulate import Plant
-from tests.unit.export.few import only_effects
+from tests.unit.effects.few import only_effects
 
 SEED = 31  # below 10000: of no study
 OTHER_SEED = 57

@@ -10,7 +10,7 @@ from seqid_cli.export import export
 from seqid_cli.export.written.code import compiler
 from seqid_cli.identify.functions import simultaneous
 from seqid_cli.params.results.export import ExportFile
-from tests.unit.export.few import only_effects
+from tests.unit.effects.few import only_effects
 from tests.unit.export.recordings import DATA, EFFECTS, ROBOTS, TESTED
 
 pytestmark = pytest.mark.slow

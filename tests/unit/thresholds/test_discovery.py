@@ -19,7 +19,7 @@ from seqid_cli.discover.survey import events
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.robot.file import load_robot
 from tests import ROOT
-from tests.unit.thresholds.witness import Witness
+from tests.unit.thresholds.witness import Witness, witnesses
 
 
 def unsure_effect(settings: EvidenceSettings, probability: float) -> bool:
@@ -105,15 +105,9 @@ def fills_a_log(settings: EventSettings, share: float) -> bool:
         return not events.find_events(rows, [], settings)
 
 
-WITNESSES = [
-    Witness(
-        command="diagnose",
-        setting=setting,
-        beyond=beyond,
-        within=within,
-        is_flagged=is_flagged,
-    )
-    for setting, beyond, within, is_flagged in [
+WITNESSES = witnesses(
+    "diagnose",
+    [
         ("evidence.min_confidence", 0.6, 0.8, unsure_effect),
         ("evidence.min_log_evidence", 4.8, 7.2, noise),
         ("evidence.negligible_share", 0.032, 0.048, negligible),
@@ -121,8 +115,8 @@ WITNESSES = [
         ("events.min_sigma", 6.2, 4.2, stands_out),
         ("events.longest", 2.4, 1.6, lasts_too_long),
         ("events.max_time", 0.06, 0.04, fills_a_log),
-    ]
-]
+    ],
+)
 
 
 @pytest.mark.parametrize("witness", WITNESSES, ids=lambda one: one.setting)

@@ -18,7 +18,7 @@ from seqid_cli.inspect.settings import (
     ImuSettings,
     InspectSettings,
 )
-from tests.unit.thresholds.witness import Witness
+from tests.unit.thresholds.witness import Witness, witnesses
 
 
 def spike_over_noise(settings: ChannelSettings, times: float) -> bool:
@@ -121,15 +121,9 @@ def biased(settings: ImuSettings, bias: float) -> bool:
         return bool([*readings._bias(at_rest(settings), imu, gyro)])
 
 
-WITNESSES = [
-    Witness(
-        command="inspect",
-        setting=setting,
-        beyond=beyond,
-        within=within,
-        is_flagged=is_flagged,
-    )
-    for setting, beyond, within, is_flagged in [
+WITNESSES = witnesses(
+    "inspect",
+    [
         ("channels.min_spike_ratio", 12.0, 8.0, spike_over_noise),
         ("channels.min_spike_share", 1.2, 0.8, spike_over_span),
         ("channels.max_missing", 0.012, 0.008, holes),
@@ -138,8 +132,8 @@ WITNESSES = [
         ("dynamics.max_unexplained", 0.7, 0.5, no_match),
         ("imus.max_gravity_error", 0.06, 0.04, wrong_gravity),
         ("imus.max_bias", 0.12, 0.08, biased),
-    ]
-]
+    ],
+)
 
 
 @pytest.mark.parametrize("witness", WITNESSES, ids=lambda one: one.setting)

@@ -15,7 +15,7 @@ from seqid_cli.plan.moves.strokes import postures_of
 from seqid_cli.plan.settings import DiscriminationSettings, MarginSettings
 from seqid_cli.robot.urdf import UrdfJoint
 from tests.plants.robots.sample import sample_robot
-from tests.unit.thresholds.witness import Witness
+from tests.unit.thresholds.witness import Witness, witnesses
 
 
 def torque_has_room(settings: MarginSettings, sigma: float) -> bool:
@@ -57,20 +57,14 @@ def too_weak(settings: DiscriminationSettings, power: float) -> bool:
     return not verdict.good
 
 
-WITNESSES = [
-    Witness(
-        command="plan",
-        setting=setting,
-        beyond=beyond,
-        within=within,
-        is_flagged=is_flagged,
-    )
-    for setting, beyond, within, is_flagged in [
+WITNESSES = witnesses(
+    "plan",
+    [
         ("margins.torque_sigma", 2.4, 3.6, torque_has_room),
         ("margins.floor_clearance", 0.016, 0.024, kept_above),
         ("discrimination.min_power", 0.85, 0.95, too_weak),
-    ]
-]
+    ],
+)
 
 
 @pytest.mark.parametrize("witness", WITNESSES, ids=lambda one: one.setting)

@@ -7,7 +7,7 @@ not worked out from the default: were the default loosened or tightened by half,
 them would change sides, which the second assertion shows of each.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -55,3 +55,19 @@ class Witness:
             moved = min(max(number, low), high)
             changed = replace(self.group, **{field.name: moved})
             assert self.sides(changed) != (True, False), f"{factor} times"
+
+
+def witnesses(
+    command: str, rows: Sequence[tuple[str, float, float, Callable[[Any, float], bool]]]
+) -> list[Witness]:
+    """Return those of one command, by rows: setting, beyond, within, is_flagged."""
+    return [
+        Witness(
+            command=command,
+            setting=setting,
+            beyond=beyond,
+            within=within,
+            is_flagged=is_flagged,
+        )
+        for setting, beyond, within, is_flagged in rows
+    ]

@@ -1,8 +1,10 @@
 """A short catalogue for tests of what a refinement does with given effects."""
 
+from collections.abc import Iterator
+
 import pytest
 
-from seqid_cli.effects import registry
+from tests.unit.effects.few import only_effects
 
 # Friction over load, over speed and at reversals: each looks a little like the others.
 ALIKE = (
@@ -14,7 +16,7 @@ ALIKE = (
 
 
 @pytest.fixture
-def few_effects(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_effects() -> Iterator[None]:
     """Look for a few effects only: tests of the diagnosis tell each from all others."""
-    few = {name: registry.CATALOGUE[name] for name in ALIKE}
-    monkeypatch.setattr(registry, "CATALOGUE", few)
+    with only_effects(ALIKE):
+        yield

@@ -1,4 +1,4 @@
-"""A short catalogue: tests of exports need effects in a file, not a search for them."""
+"""A short catalogue, for tests of what is done with the effects that are found."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

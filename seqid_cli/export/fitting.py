@@ -16,6 +16,7 @@ alone, a joint that loses much would pull the links of all others along.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -71,7 +72,7 @@ class Fitting:
     stages: Stages
     added: Array
 
-    @property
+    @cached_property
     def identified(self) -> Identified:
         """The file's base parameters."""
         return identified(self.stages, self.model.robot)

@@ -12,13 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.read import READERS
+from seqid_cli.logs.publishers import second_publisher
+from seqid_cli.logs.raw import Stamps, Stream
+from seqid_cli.logs.read import READERS, without_absurd
 from seqid_cli.logs.storage.files import check_log, storage_file
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml_schema import Channels, Columns
 from seqid_cli.robot.types import LockedJoint, Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Mask
 
 REMEDY = "Add its [[joint]] table to the robot file, or hold the joint while recording."
 # rad (m) that a joint may be shaken by; the arm behind it is no more precise
@@ -63,9 +65,21 @@ def standing_joints(path: Path, robot: Robot) -> list[Standing]:
     if not robot.locked:
         return []
     standing = []
+    arm: list[_ArmSamples] = []
     with local_copy(path) as copy:
         for joint in robot.locked:
-            q = np.concatenate([np.zeros(0), *_positions(copy, robot, joint)])
+            blocks = list(_blocks_of(copy, _alone(joint, robot)))
+            if not blocks:
+                continue
+            # Zeros of a second publisher would make a joint that stands look as if it
+            # moved. The joints of the robot file tell which messages are the robot's.
+            arm = arm or list(_arm_samples(copy, robot))
+            parts = [
+                block.channels["position"][of_arm.published(block), 0]
+                for block, of_arm in zip(blocks, arm, strict=False)
+            ]
+            q = np.concatenate([np.zeros(0), *parts])
+            q = q[np.isfinite(q)]
             if not len(q):
                 continue
             # Quantiles: a few samples may be damaged.
@@ -111,8 +125,34 @@ def in_logged_posture(robot: Robot, standing: Sequence[Standing]) -> Robot:
     return load_robot(robot.source, positions)
 
 
-def _positions(path: Path, robot: Robot, joint: LockedJoint) -> Iterator[Array]:
-    """Read the positions of a joint, if the log has them by its name."""
+@dataclass(frozen=True, kw_only=True)
+class _ArmSamples:
+    """Samples (M,) of the arm's joints in a block of a log.
+
+    Attributes
+    ----------
+    stamp_ns : (M,) array
+        When they were logged.
+    by_robot : (M,) array
+        False for those of a second publisher; for all where two cannot be told apart.
+    """
+
+    stamp_ns: Stamps
+    by_robot: Mask
+
+    def published(self, joint: Stream) -> Mask:
+        """Tell which samples (M,) of a left-out joint are the robot's as well."""
+        if np.array_equal(joint.stamp_ns, self.stamp_ns):
+            return self.by_robot
+        # The joint has a driver of its own. A stranger's message holds the joints of
+        # the arm beside it.
+        by_stranger = np.isin(joint.stamp_ns, self.stamp_ns[~self.by_robot])
+        beside_arm = np.isin(joint.stamp_ns, self.stamp_ns[self.by_robot])
+        return np.asarray(~by_stranger | beside_arm)
+
+
+def _alone(joint: LockedJoint, robot: Robot) -> Robot:
+    """Return a robot of one left-out joint, which a log holds by its name if at all."""
     # A log's other channels are those of the joints in the robot file: columns by
     # number are theirs, and a unit holds for all.
     pattern: Columns | None = None
@@ -125,12 +165,28 @@ def _positions(path: Path, robot: Robot, joint: LockedJoint) -> Iterator[Array]:
         unit=robot.channels.unit,
         length_unit=robot.channels.length_unit,
     )
-    alone = replace(
-        robot, joints=(joint.joint,), imus=(), effects=(), channels=channels
-    )
+    return replace(robot, joints=(joint.joint,), imus=(), effects=(), channels=channels)
+
+
+def _blocks_of(path: Path, robot: Robot) -> Iterator[Stream]:
+    """Read the joints of a robot block by block, as far as the log holds them."""
     try:
-        for raw in READERS[check_log(path)](storage_file(path), alone):
-            q = raw.joints.channels["position"][:, 0]
-            yield q[np.isfinite(q)]
+        for raw in READERS[check_log(path)](storage_file(path), robot):
+            yield raw.joints
     except InputError:
         return
+
+
+def _arm_samples(path: Path, robot: Robot) -> Iterator[_ArmSamples]:
+    """Tell whose samples of the arm's joints are, in the blocks of `_blocks_of`."""
+    for block in _blocks_of(path, replace(robot, imus=())):
+        joints = without_absurd(block, [])
+        by_robot = np.ones(len(joints), np.bool_)
+        try:
+            strangers = second_publisher(joints, str(path))
+        except InputError:
+            by_robot = np.zeros(len(joints), np.bool_)
+        else:
+            if strangers is not None:
+                by_robot = ~strangers.rows
+        yield _ArmSamples(stamp_ns=joints.stamp_ns, by_robot=by_robot)

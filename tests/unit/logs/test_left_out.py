@@ -134,3 +134,16 @@ def test_a_log_without_the_joint_is_read_as_before(tmp_path: Path) -> None:
         tmp_path / "log.parquet", T, ("pan", "turn", "elbow"), q, torque=q
     )
     assert prepare(log, robot_file(tmp_path, "pan", "turn", "elbow")).said == ()
+
+
+def test_zeros_of_a_second_publisher_are_no_motion(tmp_path: Path) -> None:
+    q = positions(lift=0.7, turn=-1.1)
+    stamps = 10**18 + np.rint(T * 1e9).astype(np.int64)
+    of_robot = joint_messages(stamps, NAMES, q, effort=np.cos(q))
+    zeros = joint_messages(stamps + 5_000_000, NAMES, np.zeros_like(q))
+    both = [message for pair in zip(of_robot, zeros, strict=True) for message in pair]
+    log = write_messages(tmp_path / "log.mcap", both, encoding="cdr")
+    with pytest.warns(SeqidWarning):
+        inputs = prepare(log, robot_file(tmp_path, "pan", "elbow"))
+    assert "where it stands in the log, 0.7 rad" in inputs.said[0]
+    assert "where it stands in the log, -1.1 rad" in inputs.said[1]

@@ -33,10 +33,11 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, Predictor, predict
 from seqid_cli.identify.regression.equations import open_if_long
 from seqid_cli.inspect.screening import sound
-from seqid_cli.logs.long import likely_rows
-from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of
+from seqid_cli.logs.log_file import LogFile, likely_rows
+from seqid_cli.logs.pieces import read_pieces
 from seqid_cli.logs.raw import TimeSource
-from seqid_cli.logs.recording import Recording, Whole
+from seqid_cli.logs.read import read_both
+from seqid_cli.logs.recording import Range, Recording, Whole, by_log
 from seqid_cli.logs.storage.remote import StoredLog, local_copy
 from seqid_cli.model.torque import TorqueModel, known_rotors
 from seqid_cli.motion.blocks import SurveyedLog
@@ -65,8 +66,8 @@ class ResidualSurvey:
         Number of its samples.
     rate_hz : float
         Of these.
-    kind : str
-        File format; empty for a log that is read as a whole.
+    passed_over : bool
+        Whether excerpts can be read without the rest of the log.
     squares : (B, n) array
         Sum of the squared residual [(N m)^2] where a joint certainly slides.
     counts : (B, n) array
@@ -83,7 +84,7 @@ class ResidualSurvey:
     whole: Whole
     samples: int
     rate_hz: float
-    kind: str
+    passed_over: bool
     squares: Array
     counts: Array
     travel: Array
@@ -152,13 +153,12 @@ def residual_survey(
     block_of_sum = np.concatenate(blocks)
     table = np.zeros((int(block_of_sum.max()) + 1, 4 * n + 1))
     np.add.at(table, block_of_sum, np.concatenate(sums))
-    is_passed_over = isinstance(log, SurveyedLog)
     return ResidualSurvey(
         path=log.path,
-        whole=whole_of(log),
-        samples=log.samples if isinstance(log, SurveyedLog) else len(log.t),
+        whole=log.whole,
+        samples=log.samples,
         rate_hz=log.rate_hz,
-        kind=log.format if is_passed_over else "",
+        passed_over=isinstance(log, SurveyedLog),
         squares=table[:, :n],
         counts=table[:, n : 2 * n],
         travel=table[:, 2 * n : 4 * n].reshape(-1, 2, n).swapaxes(1, 2),
@@ -424,7 +424,7 @@ def by_digest(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
     """Return recordings, or the excerpts of each log, by the log's SHA-256."""
     pieces_of: dict[str, list[Recording]] = {}
     for recording in recordings:
-        pieces_of.setdefault(whole_of(recording).sha256, []).append(recording)
+        pieces_of.setdefault(recording.whole.sha256, []).append(recording)
     return pieces_of
 
 
@@ -464,17 +464,19 @@ def _read(
 ) -> list[Recording]:
     """Read some stretches of a log."""
     if isinstance(log, Recording):
-        return cut(log, ranges)
-    with local_copy(log) as file:
-        pieces = read_pieces(
-            Path(file),
-            robot,
-            survey.whole,
-            ranges,
-            time_source=clock,
-            kind=survey.kind,
-            sound=partial(sound, robot=robot),
-        )
+        return log.pieces(ranges)
+    with local_copy(log) as copy:
+        if survey.passed_over:
+            pieces = read_pieces(
+                LogFile.at(copy, time_source=clock),
+                robot,
+                survey.whole,
+                ranges,
+                sound=partial(sound, robot=robot),
+            )
+        else:
+            recording, raw = read_both(copy, robot, time_source=clock)
+            pieces = sound(recording, raw, robot).pieces(ranges)
     return [replace(piece, path=log) for piece in pieces]
 
 

@@ -13,8 +13,7 @@ from seqid_cli.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.dynamics.echo import REMEDY, WARNING, echoes
-from seqid_cli.logs.pieces import by_log, whole_of
-from seqid_cli.logs.recording import Recording, torque_of
+from seqid_cli.logs.recording import Recording, by_log, torque_of
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import decimated, estimate_motion
@@ -185,7 +184,7 @@ def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
     bool
         Whether the logs share a clock.
     """
-    logs = [whole_of(pieces[0]) for pieces in by_log(recordings)]
+    logs = [pieces[0].whole for pieces in by_log(recordings)]
     log_starts = np.array([log.start for log in logs])
     lengths = np.array([log.length for log in logs])
     order = np.argsort(log_starts, kind="stable")

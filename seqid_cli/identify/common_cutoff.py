@@ -29,9 +29,8 @@ from seqid_cli.identify.rigid.cutoff_choice import (
     choose_cutoff,
 )
 from seqid_cli.identify.settings import CutoffSettings
-from seqid_cli.logs.pieces import Range, cut, read_pieces, whole_of
 from seqid_cli.logs.read import read_recording
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Range, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters import bandwidth
@@ -103,19 +102,12 @@ def _survey(
                 if best.source == "fused":
                     smoothed = score_of_smoothed(log, robot, imu, encoder, GRID)
 
-        seconds = whole_of(log).length
+        seconds = log.whole.length
         ranges = _spread(seconds, most_values / robot.n / log.rate_hz)
-        if isinstance(log, SurveyedLog):
-            pieces = read_pieces(
-                log.file,
-                robot,
-                whole_of(log),
-                ranges,
-                time_source=time_source,
-                kind=log.format,
-            )
+        if isinstance(log, Recording) and not ranges:
+            pieces = [log]
         else:
-            pieces = cut(log, ranges) if ranges else [log]
+            pieces = log.pieces(ranges)
         return _Surveyed(
             score=score,
             smoothed=smoothed,

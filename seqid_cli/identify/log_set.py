@@ -18,7 +18,7 @@ from seqid_cli.inspect.progress import LogNote, Progress
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.given import warn
 from seqid_cli.logs.raw import TimeSource
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, UniformLog
 from seqid_cli.logs.storage.files import time_of_log
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.motion.blocks import SurveyedLog
@@ -96,7 +96,7 @@ class LogSet:
                 held = read_screened(
                     log, self.robot, time_source=self.time_source, imus=imus
                 )[0]
-            self._date(held.path, (held.start, held.start + float(held.t[-1])))
+            self._date(held.path, (held.start, held.start + held.length))
             yield held
 
     def inputs(self, stage: str = "") -> list[InputLog]:
@@ -288,28 +288,17 @@ def _text(group: Sequence[InspectionFinding]) -> str:
     return f"[{first.code}] {logs[0]}{further_logs}: {channel}{message}"
 
 
-def _note_of(log: Recording | SurveyedLog) -> LogNote:
+def _note_of(log: UniformLog) -> LogNote:
     """Return the summary of a log for progress and documents."""
-    if isinstance(log, SurveyedLog):
-        first_s = log.start_ns * 1e-9
-        return LogNote(
-            path=log.path,
-            sha256=log.sha256,
-            samples=log.samples,
-            rate_hz=log.rate_hz,
-            warnings=log.warnings,
-            partial=log.partial,
-            stamps_s=(first_s, first_s + (log.samples - 1) * log.step_s),
-        )
     return LogNote(
         path=log.path,
         sha256=log.sha256,
-        samples=len(log.t),
+        samples=log.samples,
         rate_hz=log.rate_hz,
-        warnings=log.health.warnings,
+        warnings=log.warnings,
         partial=log.partial,
-        mended=log.health.mended,
-        stamps_s=(log.start, log.start + float(log.t[-1])),
+        mended=log.mended,
+        stamps_s=(log.start, log.start + log.length),
     )
 
 

@@ -18,6 +18,7 @@ from seqid_cli.inspect.serves import serve_together
 from seqid_cli.inspect.settings import InspectSettings
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.left_out import in_logged_posture, standing_joints
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.pieces import read_parts
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import TorqueLackingError
@@ -202,9 +203,8 @@ class _Reader:
         """
         gathered = Gathered(robot, modelled)
         first_stamp_ns = None
-        for recording, raw in read_parts(
-            self.path, robot, time_source=self.time_source, failed=gathered.failed
-        ):
+        log = LogFile.at(self.path, time_source=self.time_source)
+        for recording, raw in read_parts(log, robot, failed=gathered.failed):
             data = LogData(
                 recording=recording,
                 raw=raw,

@@ -18,10 +18,10 @@ from seqid_cli.inspect.checks import check, without
 from seqid_cli.inspect.findings import grouped, located
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.settings import InspectSettings
-from seqid_cli.logs.long import READERS, Block, Bridge
+from seqid_cli.logs.long import Bridge
 from seqid_cli.logs.raw import GAP_INTERVALS, GAP_LEAST_S, RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Block, Health, Recording
 from seqid_cli.logs.tables.parquet import BLOCK_ROWS
 from seqid_cli.motion.blocks import SurveyedLog, joined, overlapping
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -121,8 +121,7 @@ def screened_long(
     """
     # The samples as they were logged say which channels there are.
     without_imus = replace(robot, imus=())
-    read = READERS[log.format]
-    first_block = next(iter(read(log.file, without_imus, log.time_source)))
+    first_block = next(log.file.blocks(without_imus))
 
     breaks = _BreakSearch(log, robot, pieces=pieces, piece_s=piece_s)
     margin = max(16, int(overlap_s * log.rate_hz))

@@ -4,8 +4,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.mcap import reader, rosbags
-from seqid_cli.logs.storage.files import check_log, storage_file
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.csv_form import read_form
 from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
@@ -26,8 +26,9 @@ class Survey:
 
 def survey(path: Path) -> Survey:
     """Look through a log; raises InputError if it is none or cannot be read at all."""
-    kind = check_log(path)
-    file = storage_file(path)
+    log = LogFile.at(path)
+    kind = log.format
+    file = log.file
     if kind in ("parquet", "csv"):
         if kind == "parquet":
             channels = parquet.list_columns(file)

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.publishers import second_publisher
 from seqid_cli.logs.raw import Stamps, Stream
-from seqid_cli.logs.read import READERS, without_absurd
-from seqid_cli.logs.storage.files import check_log, storage_file
+from seqid_cli.logs.read import without_absurd
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml_schema import Channels, Columns
@@ -171,7 +171,7 @@ def _alone(joint: LockedJoint, robot: Robot) -> Robot:
 def _blocks_of(path: Path, robot: Robot) -> Iterator[Stream]:
     """Read the joints of a robot block by block, as far as the log holds them."""
     try:
-        for raw in READERS[check_log(path)](storage_file(path), robot):
+        for raw in LogFile.at(path).blocks(robot):
             yield raw.joints
     except InputError:
         return

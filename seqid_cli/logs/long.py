@@ -9,67 +9,31 @@ increase and whose rows hold every joint, but not where samples come in bursts o
 M is the number of rows of a block, n the number of joints.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import starmap
 from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.errors import InputError
 from seqid_cli.logs.first_pass import FirstPass, UnevenError
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.lost_samples import mended
-from seqid_cli.logs.mcap import reader
-from seqid_cli.logs.mcap.records import read_summary
+from seqid_cli.logs.pieces import read_pieces
 from seqid_cli.logs.publishers import second_publisher
-from seqid_cli.logs.raw import (
-    BlockReader,
-    RawLog,
-    Stamps,
-    Stream,
-    TimeSource,
-    joined,
-)
+from seqid_cli.logs.raw import RawLog, Stamps, Stream, TimeSource, joined
 from seqid_cli.logs.read import ABSURD, with_torque
-from seqid_cli.logs.storage import files
+from seqid_cli.logs.recording import Block, Range, Recording, Whole
 from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
-from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
-from seqid_cli.logs.thinned import Thinned as Thinned  # as others import it
 from seqid_cli.logs.timebase import Base, resample
 from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array
 
 MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
-READERS: dict[str, BlockReader] = {
-    "parquet": parquet.read_blocks,
-    "mcap": reader.read_blocks,
-}
 Watch = Callable[[float, Array], None]
 _ALL = "position and torque"  # one channel (M, 2 n) of both, resampled at once
-
-
-@dataclass(frozen=True)
-class Block:
-    """Consecutive samples of a long log."""
-
-    start: int  # number of the first
-    q: Array  # (M, n) rad
-    tau: Array  # (M, n) N m
-    valid: Mask  # (M,)
-
-    PER_SAMPLE = ("q", "tau", "valid")
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return len(self.q)
-
-    def part(self, where: slice) -> "Block":
-        """Select samples, counted from the first of these."""
-        start = self.start + where.start
-        return Block(start, self.q[where], self.tau[where], self.valid[where])
 
 
 @dataclass(frozen=True)
@@ -99,11 +63,9 @@ class Bridge:
 class LongLog:
     """A log that can be passed over again and again; see the module's text."""
 
-    path: Path  # as given
-    file: Path
-    format: str
+    path: Path  # as results name it
+    file: LogFile
     robot: Robot
-    time_source: TimeSource
     start_ns: int
     step_s: float
     samples: int
@@ -112,9 +74,19 @@ class LongLog:
     gaps: int
     partial: str = ""
     warnings: tuple[str, ...] = ()
+    mended: tuple[str, ...] = ()  # a log that must be mended is read as a whole
     spool: Spool | None = field(default=None, repr=False, compare=False)
     bridges: tuple[Bridge, ...] = ()
-    state: files.State | None = None  # of the file at the first pass
+
+    @property
+    def format(self) -> str:
+        """Kind of the file."""
+        return self.file.format
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the file; raises InputError if it changed since the first pass."""
+        return self.file.sha256
 
     @property
     def rate_hz(self) -> float:
@@ -122,10 +94,23 @@ class LongLog:
         return 1.0 / self.step_s
 
     @property
-    def sha256(self) -> str:
-        """Digest of the file; raises InputError if it changed since the first pass."""
-        with files.unchanged(self.file, self.state):
-            return files.sha256_of(self.file)
+    def start(self) -> float:
+        """The first sample on the log's own clock, s."""
+        return self.start_ns * 1e-9
+
+    @property
+    def length(self) -> float:
+        """Seconds from the first sample to the last."""
+        return (self.samples - 1) * self.step_s
+
+    @property
+    def whole(self) -> Whole:
+        """The log itself, as pieces of it have to know it."""
+        return Whole(self.sha256, self.start, self.length)
+
+    def pieces(self, ranges: Sequence[Range]) -> list[Recording]:
+        """Hold pieces of the log, with all channels of the robot; see `cut`."""
+        return read_pieces(self.file, self.robot, self.whole, ranges)
 
     def blocks(self) -> Iterator[Block]:
         """Pass over the samples, in their order.
@@ -148,9 +133,8 @@ class LongLog:
         if self.spool is not None:
             yield from starmap(_as_stream, self.spool.parts())
             return
-        with files.unchanged(self.file, self.state):
-            for _, rows in _rows(self.file, self.format, self.robot, self.time_source):
-                yield rows
+        for _, rows in _rows(self.file, self.robot):
+            yield rows
 
     def _as_logged(self, rows: Iterator[Stream]) -> Iterator[Block]:
         """Yield rows that lie on the base as they are."""
@@ -214,28 +198,6 @@ def _as_stream(stamps: Stamps, values: Array) -> Stream:
     return Stream("joints", stamps, {_ALL: values})
 
 
-def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
-    """Estimate the rows of a log without reading it; 0 where nothing tells it."""
-    kind = files.check_log(path)
-    path = files.storage_file(path)
-    try:
-        if kind == "parquet":
-            with opened_table(path) as table:
-                return int(table.metadata.num_rows)
-        if kind == "mcap":
-            size = path.stat().st_size
-            with path.open("rb") as file:
-                statistics = read_summary(file, size).statistics
-            if statistics:
-                return int(statistics.message_count)
-            return size // bytes_per_row
-    except ARROW_ERRORS as error:
-        raise parquet.damaged(path, error) from error
-    except OSError as error:
-        raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return 0
-
-
 def open_long(
     path: Path,
     robot: Robot,
@@ -267,32 +229,25 @@ def open_long(
     InputError
         The file cannot be read, lacks a channel or changes.
     """
-    kind = files.check_log(path)
-    file = files.storage_file(path)
-    if kind not in READERS:
+    file = LogFile.at(path, time_source=time_source)
+    if not file.blockwise:
         return None
     first_pass = FirstPass()
     spool = Spool()
     try:
-        state = files.state_of(file)
-        with files.unchanged(file, state):
-            for raw, rows in _rows(file, kind, robot, time_source):
-                values = rows.channels[_ALL]
-                first_pass.push(rows.stamp_ns, raw)
-                spool.push(rows.stamp_ns, values)
-                if watch is not None:
-                    watch(1e9 / first_pass.usual_step, values[:, : robot.n])
+        for raw, rows in _rows(file, robot):
+            values = rows.channels[_ALL]
+            first_pass.push(rows.stamp_ns, raw)
+            spool.push(rows.stamp_ns, values)
+            if watch is not None:
+                watch(1e9 / first_pass.usual_step, values[:, : robot.n])
         base = first_pass.base()
     except UnevenError:
         return None
-    except OSError as error:
-        raise InputError(f"cannot be read ({error})", where=str(path)) from error
     return LongLog(
         path=path,
         file=file,
-        format=kind,
         robot=robot,
-        time_source=time_source,
         start_ns=base.start_ns,
         step_s=base.step_s,
         samples=base.samples,
@@ -302,21 +257,19 @@ def open_long(
         partial=first_pass.partial,
         warnings=tuple(first_pass.warnings),
         spool=spool if spool.complete else None,
-        state=state,
     )
 
 
-def _rows(
-    path: Path, kind: str, robot: Robot, time_source: TimeSource
-) -> Iterator[tuple[RawLog, Stream]]:
+def _rows(log: LogFile, robot: Robot) -> Iterator[tuple[RawLog, Stream]]:
     """Decode a log block by block; yields each block and its position and torque.
 
     Raises UnevenError where the log is to be put right as a whole: each check stands
     for a step of `read.assemble` that looks beyond a block.
     """
+    where = str(log.file)
     latest = np.zeros(0, np.int64)
     first_sources: dict[str, object] = {}
-    for raw in READERS[kind](path, replace(robot, imus=()), time_source):
+    for raw in log.blocks(replace(robot, imus=())):
         joints = raw.joints
         if not len(joints):
             continue
@@ -329,10 +282,10 @@ def _rows(
         }
         first_sources = first_sources or sources
         if sources and sources == first_sources:
-            joints = with_torque(joints, robot, raw.prefer_current, str(path), [])
+            joints = with_torque(joints, robot, raw.prefer_current, where, [])
         if "tau" not in joints.channels:
             raise UnevenError
-        if second_publisher(raw.joints, str(path)) is not None:
+        if second_publisher(raw.joints, where) is not None:
             raise UnevenError
 
         values = np.concatenate(

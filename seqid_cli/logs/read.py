@@ -11,36 +11,25 @@ from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.errors import InputError, UsageError
+from seqid_cli.errors import InputError
 from seqid_cli.logs.clock import tidy
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.lost_samples import Mended, mended, with_losses
-from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.publishers import without_second_publisher
 from seqid_cli.logs.raw import (
     ACCELEROMETERS,
     GYRO,
-    BlockReader,
     RawLog,
     Stream,
     TimeSource,
 )
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.logs.storage.files import check_log, sha256_of, storage_file, unchanged
 from seqid_cli.logs.storage.remote import local_copy
-from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.timebase import Base, make_base, overlap, resample
-from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
-READERS: dict[str, BlockReader] = {
-    "parquet": parquet.read_blocks,
-    "mcap": reader.read_blocks,
-    "csv": csv_file.read_blocks,
-    "rosbag2": rosbags.read_blocks,
-    "rosbag1": rosbags.read_blocks,
-}
 ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 
 
@@ -83,33 +72,15 @@ def read_both(
 
     The parameters and errors are those of `read_recording`, the results of `assemble`.
     """
-    if time_source not in ("header", "log"):
-        raise UsageError(
-            f"time source {time_source!r} is not known", hint="Use header or log."
-        )
     with local_copy(path) as copy:
-        kind = check_log(copy)
-        file = storage_file(copy)
-        with unchanged(file):
-            raw = read_whole(file, kind, robot, time_source)
-            digest = sha256_of(file)
-        recording, raw = assemble(file, kind, digest, raw, robot)
+        log = LogFile.at(copy, time_source=time_source)
+        raw = log.whole(robot)
+        recording, raw = assemble(log.file, log.format, log.sha256, raw, robot)
 
     # A copy is gone by now: the recording names the log that it is of.
     if copy is not path:
         recording = replace(recording, path=path)
     return recording, raw
-
-
-def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
-    """Read a file of a format as one block, positions that wrap made to run on."""
-    (raw,) = READERS[kind](path, robot, time_source, rows=None)
-    joints, wraps_by_joint = in_turns(raw.joints, robot)
-    notes = [
-        f"{name}: position wraps by whole turns {count} times; it is made to run on"
-        for name, count in wraps_by_joint.items()
-    ]
-    return replace(raw, joints=joints, warnings=(*raw.warnings, *notes))
 
 
 class TorqueLackingError(InputError):

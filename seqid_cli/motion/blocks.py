@@ -7,14 +7,15 @@ runs' ends like in the whole log.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from seqid_cli.logs.long import Block, LongLog, open_long
+from seqid_cli.logs.long import LongLog, open_long
 from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.recording import Block
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import SIDE
@@ -208,5 +209,4 @@ def open_surveyed(
         survey = Survey(robot.n, log.rate_hz, log.samples)
         for block in log.blocks():
             survey.push(block.q)
-    of_log = {field.name: getattr(log, field.name) for field in fields(LongLog)}
-    return SurveyedLog(**of_log, survey=survey)
+    return SurveyedLog(**vars(log), survey=survey)

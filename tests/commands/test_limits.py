@@ -32,7 +32,8 @@ from seqid_cli.__main__ import main
 from seqid_cli.discover import excerpts
 from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction
 from seqid_cli.identify.regression import equations
-from seqid_cli.logs import pieces, read
+from seqid_cli.logs import pieces
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.motion import blocks
 from seqid_cli.params import files
 from seqid_cli.params.document import robot_id, with_stage
@@ -59,7 +60,7 @@ MODEL = ("-p", str(ONE_JOINT / "golden.json"))
 def test_a_log_that_changes_is_refused(
     change: Callable[[Path], None], said: str, rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    log, own = rig.folder / "log.parquet", read.read_whole
+    log, own = rig.folder / "log.parquet", LogFile.whole
     shutil.copy(ONE_JOINT / "validation" / "point_to_point.parquet", log)
 
     def changing(*arguments: object) -> object:
@@ -67,7 +68,7 @@ def test_a_log_that_changes_is_refused(
         change(log)
         return raw
 
-    monkeypatch.setattr(read, "read_whole", changing)
+    monkeypatch.setattr(LogFile, "whole", changing)
     done = rig.run("predict", "log.parquet", *ROBOT, *MODEL, "-o", "p.json")
     assert done.code == 2
     assert said in done.err
@@ -78,7 +79,7 @@ def test_too_little_memory_is_no_bug(rig: Rig, monkeypatch: pytest.MonkeyPatch) 
     def full(*_: object) -> None:
         raise MemoryError("Unable to allocate 8 GiB")
 
-    monkeypatch.setattr(read, "read_whole", full)
+    monkeypatch.setattr(LogFile, "whole", full)
     done = rig.run("predict", str(ONE_JOINT / "validation"), *ROBOT, *MODEL)
     assert done.code == 2
     assert "there is too little memory (Unable to allocate 8 GiB)" in done.err

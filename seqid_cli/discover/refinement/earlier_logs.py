@@ -9,7 +9,7 @@ from seqid_cli.discover.refinement.log_sets import EarlierLogs
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.long import likely_rows
+from seqid_cli.logs.log_file import likely_rows
 from seqid_cli.logs.recording import Recording
 
 # Stages that need their logs as they are: moves of one joint, of which a piece may hold

@@ -30,7 +30,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import local_effects, predict
 from seqid_cli.identify.regression.equations import LONG, open_if_long, streams
 from seqid_cli.inspect.screening import read_screened, screened_long
-from seqid_cli.logs.long import likely_rows
+from seqid_cli.logs.log_file import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy

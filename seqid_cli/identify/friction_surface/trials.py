@@ -10,8 +10,8 @@ from numpy.polynomial import Chebyshev
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.regression.equations import open_if_long, survey_of
-from seqid_cli.logs.long import Block, LongLog
-from seqid_cli.logs.recording import Recording, torque_of
+from seqid_cli.logs.long import LongLog
+from seqid_cli.logs.recording import Block, Recording, torque_of
 from seqid_cli.motion.blocks import SurveyedLog, joined
 from seqid_cli.motion.hunting import stops, torque_swing
 from seqid_cli.motion.motion import encoder_resolution

@@ -20,6 +20,7 @@ from seqid_cli.identify.regression import equations
 from seqid_cli.identify.regression.equations import open_if_long
 from seqid_cli.identify.regression.noise_level import PASSED
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.torque import Predicted, TorqueModel, sliding
@@ -231,7 +232,7 @@ class Predictor:
         options = replace(self.options.motion, samples_per_cutoff=float("inf"))
         if isinstance(log, SurveyedLog):
             plan = equations.plan_of(log, robot, options)
-            return LongPrediction(replace(log, survey=None), plan, self)
+            return LongPrediction(replace(log, survey=None), log.sha256, plan, self)
 
         motion = equations.torque_motion(
             log, robot, options, imu=self.stages.imu, source=self.options.source
@@ -356,6 +357,7 @@ class LongPrediction:
     rows: ClassVar[int] = 32_768  # samples of a part, and twice the margin at least
 
     log: SurveyedLog
+    sha256: str  # the local copy of a remote log is gone when the parts are asked for
     plan: Plan
     predictor: Predictor
 
@@ -374,23 +376,24 @@ class LongPrediction:
         # then give the same torque as the whole log.
         margin = 2 * (lowpass.memory + lowpass.settling)
         with contextlib.ExitStack() as stack:
-            # The local copy of a remote log is deleted after its first pass.
             if log.spool is None:
-                file = stack.enter_context(local_copy(log.path))
-                log = log if file is log.path else replace(log, file=Path(file))
+                copy = stack.enter_context(local_copy(log.path))
+                if copy is not log.path:
+                    clock = log.file.time_source
+                    log = replace(log, file=LogFile.at(copy, time_source=clock))
 
             blocks = motion_blocks(log.blocks(), self.plan)
             pieces = overlapping(blocks, max(self.rows, 2 * margin), margin)
             for number, (motion, start, stop) in enumerate(pieces):
                 recording = Recording(
                     path=log.path,
-                    sha256=log.sha256,
+                    sha256=self.sha256,
                     format=log.format,
                     t=motion.t,
                     q=motion.q,
                     valid=motion.valid,
                     health=Health(log.rate_hz, log.jitter),
-                    start=log.start_ns * 1e-9,
+                    start=log.start,
                 )
                 part = self.predictor.part(motion, recording, slice(start, stop))
                 is_last = bool(part.t[-1] * log.rate_hz > log.samples - 1.5)

@@ -17,7 +17,7 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.long import likely_rows
+from seqid_cli.logs.log_file import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, open_surveyed

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import rfft
 from scipy.signal import get_window
 
-from seqid_cli.logs.long import Thinned
+from seqid_cli.logs.thinned import Thinned
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.segmentation import SCALES_S, SHAKEN, SMALLEST_STEP, TRAVEL_STEPS
 from seqid_cli.robust import DIFFERENCES_GAIN, PER_MEDIAN

@@ -16,8 +16,7 @@ import msgspec
 import numpy as np
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.pieces import cut
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, cut
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate

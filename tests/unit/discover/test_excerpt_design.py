@@ -27,7 +27,7 @@ def survey(
         whole=Whole("0" * 64, 0.0, seconds),
         samples=int(seconds * RATE),
         rate_hz=RATE,
-        kind="",
+        passed_over=False,
         squares=np.ones((blocks, 1)),
         counts=np.ones((blocks, 1)),
         travel=0.5 * BLOCK_S * np.stack([size, size], axis=1)[:, None],

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.raw import RawLog
-from seqid_cli.logs.read import read_whole
-from seqid_cli.logs.storage.files import check_log
 from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.types import Channels, Imu, Joint, Robot
 from tests import Array
@@ -86,4 +85,4 @@ def grid(count: int = 200, rate_hz: float = 100.0) -> Array:
 
 def read_raw(path: Path, robot: Robot) -> RawLog:
     """Read a log as it was logged, as one block."""
-    return read_whole(path, check_log(path), robot, "header")
+    return LogFile.at(path).whole(robot)

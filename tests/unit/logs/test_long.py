@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.long import likely_rows, open_long
+from seqid_cli.logs.log_file import LogFile, likely_rows
+from seqid_cli.logs.long import open_long
 from seqid_cli.logs.mcap import reader
-from seqid_cli.logs.pieces import cut, read_pieces, whole_of
+from seqid_cli.logs.pieces import read_pieces
 from seqid_cli.logs.read import read_recording
-from seqid_cli.logs.recording import Recording
+from seqid_cli.logs.recording import Recording, cut
 from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import joined
@@ -163,12 +164,11 @@ def test_pieces_of_a_log_that_is_passed_over_are_cut_out_of_it(
 ) -> None:
     path = written(tmp_path, form)
     held, long = read_recording(path, ROBOT), open_long(path, ROBOT)
-    assert whole_of(long) == whole_of(held)
+    assert long.whole == held.whole
     expected = cut(held, RANGES)
-    for kind in (form, ""):  # of other formats they are cut
-        found = read_pieces(path, ROBOT, whole_of(long), RANGES, kind=kind)
-        for one, other in zip(found, expected, strict=True):
-            assert_same(one, other)
+    found = long.pieces(RANGES)
+    for one, other in zip(found, expected, strict=True):
+        assert_same(one, other)
     assert (found[0].temperature is None) == (form == "mcap")
     assert set(found[0].accelerometers) == {"array", "hand"}
     rows = [slice(round(100 * begin), round(100 * end) + 1) for begin, end in RANGES]
@@ -180,9 +180,7 @@ def test_pieces_of_a_log_that_is_passed_over_are_cut_out_of_it(
 def test_pieces_of_uneven_stamps(tmp_path: Path) -> None:
     path = with_torque(tmp_path, START + grid(SAMPLES) + 0.001 * NOISE)
     held, long = read_recording(path, make_robot()), open_long(path, make_robot())
-    for piece in read_pieces(
-        path, make_robot(), whole_of(long), RANGES, kind="parquet"
-    ):
+    for piece in long.pieces(RANGES):
         at = piece.start - held.start + piece.t
         expected = np.column_stack([np.interp(at, held.t, q) for q in held.q.T])
         np.testing.assert_allclose(piece.q, expected, atol=2e-5)
@@ -196,7 +194,7 @@ def test_rows_that_are_gone(
     tmp_path: Path, moved: float, first: float, said: str
 ) -> None:
     path = written(tmp_path)
-    whole = whole_of(read_recording(path, ROBOT))
+    whole = read_recording(path, ROBOT).whole
     whole = replace(whole, start=whole.start + moved)
     with pytest.raises(InputError, match=said):
-        read_pieces(path, ROBOT, whole, [(first, first + 5.0)], kind="parquet")
+        read_pieces(LogFile.at(path), ROBOT, whole, [(first, first + 5.0)])

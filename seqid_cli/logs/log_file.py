@@ -1,0 +1,140 @@
+"""The way into a log: its file, of whatever format, as what was logged.
+
+Everything that reads a log asks a `LogFile`: for all of it as one block, or for one
+block after the other, in memory that does not grow with the log. The file must be the
+same all along, however often it is passed over.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+from seqid_cli.errors import InputError, UsageError
+from seqid_cli.logs.mcap import reader, rosbags
+from seqid_cli.logs.mcap.records import read_summary
+from seqid_cli.logs.raw import BlockReader, RawLog, TimeSource
+from seqid_cli.logs.storage import files
+from seqid_cli.logs.tables import csv_file, parquet
+from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
+from seqid_cli.logs.turns import in_turns
+from seqid_cli.robot.types import Robot
+
+_READERS: dict[str, BlockReader] = {
+    "parquet": parquet.read_blocks,
+    "mcap": reader.read_blocks,
+    "csv": csv_file.read_blocks,
+    "rosbag2": rosbags.read_blocks,
+    "rosbag1": rosbags.read_blocks,
+}
+# Formats of which a block is read without the rest of the log.
+_BLOCKWISE = ("parquet", "mcap")
+_BYTES_PER_MESSAGE = 100  # of an MCAP file that does not tell how many it holds
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogFile:
+    """A file that holds a log.
+
+    Attributes
+    ----------
+    path : Path
+        The log, as messages name it.
+    file : Path
+        What is read: the same, or the one file in the folder of a bag.
+    format : str
+        As of `check_log`.
+    time_source : {"header", "log"}
+        MCAP and bags only: the stamps in the messages, or the times of logging.
+    state : State
+        What differs once the file is another one.
+    """
+
+    path: Path
+    file: Path
+    format: str
+    time_source: TimeSource
+    state: files.State
+
+    @classmethod
+    def at(cls, path: Path, *, time_source: TimeSource = "header") -> "LogFile":
+        """Look at a local log; its content tells its format.
+
+        Raises
+        ------
+        InputError
+            There is no log, or none that can be read.
+        UsageError
+            `time_source` is not known.
+        """
+        if time_source not in ("header", "log"):
+            raise UsageError(
+                f"time source {time_source!r} is not known", hint="Use header or log."
+            )
+        kind = files.check_log(path)
+        file = files.storage_file(path)
+        try:
+            state = files.state_of(file)
+        except OSError as error:
+            raise InputError(f"cannot be read ({error})", where=str(path)) from error
+        return cls(
+            path=path, file=file, format=kind, time_source=time_source, state=state
+        )
+
+    @property
+    def blockwise(self) -> bool:
+        """True where memory does not grow with the log, for the sake of its format."""
+        return self.format in _BLOCKWISE
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the file; raises InputError if it is another one by now."""
+        with files.unchanged(self.file, self.state):
+            return self._digest
+
+    @cached_property
+    def _digest(self) -> str:
+        return files.sha256_of(self.file)
+
+    def blocks(self, robot: Robot) -> Iterator[RawLog]:
+        """Pass over the log block by block.
+
+        Raises InputError where it cannot be read, lacks a channel or changes.
+        """
+        with files.unchanged(self.file, self.state):
+            yield from _READERS[self.format](self.file, robot, self.time_source)
+
+    def whole(self, robot: Robot) -> RawLog:
+        """Read the log as one block, positions that wrap made to run on."""
+        with files.unchanged(self.file, self.state):
+            (raw,) = _READERS[self.format](
+                self.file, robot, self.time_source, rows=None
+            )
+        joints, wraps_by_joint = in_turns(raw.joints, robot)
+        notes = [
+            f"{name}: position wraps by whole turns {count} times; it is made to run on"
+            for name, count in wraps_by_joint.items()
+        ]
+        return replace(raw, joints=joints, warnings=(*raw.warnings, *notes))
+
+    def likely_rows(self) -> int:
+        """Estimate the rows without reading them; 0 where nothing tells it."""
+        if self.format == "parquet":
+            try:
+                with opened_table(self.file) as table:
+                    return int(table.metadata.num_rows)
+            except ARROW_ERRORS as error:
+                raise parquet.damaged(self.file, error) from error
+        if self.format == "mcap":
+            with files.unchanged(self.file, self.state), self.file.open("rb") as file:
+                size = self.file.stat().st_size
+                statistics = read_summary(file, size).statistics
+            if statistics:
+                return int(statistics.message_count)
+            return size // _BYTES_PER_MESSAGE
+        return 0
+
+
+def likely_rows(path: Path) -> int:
+    """Estimate the rows of a local log without reading it; 0 where nothing tells it."""
+    return LogFile.at(path).likely_rows()

@@ -30,8 +30,7 @@ from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.predict import LogPrediction, Predictor, predict
-from seqid_cli.identify.regression.equations import open_if_long
+from seqid_cli.identify.prediction.predict import LogPrediction, Predictor
 from seqid_cli.inspect.screening import sound
 from seqid_cli.logs.log_file import LogFile, likely_rows
 from seqid_cli.logs.pieces import read_pieces
@@ -199,13 +198,15 @@ def _parts(
     log: Recording | SurveyedLog, robot: Robot, stages: Stages, options: InertiaOptions
 ) -> Iterable[LogPrediction]:
     """Predict a log, part by part if it is not held."""
-    options = replace(options, source="encoder")
-    if not isinstance(log, SurveyedLog):
-        return predict([log], robot, stages, options=options, unexplained=True)
     effects = fitted_effects(stages, robot, unexplained=True)
-    local_effects = [effect for effect in effects if effect.local]
-    model = TorqueModel.from_stages(stages, robot)
-    predictor = Predictor(model, stages, options, local_effects)
+    if isinstance(log, SurveyedLog):
+        effects = [effect for effect in effects if effect.local]
+    predictor = Predictor(
+        model=TorqueModel.from_stages(stages, robot),
+        stages=stages,
+        options=replace(options, source="encoder"),
+        effects=effects,
+    )
     return predictor(log, 0)
 
 
@@ -389,8 +390,7 @@ def take_excerpts(
     if isinstance(recordings, LogSet) and _is_long(recordings, most_samples):
         logs = recordings.logs
         clock = recordings.time_source
-        opened = partial(open_if_long, least=PASSED_OVER)
-        surveys = tuple(recordings.mapped(survey, opened))
+        surveys = tuple(recordings.mapped(survey, PASSED_OVER))
         if _held_samples(surveys) <= most_samples:
             return Excerpts(tuple(recordings.again(imus=stages.imu is not None)))
     else:

@@ -21,7 +21,7 @@ import numpy as np
 
 from seqid_cli.errors import SeqidError
 from seqid_cli.identify.options import RigidOptions
-from seqid_cli.identify.regression.equations import open_if_long, survey_of
+from seqid_cli.identify.regression.equations import survey_of
 from seqid_cli.identify.rigid.cutoff_choice import (
     SAMPLES_PER_CUTOFF,
     CutoffChoice,
@@ -32,7 +32,7 @@ from seqid_cli.identify.settings import CutoffSettings
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Range, Recording
 from seqid_cli.logs.storage.remote import local_copy
-from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.motion.blocks import LONG, SurveyedLog, open_if_long
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
@@ -86,7 +86,9 @@ def _survey(
             log = given
         else:
             file = Path(stack.enter_context(local_copy(given)))
-            long = None if fuses else open_if_long(file, robot, time_source=time_source)
+            long = None
+            if not fuses:
+                long = open_if_long(file, robot, time_source=time_source, least=LONG)
             log = long or read_recording(file, robot, time_source=time_source)
 
         score = survey_of(log).score(encoder_resolution(robot), GRID)

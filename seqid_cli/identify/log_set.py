@@ -15,13 +15,12 @@ from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.inspect.findings import USABLE_AT_MOST, grouped, located
 from seqid_cli.inspect.progress import LogNote, Progress
-from seqid_cli.inspect.screening import read_screened, screened_long
+from seqid_cli.inspect.screening import open_screened, read_screened
 from seqid_cli.logs.given import warn
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, UniformLog
 from seqid_cli.logs.storage.files import time_of_log
 from seqid_cli.logs.storage.remote import local_copy
-from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.dates import created_from, recorded_between
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import InputLog, Verdict, Written
@@ -31,8 +30,6 @@ from seqid_cli.scale import Reply, answer, ordered
 L = TypeVar("L")  # a Recording, or a log that is passed over
 P = TypeVar("P")
 PartOf = Callable[[L, int], P]
-# a log better passed over than read; None of others
-Opens = Callable[..., SurveyedLog | None]
 
 
 @dataclass
@@ -165,11 +162,24 @@ class LogSet:
             count = len(self.read) + len(self.left_out)
             self.on_progress(Progress(state, count, len(self.logs), **details))
 
-    def mapped(self, part: PartOf[Any, P], opens: Opens | None = None) -> Iterator[P]:
-        """Yield the parts of all logs in order, without logs that may fail and do."""
+    def mapped(
+        self, part: PartOf[Any, P], pass_over_from: int | None = None
+    ) -> Iterator[P]:
+        """Yield the parts of all logs in order, without logs that may fail and do.
+
+        `pass_over_from`: samples from which on a log is passed over where it can be,
+        instead of held; see `open_screened`.
+        """
         # Raises SeqidError where a log cannot be used, the first in the order of the
         # logs, or where none can.
-        task = _Task(self.robot, self.time_source, part, opens, self.imus, Path.cwd())
+        task = _Task(
+            robot=self.robot,
+            time_source=self.time_source,
+            part=part,
+            pass_over_from=pass_over_from,
+            imus=self.imus,
+            folder=Path.cwd(),
+        )
         items = list(enumerate(self.logs))
         replies: Iterator[Reply[tuple[LogNote, P]]]
         if self.executor is not None:
@@ -255,16 +265,16 @@ def paths_of(recordings: Iterable[Recording]) -> list[Path]:
 
 
 def mapped(
-    logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None
+    logs: Iterable[L], part: PartOf[L, P], pass_over_from: int | None = None
 ) -> Iterator[P]:
     """Yield the parts of all logs, in their order.
 
     `part`: from a log and its number to a part. To be sent elsewhere it must be an
-    object of a class, or a function, of a module. `opens`: opens logs that are passed
-    over, as `open_if_long`.
+    object of a class, or a function, of a module. `pass_over_from`: as of
+    `LogSet.mapped`; logs that are no `LogSet` are taken as they are.
     """
     if isinstance(logs, LogSet):
-        return logs.mapped(part, opens)
+        return logs.mapped(part, pass_over_from)
     return (part(log, number) for number, log in enumerate(logs))
 
 
@@ -306,14 +316,14 @@ def _itself(log: Recording, _: int) -> Recording:
     return log
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Task(Generic[P]):
     """Reads a log and takes its part; relative paths start from `folder`."""
 
     robot: Robot
     time_source: TimeSource
     part: PartOf[Any, P]
-    opens: Opens | None
+    pass_over_from: int | None
     imus: bool
     folder: Path
 
@@ -326,15 +336,13 @@ class _Task(Generic[P]):
         # log must last.
         with local_copy(source) as file:
             place = file if self.folder == Path.cwd() else self.folder / file
-            clock = self.time_source
-            log: Recording | SurveyedLog
-            opened = self.opens and self.opens(place, self.robot, time_source=clock)
-            if opened is not None:
-                log, findings = screened_long(replace(opened, path=source), self.robot)
-            else:
-                recording, unlocated = read_screened(
-                    place, self.robot, time_source=clock, imus=self.imus
-                )
-                log = replace(recording, path=source)
-                findings = located(unlocated, source)
+            opened = open_screened(
+                place,
+                self.robot,
+                time_source=self.time_source,
+                imus=self.imus,
+                pass_over_from=self.pass_over_from,
+            )
+            log = replace(opened.log, path=source)
+            findings = located(opened.findings, source)
             return replace(_note_of(log), findings=findings), self.part(log, number)

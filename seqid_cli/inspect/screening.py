@@ -23,7 +23,7 @@ from seqid_cli.logs.raw import GAP_INTERVALS, GAP_LEAST_S, RawLog, Stream, TimeS
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Block, Health, Recording
 from seqid_cli.logs.tables.parquet import BLOCK_ROWS
-from seqid_cli.motion.blocks import SurveyedLog, joined, overlapping
+from seqid_cli.motion.blocks import SurveyedLog, joined, open_if_long, overlapping
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Index
@@ -35,6 +35,13 @@ class Screened(NamedTuple):
     """A log without its damaged samples, and the findings."""
 
     recording: Recording
+    findings: Findings
+
+
+class Opened(NamedTuple):
+    """A log without its damaged samples, held or passed over, and the findings."""
+
+    log: Recording | SurveyedLog
     findings: Findings
 
 
@@ -88,6 +95,36 @@ def read_screened(
     data = LogData(recording=recording, raw=raw, robot=robot, settings=settings)
     checked, findings, _ = check(data, imus=imus, quality=False)
     return Screened(checked.recording, located(findings, data.recording.path))
+
+
+def open_screened(
+    path: Path,
+    robot: Robot,
+    *,
+    time_source: TimeSource = "header",
+    imus: bool = True,
+    pass_over_from: int | None = None,
+) -> Opened:
+    """Open and check a log, as every stage does.
+
+    Parameters
+    ----------
+    path : Path
+        A local log of any format that can be read.
+    robot : Robot
+        The arm.
+    time_source : {"header", "log"}
+        Which stamps of an MCAP log count.
+    imus : bool
+        Whether its IMUs are used, and hence checked, where it is held.
+    pass_over_from : int, optional
+        Samples from which on a log is passed over where it can be; None holds all.
+    """
+    if pass_over_from is not None:
+        long = open_if_long(path, robot, time_source=time_source, least=pass_over_from)
+        if long is not None:
+            return Opened(*screened_long(long, robot))
+    return Opened(*read_screened(path, robot, time_source=time_source, imus=imus))
 
 
 def screened_long(

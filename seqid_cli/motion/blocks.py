@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from seqid_cli.logs.log_file import likely_rows
 from seqid_cli.logs.long import LongLog, open_long
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Block
@@ -58,6 +59,7 @@ class Plan:
         return Lowpass(self.cutoff.hz, self.rate_hz)
 
 
+LONG = 200_000  # samples from which on a log is better passed over than held
 LEAST_BLOCK = 32_768  # samples; thinned ones need less memory and are twice as long
 
 
@@ -210,3 +212,16 @@ def open_surveyed(
         for block in log.blocks():
             survey.push(block.q)
     return SurveyedLog(**vars(log), survey=survey)
+
+
+def open_if_long(
+    path: Path, robot: Robot, *, time_source: TimeSource = "header", least: int
+) -> SurveyedLog | None:
+    """Open a log of `least` samples or more to be passed over.
+
+    None where it is shorter, or has to be read as a whole.
+    """
+    if likely_rows(path) < least:
+        return None
+    log = open_surveyed(path, robot, time_source=time_source)
+    return log if log is not None and log.samples >= least else None

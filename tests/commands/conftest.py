@@ -21,7 +21,7 @@ import pytest
 from seqid_cli.__main__ import main
 from seqid_cli.discover.excerpts import Excerpts
 from seqid_cli.inspect.findings import located
-from seqid_cli.inspect.screening import Screened
+from seqid_cli.inspect.screening import Opened
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -121,10 +121,9 @@ class Reader:
     time_source: str = ""
     findings: tuple[InspectionFinding, ...] = ()
 
-    def read_screened(
-        self, path: Path, robot: Robot, *, time_source: str, imus: bool
-    ) -> Screened:
-        del imus
+    def open_screened(
+        self, path: Path, robot: Robot, *, time_source: str, **_: object
+    ) -> Opened:
         self.time_source = time_source
         recording = made_recording(
             np.zeros((SAMPLES, robot.n)),
@@ -136,13 +135,13 @@ class Reader:
             health=Health(rate_hz=100.0, jitter=0.0, warnings=self.warnings),
             partial=self.partial,
         )
-        return Screened(recording, located(self.findings, path))
+        return Opened(recording, located(self.findings, path))
 
 
 @pytest.fixture
 def reader(monkeypatch: pytest.MonkeyPatch) -> Reader:
     fake = Reader()
-    monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", fake.read_screened)
+    monkeypatch.setattr("seqid_cli.identify.log_set.open_screened", fake.open_screened)
     return fake
 
 

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.identify.prediction.predict import LogPrediction
-from seqid_cli.inspect.screening import Screened
+from seqid_cli.inspect.screening import Opened
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
@@ -294,16 +294,10 @@ def recordings(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
         for name in "ab"
     ]
 
-    def read(path: Path, robot: Robot, **options: object) -> Screened:
-        return Screened(
-            next(log for log in logs if log.path.name == Path(path).name), ()
-        )
+    def read(path: Path, robot: Robot, **options: object) -> Opened:
+        return Opened(next(log for log in logs if log.path.name == Path(path).name), ())
 
-    monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", read)
-    # No log is long.
-    monkeypatch.setattr(
-        "seqid_cli.identify.prediction.predict.open_if_long", lambda *_, **__: None
-    )
+    monkeypatch.setattr("seqid_cli.identify.log_set.open_screened", read)
     return logs
 
 

@@ -28,14 +28,14 @@ from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.effects.fitted import fitted_effects
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import local_effects, predict
-from seqid_cli.identify.regression.equations import LONG, open_if_long, streams
+from seqid_cli.identify.regression.equations import streams
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.log_file import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.motion.blocks import LONG, SurveyedLog, open_if_long
 from seqid_cli.motion.torque_noise import LEVEL
 from seqid_cli.params.schema import JointRmse, Stages
 from seqid_cli.robot.types import Robot

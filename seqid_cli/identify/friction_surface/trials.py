@@ -9,10 +9,9 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 
 from seqid_cli.identify.log_set import mapped
-from seqid_cli.identify.regression.equations import open_if_long, survey_of
-from seqid_cli.logs.long import LongLog
-from seqid_cli.logs.recording import Block, Recording, torque_of
-from seqid_cli.motion.blocks import SurveyedLog, joined
+from seqid_cli.identify.regression.equations import survey_of
+from seqid_cli.logs.recording import Block, Recording, UniformLog
+from seqid_cli.motion.blocks import LONG, SurveyedLog, joined
 from seqid_cli.motion.hunting import stops, torque_swing
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import (
@@ -91,7 +90,7 @@ def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]
 
     Raises InputError where a log has no torque.
     """
-    logs = mapped(recordings, partial(trials_of, robot), open_if_long)
+    logs = mapped(recordings, partial(trials_of, robot), LONG)
     return sorted(
         (trial for trials in logs for trial in trials), key=lambda trial: trial.speed
     )
@@ -102,7 +101,7 @@ def trials_of(
 ) -> list[Trial]:
     """Return constant-velocity trials of one log.
 
-    A long log comes in pieces of `rows` samples.
+    It comes in pieces of `rows` samples or more.
     """
     survey = survey_of(log)
     resolution = encoder_resolution(robot)
@@ -116,26 +115,20 @@ def trials_of(
 
 
 def pieces(
-    log: Recording | LongLog, step: Array, *, rows: int
+    log: UniformLog, step: Array, *, rows: int
 ) -> Iterator[tuple[Block, list[Stretch]]]:
     """Find the stretches of constant velocity of a log.
 
-    They lie within runs of samples at which one and the same joint moves alone. A long
-    log is cut between such runs into pieces, each with so many samples more on either
-    side as the search for motion reaches; what is found is what the whole log gives. A
-    log that is held is one piece.
+    They lie within runs of samples at which one and the same joint moves alone. A log
+    is cut between such runs into pieces of `rows` samples or more, each with so many
+    samples more on either side as the search for motion reaches; what is found is what
+    the whole log gives.
 
     `step` (n,): encoder noise [rad], see `noise_step`. Yields samples, and stretches
     within them.
     """
     rate = log.rate_hz
     margin = motion_reach(log.rate_hz)
-    blocks: Iterable[Block] = ()
-    if isinstance(log, Recording):
-        held: Block | None = Block(0, log.q, torque_of(log), log.valid)
-    else:
-        held = None
-        blocks = log.blocks()
 
     def searched(block: Block, first: int, stop: int) -> tuple[Block, list[Stretch]]:
         inside = block.valid.copy()
@@ -143,9 +136,10 @@ def pieces(
         inside[stop:] = False
         return block, constant_velocity(block.q, rate, step=step, valid=inside)
 
+    held: Block | None = None
     wait = rows
     start = 0  # samples before `start` have been searched
-    for block in blocks:
+    for block in log.blocks():
         held = block if held is None else joined([held, block])
         if held.samples - start < wait + margin:
             continue
@@ -198,7 +192,7 @@ def _trial(
     celsius = (
         np.zeros(0)
         if temperature is None
-        else temperature[stretch.start : stretch.stop, j]
+        else temperature[block.start :][stretch.start : stretch.stop, j]
     )
     celsius = celsius[np.isfinite(celsius)]
     counts_hz = abs(stretch.velocity) / count[j] if count[j] > 0.0 else np.inf

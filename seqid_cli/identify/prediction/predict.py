@@ -17,13 +17,13 @@ from seqid_cli.identify.bands.prediction import Bands, Deviation
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression import equations
-from seqid_cli.identify.regression.equations import open_if_long
 from seqid_cli.identify.regression.noise_level import PASSED
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.log_file import LogFile
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.torque import Predicted, TorqueModel, sliding
+from seqid_cli.motion import blocks
 from seqid_cli.motion.blocks import Plan, SurveyedLog, motion_blocks, overlapping
 from seqid_cli.motion.motion import Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
@@ -199,8 +199,8 @@ def predict(
     )
 
     can_stream = equations.streams(stages, options) and local_effects(model, effects)
-    open_long = open_if_long if can_stream else None
-    for parts in mapped(recordings, predictor, open_long):
+    pass_over_from = blocks.LONG if can_stream else None
+    for parts in mapped(recordings, predictor, pass_over_from):
         yield from parts
 
 
@@ -382,8 +382,8 @@ class LongPrediction:
                     clock = log.file.time_source
                     log = replace(log, file=LogFile.at(copy, time_source=clock))
 
-            blocks = motion_blocks(log.blocks(), self.plan)
-            pieces = overlapping(blocks, max(self.rows, 2 * margin), margin)
+            motions = motion_blocks(log.blocks(), self.plan)
+            pieces = overlapping(motions, max(self.rows, 2 * margin), margin)
             for number, (motion, start, stop) in enumerate(pieces):
                 recording = Recording(
                     path=log.path,

@@ -17,10 +17,8 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.log_file import likely_rows
-from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, open_surveyed
+from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.motion.filters.survey import Survey, survey_of_positions
 from seqid_cli.motion.imu.link_acceleration import log_motion
@@ -31,7 +29,6 @@ from seqid_cli.robot.base_parameters import Basis, base_regressor, loaded_column
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-LONG = 200_000  # samples from which on a log is better passed over than held
 CHUNK = 4096  # samples whose regressor is made at once
 
 
@@ -44,21 +41,6 @@ def streams(stages: Stages, options: InertiaOptions) -> bool:
     return options.source == "encoder" or (
         options.source in ("auto", "needed") and not imus
     )
-
-
-def open_if_long(
-    path: Path,
-    robot: Robot,
-    *,
-    time_source: TimeSource = "header",
-    least: int | None = None,
-) -> SurveyedLog | None:
-    """Open a log of `least` samples or more that can be streamed, else None."""
-    least = LONG if least is None else least
-    if likely_rows(path) < least:
-        return None
-    log = open_surveyed(path, robot, time_source=time_source)
-    return log if log is not None and log.samples >= least else None
 
 
 def survey_of(log: Recording | SurveyedLog) -> Survey:

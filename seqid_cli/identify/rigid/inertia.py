@@ -29,7 +29,6 @@ from seqid_cli.identify.nuisances import (
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import (
     cutoff_note,
-    open_if_long,
     source_text,
     streams,
 )
@@ -46,6 +45,7 @@ from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equat
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion import blocks
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.params.schema import FrictionStage, Nuisance, RigidStage, Stages, Verdict
@@ -129,9 +129,10 @@ def identify_inertia(
 
     # whoever reduces the logs does not look inside
     logs = cast("Iterable[Recording]", recordings)
-    opens = open_if_long if by_encoders is None and streams(stages, options) else None
+    can_stream = by_encoders is None and streams(stages, options)
+    pass_over_from = blocks.LONG if can_stream else None
     rows_of_log = partial(_rows_of_log, equations, by_encoders)
-    each_log = list(mapped(logs, rows_of_log, opens))
+    each_log = list(mapped(logs, rows_of_log, pass_over_from))
     together = reduce(add, each_log) if each_log else None
     if together is None or not any(joint.samples for joint in together.used.joints):
         raise QualityError("no joint with known friction moves in these logs")

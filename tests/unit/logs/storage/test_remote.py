@@ -8,7 +8,6 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -16,10 +15,9 @@ import pytest
 from seqid_cli import identify
 from seqid_cli.commands.app import run
 from seqid_cli.errors import ConfigError, InputError, UsageError
-from seqid_cli.identify.regression.equations import open_if_long
-from seqid_cli.identify.rigid import inertia
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.logs.storage.remote import StoredLog, is_url, local_copy
+from seqid_cli.motion import blocks
 from tests import ROOT
 
 fsspec = pytest.importorskip("fsspec")
@@ -109,7 +107,7 @@ def test_damage_has_the_name_of_the_object(store: str, capsys: Captured) -> None
 def test_a_long_log_keeps_its_copy(
     store: str, monkeypatch: Patch, capsys: Captured
 ) -> None:
-    monkeypatch.setattr(inertia, "open_if_long", partial(open_if_long, least=1))
+    monkeypatch.setattr(blocks, "LONG", 1)
     assert run(["inertia", store, *GIVEN, "--json"]) == 0
     stage = json.loads(capsys.readouterr().out)["stages"]["inertia"]
     assert [use["log"].split("/")[3] for use in stage["motion_use"]] == [

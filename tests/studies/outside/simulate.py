@@ -13,13 +13,17 @@ from tests import Array
 from tests.studies.outside.arms import Arm
 from tests.studies.outside.robotfiles import STEP_S, mjcf
 
+Places = slice | list[int]
+
 DAMPING = 0.8  # of the position loop
 
 
 @dataclass
 class State:
-    """An arm at a moment: t (s, of the session) and (n,) per joint; `memory` belongs to
-    effects.
+    """An arm at a moment: t (s, of the session) and (n,) per joint.
+
+    `memory` belongs to effects. The arrays may be the simulator's own: what an effect
+    puts into its memory is a copy.
     """
 
     t: float
@@ -54,6 +58,7 @@ class Effect:
     drive: Callable[[float, Array, State], Array] | None = None
     told: Callable[[float, Array, Array], Array] | None = None
     angle: Callable[[float, float], float] | None = None
+    settled: bool = False
     name: str = ""
     scale: float = 1.0  # 1 is a usual size, `most` what the effect can be at the most
 
@@ -82,13 +87,21 @@ def built(arm: Arm, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
 
 
-def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[Places, Places]:
     """Degrees of freedom of the motors and of the links that they move."""
     kinds, dof = mujoco.mjtObj.mjOBJ_JOINT, model.jnt_dofadr
     links = [mujoco.mj_name2id(model, kinds, name) for name in arm.names]
     motors = [mujoco.mj_name2id(model, kinds, f"{name}_motor") for name in arm.names]
     moved = [m if m >= 0 else j for m, j in zip(motors, links, strict=True)]
-    return dof[moved].tolist(), dof[links].tolist()
+    return _places(dof[moved].tolist()), _places(dof[links].tolist())
+
+
+def _places(dofs: list[int]) -> Places:
+    """Give degrees of freedom that lie side by side as a slice: no copy per step."""
+    first = dofs[0]
+    if dofs == list(range(first, first + len(dofs))):
+        return slice(first, first + len(dofs))
+    return dofs
 
 
 def controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
@@ -101,9 +114,11 @@ def controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
     full = np.zeros((arm.n, arm.n))
     mujoco.mj_fullM(model, data, full)
     torque = np.empty_like(reference)
-    motion = zip(reference, rate, np.gradient(rate, STEP_S, axis=0), strict=True)
-    for k, (data.qpos[:], data.qvel[:], data.qacc[:]) in enumerate(motion):
-        mujoco.mj_inverse(model, data)
+    qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
+    moments = zip(reference, rate, np.gradient(rate, STEP_S, axis=0), strict=True)
+    for k, (qpos[:], qvel[:], qacc[:]) in enumerate(moments):
+        # Sensors say nothing about the torque.
+        mujoco.mj_inverseSkip(model, data, mujoco.mjtStage.mjSTAGE_NONE, 1)
         torque[k] = data.qfrc_inverse
     return np.diag(full).copy(), arm.forward * torque
 
@@ -120,8 +135,12 @@ def simulate(
     """
     data = mujoco.MjData(model := built(arm, effects))
     motor, link = _motors(arm, model)
+    stands = reference[0].copy()
+    for e in effects:
+        if e.settled and e.angle:
+            stands[e.joint] -= e.angle(e.scale, stands[e.joint])
     for dofs in (motor, link):
-        data.qpos[dofs] = reference[0]
+        data.qpos[dofs] = stands
     mujoco.mj_forward(model, data)
     rate = np.gradient(reference, STEP_S, axis=0)
     felt, forward = controller(arm, reference, rate)
@@ -134,33 +153,46 @@ def simulate(
     state = State(
         start, reference[0], np.zeros(arm.n), data.qfrc_bias[link].copy(), warmth[0]
     )
-    pushed = next((e for e in effects if e.flange), None)
-    for k in range(len(reference)):
-        state.t, state.warmth = times[k], warmth[k]
-        state.q, state.dq = data.qpos[motor], data.qvel[motor]
+
+    # A step takes some 10 us: only what some effect asks for is worked out.
+    encoders = [e for e in effects if e.angle]
+    rubbing = [e for e in effects if e.dry]
+    drives = [e for e in effects if e.drive or e.push]
+    pushing = [e for e in effects if e.flange]
+    asks_for_load = bool(rubbing or drives)
+    # Views of what the simulator works on.
+    qpos, qvel, qacc = data.qpos, data.qvel, data.qacc
+    applied, constraint = data.qfrc_applied, data.qfrc_constraint
+    passive, frictionloss = data.qfrc_passive, model.dof_frictionloss
+    armature, sensordata = model.dof_armature[motor].copy(), data.sensordata
+    rows = zip(reference, rate, forward, warmth, times, strict=True)
+    for k, (goal, pace, ahead, warm, now) in enumerate(rows):
+        state.t, state.warmth = now, warm
+        state.q, state.dq = qpos[motor], qvel[motor]
         dry, said = coulomb * (1.0 + waviness * np.sin(state.q + phase)), state.q.copy()
-        for e in effects:
-            if e.angle:
-                said[e.joint] += e.angle(e.scale, said[e.joint])
-            if e.dry:
-                base = dry[e.joint]
-                dry[e.joint] = max(base + e.dry(e.scale, base, state), 0.0)
-        torque = kp * (reference[k] - said) + kd * (rate[k] - state.dq) + forward[k]
+        for e in encoders:
+            said[e.joint] += e.angle(e.scale, said[e.joint])
+        for e in rubbing:
+            base = dry[e.joint]
+            dry[e.joint] = max(base + e.dry(e.scale, base, state), 0.0)
+        torque = kp * (goal - said) + kd * (pace - state.dq) + ahead
         acting = torque.copy()
-        for e in effects:
+        for e in drives:
             acting = e.drive(e.scale, acting, state) if e.drive else acting
             if e.push:
                 acting[e.joint] += e.push(e.scale, state)
         q[k], tau[k] = said, torque
-        model.dof_frictionloss[motor] = dry
-        data.qfrc_applied[motor] = acting
-        if pushed:
-            data.xfrc_applied[-1, :3] = pushed.flange(pushed.scale, times[k] - start)
+        frictionloss[motor] = dry
+        applied[motor] = acting
+        if pushing:
+            forces = [e.flange(e.scale, now - start) for e in pushing]
+            data.xfrc_applied[-1, :3] = np.sum(forces, axis=0)
         mujoco.mj_step(model, data)
-        sensed[k] = data.sensordata
-        passed = data.qfrc_applied + data.qfrc_constraint + data.qfrc_passive
-        # what the gears pass on
-        state.load = (passed - model.dof_armature * data.qacc)[motor]
+        sensed[k] = sensordata
+        if asks_for_load:
+            passed = applied[motor] + constraint[motor] + passive[motor]
+            # what the gears pass on
+            state.load = passed - armature * qacc[motor]
     return logged(arm, times, (q, tau, warmth, sensed), seed, effects)
 
 

@@ -1,5 +1,5 @@
-"""Run cases: `python -m tests.studies.outside --set tuning --seeds A:B [--cache
-FOLDER]`.
+"""Run cases: `python -m tests.studies.outside --group NAME --set tuning --seeds A:B
+[--cache FOLDER]`.
 """
 
 import argparse
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.studies.outside.cases import answered
+from tests.studies.outside.groups import GROUPS
 from tests.studies.outside.plan import RESERVED
 from tests.studies.outside.tabulate import tables
 from tests.studies.records import results, seeds_of
@@ -19,6 +20,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m tests.studies.outside", description=__doc__
     )
+    parser.add_argument("--group", choices=[*GROUPS], default="mixed")
     parser.add_argument("--set", choices=("tuning", "reserved"), default="tuning")
     parser.add_argument("--seeds", type=seeds_of, default="0:80", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
@@ -34,16 +36,24 @@ def main() -> None:
     chosen = parser.parse_args()
     if any((seed >= RESERVED) != (chosen.set == "reserved") for seed in chosen.seeds):
         parser.error(f"tuning seeds are below {RESERVED}, reserved ones are not")
-    rows = answers(
-        chosen.seeds, chosen.cache, coarser=chosen.coarser, whole=chosen.whole
-    )
+    drawing: dict[str, Any] = {}
     name = f"outside_{chosen.set}" + "_whole" * chosen.whole
-    show("evidence/outside.md", name, tables(rows), kept=chosen.write)
+    cache = chosen.cache
+    if chosen.group == "mixed":
+        drawing = {"coarser": chosen.coarser, "whole": chosen.whole}
+    else:
+        name = f"outside_{chosen.group}_{chosen.set}"
+        cache /= chosen.group
+        if chosen.whole or chosen.coarser != 1.0:
+            parser.error("--whole and --coarser are for the group mixed")
+    rows = answers(chosen.seeds, cache, group=chosen.group, **drawing)
+    content = tables(rows, chosen.group)
+    show("evidence/outside.md", name, content, kept=chosen.write)
 
 
 def answers(seeds: Sequence[int], cache: Path, **drawing: Any) -> list[dict[str, Any]]:
-    """Answers of the seeds' cases, drawn as `drawn` is told, from the cache where they
-    are kept.
+    """Answers of the seeds' cases, drawn as `answered` is told, from the cache where
+    they are kept.
     """
     work, cases = (
         partial(answered, cache=cache, **drawing),
@@ -58,7 +68,8 @@ def answers(seeds: Sequence[int], cache: Path, **drawing: Any) -> list[dict[str,
 
 def _told(row: dict[str, Any]) -> str:
     names = [(item["effect"], item["joint"]) for item in row.get("findings", ())]
-    return f"{row['flow']} {row['kinds']}: {names} {row['error']}"
+    hidden = row["variant"] or row["kinds"]
+    return f"{row['flow']} {hidden} {row['joints']}: {names} {row['error']}"
 
 
 if __name__ == "__main__":

@@ -19,7 +19,8 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests import Array
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm
-from tests.studies.outside.plan import Case, drawn
+from tests.studies.outside.groups import GROUPS
+from tests.studies.outside.plan import Case
 from tests.studies.outside.robotfiles import robot_toml, urdf
 from tests.studies.outside.simulate import Effect, Log, simulate
 from tests.unit.logs.writers import write_mcap, write_parquet
@@ -144,15 +145,24 @@ def prepared(case: Case, folder: Path) -> Prepared:
         file, seconds = recorder.one_step(recorder.moves(3, 20.0, case.before)), 16.0
     else:
         file, seconds = recorder.sequential(), 18.0
-    return Prepared(recorder, recorder.moves(2, seconds, case.effects), file)
+    if case.asked:
+        logs = [recorder.record(log.motion, log.effects) for log in case.asked]
+    else:
+        logs = recorder.moves(2, seconds, case.effects)
+    return Prepared(recorder, logs, file)
 
 
-def answered(seed: int, cache: Path, **drawing: Any) -> dict[str, Any]:
+def answered(
+    seed: int, cache: Path, group: str = "mixed", **drawing: Any
+) -> dict[str, Any]:
+    """Record, identify and diagnose the case of a seed of a group; a row of numbers."""
     cache.mkdir(parents=True, exist_ok=True)
-    case = drawn(seed, **drawing)
     start = time.process_time()
+    case = GROUPS[group](seed, **drawing)
     row = {
         "seed": seed,
+        "group": group,
+        "variant": case.variant,
         "kinds": [effect.name for effect in case.effects],
         "joints": [" ".join(names) for names in case.joints],
         "shares": list(case.shares),
@@ -166,7 +176,13 @@ def answered(seed: int, cache: Path, **drawing: Any) -> dict[str, Any]:
         warnings.simplefilter("ignore", SeqidWarning)
         try:
             ready = prepared(case, Path(name))
+            row["pushes"] = [
+                [ready.logs[push.log].name, push.start, push.end]
+                for push in case.pushes
+            ]
+            asked = time.process_time()
             found = discover.diagnose(ready.logs, ready.recorder.robot, ready.file)
+            row["diagnose_seconds"] = time.process_time() - asked
             row |= {"stages": poor(ready.file)} | told(found)
             (cache / f"{seed}.diagnosis.json").write_bytes(msgspec.json.encode(found))
         except Exception as error:  # a case that fails is an answer too
@@ -201,5 +217,10 @@ def told(found: DiagnosisFile) -> dict[str, Any]:
         "findings": findings,
         "unexplained": [[part.joint, part.depends_on] for part in found.unexplained],
         "events": [[e.log, e.start, e.end, e.joints] for e in found.events],
+        "causes": [
+            [values.joint, cause.effect, cause.joint or "", cause.probability]
+            for values in found.changed
+            for cause in values.causes
+        ],
         "residuals": {joint: list(row) for joint, row in rows.items()},
     }

@@ -6,12 +6,13 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from tests import Array
 from tests.studies.outside.arms import GRAVITY, Arm
 from tests.studies.outside.robotfiles import FRICTION, STEP_S, row
-from tests.studies.outside.simulate import Effect, State
+from tests.studies.outside.simulate import Effect, State, built
 
 Draw = Callable[[Arm, int, np.random.Generator], Effect]
 
@@ -108,13 +109,9 @@ def friction_change(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     )
 
 
-def _geared(
-    root: ET.Element, arm: Arm, j: int, hertz: float
-) -> tuple[ET.Element, float]:
-    """Give a joint's motor a body of its own; its gear is the tendon that is returned.
-
-    The gear is as stiff as lets the rotor ring at a frequency against a held link; the
-    damping that goes with that is returned as well.
+def _geared(root: ET.Element, arm: Arm, j: int, stiffness: float) -> ET.Element:
+    """Give a joint's motor a body of its own; return the tendon that is its gear, of a
+    stiffness in N m/rad.
     """
     joint = joint_of(root, arm, j)
     body = next(b for b in root.iter("body") if joint in list(b))
@@ -126,19 +123,27 @@ def _geared(
     )
     ET.SubElement(motor, "joint", {**joint.attrib, "name": f"{arm.names[j]}_motor"})
     joint.attrib.update(armature="0", damping="0", frictionloss="0")
-    rotor = arm.drives[j].rotor
-    stiffness = float(rotor * (2.0 * np.pi * hertz) ** 2)
     tendon = ET.SubElement(found(root, "tendon"), "fixed", stiffness=repr(stiffness))
     ET.SubElement(tendon, "joint", joint=arm.names[j], coef="1")
     ET.SubElement(tendon, "joint", joint=f"{arm.names[j]}_motor", coef="-1")
-    return tendon, float(0.1 * np.sqrt(stiffness * rotor))
+    return tendon
+
+
+def _ringing(arm: Arm, j: int, hertz: float) -> tuple[float, float]:
+    """Return stiffness and damping of a gear whose rotor rings at a frequency against a
+    held link.
+    """
+    rotor = arm.drives[j].rotor
+    stiffness = float(rotor * (2.0 * np.pi * hertz) ** 2)
+    return stiffness, float(0.1 * np.sqrt(stiffness * rotor))
 
 
 def joint_elasticity(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A gear that twists: motor and link are two bodies with a spring between them."""
 
     def xml(scale: float, root: ET.Element) -> None:
-        tendon, damping = _geared(root, arm, j, 25.0 / np.sqrt(scale))
+        stiffness, damping = _ringing(arm, j, 25.0 / np.sqrt(scale))
+        tendon = _geared(root, arm, j, stiffness)
         tendon.attrib.update(damping=repr(damping), springlength="0 0")
 
     return Effect(j, xml=xml, most=6.0)
@@ -221,7 +226,8 @@ def backlash(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A gear with a dead zone between stiff flanks."""
 
     def xml(scale: float, root: ET.Element) -> None:
-        tendon, damping = _geared(root, arm, j, 50.0)
+        stiffness, damping = _ringing(arm, j, 50.0)
+        tendon = _geared(root, arm, j, stiffness)
         half = 0.5 * 0.003 * scale
         tendon.attrib.update(
             damping=repr(0.3 * damping), springlength=f"{-half!r} {half!r}"
@@ -364,6 +370,59 @@ def position_dependent_friction(arm: Arm, j: int, rng: np.random.Generator) -> E
     )
 
 
+def joint_zero(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
+    """An encoder whose zero has been moved: the controller believes it."""
+    side = float(rng.choice([-1.0, 1.0]))
+    return Effect(
+        j, angle=lambda scale, q: 0.01 * side * scale, settled=True, most=10.0
+    )
+
+
+def torque_filter(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
+    """A driver that averages the torques of all joints before it reports them."""
+
+    def told(scale: float, tau: Array, t: Array) -> Array:
+        width = max(int(0.02 * scale / STEP_S), 1)
+        padded = np.concatenate([np.full(width - 1, tau[0]), tau])
+        return np.convolve(padded, np.full(width, 1.0 / width), "valid")
+
+    return Effect(None, told=told, most=15.0)
+
+
+def hysteresis(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
+    """A rope or a hose that rubs within itself: it takes tenths of a radian to turn."""
+    settle = float(rng.uniform(0.1, 0.3))  # rad
+
+    def push(scale: float, state: State) -> float:
+        way = float(state.dq[j]) * STEP_S
+        bent = state.memory.get("rope", np.zeros(()))
+        bent = bent + (abs(way) / settle) * (np.sign(way) - bent)
+        state.memory["rope"] = bent
+        return -0.4 * scale * arm.drives[j].coulomb * float(bent)
+
+    return Effect(j, push=push)
+
+
+def belt(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
+    """A belt: with the motor held, the arm rings on it at 8 to 20 Hz."""
+    hertz = float(np.exp(rng.uniform(np.log(8.0), np.log(20.0))))
+    model = built(arm)
+    data = mujoco.MjData(model)
+    data.qpos[:] = [link.middle for link in arm.links[: arm.n]]
+    mujoco.mj_forward(model, data)
+    full = np.zeros((arm.n, arm.n))
+    mujoco.mj_fullM(model, data, full)
+    inertia = float(full[j, j]) - arm.drives[j].rotor
+    stiffness = inertia * (2.0 * np.pi * hertz) ** 2
+    damping = 0.06 * np.sqrt(stiffness * inertia)  # 3 % of the critical one
+
+    def xml(scale: float, root: ET.Element) -> None:
+        tendon = _geared(root, arm, j, stiffness)
+        tendon.attrib.update(damping=repr(float(damping)), springlength="0 0")
+
+    return Effect(j, xml=xml, most=1.0, name="joint_elasticity")
+
+
 # In this order they come to the seeds.
 _ORDER = """
 stribeck spring torque_bias payload load_dependent_friction torque_ripple time_skew
@@ -375,8 +434,16 @@ position_dependent_friction
 """
 
 
-def _named(name: str, draw: Draw) -> Draw:
+def named(name: str, draw: Draw) -> Draw:
+    """Return a drawing whose effects have a name."""
     return lambda arm, j, rng: replace(draw(arm, j, rng), name=name)
 
 
-KINDS = {name: _named(name, globals()[name]) for name in _ORDER.split()}
+KINDS = {name: named(name, globals()[name]) for name in _ORDER.split()}
+
+# The mixed cases were drawn before these were in the catalogue, and stay as they are.
+MORE: dict[str, Draw] = {
+    "joint_zero": named("joint_zero", joint_zero),
+    "torque_filter": named("torque_filter", torque_filter),
+    "hysteresis": named("hysteresis", hysteresis),
+}

@@ -112,6 +112,37 @@ def hand(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
     return fitted(arm, np.column_stack([_rounded(line, 121) for line in q.T]))
 
 
+def walk(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
+    """A walk through via points as a program at full speed gives it: a quarter further
+    than the friction trials reach, and up to 1.4 of the speed that they call the limit.
+    """
+    links = arm.links[: arm.n]
+    knots = rng.uniform(-1.2, 1.2, (int(2.0 * seconds), arm.n))
+    knots[0] = 0.0
+    limits = np.array([link.speed / link.reach for link in links])
+    paces = rng.uniform(0.4, 0.9, (len(knots) - 1, 1)) * limits
+    lasts = np.max(np.abs(np.diff(knots, axis=0)) / paces, axis=1)
+    moments = np.cumsum([0.0, *np.maximum(lasts, 0.25)])
+    line = CubicSpline(moments, knots, bc_type="clamped")
+    # As fast as the fastest moment allows.
+    t = _times(moments[-1])
+    fastest = np.max(np.abs(line(t, 1)) / limits)
+    pace = float(rng.uniform(1.1, 1.4)) / fastest
+    walked = np.asarray(line(pace * _times(min(seconds, moments[-1] / pace))))
+    # It comes to rest where it is, within a second.
+    fade = np.minimum((len(walked) - np.arange(len(walked))) * STEP_S, 1.0)
+    steps = (
+        np.diff(walked, axis=0, prepend=walked[:1])
+        * (fade**3 * (10 - 15 * fade + 6 * fade**2))[:, None]
+    )
+    units = walked[0] + np.cumsum(steps, axis=0)
+    units *= np.minimum(1.0, 1.25 / np.abs(units).max(axis=0))
+    middles, reaches = (
+        np.array([getattr(link, k) for link in links]) for k in ("middle", "reach")
+    )
+    return middles + reaches * units
+
+
 MOTIONS: Mapping[str, Callable[[Arm, np.random.Generator, float], Array]] = {
     motion.__name__: motion for motion in (multisine, points, spline, hand)
 }

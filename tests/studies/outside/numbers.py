@@ -30,8 +30,8 @@ from seqid_cli.settings import entries, overridden
 from tests import ROOT
 from tests.studies.outside.cases import prepared, told
 from tests.studies.outside.plan import drawn
+from tests.studies.outside.questions import LOUD
 from tests.studies.outside.score import label, surely_wrong
-from tests.studies.outside.tabulate import LOUD
 from tests.studies.records import results, seeds_of
 from tests.studies.tables import show, table
 

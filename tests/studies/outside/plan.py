@@ -8,9 +8,11 @@ from typing import Literal
 
 import numpy as np
 
+from tests import Array
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm, drawn_arm, published_links
 from tests.studies.outside.effects import KINDS
+from tests.studies.outside.pushes import Push
 from tests.studies.outside.simulate import Effect, simulate
 
 Flow = Literal["late", "early", "step_late", "step_early", "single"]
@@ -54,15 +56,30 @@ class Outline:
 
 
 @dataclass(frozen=True)
+class Asked:
+    """One log that is asked about: its motion (N, n) rad, and what acts in it."""
+
+    motion: Array
+    effects: tuple[Effect, ...]
+
+
+@dataclass(frozen=True)
 class Case:
     """One case; `shares` are the effects' parts of the torque's RMS where they act
     most.
+
+    Where `asked` is empty, the recorder draws the motions of the logs that are asked
+    about, and all of the effects act in all of them. `variant` is a sort of the effect.
     """
 
     outline: Outline
     arm: Arm
     effects: tuple[Effect, ...]
     shares: tuple[float, ...]
+    group: str = "mixed"
+    variant: str = ""
+    asked: tuple[Asked, ...] = ()
+    pushes: tuple[Push, ...] = ()
 
     @property
     def before(self) -> Sequence[Effect]:
@@ -124,9 +141,11 @@ def drawn(seed: int, coarser: float = 1.0, whole: bool = False) -> Case:
     )
 
 
-def sized(arm: Arm, effect: Effect, rng: np.random.Generator) -> tuple[Effect, float]:
+def sized(
+    arm: Arm, effect: Effect, rng: np.random.Generator, least: float = LEAST
+) -> tuple[Effect, float]:
     """Make an effect as large as drawn, or as it can be; and how large that is."""
-    target = float(np.exp(rng.uniform(np.log(LEAST), np.log(MOST))))
+    target = float(np.exp(rng.uniform(np.log(least), np.log(MOST))))
     arm = replace(arm, imus=(), noise=0.0)
     motion = motions.multisine(arm, np.random.default_rng([int(1e6 * target), 1]), 6.0)
     plain = simulate(arm, motion, 0, start=60.0).torque

@@ -10,6 +10,7 @@ Label = Literal[
     "right", "alike", "family", "quantity", "other", "little left", "silent"
 ]
 SURE = 0.9  # confidence from which a wrong name is stated with certainty
+MANY_FLOORS = 2.5  # noise floors, beside which nothing may be said not to be missing
 LITTLE = 1.25  # noise floors: less is left at a joint where nothing is to be found
 
 # Effects of one group do nearly the same to a torque; an effect may be in several.
@@ -27,6 +28,21 @@ _GROUPS = (
     "torque_ripple encoder_eccentricity",
     "transmission_coupling friction_change",
     "external_contact drift",
+    "joint_zero spring",
+    "joint_zero base_tilt",
+    "joint_zero payload",
+    "joint_zero torque_bias",
+    "joint_zero encoder_eccentricity",
+    "torque_filter presliding_hysteresis",
+    "torque_filter actuator_lag time_skew",
+    "hysteresis presliding_hysteresis",
+    "hysteresis spring",
+    "hysteresis position_dependent_friction",
+    # of no catalogue, and what comes near
+    "torque_of_warmth drift",
+    "torque_of_warmth torque_bias",
+    "bumper spring",
+    "step_over_speed nonlinear_viscous",
 )
 FAMILIES = [set(names.split()) for names in _GROUPS]
 # what an unexplained residual may rightly be said to depend on, for which effects
@@ -48,7 +64,20 @@ _DEPENDS = (
     ("temperature time velocity", "thermal_friction"),
     ("other_joint", "transmission_coupling"),
     ("time", "external_contact torque_bias drift"),
-    ("time_frequency time", "periodic_disturbance"),
+    ("time_frequency time", "periodic_disturbance breathing_friction"),
+    ("position load", "joint_zero"),
+    ("position direction", "hysteresis"),
+    ("acceleration direction velocity", "torque_filter"),
+    ("velocity direction", "remembered_friction step_over_speed"),
+    ("temperature time", "torque_of_warmth"),
+    ("position", "bumper"),
+    (
+        "other_joint",
+        (
+            "friction_of_neighbours_load friction_of_neighbours_speed"
+            " product_of_speeds hose_over_two_joints"
+        ),
+    ),
 )
 QUANTITIES = {
     kind: set(asked.split()) for asked, kinds in _DEPENDS for kind in kinds.split()
@@ -64,7 +93,7 @@ def related(name: str, kind: str) -> bool:
     return name == kind or any({name, kind} <= group for group in FAMILIES)
 
 
-def _here(told: str, hidden: str) -> bool:
+def here(told: str, hidden: str) -> bool:
     """Whether a joint that is told is the hidden one, or one of two; empty is the whole
     arm.
     """
@@ -81,7 +110,7 @@ def finding_is(
     """What one finding is worth: its name, a name told as like it, or its family at the
     joint.
     """
-    kinds = [kind for kind, joint in _hidden(row) if _here(finding["joint"], joint)]
+    kinds = [kind for kind, joint in _hidden(row) if here(finding["joint"], joint)]
     if one_step(row):
         kinds.append("position_dependent_friction")
     if finding["effect"] in kinds:
@@ -100,7 +129,7 @@ def surely_wrong(row: Row, sure: float = SURE) -> bool:
     return any(finding_is(row, finding) == "wrong" for finding in loud)
 
 
-def _of_position(row: Row, depends_on: Sequence[str]) -> bool:
+def of_position(row: Row, depends_on: Sequence[str]) -> bool:
     """What a one-step model rightly lacks: friction over position."""
     return one_step(row) and set(depends_on) <= {"position", "direction"}
 
@@ -109,7 +138,7 @@ def silent(row: Row) -> bool:
     """Whether nothing is told beyond the friction over position that a one-step model
     lacks.
     """
-    told = [entry for entry in row["unexplained"] if not _of_position(row, entry[1])]
+    told = [entry for entry in row["unexplained"] if not of_position(row, entry[1])]
     more = [item for item in row["findings"] if finding_is(row, item) == "wrong"]
     return not more and not told and not row["events"]
 
@@ -122,9 +151,9 @@ def label(row: Row, number: int) -> Label:
     near = [
         item
         for item in row["findings"]
-        if _here(item["joint"], joint)
+        if here(item["joint"], joint)
         and not any(
-            item["effect"] == name and _here(item["joint"], at) for name, at in rest
+            item["effect"] == name and here(item["joint"], at) for name, at in rest
         )
         and not (
             one_step(row) and kind != item["effect"] == "position_dependent_friction"
@@ -137,9 +166,9 @@ def label(row: Row, number: int) -> Label:
         return "alike"
     if any(related(name, kind) for name in names):
         return "family"
-    unexplained = [entry[1] for entry in row["unexplained"] if _here(entry[0], joint)]
+    unexplained = [entry[1] for entry in row["unexplained"] if here(entry[0], joint)]
     if kind != "position_dependent_friction":
-        unexplained = [each for each in unexplained if not _of_position(row, each)]
+        unexplained = [each for each in unexplained if not of_position(row, each)]
     asked = QUANTITIES[kind]
     if any(
         asked & {quantity.partition(":")[0] for quantity in each}
@@ -151,9 +180,26 @@ def label(row: Row, number: int) -> Label:
     return "little left" if _left(row, joint) < LITTLE else "silent"
 
 
+def left_at_most(row: Row) -> float:
+    """Return what the file leaves at the worst joint, in noise floors."""
+    return max(
+        (
+            rmse / floor
+            for rmse, floor, _ in row["residuals"].values()
+            if rmse and floor
+        ),
+        default=0.0,
+    )
+
+
+def overlooked(row: Row) -> bool:
+    """Whether nothing is said to be missing where much more than noise is left."""
+    return row["verdict"] == "nothing_missing" and left_at_most(row) > MANY_FLOORS
+
+
 def _left(row: Row, joint: str) -> float:
     """RMSE in noise floors, at a joint or at the worst of all."""
-    chosen = [entry for name, entry in row["residuals"].items() if _here(name, joint)]
+    chosen = [entry for name, entry in row["residuals"].items() if here(name, joint)]
     left = [
         min(rmse, more) / floor
         for rmse, floor, more in chosen

@@ -9,15 +9,18 @@ import numpy as np
 
 from seqid_cli.shares import percent
 from tests.studies.outside.effects import KINDS
+from tests.studies.outside.questions import LOUD, NAMED, answers_to
 from tests.studies.outside.score import (
+    MANY_FLOORS,
     Row,
     finding_is,
     label,
     one_step,
+    overlooked,
     silent,
     surely_wrong,
 )
-from tests.studies.tables import counted, grouped, table
+from tests.studies.tables import counted, grouped, number, table
 
 LABELS = {
     "right": "right name",
@@ -48,15 +51,93 @@ BINS = (
     (0.97, 0.99),
     (0.99, np.nextafter(1.0, 2.0)),
 )
-# confidence from which a wrong name is counted: above 0.8
-LOUD = np.nextafter(0.8, 1.0)
-NAMED = {"right", "alike"}
 Rows = Sequence[Row]
 
 
-def tables(rows: Rows) -> str:
-    makers = (asked_table, clean_table, group_table, effect_table, confidence_table)
+def tables(rows: Rows, group: str = "mixed") -> str:
+    """Return the tables of a group's answers."""
+    makers = (question_table, sort_table, confidence_table, cost_line)
+    if group == "mixed":
+        makers = (
+            asked_table,
+            clean_table,
+            group_table,
+            effect_table,
+            confidence_table,
+            cost_line,
+        )
     return "\n\n".join(filter(None, (make(rows) for make in makers)))
+
+
+def question_table(rows: Rows) -> str:
+    """How often an answer was what a group asks for, and what must not be."""
+    well = _well(rows)
+    answers = [answers_to(row) for row in well]
+    questions = dict.fromkeys(question for each in answers for question in each)
+    asked = {
+        question: [each[question] for each in answers if question in each]
+        for question in questions
+    }
+    asked |= _never(well)
+    lines = [
+        [what, str(len(own)), str(sum(own)), _share(own)] for what, own in asked.items()
+    ]
+    return table(["of all", "cases", "so many", "share"], lines)
+
+
+def _never(well: Rows) -> dict[str, list[bool]]:
+    """What must not be, or hardly ever, whatever a group asks for."""
+    return {
+        f"a wrong name above {LOUD:g}": [surely_wrong(row, LOUD) for row in well],
+        f"`nothing_missing` beside more than {MANY_FLOORS:g} noise floors": [
+            overlooked(row) for row in well
+        ],
+    }
+
+
+def sort_table(rows: Rows) -> str:
+    """The same by what a group has several sorts of: effects, lengths, changes."""
+    sorts = dict.fromkeys(_sort(row) for row in rows)
+    groups = {sort: [row for row in rows if _sort(row) == sort] for sort in sorts}
+    questions = dict.fromkeys(x for row in _well(rows) for x in answers_to(row))
+
+    def share_of(question: str, own: Rows) -> str:
+        answers = [answers_to(row) for row in _well(own)]
+        met = [each[question] for each in answers if question in each]
+        return f"{sum(met)} of {len(met)}" if met else ""
+
+    def wrong(own: Rows) -> str:
+        return str(sum(surely_wrong(row, LOUD) for row in _well(own)) or "")
+
+    def size(own: Rows) -> str:
+        shares = [share for row in own for share in row["shares"]]
+        return percent(float(np.median(shares)), 1) if any(shares) else ""
+
+    columns = {
+        "cases": counted,
+        "size": size,
+        **{question: partial(share_of, question) for question in questions},
+        f"a wrong name above {LOUD:g}": wrong,
+        "failed": _failed,
+    }
+    return grouped("sort", dict(sorted(groups.items())), columns)
+
+
+def _sort(row: Row) -> str:
+    return row["variant"] or " and ".join(row["kinds"]) or f"clean, {row['flow']}"
+
+
+def cost_line(rows: Rows) -> str:
+    """CPU seconds of diagnosing, and of whole cases, simulation and stages included."""
+    asked = [row["diagnose_seconds"] for row in rows if "diagnose_seconds" in row]
+    if not asked:
+        return ""
+    whole = number(float(np.median([row["seconds"] for row in rows])))
+    return (
+        f"Diagnosing takes {number(float(np.median(asked)))} CPU s (median),"
+        f" {number(max(asked))} at most; a case with its simulation and its stages"
+        f" {whole}."
+    )
 
 
 def _share(test: Sequence[bool]) -> str:
@@ -80,7 +161,6 @@ def asked_table(rows: Rows) -> str:
     alone = [own[0] for own in found if len(own) == 1]
     pairs = [set(own) for own in found if len(own) == 2]
     both = [own for own in pairs if "little left" not in own]
-    loud = [surely_wrong(row, LOUD) for row in well]
     asked = {
         "clean arm: nothing told": [silent(row) for row in well if not row["kinds"]],
         "one effect that shows: its name, or told as like it": [
@@ -90,8 +170,7 @@ def asked_table(rows: Rows) -> str:
         "two effects that both show: both": [own <= NAMED for own in both],
         "two effects that both show: at least one": [bool(NAMED & own) for own in both],
         "two effects, whether or not they show: both": [own <= NAMED for own in pairs],
-        f"a wrong name above {LOUD:g}": loud,
-    }
+    } | _never(well)
     lines = [
         [what, str(len(own)), str(sum(own)), _share(own)] for what, own in asked.items()
     ]

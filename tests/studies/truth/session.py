@@ -64,7 +64,10 @@ def sources() -> str:
 
 
 # Files of these folders that the logs do not depend on.
-_OTHERS = ("__", "score", "tabulate", "truths", "rigs", "cases", "numbers", "refined")
+_OTHERS = (
+    *("__", "score", "tabulate", "truths", "rigs", "cases", "numbers", "refined"),
+    *("groups", "changes", "foreign", "pushes", "questions"),
+)
 
 
 def session_of(case: Case, cache: Path) -> Session:

@@ -8,16 +8,19 @@ import pytest
 
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm
-from tests.studies.outside.effects import KINDS
+from tests.studies.outside.effects import KINDS, MORE
+from tests.studies.outside.foreign import FOREIGN
 from tests.studies.outside.plan import LEAST, MOST, sized
 from tests.studies.outside.simulate import Effect, Log, built, simulate
 from tests.unit.studies.outside.bench import pendulum, quiet_arm, sweeps
+
+EVERY = {**KINDS, **MORE, **FOREIGN}
 
 
 def made(
     kind: str, arm: Arm, joint: int = 0, scale: float = 1.0, seed: int = 3
 ) -> Effect:
-    return KINDS[kind](arm, joint, np.random.default_rng(seed)).make(scale)
+    return EVERY[kind](arm, joint, np.random.default_rng(seed)).make(scale)
 
 
 def sweep(arm: Arm, speeds: tuple[float, ...], *effects: Effect) -> Log:
@@ -94,6 +97,34 @@ def test_gears_twist_and_have_gaps() -> None:
     assert flanks == pytest.approx([0.0015, -0.0015], abs=2e-4)
 
 
+def test_a_moved_zero_lets_the_arm_stand_elsewhere_and_still() -> None:
+    arm = pendulum()
+    motion = np.full((600, 1), 0.5)
+    plain = simulate(arm, motion, 1)
+    moved = simulate(arm, motion, 1, [made("joint_zero", arm, scale=5.0)])
+    assert moved.q[0, 0] == pytest.approx(0.5, abs=1e-5)  # as the encoder says
+    assert abs(moved.torque[0, 0] - moved.torque[-1, 0]) < 0.5
+    # 0.05 rad more, of a weight of 2 kg at 0.4 m that leans by half a radian
+    apart = abs(moved.torque[-1, 0] - plain.torque[-1, 0])
+    assert apart == pytest.approx(2.0 * 9.81 * 0.4 * 0.05 * np.cos(0.5), rel=0.15)
+
+
+def test_a_rope_takes_tenths_of_a_radian_to_turn() -> None:
+    """After a reversal its torque goes over to the other side, whatever the speed."""
+    arm = pendulum(coulomb=1.0)
+    for speed in (0.3, 1.0):
+        plain, changed = (
+            sweep(arm, (speed,)),
+            sweep(arm, (speed,), made("hysteresis", arm)),
+        )
+        more = (changed.torque - plain.torque)[:, 0]
+        turns = int(np.argmax(plain.q[:, 0]))
+        since = plain.q[turns, 0] - plain.q[turns:, 0]
+        at = [turns + int(np.argmax(since > way)) for way in (0.02, 1.2)]
+        assert more[at[0]] > 0.2  # still almost all of the 0.4 N m of before
+        assert more[at[1]] == pytest.approx(-0.4, abs=0.08)
+
+
 def test_what_sensors_say() -> None:
     """Sensors' effects as functions of the true torque and time, exactly."""
     arm = replace(
@@ -125,10 +156,10 @@ def test_what_sensors_say() -> None:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EVERY)
 def test_every_effect_comes_in_the_size_that_was_drawn(kind: str) -> None:
     arm, rng = quiet_arm(8), np.random.default_rng(list(kind.encode()))
-    effect, share = sized(arm, KINDS[kind](arm, 1, rng), rng)
+    effect, share = sized(arm, EVERY[kind](arm, 1, rng), rng)
     assert effect.name == kind
     least = (
         0.002

@@ -62,8 +62,8 @@ def diagnose(
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.discover.diagnosis import diagnose as find_what_is_missing
     from seqid_cli.discover.excerpts import one_each, take_excerpts
-    from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.prediction.model_checks import model_verdicts
     from seqid_cli.identify.regression.equations import motion_uses
 
     arm = inputs.robot
@@ -88,7 +88,7 @@ def diagnose(
         stages=list(present(stages)),
         motion=motion_uses(one_each(excerpts), arm, stages.imu, options=motion_options),
         verdicts=[
-            *physics_verdicts(stages, arm, settings.judging),
+            *model_verdicts(stages, arm, settings.judging),
             *log_set.verdicts(),
         ],
         settings=used_settings(settings),
@@ -177,8 +177,8 @@ def _refined(
     from seqid_cli.discover.refinement.earlier_logs import read_earlier
     from seqid_cli.discover.refinement.held_out import WholeLogs
     from seqid_cli.discover.refinement.rounds import refine as decide
-    from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.prediction.model_checks import model_verdicts
     from seqid_cli.identify.regression.equations import motion_uses
 
     previous = inputs.previous
@@ -234,7 +234,7 @@ def _refined(
     )
 
     verdicts = [
-        *physics_verdicts(stages, robot, options.settings.judging),
+        *model_verdicts(stages, robot, options.settings.judging),
         *training.verdicts(),
         *held_out_set.verdicts(),
     ]

@@ -8,8 +8,9 @@ before anything heavy is imported.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias, Unpack
 
 from msgspec.structs import replace
 
@@ -30,7 +31,6 @@ from seqid_cli.identify.settings import (
     GravitySettings,
     ImuCalibSettings,
     InertiaSettings,
-    JudgingSettings,
     PredictSettings,
     SimultaneousSettings,
 )
@@ -44,12 +44,21 @@ from seqid_cli.params.document import (
 )
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.prediction import PredictionFile
-from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.params.schema import (
+    FrictionStage,
+    ImuStage,
+    ParameterFile,
+    RigidStage,
+    Stages,
+    Verdict,
+)
 from seqid_cli.settings import Settings
 
 if TYPE_CHECKING:
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.robot.types import Robot
+
+Stage: TypeAlias = FrictionStage | RigidStage | ImuStage
 
 
 @documented(ParallelKeywords)
@@ -69,15 +78,17 @@ def friction(
         Moves of one joint at a time at constant velocity.
     """
     inputs = prepare(logs, robot, (), options, **keywords)
-    from seqid_cli.identify.friction_surface.stage import (
-        identify_friction as identified,
-    )
+    from seqid_cli.identify.friction_surface.checks import friction_verdicts
+    from seqid_cli.identify.friction_surface.stage import identify_friction
+    from seqid_cli.identify.log_set import LogSet
 
-    def find(log_set: LogSet) -> Identified:
-        stage = identified(log_set, inputs.robot, options=options, settings=settings)
-        return Identified(Stages(friction=stage))
+    arm = inputs.robot
+    log_set = LogSet.of(inputs)
+    stage = identify_friction(log_set, arm, options=options, settings=settings)
+    checks = list(friction_verdicts(stage, arm, settings.judging))
 
-    return _added(inputs, find, settings, settings.judging)
+    new_stage = NewStage(name="friction", stage=stage, checks=checks)
+    return _with_new_stages(inputs, log_set, [new_stage], settings)
 
 
 @documented(ParallelKeywords)
@@ -101,15 +112,21 @@ def gravity(
         With the friction stage.
     """
     inputs = prepare(logs, robot, parameters, options, needs=("friction",), **keywords)
-    from seqid_cli.identify.rigid.gravity import identify_gravity as identified
+    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.rigid.gravity import identify_gravity
+    from seqid_cli.identify.rigid.gravity_checks import gravity_verdicts
 
-    def find(log_set: LogSet) -> Identified:
-        result = identified(log_set, inputs.robot, inputs.stages, settings)
-        return Identified(
-            Stages(gravity=result.gravity), Stages(friction=result.friction)
-        )
+    arm = inputs.robot
+    log_set = LogSet.of(inputs)
+    result = identify_gravity(log_set, arm, inputs.stages, settings)
+    checks = list(
+        gravity_verdicts(result.gravity, result.friction, arm, settings.judging)
+    )
 
-    return _added(inputs, find, settings, settings.judging)
+    new_stage = NewStage(name="gravity", stage=result.gravity, checks=checks)
+    return _with_new_stages(
+        inputs, log_set, [new_stage], settings, improved_friction=result.friction
+    )
 
 
 @documented(ParallelKeywords)
@@ -139,20 +156,19 @@ def imu_calib(
             hint="Add an [[imu]] table with its accelerometers.",
         )
     from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.motion.imu.array import layout_statements
     from seqid_cli.motion.options import MotionOptions
 
-    def find(log_set: LogSet) -> Identified:
-        for imu in inputs.robot.imus:
-            for text in layout_statements(imu):
-                log_set.tell("note", text=f"{imu.name}: {text}")
-        filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
-        stage = calibrate_imus(
-            log_set, inputs.robot, options=filtering, settings=settings
-        )
-        return Identified(Stages(imu=stage))
+    log_set = LogSet.of(inputs, imus=True)
+    for imu in inputs.robot.imus:
+        for text in layout_statements(imu):
+            log_set.tell("note", text=f"{imu.name}: {text}")
+    filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
+    stage = calibrate_imus(log_set, inputs.robot, options=filtering, settings=settings)
 
-    return _added(inputs, find, settings, imus=True)
+    new_stage = NewStage(name="imu", stage=stage)
+    return _with_new_stages(inputs, log_set, [new_stage], settings)
 
 
 @documented(ParallelKeywords)
@@ -177,33 +193,42 @@ def inertia(
     needs = ("friction", "gravity", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.identify.common_cutoff import identification_options
+    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.options import InertiaOptions
     from seqid_cli.identify.rigid.cutoff_choice import InertiaTrial
     from seqid_cli.identify.rigid.inertia import identify_inertia
+    from seqid_cli.identify.rigid.inertia_checks import inertia_verdicts
     from seqid_cli.identify.rigid.parameters import made_consistent
 
-    def find(log_set: LogSet) -> Identified:
-        arm = inputs.robot
-        earlier_stages = inputs.stages
-        trial = InertiaTrial(arm, earlier_stages, options.source, settings)
-        motion = identification_options(
-            inputs.logs,
-            arm,
-            options,
-            earlier_stages.imu,
-            trial,
-            limits=settings.cutoff,
-        )
-        rigid = InertiaOptions(motion, options.source, settings=settings)
-        result = identify_inertia(
-            log_set, arm, earlier_stages, options=rigid, compare=True
-        )
-        stage = result.inertia
-        if options.consistent:
-            stage = made_consistent(stage, earlier_stages, arm)
-        return Identified(Stages(inertia=stage), Stages(friction=result.friction))
+    arm = inputs.robot
+    earlier_stages = inputs.stages
+    log_set = LogSet.of(inputs)
+    motion = identification_options(
+        inputs.logs,
+        arm,
+        options,
+        earlier_stages.imu,
+        InertiaTrial(arm, earlier_stages, options.source, settings),
+        limits=settings.cutoff,
+    )
+    result = identify_inertia(
+        log_set,
+        arm,
+        earlier_stages,
+        options=InertiaOptions(motion, options.source, settings=settings),
+        compare=True,
+    )
+    stage = result.inertia
+    if options.consistent:
+        stage = made_consistent(stage, earlier_stages, arm)
+    checks = list(
+        inertia_verdicts(stage, earlier_stages.gravity, arm, settings.judging)
+    )
 
-    return _added(inputs, find, settings, settings.judging)
+    new_stage = NewStage(name="inertia", stage=stage, checks=checks)
+    return _with_new_stages(
+        inputs, log_set, [new_stage], settings, improved_friction=result.friction
+    )
 
 
 @documented(Keywords)
@@ -228,31 +253,51 @@ def simultaneous(
     needs = imu_stage_for(options.source)
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.identify.common_cutoff import identification_options
+    from seqid_cli.identify.friction_surface.checks import friction_verdicts
+    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.rigid.cutoff_choice import SimultaneousTrial
+    from seqid_cli.identify.rigid.inertia_checks import inertia_verdicts
     from seqid_cli.identify.rigid.parameters import made_consistent
     from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
-    def find(log_set: LogSet) -> Identified:
-        arm = inputs.robot
-        imu = inputs.stages.imu
-        trial = SimultaneousTrial(arm, imu, options.source, offset=options.offset)
-        motion = identification_options(
-            inputs.logs, arm, options, imu, trial, limits=settings.cutoff
-        )
-        friction, inertia = identify_simultaneous(
-            log_set,
-            arm,
-            options=motion,
-            imu=imu,
-            source=options.source,
-            offset=options.offset,
-            settings=settings,
-        )
-        if options.consistent:
-            inertia = made_consistent(inertia, Stages(), arm)
-        return Identified(Stages(friction=friction, inertia=inertia))
+    arm = inputs.robot
+    imu = inputs.stages.imu
+    log_set = LogSet.of(inputs)
+    motion = identification_options(
+        inputs.logs,
+        arm,
+        options,
+        imu,
+        SimultaneousTrial(arm, imu, options.source, offset=options.offset),
+        limits=settings.cutoff,
+    )
+    friction, inertia = identify_simultaneous(
+        log_set,
+        arm,
+        options=motion,
+        imu=imu,
+        source=options.source,
+        offset=options.offset,
+        settings=settings,
+    )
+    if options.consistent:
+        inertia = made_consistent(inertia, Stages(), arm)
+    gravity = inputs.stages.gravity
+    limits = settings.judging
 
-    return _added(inputs, find, settings, settings.judging)
+    new_stages = [
+        NewStage(
+            name="friction",
+            stage=friction,
+            checks=list(friction_verdicts(friction, arm, limits)),
+        ),
+        NewStage(
+            name="inertia",
+            stage=inertia,
+            checks=list(inertia_verdicts(inertia, gravity, arm, limits)),
+        ),
+    ]
+    return _with_new_stages(inputs, log_set, new_stages, settings)
 
 
 @documented(ParallelKeywords)
@@ -325,52 +370,65 @@ def predict(
     return file
 
 
-class Identified(NamedTuple):
-    """New stages, and earlier ones with what the logs of the new ones show of them."""
+@dataclass(frozen=True, kw_only=True)
+class NewStage:
+    """A stage as it was identified, and what physics and earlier stages say of it.
 
-    stages: Stages
-    improved: Stages = Stages()
-
-
-def _added(
-    inputs: Inputs,
-    find: Callable[[LogSet], Identified],
-    settings: Settings,
-    judging: JudgingSettings = JudgingSettings(),
-    *,
-    imus: bool | None = None,
-) -> ParameterFile:
-    """Find new stages, judge them, and add them to earlier ones.
-
-    `imus` is as of `LogSet.of`.
+    `name` is that of a stage in a parameter file; `checks` are verdicts beside those of
+    the fit.
     """
-    from seqid_cli.identify.judging import judged
-    from seqid_cli.identify.log_set import LogSet
 
-    logs = LogSet.of(inputs, imus=imus)
-    identified = find(logs)
-    improved = present(identified.improved)
-    earlier_stages = replace(inputs.stages, **improved)
+    name: str
+    stage: Stage
+    checks: Sequence[Verdict] = ()
 
-    noted: dict[str, Any] = {}
-    for name in present(identified.stages):
-        stage = getattr(identified.stages, name)
-        notes = [*stage.notes, *logs.notes(stage.notes)]
-        noted[name] = replace(stage, notes=notes, settings=used_settings(settings))
-    judged_stages = judged(
-        Stages(**noted), earlier_stages, inputs.robot, logs.verdicts(), limits=judging
-    )
-    new = present(judged_stages)
 
-    for name in stale_stages(inputs.previous, tuple(new)):
+def _with_new_stages(
+    inputs: Inputs,
+    log_set: LogSet,
+    new_stages: Sequence[NewStage],
+    settings: Settings,
+    *,
+    improved_friction: FrictionStage | None = None,
+) -> ParameterFile:
+    """Judge new stages as a whole, and add them to earlier ones.
+
+    `improved_friction` is the earlier stage with what the logs of the new ones show of
+    it.
+    """
+    from seqid_cli.identify.judging import as_a_whole, verdicts_by_earlier
+
+    improved = {"friction": improved_friction} if improved_friction else {}
+    identified = {new.name: new.stage for new in new_stages}
+    # What a new stage rests on may be as new as it is.
+    all_stages = replace(inputs.stages, **{**improved, **identified})
+    of_logs = log_set.verdicts()
+
+    judged: dict[str, Stage] = {}
+    for new in new_stages:
+        stage = new.stage
+        verdicts = [
+            *stage.verdicts,
+            *new.checks,
+            *of_logs,
+            *verdicts_by_earlier(new.name, all_stages),
+        ]
+        judged[new.name] = replace(
+            stage,
+            verdicts=as_a_whole(verdicts),
+            notes=[*stage.notes, *log_set.notes(stage.notes)],
+            settings=used_settings(settings),
+        )
+
+    for name in stale_stages(inputs.previous, tuple(judged)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")
     file = with_stage(
         inputs.previous,
         robot_id(inputs.robot),
-        logs.inputs(next(iter(new))),
+        log_set.inputs(next(iter(judged))),
         improved,
-        created=logs.created(inputs.documents),
-        **new,
+        created=log_set.created(inputs.documents),
+        **judged,
     )
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)

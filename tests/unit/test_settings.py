@@ -1,5 +1,6 @@
 """Settings that are refused, that are shown, and that decide in judging."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -9,9 +10,11 @@ import pytest
 
 from seqid_cli.commands.settings import SETTINGS_OF_COMMANDS as ALL
 from seqid_cli.errors import UsageError
-from seqid_cli.identify.judging import friction_verdicts, inertia_verdicts, judged
+from seqid_cli.identify.friction_surface.checks import friction_verdicts
 from seqid_cli.identify.prediction.verdicts import joint_verdicts
 from seqid_cli.identify.rigid.cutoff_check import Difference, with_cutoff_check
+from seqid_cli.identify.rigid.gravity_checks import gravity_verdicts
+from seqid_cli.identify.rigid.inertia_checks import inertia_verdicts
 from seqid_cli.identify.settings import (
     CutoffCheckSettings,
     FrictionSettings,
@@ -126,16 +129,13 @@ def nominal(robot: Robot, stages: Stages, factor: float, turn: float = 0.0) -> R
     return replace(robot, nominal=links)
 
 
-def poor(verdicts: list[Verdict]) -> bool:
+def poor(verdicts: Iterable[Verdict]) -> bool:
     return any(not verdict.good for verdict in verdicts)
 
 
 def gravity_is_poor(robot: Robot, stages: Stages, **limits: float) -> bool:
-    clean = msgspec.structs.replace(stages.gravity, verdicts=[])
-    new = Stages(gravity=clean)
-    before = Stages(friction=msgspec.structs.replace(stages.friction, verdicts=[]))
-    found = judged(new, before, robot, limits=JudgingSettings(**limits))
-    return poor(found.gravity.verdicts)
+    settings = JudgingSettings(**limits)
+    return poor(gravity_verdicts(stages.gravity, stages.friction, robot, settings))
 
 
 @pytest.mark.parametrize(
@@ -205,8 +205,10 @@ def test_a_negative_rotor_is_judged_by_settings(robot: Robot) -> None:
         terms={"Ia_6": 1.0},
     )
     stage = RigidStage(parameters=[rotor], condition=1.0, rank=1)
-    assert poor([*inertia_verdicts(stage, robot)])
-    assert not poor([*inertia_verdicts(stage, robot, JudgingSettings(clear_sigma=6.0))])
+    assert poor([*inertia_verdicts(stage, None, robot)])
+    assert not poor(
+        [*inertia_verdicts(stage, None, robot, JudgingSettings(clear_sigma=6.0))]
+    )
 
 
 def test_a_parameter_that_depends_on_the_cutoff_is_judged_by_settings(

@@ -15,8 +15,9 @@ from seqid_cli.effects.fitted import effect_notes
 from seqid_cli.identify.bands.coverage import CoverageCounter
 from seqid_cli.identify.bands.prediction import Bands
 from seqid_cli.identify.inputs import Inputs
-from seqid_cli.identify.judging import as_a_whole, physics_verdicts
+from seqid_cli.identify.judging import as_a_whole
 from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.prediction.model_checks import model_verdicts
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torque_files import mcap_writer, parquet_writer
 from seqid_cli.identify.prediction.verdicts import joint_verdicts, noise_floors
@@ -99,7 +100,7 @@ def prediction_file(
         *joint_verdicts(
             joints, stages, robot, noise_floors=floors, settings=settings.errors
         ),
-        *physics_verdicts(stages, robot, settings.judging),
+        *model_verdicts(stages, robot, settings.judging),
     ]
 
     return PredictionFile(

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from seqid_cli.identify.judging import friction_verdicts, inertia_verdicts, judged
+from seqid_cli.identify.friction_surface.checks import friction_verdicts
+from seqid_cli.identify.judging import as_a_whole, verdicts_by_earlier
 from seqid_cli.identify.log_set import LogSet
+from seqid_cli.identify.rigid.gravity_checks import gravity_verdicts
+from seqid_cli.identify.rigid.inertia_checks import inertia_verdicts
 from seqid_cli.inspect.findings import found
 from seqid_cli.params.schema import Parameter, RigidStage, Stages, Verdict
 from tests.plants.robots.sample import Rig
@@ -37,11 +40,22 @@ def test_gravity_of_another_size_or_sign_is_poor(one_joint: Rig, factor: float) 
         name: factor * value for name, value in one_joint.gravity.representative.items()
     }
     wrong = replace(one_joint.gravity, representative=off)
-    stages = Stages(friction=one_joint.friction, gravity=wrong)
-    known = judged(stages, Stages(), one_joint.robot)
-    assert poor(known.gravity.verdicts) == ["joint_1", ""]
-    assert "gravity in the friction trials" in known.gravity.verdicts[-2].reason
-    assert known.gravity.verdicts[-1].reason.endswith("not good: joint_1")
+    checks = gravity_verdicts(wrong, one_joint.friction, one_joint.robot)
+    verdicts = as_a_whole([*wrong.verdicts, *checks])
+    assert poor(verdicts) == ["joint_1", ""]
+    assert "gravity in the friction trials" in verdicts[-2].reason
+    assert verdicts[-1].reason.endswith("not good: joint_1")
+
+
+def test_a_stage_is_no_better_than_one_that_it_rests_on(one_joint: Rig) -> None:
+    poor_friction = replace(
+        one_joint.friction, verdicts=[Verdict(joint="joint_1", good=False, reason="x")]
+    )
+    stages = Stages(friction=poor_friction, gravity=one_joint.gravity)
+    (verdict,) = verdicts_by_earlier("gravity", stages)
+    assert verdict.level == "usable"
+    assert verdict.reason == "rests on the friction stage, which is poor"
+    assert not list(verdicts_by_earlier("friction", stages))
 
 
 @pytest.mark.parametrize(
@@ -53,7 +67,7 @@ def test_a_rotor_of_negative_inertia_is_poor(
     named = {"name": "Ia_6", "unit": "kg m^2", "joint": "six", "terms": {"Ia_6": 1.0}}
     rotor = Parameter(value=value, std_error=error, **named)
     stage = RigidStage(parameters=[rotor], condition=1.0, rank=1)
-    assert poor([*inertia_verdicts(stage, one_joint.robot)]) == expected
+    assert poor([*inertia_verdicts(stage, None, one_joint.robot)]) == expected
 
 
 def test_errors_of_logs_are_verdicts_and_warnings_are_notes(one_joint: Rig) -> None:

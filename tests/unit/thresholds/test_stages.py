@@ -14,10 +14,10 @@ from msgspec.structs import replace as with_fields
 from seqid_cli import identify
 from seqid_cli.identify import common_cutoff
 from seqid_cli.identify.friction_surface import hunting, stage, summary
+from seqid_cli.identify.friction_surface.checks import friction_verdicts
 from seqid_cli.identify.friction_surface.gravity_separation import configurations
 from seqid_cli.identify.imu_calibration.calibrate import verdict_of
 from seqid_cli.identify.imu_calibration.segments import calibration_cutoff
-from seqid_cli.identify.judging import friction_verdicts, inertia_verdicts
 from seqid_cli.identify.prediction.verdicts import joint_verdicts
 from seqid_cli.identify.regression.least_squares import Accumulator, spread_of
 from seqid_cli.identify.regression.noise_level import NoiseLevel
@@ -34,6 +34,7 @@ from seqid_cli.identify.rigid.cutoff_choice import (
 )
 from seqid_cli.identify.rigid.friction_of_logs import FrictionShares
 from seqid_cli.identify.rigid.gravity_rows import _settled
+from seqid_cli.identify.rigid.inertia_checks import inertia_verdicts
 from seqid_cli.identify.rigid.log_agreement import agreement_verdicts, log_equations
 from seqid_cli.identify.rigid.rotor_coupling import FreeShare
 from seqid_cli.identify.rigid.simultaneous import OneStepResult
@@ -118,7 +119,7 @@ def negative_rotor(settings: JudgingSettings, sigma: float) -> bool:
         terms={"Ia_1": 1.0},
     )
     stage = RigidStage(parameters=[rotor], condition=1.0, rank=1)
-    return any_poor(inertia_verdicts(stage, robot(), settings))
+    return any_poor(inertia_verdicts(stage, None, robot(), settings))
 
 
 def level(speed: float) -> SpeedLevel:

@@ -79,7 +79,8 @@ def _settings_of_effects(
     file: ParameterFile, robot: Robot, where: str
 ) -> dict[str, str]:
     """Return the settings of the payloads that a refined file found, all together."""
-    from seqid_cli.payload.result import carried, settings_of
+    from seqid_cli.payload.body import nearest_to
+    from seqid_cli.payload.controllers import settings_of
 
     payloads = [
         item
@@ -99,8 +100,5 @@ def _settings_of_effects(
         # No body has such a mass, so that there is nothing to tell the controller.
         return {}
 
-    values, _, _ = carried(phi, covariance)
-    mass = values[0]
-    center = values[1:4]
-    inertia = values[4:].reshape(3, 3)
-    return settings_of(mass, center, inertia.tolist())
+    body = nearest_to(phi, covariance)
+    return settings_of(body.mass, body.center, body.inertia.tolist())

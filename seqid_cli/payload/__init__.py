@@ -1,8 +1,9 @@
 """The body that a robot carries, from logs with it and a model without it.
 
-`functions` hands the logs to `fit`, which identifies the body by least squares, and the
-fit to `result`, which makes the document of it. `body` says how the numbers of a body
-follow from the least squares, `controllers` how robot controllers write them.
+Data flow one way, in the order in which `functions` calls: `rows` makes equations of
+the logs, `fit` solves them, `body` finds the body that is nearest to the solution, and
+`result` makes the document: `verdicts` judge it, `controllers` write the body in the
+words of robot controllers.
 """
 
 from seqid_cli.payload.functions import payload

@@ -10,8 +10,21 @@
 
 from collections.abc import Sequence
 
+from seqid_cli.params.results.payload import CarriedBodyEntry
 from seqid_cli.params.schema import Matrix
 from seqid_cli.typing import Array
+
+
+def controller_settings(body: CarriedBodyEntry) -> dict[str, str]:
+    """Write a body as controllers take it; none without a mass and a centre."""
+    center = [
+        coordinate.value
+        for coordinate in body.center_of_mass
+        if coordinate.value is not None
+    ]
+    if body.mass.value is None or len(center) < 3:
+        return {}
+    return settings_of(body.mass.value, center, body.inertia)
 
 
 def settings_of(

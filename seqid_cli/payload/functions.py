@@ -45,6 +45,7 @@ def payload(
     from seqid_cli.identify.common_cutoff import inherited
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.options import InertiaOptions
+    from seqid_cli.payload.body import carried_body
     from seqid_cli.payload.fit import fit_payload
     from seqid_cli.payload.result import payload_file
 
@@ -58,9 +59,11 @@ def payload(
         options=InertiaOptions(motion=motion_options, source=options.source),
         friction_change=options.friction_change,
     )
+    body = carried_body(fit, inputs.robot.joint_names[-1])
 
     file = payload_file(
         fit,
+        body,
         inputs,
         log_set,
         good_error=options.good_error,

@@ -1,7 +1,5 @@
 """The document of a payload: numbers where the logs give them, a verdict, and notes."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from seqid_cli.identify.inputs import Inputs
@@ -11,26 +9,19 @@ from seqid_cli.params.results.payload import (
     PAYLOAD_SCHEMA,
     CarriedBodyEntry,
     JointWithPayload,
-    Measured,
     PayloadFile,
 )
-from seqid_cli.params.schema import Parameter, Verdict
-from seqid_cli.payload.body import carried
-from seqid_cli.payload.controllers import settings_of
+from seqid_cli.params.schema import Parameter
+from seqid_cli.payload.controllers import controller_settings
 from seqid_cli.payload.fit import PayloadFit
-from seqid_cli.payload.settings import PayloadFitSettings, PayloadSettings
+from seqid_cli.payload.settings import PayloadSettings
+from seqid_cli.payload.verdicts import joint_verdicts, mass_verdict, payload_notes
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
-from seqid_cli.shares import percent
-from seqid_cli.typing import Array
-
-__all__ = ["carried", "payload_file", "settings_of"]
-
-# Share by which a joint's friction differs from the model's, from which a note says so.
-NOTED_FRICTION_CHANGE = 0.05
 
 
 def payload_file(
     fit: PayloadFit,
+    body: CarriedBodyEntry,
     inputs: Inputs,
     log_set: LogSet,
     *,
@@ -43,7 +34,9 @@ def payload_file(
     Parameters
     ----------
     fit : PayloadFit
-        The body that the logs carry.
+        What the logs carry, by least squares.
+    body : CarriedBodyEntry
+        The body nearest to it.
     inputs : Inputs
         Robot and model that it was identified with.
     log_set : LogSet
@@ -56,12 +49,11 @@ def payload_file(
         Numbers that the verdicts depend on.
     """
     names = inputs.robot.joint_names
-    body = _body(fit, names[-1])
     joints = {name: _joint(fit, j) for j, name in enumerate(names)}
     verdicts = [
         *log_set.verdicts(),
-        _mass_verdict(body, good_error, settings.fit),
-        *_joint_verdicts(body, joints, settings.fit),
+        mass_verdict(body, good_error, settings.fit),
+        *joint_verdicts(body, joints, settings.fit),
     ]
     covariance = fit.covariance[np.ix_(fit.determined, fit.determined)]
 
@@ -73,82 +65,22 @@ def payload_file(
         payload=body,
         parameters=_parameters(fit, names[-1]),
         covariance=covariance.tolist(),
-        settings=_controller_settings(body),
+        settings=controller_settings(body),
         joints=joints,
         cutoff_origin=cutoff_origin,
         verdicts=verdicts,
         effective_settings=used_settings(settings),
-        notes=[*log_set.notes(), *_notes(fit, body, names)],
+        notes=[*log_set.notes(), *payload_notes(fit, body, names)],
     )
-
-
-def _body(fit: PayloadFit, joint: str) -> CarriedBodyEntry:
-    """Describe the body; numbers that the logs do not determine are null."""
-    mass_determined = bool(fit.determined[0] and fit.phi[0] > 0.0)
-    if mass_determined:
-        inertia_determined = bool(fit.determined.all())
-        values, std_errors, distance = carried(
-            fit.phi, fit.covariance, whole=inertia_determined
-        )
-        center_determined = fit.determined[1:4].tolist()
-    else:
-        # Without a positive mass the first moments are those of no centre.
-        inertia_determined = False
-        values = fit.phi
-        std_errors = _std_errors(fit)
-        distance = 0.0
-        center_determined = [False, False, False]
-
-    mass = _measured(values[0], std_errors[0], "kg", bool(fit.determined[0]))
-    center = [
-        _measured(values[k + 1], std_errors[k + 1], "m", center_determined[k])
-        for k in range(3)
-    ]
-    inertia = []
-    inertia_std_errors = []
-    if inertia_determined:
-        inertia = values[4:].reshape(3, 3).tolist()
-        inertia_std_errors = std_errors[4:].reshape(3, 3).tolist()
-    return CarriedBodyEntry(
-        frame=f"of joint {joint}",
-        mass=mass,
-        center_of_mass=center,
-        inertia=inertia,
-        inertia_std_errors=inertia_std_errors,
-        distance=distance,
-    )
-
-
-def _measured(value: float, std_error: float, unit: str, determined: bool) -> Measured:
-    """Return a number with its error, both null where it is not determined."""
-    if not determined:
-        return Measured(value=None, std_error=None, unit=unit)
-    return Measured(value=float(value), std_error=float(std_error), unit=unit)
-
-
-def _std_errors(fit: PayloadFit) -> Array:
-    """Return the standard errors (10,) of the standard parameters."""
-    return np.asarray(np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)))
-
-
-def _controller_settings(body: CarriedBodyEntry) -> dict[str, str]:
-    """Write the body as controllers take it; none without a mass and a centre."""
-    center = [
-        number.value for number in body.center_of_mass if number.value is not None
-    ]
-    if body.mass.value is None or len(center) < 3:
-        return {}
-    return settings_of(body.mass.value, center, body.inertia)
 
 
 def _parameters(fit: PayloadFit, joint: str) -> list[Parameter]:
     """Return the standard parameters by least squares that the logs determine."""
-    std_errors = _std_errors(fit)
     return [
         Parameter(
             name=f"payload_{kind}",
             value=float(fit.phi[k]),
-            std_error=float(std_errors[k]),
+            std_error=float(fit.std_errors[k]),
             unit=parameter_unit(f"{kind}_1"),
             joint=joint,
         )
@@ -177,70 +109,3 @@ def _joint(fit: PayloadFit, j: int) -> JointWithPayload:
         samples=n_samples,
         friction_change=friction_change,
     )
-
-
-def _mass_verdict(
-    body: CarriedBodyEntry, good_error: float, limits: PayloadFitSettings
-) -> Verdict:
-    """Judge the body by its mass, which every use of it needs."""
-    mass = body.mass.value
-    std_error = body.mass.std_error
-    if mass is None or std_error is None:
-        remedy = "move a joint whose torque gravity changes, in more poses"
-        return Verdict(good=False, reason=f"the mass is not determined: {remedy}")
-
-    faults = ""
-    if not std_error < good_error * abs(mass):
-        faults += (
-            f", above {percent(good_error)} of it: record more moves with more of"
-            " the arm"
-        )
-    if mass < -limits.negative_sigma * std_error:
-        faults += "; the model holds a body that these logs do not carry: swap the two"
-    if body.distance > limits.max_distance:
-        distance = f"{body.distance:.2g} standard errors from any body that can exist"
-        faults += (
-            f"; the estimate is {distance}: what is left is not of the payload alone"
-        )
-    reason = f"mass {mass:.4g} kg, standard error {std_error:.2g} kg{faults}"
-    return Verdict(good=not faults, reason=reason)
-
-
-def _joint_verdicts(
-    body: CarriedBodyEntry,
-    joints: dict[str, JointWithPayload],
-    limits: PayloadFitSettings,
-) -> Iterator[Verdict]:
-    """Yield a poor verdict for each joint whose torque the body leaves unexplained."""
-    if body.mass.value is None:  # its torque is not explained for another reason
-        return
-    for name, joint in joints.items():
-        if joint.relative is not None and joint.relative > limits.max_left:
-            share = percent(joint.relative)
-            reason = f"{share} of the torque is left with the body in the model"
-            yield Verdict(joint=name, good=False, reason=reason)
-
-
-def _notes(
-    fit: PayloadFit, body: CarriedBodyEntry, names: tuple[str, ...]
-) -> Iterator[str]:
-    """Yield what a reader of the result must know besides."""
-    undetermined = [kind for k, kind in enumerate(STANDARD) if not fit.determined[k]]
-    if undetermined:
-        listed = ", ".join(undetermined)
-        yield f"not determined by these logs: {listed} of the payload"
-
-    if body.distance > 0.0:
-        yield (
-            "the least-squares estimate is no body; the nearest one is given,"
-            f" {body.distance:.2g} standard errors away"
-        )
-
-    changes = zip(names, fit.friction_change.tolist(), strict=True)
-    changed = [
-        f"{name} {percent(change)}"
-        for name, change in changes
-        if abs(change) > NOTED_FRICTION_CHANGE
-    ]
-    if changed:
-        yield f"friction differs from the model's: {', '.join(changed)}"

@@ -14,8 +14,8 @@ import numpy as np
 
 from seqid_cli.params.results.plan import PredictedParameter
 from seqid_cli.params.schema import Stages
-from seqid_cli.payload.fit import FRICTION_TERMS
 from seqid_cli.payload.options import PayloadOptions
+from seqid_cli.payload.rows import FRICTION_TERMS
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.nuisance import move_terms

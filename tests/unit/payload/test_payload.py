@@ -13,7 +13,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ParameterFile, RigidStage
 from seqid_cli.payload import PayloadOptions, payload
-from seqid_cli.payload.body import carried
+from seqid_cli.payload.body import nearest_to
 from seqid_cli.payload.controllers import settings_of
 from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.file import load_robot
@@ -123,12 +123,13 @@ def test_the_nearest_body_is_no_further_than_the_true_one_is() -> None:
         spread = 1e-3 * rng.normal(size=(10, 10)) * np.geomspace(1.0, 0.01, 10)
         off = np.linalg.solve(spread.T @ spread, spread.T @ rng.normal(size=10)) * 1e-6
         covariance = np.linalg.inv(spread.T @ spread) * 1e-12
-        values, errors, distance = carried(true + off, covariance)
-        principal = np.linalg.eigvalsh(values[4:].reshape(3, 3))
+        body = nearest_to(true + off, covariance)
+        principal = np.linalg.eigvalsh(body.inertia)
         assert principal[0] > -1e-9
         assert principal[2] <= principal[0] + principal[1] + 1e-9
-        assert distance <= float(np.sqrt(off @ np.linalg.solve(covariance, off))) + 1e-3
-        assert abs(values[0] - 1.0) < 5.0 * errors[0]
+        of_true = float(np.sqrt(off @ np.linalg.solve(covariance, off)))
+        assert body.distance <= of_true + 1e-3
+        assert abs(body.mass - 1.0) < 5.0 * body.mass_std_error
 
 
 def test_settings_are_in_the_order_of_each_controller() -> None:

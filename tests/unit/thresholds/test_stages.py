@@ -73,7 +73,7 @@ from seqid_cli.params.schema import (
     Stages,
     Verdict,
 )
-from seqid_cli.payload.result import _joint_verdicts, _mass_verdict
+from seqid_cli.payload import verdicts as payload_verdicts
 from seqid_cli.payload.settings import PayloadFitSettings
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
@@ -803,8 +803,8 @@ def bad_payload(
     )
     joint: Any = SimpleNamespace(relative=left)
     verdicts = [
-        _mass_verdict(entry, 10.0, settings),
-        *_joint_verdicts(entry, {"elbow": joint}, settings),
+        payload_verdicts.mass_verdict(entry, 10.0, settings),
+        *payload_verdicts.joint_verdicts(entry, {"elbow": joint}, settings),
     ]
     return " ".join(verdict.reason for verdict in verdicts)
 

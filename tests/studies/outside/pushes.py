@@ -12,7 +12,10 @@ from tests.studies.outside.simulate import Effect, built
 
 LONGEST_RAMP_S = 0.3
 DRAWS = 20  # of moment and direction, until a push is felt at both of its ends
-EVEN = 0.5  # of the largest torque of a unit force in the push, the least of it
+EVEN = 0.5  # of a unit force's torque, RMS over the push, what each end has at least
+EDGE_SHARE = 0.15  # of its length: an end
+MOMENTS = 60  # at which a push is looked at
+SLOW = 0.02  # of a joint's limit: slower than that it may stick
 
 
 @dataclass(frozen=True)
@@ -56,25 +59,34 @@ def pushed(
     Its torque is a share, RMS while it lasts, of the `usual` torque (n,) N m of the
     joint where it is largest.
     """
-    since = np.linspace(0.0, shape.seconds, 41)
+    since = np.linspace(0.0, shape.seconds, MOMENTS)
     sizes = np.array([shape.at(t) for t in since])
+    speed = np.abs(np.gradient(motion, STEP_S, axis=0))
+    slow = np.array([SLOW * link.speed for link in arm.links[: arm.n]])
+    n_end = round(EDGE_SHARE * MOMENTS)
     most_even, best = -1.0, (0.0, np.zeros(3), 1.0)
     for _ in range(DRAWS):
         start = float(rng.uniform(1.5, len(motion) * STEP_S - shape.seconds - 1.0))
         way = rng.normal(size=3)
         way /= np.linalg.norm(way)
-        postures = motion[((start + since) / STEP_S).astype(int)]
-        torques = flange_torques(arm, postures, way) / usual
+        rows = ((start + since) / STEP_S).astype(int)
+        torques = flange_torques(arm, motion[rows], way) / usual
+        # What a joint at rest feels its friction holds.
+        torques *= speed[rows] > slow
         # Where a force turns no joint nobody can say that it is there.
-        felt = np.abs(torques).max(axis=1)
-        evenness = float(felt.min() / max(felt.max(), 1e-12))
+        felt_of_joint = [
+            np.sqrt(np.mean(part**2, axis=0))
+            for part in (torques[:n_end], torques[-n_end:], torques)
+        ]
+        at_start, at_end, on_the_whole = (float(felt.max()) for felt in felt_of_joint)
+        evenness = min(at_start, at_end) / max(on_the_whole, 1e-12)
         if evenness > most_even:
-            by_joint = np.sqrt(np.mean((sizes[:, None] * torques) ** 2, axis=0))
-            most_even, best = evenness, (start, way, float(by_joint.max()))
+            of_joint = np.sqrt(np.mean((sizes[:, None] * torques) ** 2, axis=0))
+            most_even, best = evenness, (start, way, float(of_joint.max()))
         if evenness > EVEN:
             break
     start, way, unit_share = best
-    force = share / unit_share
+    force = share / max(unit_share, 1e-6)
 
     def flange(scale: float, t: float) -> Array:
         return scale * force * shape.at(t - start) * way

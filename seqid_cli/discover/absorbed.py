@@ -214,7 +214,8 @@ def _steady(scene: Scene, joint: int) -> Scene:
     q = np.vstack([q_ahead, q_ahead[::-1]])
     dq = np.vstack([dq_ahead, -dq_ahead[::-1]])
 
-    # Steady motion passes a low-pass as it is: no sample is filtered.
+    # Steady motion passes a low-pass as it is: no sample is filtered. Its friction is
+    # that at the temperature of the file's trials.
     unfiltered = np.zeros(len(q), dtype=bool)
     motion = replace(
         scene.motion,
@@ -223,6 +224,7 @@ def _steady(scene: Scene, joint: int) -> Scene:
         dq=dq,
         ddq=np.zeros_like(q),
         tau=None,
+        celsius=None,
         moving=dq != 0.0,
         usable=unfiltered,
         valid=unfiltered,

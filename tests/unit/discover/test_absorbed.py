@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from seqid_cli.discover.absorbed import FileTrials
+from seqid_cli.discover.absorbed import FileTrials, _steady
 from seqid_cli.discover.base import surface_columns
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import SelectionProblem
@@ -146,3 +146,25 @@ def stages_of(trial: Recording, other: Recording, robot: Robot) -> Stages:
 def test_a_file_without_trials_has_absorbed_nothing() -> None:
     found = selected(arm_scenes(at_joint(0, drag)), ["quadratic_drag"])
     assert [one.term.what.absorbed for one in found.terms] == [""]
+
+
+def test_trials_know_no_temperature_of_the_logs() -> None:
+    """Logs carry temperatures, and friction changes with them: trials have their own."""
+    sample, own = ONE
+    arm = sample_arm(sample, own)
+    (scene,) = scenes_of(arm.logs[:1], arm.robot, arm.stages, options=InertiaOptions())
+    j = arm.robot.joint_names.index(own)
+    surface = scene.model.surfaces[j]
+    assert surface is not None
+    surfaces = list(scene.model.surfaces)
+    surfaces[j] = replace(surface, per_kelvin=-0.01, temperature=25.0)
+    celsius = np.full(scene.motion.q.shape, 45.0)
+    warm = replace(
+        scene,
+        model=replace(scene.model, surfaces=surfaces),
+        motion=replace(scene.motion, celsius=celsius),
+    )
+    effect = CATALOGUE["torque_saturation"]
+    (columns,) = effect.steady_columns(_steady(warm, j), j, {"around": 0.0}).values()
+    (cold,) = effect.steady_columns(_steady(scene, j), j, {"around": 0.0}).values()
+    np.testing.assert_array_equal(columns, cold)

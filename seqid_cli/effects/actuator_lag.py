@@ -8,13 +8,10 @@ early by T. Khalil, Dombre, "Modeling, identification and control of robots", 20
 
 from collections.abc import Mapping
 
-import numpy as np
-from scipy.signal import lfilter
-
 from seqid_cli.effects.effect import Coefficient, Columns, Settings
 from seqid_cli.effects.law import Law
 from seqid_cli.effects.measurement import ModelledTorque, steady_change, touched
-from seqid_cli.effects.memory import Rate
+from seqid_cli.effects.memory import Rate, lagged
 from seqid_cli.effects.scene import Joint, Scene
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -55,13 +52,4 @@ class ActuatorLag(ModelledTorque):
         if time_constant <= 0.0 or not len(tau):
             return tau.copy()
 
-        # This discrete filter is exact for torque that is linear between the samples.
-        decay = float(np.exp(-1.0 / (rate_hz * time_constant)))
-        ramp = rate_hz * time_constant * (1.0 - decay)
-        numerator = [1.0 - ramp, ramp - decay]
-        denominator = [1.0, -decay]
-
-        # The first command has lasted for long: the filter starts at its steady state.
-        settled = ramp * tau[:1]
-        torque, _ = lfilter(numerator, denominator, tau, axis=0, zi=settled)
-        return np.asarray(torque)
+        return lagged(tau, time_constant, rate_hz)

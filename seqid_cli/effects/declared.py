@@ -35,7 +35,15 @@ class Wave:
     rate: float
 
 
-Deviation = Twist | Play | Wave
+@dataclass(frozen=True)
+class Shift:
+    """The joint's angle is another one: per rad from `low` to `high`, rad."""
+
+    low: float
+    high: float
+
+
+Deviation = Twist | Play | Wave | Shift
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from seqid_cli.effects.effect import AnyJoint, Columns, Effect, Settings
-from seqid_cli.effects.memory import Late, Rate
+from seqid_cli.effects.memory import AsLogged, OfSeries
 from seqid_cli.effects.scene import Joint, Scene
 from seqid_cli.logs.recording import Recording
 from seqid_cli.robot.types import Robot
@@ -68,8 +68,11 @@ class TorqueMeasurement(MeasurementEffect):
         return replace(recording, tau=tau)
 
 
-class ModelledTorque(TorqueMeasurement):
-    """An effect whose column is a function of the modelled torque: one term."""
+class OfModelledTorque(Effect):
+    """An effect on measured torque whose column is a function of the modelled one."""
+
+    family = "measurement"
+    passes = 1  # what has steps is low-passed once in the columns already
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Evaluate the law of the torque as the model has it."""
@@ -77,14 +80,23 @@ class ModelledTorque(TorqueMeasurement):
         assert laws is not None
         law = next(iter(laws.values()))  # the same at every joint
 
+        joints = touched(scene.robot, joint)
+
         def law_of_torque(tau: Array) -> Array:
             values = {"tau": tau}
             for name, memory in law.memories.items():
-                assert isinstance(memory, Late | Rate)
+                if isinstance(memory, AsLogged):
+                    values[name] = memory.of_joints(tau, scene, joints)
+                    continue
+                assert isinstance(memory, OfSeries)
                 values[name] = memory.of_series(tau, scene.motion)
             return law.of_values(values)
 
         return of_modelled(scene, joint, law_of_torque)
+
+
+class ModelledTorque(OfModelledTorque, TorqueMeasurement):
+    """An effect of the modelled torque that can be undone in the measured one."""
 
 
 def touched(robot: Robot, joint: Joint) -> list[int]:

@@ -4,12 +4,13 @@ Each says how it comes out of a whole log; exported code has the same as a state
 its update (`export.laws`), causal, one sample after the other.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
 from scipy.ndimage import shift
+from scipy.signal import lfilter
 
 from seqid_cli.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import differentiate
@@ -33,6 +34,28 @@ class Bristles:
     ) -> Array:
         """Return the deflection (N,) of a joint."""
         return deflection(scene.motion.q[:, joint], self.distance)
+
+
+@dataclass(frozen=True)
+class Rope:
+    """State of a rope or hose that rubs, as a share of its largest.
+
+    `distance` rad is the way over which it settles, `sharpness` the exponent n of
+    Bouc and Wen, 0 for Dahl's law.
+    """
+
+    distance: float
+    sharpness: int
+    takes: ClassVar[tuple[str, ...]] = ("q",)
+
+    def of_scene(
+        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
+    ) -> Array:
+        """Return the state (N,) of a joint."""
+        q = scene.motion.q[:, joint]
+        if self.sharpness == 0:
+            return deflection(q, self.distance)
+        return wound(q, self.distance, self.sharpness)
 
 
 @dataclass(frozen=True)
@@ -78,6 +101,68 @@ class Late:
 
 
 @dataclass(frozen=True)
+class AsLogged:
+    """The modelled torque as late as the parameter file says that it is logged."""
+
+    takes: ClassVar[tuple[str, ...]] = ("tau",)
+
+    def of_scene(
+        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
+    ) -> Array:
+        """Return the late torque (N,) of a joint."""
+        return self.of_joints(scene.modelled[:, [joint]], scene, [joint])[:, 0]
+
+    def of_joints(self, torque: Array, scene: Scene, joints: Sequence[int]) -> Array:
+        """Return torques (N, k) of k joints, each as late as its own is logged."""
+        late = torque.copy()
+        delays_s = scene.model.delays_s
+        if delays_s is None:
+            return late
+        for k, joint in enumerate(joints):
+            if delays_s[joint] != 0.0:
+                late[:, [k]] = delayed(
+                    torque[:, [k]], float(delays_s[joint]), scene.motion.rate_hz
+                )
+        return late
+
+
+@dataclass(frozen=True)
+class Averaged:
+    """Mean of the modelled torque over the last `seconds`."""
+
+    seconds: float
+    takes: ClassVar[tuple[str, ...]] = ("tau",)
+
+    def of_scene(
+        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
+    ) -> Array:
+        """Return the mean torque (N,) of a joint."""
+        return self.of_series(scene.modelled[:, [joint]], scene.motion)[:, 0]
+
+    def of_series(self, torque: Array, motion: Motion) -> Array:
+        """Return the running mean of torques (N, k)."""
+        return averaged(torque, self.seconds, motion.rate_hz)
+
+
+@dataclass(frozen=True)
+class Lagged:
+    """The modelled torque after a first-order low-pass of time constant `seconds`."""
+
+    seconds: float
+    takes: ClassVar[tuple[str, ...]] = ("tau",)
+
+    def of_scene(
+        self, scene: Scene, joint: int, remembered: Mapping[str, Array | float]
+    ) -> Array:
+        """Return the low-passed torque (N,) of a joint."""
+        return self.of_series(scene.modelled[:, [joint]], scene.motion)[:, 0]
+
+    def of_series(self, torque: Array, motion: Motion) -> Array:
+        """Return low-passed torques (N, k)."""
+        return lagged(torque, self.seconds, motion.rate_hz)
+
+
+@dataclass(frozen=True)
 class FrictionSlope:
     """Secant slope of a joint's friction, up to `lead` times `per` more speed."""
 
@@ -93,7 +178,9 @@ class FrictionSlope:
         return scene.friction_slope(joint, added_speed)
 
 
-Memory = Bristles | Rate | Late | FrictionSlope
+Memory = Bristles | Rope | Rate | Late | AsLogged | Averaged | Lagged | FrictionSlope
+# Memories that follow from one joint's torque over time alone.
+OfSeries = Rate | Late | Averaged | Lagged
 
 
 def deflection(q: Array, distance: float) -> Array:
@@ -148,3 +235,118 @@ def delayed(values: Array, delay_s: float, rate_hz: float) -> Array:
         return values.copy()
     samples = delay_s * rate_hz
     return np.asarray(shift(values, (samples, 0.0), order=3, mode="nearest"))
+
+
+def wound(q: Array, distance: float, sharpness: int) -> Array:
+    """Compute the state of Bouc and Wen's law as a share of its largest.
+
+    Parameters
+    ----------
+    q : Array
+        Positions (N,) [rad], taken as monotonic between samples.
+    distance : float
+        x_0 [rad].
+    sharpness : int
+        n, 1 or 2.
+
+    Returns
+    -------
+    Array
+        z (N,) within +-1, from 0 on.
+    """
+    ways = np.diff(q, prepend=q[:1]) / distance
+    directions = np.sign(ways)
+
+    # Along a way in one direction the law has a closed form: only turns are a loop.
+    moves = np.flatnonzero(directions)
+    state = np.zeros(len(q))
+    if not len(moves):
+        return state
+    turns = np.flatnonzero(np.diff(directions[moves])) + 1
+    firsts = moves[np.concatenate([[0], turns])]
+    ends = np.concatenate([firsts[1:], [len(q)]])
+    reached = 0.0
+    for first, end in zip(firsts, ends, strict=True):
+        gone = np.cumsum(np.abs(ways[first:end]))
+        ahead = advanced(directions[first] * reached, gone, sharpness)
+        state[first:end] = directions[first] * ahead
+        reached = float(state[end - 1])
+    return state
+
+
+def advanced(start: float, way: Array, sharpness: int) -> Array:
+    """Return where a state is after ways in its own positive direction.
+
+    It unwinds along a straight line, and winds up towards 1 by
+
+        dz = (1 - z^n) dx.
+
+    Parameters
+    ----------
+    start : float
+        State before, within +-1.
+    way : Array
+        (N,) ways over x_0, not negative.
+    sharpness : int
+        n, 1 or 2.
+    """
+    # What is left of the way once the state has come to 0 from below.
+    beyond = way + min(start, 0.0)
+    unwound = np.maximum(beyond, 0.0)
+    above = max(start, 0.0)
+    if sharpness == 1:
+        wound_up = 1.0 - (1.0 - above) * np.exp(-unwound)
+    else:
+        # tanh(a + b) by tanh(a) and tanh(b): `above` may be 1.
+        gained = np.tanh(unwound)
+        wound_up = (above + gained) / (1.0 + above * gained)
+    return np.asarray(np.where(beyond < 0.0, beyond, wound_up))
+
+
+def averaged(values: Array, seconds: float, rate_hz: float) -> Array:
+    """Return the mean of values over some time before; they are held at the start.
+
+    Parameters
+    ----------
+    values : Array
+        (N, k), joined by straight lines.
+    seconds : float
+        Length of the window, above 0.
+    rate_hz : float
+    """
+    if not len(values):
+        return values.copy()
+    window = seconds * rate_hz
+    n_before = int(np.ceil(window)) + 1
+    held = np.concatenate([np.repeat(values[:1], n_before, axis=0), values])
+    steps = 0.5 * (held[1:] + held[:-1])
+    integral = np.concatenate([np.zeros_like(held[:1]), np.cumsum(steps, axis=0)])
+
+    # The window begins between two samples: its part of that interval is exact.
+    begin = np.arange(len(values)) + n_before - window
+    sample = np.floor(begin).astype(int)
+    part = (begin - sample)[:, None]
+    slope = held[sample + 1] - held[sample]
+    up_to_begin = integral[sample] + part * (held[sample] + 0.5 * part * slope)
+    return np.asarray((integral[n_before:] - up_to_begin) / window)
+
+
+def lagged(values: Array, time_constant_s: float, rate_hz: float) -> Array:
+    """Return values after a first-order low-pass, settled at the start.
+
+    Parameters
+    ----------
+    values : Array
+        (N, k), joined by straight lines.
+    time_constant_s : float
+        Above 0.
+    rate_hz : float
+    """
+    if not len(values):
+        return values.copy()
+    decay = float(np.exp(-1.0 / (rate_hz * time_constant_s)))
+    ramp = rate_hz * time_constant_s * (1.0 - decay)
+    numerator = [1.0 - ramp, ramp - decay]
+    settled = ramp * values[:1]
+    low, _ = lfilter(numerator, [1.0, -decay], values, axis=0, zi=settled)
+    return np.asarray(low)

@@ -15,7 +15,9 @@ from seqid_cli.effects.encoder_eccentricity import EncoderEccentricity
 from seqid_cli.effects.external_contact import ExternalContact
 from seqid_cli.effects.friction_change import FrictionChange
 from seqid_cli.effects.gear_efficiency import GearEfficiency
+from seqid_cli.effects.hysteresis import Hysteresis
 from seqid_cli.effects.joint_elasticity import JointElasticity
+from seqid_cli.effects.joint_zero import JointZero
 from seqid_cli.effects.load_dependent_friction import LoadDependentFriction
 from seqid_cli.effects.nonlinear_viscous import NonlinearViscous
 from seqid_cli.effects.own import own_effect
@@ -33,6 +35,7 @@ from seqid_cli.effects.thermal_friction import ThermalFriction
 from seqid_cli.effects.time_skew import TimeSkew
 from seqid_cli.effects.torque_bias import TorqueBias
 from seqid_cli.effects.torque_constant import TorqueConstant
+from seqid_cli.effects.torque_filter import TorqueFilter
 from seqid_cli.effects.torque_ripple import TorqueRipple
 from seqid_cli.effects.torque_saturation import TorqueSaturation
 from seqid_cli.effects.transmission_coupling import TransmissionCoupling
@@ -59,10 +62,13 @@ EFFECTS: tuple[type[Effect], ...] = (
     Drift,
     TimeSkew,
     ActuatorLag,
+    TorqueFilter,
+    JointZero,
     PeriodicDisturbance,
     ExternalContact,
     # bodies, and a spring beside them
     Spring,
+    Hysteresis,
     Payload,
     BaseTilt,
     RotorInertia,

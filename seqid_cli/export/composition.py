@@ -101,7 +101,15 @@ class Code:
     inertias : list of int
         Joints whose links' inertia the deviations take.
     bristles : int
-        How many deflections of bristles the state holds.
+        How many deflections of bristles, and states of ropes, the state holds.
+    ropes : bool
+        Whether there are ropes among them.
+    lags : int
+        How many low-passed torques it holds.
+    averages : bool
+        Whether a mean over the delay line is taken.
+    shifts : bool
+        Whether a joint's angle is another one.
     twisted : list of int
         Joints of the twists that it holds.
     plays : int
@@ -126,6 +134,10 @@ class Code:
     deviations: list[str] = field(default_factory=list)
     inertias: list[int] = field(default_factory=list)
     bristles: int = 0
+    ropes: bool = False
+    lags: int = 0
+    averages: bool = False
+    shifts: bool = False
     rates: bool = False
     longest_s: float = 0.0
     splines: bool = False

@@ -14,10 +14,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.effects.declared import BodyTerm, Deviation, Play, Twist, Wave
+from seqid_cli.effects.declared import (
+    BodyTerm,
+    Deviation,
+    Play,
+    Shift,
+    Twist,
+    Wave,
+)
 from seqid_cli.effects.fitted import Fitted, FittedEffect
 from seqid_cli.effects.law import PLACES, Law, catalogue_symbol, tree_of
-from seqid_cli.effects.memory import Bristles, FrictionSlope, Late, Memory, Rate
+from seqid_cli.effects.memory import (
+    AsLogged,
+    Averaged,
+    Bristles,
+    FrictionSlope,
+    Lagged,
+    Late,
+    Memory,
+    Rate,
+    Rope,
+)
 from seqid_cli.effects.smooth import DEGREE, Axis, SmoothTerm
 from seqid_cli.export.composition import BaseModel, Code, is_timing, refuse_without_law
 from seqid_cli.export.syntax import Syntax
@@ -324,6 +341,8 @@ class _Writer:
         match memory:
             case Bristles(distance=distance):
                 return self._bristles(j, name, distance)
+            case Rope(distance=distance, sharpness=sharpness):
+                return self._rope(j, name, distance, sharpness)
             case Rate():
                 return self._rate(j, name, memory)
             case Late(seconds=seconds):
@@ -332,6 +351,12 @@ class _Writer:
                 self.code.longest_s = max(self.code.longest_s, seconds)
                 text = late_text(self.syntax, j, seconds)
                 return [self.syntax.value(name, text)]
+            case AsLogged():
+                return self._as_logged(j, name)
+            case Averaged(seconds=seconds):
+                return self._averaged(j, name, seconds)
+            case Lagged(seconds=seconds):
+                return self._lagged(j, name, seconds)
             case FrictionSlope():
                 return self._friction_slope(j, name, memory)
 
@@ -342,6 +367,50 @@ class _Writer:
         slot = self._slot("bristle", self.code.bristles)
         self.code.bristles += 1
         return [syntax.value(name, syntax.call("bristle", slot, travel))]
+
+    def _rope(self, j: int, name: str, distance: float, sharpness: int) -> list[str]:
+        """Write the state of a rope that rubs, after the way of the step."""
+        if sharpness == 0:
+            return self._bristles(j, name, distance)
+        syntax = self.syntax
+        self.code.ropes = True
+        travel = f"(q[{j}] - {syntax.state}q[{j}]) / {real(distance)}"
+        slot = self._slot("bristle", self.code.bristles)
+        self.code.bristles += 1
+        return [syntax.value(name, syntax.call("rope", slot, travel, str(sharpness)))]
+
+    def _as_logged(self, j: int, name: str) -> list[str]:
+        """Write the modelled torque as late as the file has it."""
+        delay_s = float(self.base.delays_s[j])
+        self.code.based = True
+        text = f"modelled[{j}]"
+        if delay_s != 0.0:
+            text = late_text(self.syntax, j, delay_s)
+        return [self.syntax.value(name, text)]
+
+    def _averaged(self, j: int, name: str, seconds: float) -> list[str]:
+        """Write the mean of the modelled torque over the last seconds."""
+        code = self.code
+        code.rates = True
+        code.based = True
+        code.averages = True
+        code.longest_s = max(code.longest_s, seconds)
+        if self.syntax.braces:
+            text = self.syntax.call("averaged", "s", str(j), real(seconds))
+        else:
+            text = f"self._averaged({j}, {real(seconds)})"
+        return [self.syntax.value(name, text)]
+
+    def _lagged(self, j: int, name: str, seconds: float) -> list[str]:
+        """Write the modelled torque after a first-order low-pass."""
+        syntax = self.syntax
+        slot = self._slot("lag", self.code.lags)
+        self.code.lags += 1
+        self.code.based = True
+        way = f"dt / {real(seconds)}"
+        begins = f"{syntax.state}clock == 0.0"
+        call = syntax.call("lag", slot, f"modelled[{j}]", way, begins)
+        return [syntax.value(name, call)]
 
     def _rate(self, j: int, name: str, rate: Rate) -> list[str]:
         """Write a derivative over time by the torques of the last steps."""
@@ -390,6 +459,8 @@ class _Writer:
                 self._play(title, j, deviation, float(c[0]))
             case Wave():
                 self._wave(title, j, deviation, c)
+            case Shift():
+                self._shift(title, j, deviation, float(c[0]))
 
     def _twist(self, title: str, j: int, twist: Twist, compliance: float) -> None:
         """Write the twist of an elastic gear."""
@@ -455,6 +526,14 @@ class _Writer:
             ),
         ]
         code.waves += syntax.block(title, body)
+
+    def _shift(self, title: str, j: int, shift: Shift, angle: float) -> None:
+        """Write the rigid torque of a joint whose angle is another one."""
+        self.code.shifts = True
+        share = angle / (shift.high - shift.low)
+        ends = [real(shift.low), real(shift.high), real(share)]
+        call = self.syntax.call("shifted", "q", "dq", "ddq", str(j), *ends, "tau")
+        self.code.instant += self.syntax.block(title, [self.syntax.statement(call)])
 
     def _body(self, number: float, term: BodyTerm) -> None:
         """Add what a coefficient changes; a payload is among the bodies already."""

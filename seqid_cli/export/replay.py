@@ -16,7 +16,7 @@ import numpy as np
 
 from seqid_cli.effects.apply import effect_torque
 from seqid_cli.effects.fitted import FittedEffect
-from seqid_cli.effects.measurement import ModelledTorque
+from seqid_cli.effects.measurement import OfModelledTorque
 from seqid_cli.effects.scene import Scene
 from seqid_cli.export.motions import FullModel
 from seqid_cli.export.written.arm import Steps, WrittenArm
@@ -278,7 +278,7 @@ def _added_without_steps(full: FullModel, scene: Scene) -> Array:
             continue
         if item.effect.body_terms(full.robot, item.joint, item.settings) is not None:
             continue  # which a form has among its links and rotors
-        is_of_torque = isinstance(item.effect, ModelledTorque)
+        is_of_torque = isinstance(item.effect, OfModelledTorque)
         torque = torque + effect_torque(frictionless if is_of_torque else scene, [item])
     return torque
 

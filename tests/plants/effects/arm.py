@@ -65,6 +65,13 @@ def base_tilt(plant: Plant, joint: int, size: float) -> Plant:
     return replace(plant, arm=replace(plant.arm, gravity=turn @ plant.arm.gravity))
 
 
+def joint_zero(plant: Plant, joint: int, size: float) -> Plant:
+    """The link was put back 2 degrees times size ahead of where the encoder has it."""
+    dh = plant.arm.dh.copy()
+    dh[joint, 3] += np.deg2rad(2.0) * size
+    return replace(plant, arm=replace(plant.arm, dh=dh))
+
+
 def rotor_inertia(plant: Plant, joint: int, size: float) -> Plant:
     """The rotor is heavier than the robot file says, by 25 % times size."""
     rotors = plant.arm.rotor_inertia * (1.0 + at(plant, joint, 0.25 * size))

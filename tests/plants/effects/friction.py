@@ -212,6 +212,30 @@ def spring(plant: Plant, joint: int, size: float) -> Plant:
     )
 
 
+def rope(plant: Plant, joint: int, size: float) -> Plant:
+    """Rope that rubs, by Bouc and Wen with an exponent of 1.5; a tenth of the range
+    settles it.
+
+    Its state is integrated step by step over the link's motion.
+    """
+    torque, settles = clear(plant, joint, size), 0.2 * place_of(plant, joint)[1]
+
+    def begin(run: Run) -> TorqueSource:
+        state = 0.0
+
+        def law(q: Array, dq: Array) -> float:
+            nonlocal state
+            rate = float(dq[joint]) / settles
+            if rate * state > 0.0:
+                rate *= 1.0 - abs(state) ** 1.5
+            state += rate * run.dt
+            return -torque * state
+
+        return source_on(joint, law)
+
+    return plant.hiding(torques=begin)
+
+
 def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
     """Coil spring between a point of either link, always in tension; at most four times
     clear.

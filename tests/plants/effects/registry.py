@@ -64,6 +64,9 @@ REGISTRY: Mapping[str, Entry] = {
     "position_dependent_friction": Entry(
         "position_dependent_friction", friction.level_wave
     ),
+    "hysteresis": Entry("hysteresis", friction.rope),
+    "joint_zero": Entry("joint_zero", arm.joint_zero, first=1),
+    "torque_filter": Entry("torque_filter", drive.averaged, "arm"),
     # the same effects by another law
     "nonlinear_viscous.root": Entry("nonlinear_viscous", friction.root_viscous),
     "spring.counterbalance": Entry("spring", friction.counterbalance),

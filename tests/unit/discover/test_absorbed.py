@@ -149,7 +149,7 @@ def test_a_file_without_trials_has_absorbed_nothing() -> None:
 
 
 def test_trials_know_no_temperature_of_the_logs() -> None:
-    """Logs carry temperatures, and friction changes with them: trials have their own."""
+    """Logs carry temperatures, on which friction depends: trials have their own."""
     sample, own = ONE
     arm = sample_arm(sample, own)
     (scene,) = scenes_of(arm.logs[:1], arm.robot, arm.stages, options=InertiaOptions())

@@ -13,11 +13,14 @@ from seqid_cli.effects.base_tilt import (
     first_link_moments,
     tilt_axes,
 )
+from seqid_cli.effects.measurement import MeasurementEffect
 from seqid_cli.effects.payload import Payload
+from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.effects.spring import Spring
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests import Array
+from tests.plants.robots.made import made_recording
 from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.effects.fitting import (
     Law,
@@ -27,7 +30,7 @@ from tests.unit.effects.fitting import (
     rms_left,
     trials,
 )
-from tests.unit.effects.scenes import scene_of, wander
+from tests.unit.effects.scenes import RATE_HZ, scene_of, wander
 
 # kg, m
 MASS = 2.5
@@ -74,6 +77,33 @@ def test_the_lean_comes_back() -> None:
         c, rms = fitted(BaseTilt(), [leaning], None, settings)
     assert c == pytest.approx(lean, rel=1e-4)
     assert rms < 1e-5 * rms_left([leaning])
+
+
+@pytest.mark.parametrize(("joint", "angle"), [(0, 0.03), (1, -0.04), (1, 0.8)])
+def test_the_error_of_a_zero_comes_back(joint: int, angle: float) -> None:
+    """The log has positions that are too small by it, and torque of the true ones."""
+    true = scene_of(wander(15.0))
+    q = true.motion.q - angle * np.eye(2)[joint]
+    logged = scene_of(q)
+    logged = replace(logged, motion=replace(logged.motion, tau=true.motion.tau))
+    effect = CATALOGUE["joint_zero"]
+    settings, c, rms = best_fitted(effect, [logged], joint)
+    assert c[0] == pytest.approx(angle, rel=0.02)
+    assert settings["around"] == pytest.approx(angle, rel=0.05)
+    # Friction over the position stays where it was, which is what is left.
+    assert rms < 0.03 * rms_left([logged])
+    assert isinstance(effect, MeasurementEffect)
+    recording = made_recording(q, rate_hz=RATE_HZ)
+    freed = effect.restored(recording, logged.robot, joint, settings, np.array([angle]))
+    np.testing.assert_allclose(freed.q, true.motion.q, atol=1e-12)
+
+
+def test_another_joints_zero_leaves_more() -> None:
+    true = scene_of(wander(15.0))
+    logged = scene_of(true.motion.q - np.array([0.0, 0.05]))
+    logged = replace(logged, motion=replace(logged.motion, tau=true.motion.tau))
+    left = [best_fitted(CATALOGUE["joint_zero"], [logged], j).rms for j in (0, 1)]
+    assert left[0] > 3.0 * left[1]
 
 
 def upright_robot() -> Robot:

@@ -3,15 +3,18 @@ rate.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter1d
 
+from seqid_cli.effects.effect import GridAxes
 from seqid_cli.effects.measurement import TorqueMeasurement
 from seqid_cli.effects.registry import CATALOGUE
-from seqid_cli.effects.scene import Scene
+from seqid_cli.effects.scene import Scene, Scenes
+from seqid_cli.effects.torque_filter import TorqueFilter
 from seqid_cli.motion.filters.differentiation import differentiate
 from tests import Array
 from tests.plants.robots.two_joint import torque_model, two_joint_robot
@@ -66,6 +69,33 @@ def lagging(constant: float) -> Distortion:
     )
 
 
+def averaging(seconds: float) -> Distortion:
+    """Return the mean of the torques over the last seconds."""
+    count = round(seconds * FINE_HZ)
+
+    def read(t: Array, tau: Array) -> Array:
+        held = np.vstack([np.repeat(tau[:1], count, axis=0), tau])
+        return np.array(
+            [np.convolve(x, np.full(count, 1.0 / count), "valid")[1:] for x in held.T]
+        ).T
+
+    return read
+
+
+def smoothing(constant: float) -> Distortion:
+    """Low-pass step by step."""
+    past = np.exp(-1.0 / (FINE_HZ * constant))
+
+    def read(t: Array, tau: Array) -> Array:
+        low = np.empty_like(tau)
+        low[0] = tau[0]
+        for k in range(1, len(tau)):
+            low[k] = past * low[k - 1] + (1.0 - past) * tau[k]
+        return low
+
+    return read
+
+
 def saturating(b: float) -> Distortion:
     """Bisect m (1 - b m^2) = tau on its rising branch."""
 
@@ -117,6 +147,44 @@ def test_the_size_comes_back_down_to_the_floor(
     assert coefficients[0] == pytest.approx(c, abs=off)
     alone = np.sqrt(np.mean(floor**2)) if joint is None else floor[joint]
     assert rms < 1.05 * alone * (1.08 if name == "torque_constant" else 1.0)
+
+
+class FilterOfLaw(TorqueFilter):
+    """A filter of which it is known whether it is a window or a low-pass."""
+
+    def __init__(self, lowpass: float) -> None:
+        self.lowpass = lowpass
+
+    def axes(self, scenes: Scenes, joint: int | None) -> GridAxes:
+        return {**super().axes(scenes, joint), "lowpass": [self.lowpass]}
+
+
+@pytest.mark.parametrize(
+    ("distortion", "lowpass", "seconds", "off"),
+    [
+        (averaging(0.3), 0.0, 0.3, 3e-3),
+        (averaging(0.06), 0.0, 0.06, 1e-3),
+        (smoothing(0.1), 1.0, 0.1, 2e-3),
+    ],
+)
+def test_the_filter_of_all_joints_comes_back(
+    floor: Array, distortion: Distortion, lowpass: float, seconds: float, off: float
+) -> None:
+    """A window's length or a time constant, and which of the two it is.
+
+    These logs begin in motion: what the filter still remembers of before is not known.
+    """
+    filtered = scenes(distortion)
+    for scene in filtered:
+        scene.motion.usable[: round(1.2 * RATE_HZ)] = False
+    _, c, rms = best_fitted(FilterOfLaw(lowpass), filtered, None)
+    assert c[0] == pytest.approx(seconds, abs=off)
+    assert rms < 1.3 * np.sqrt(np.mean(floor**2))
+    with suppress(ValueError):  # no other filter is plausible
+        other = best_fitted(FilterOfLaw(1.0 - lowpass), filtered, None)
+        assert rms < 0.5 * other.rms
+    presliding = best_fitted(CATALOGUE["presliding_hysteresis"], filtered, 0).rms
+    assert presliding > 3.0 * rms
 
 
 def test_lag_and_delay_part_in_the_second_order() -> None:

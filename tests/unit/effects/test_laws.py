@@ -10,20 +10,29 @@ import numpy as np
 import pytest
 
 from seqid_cli.effects.asymmetric_friction import AsymmetricFriction
-from seqid_cli.effects.effect import Effect
+from seqid_cli.effects.effect import Effect, GridAxes
 from seqid_cli.effects.gear_efficiency import GearEfficiency
 from seqid_cli.effects.gear_load import ROTOR as REFLECTED
+from seqid_cli.effects.hysteresis import Hysteresis
 from seqid_cli.effects.load_dependent_friction import LoadDependentFriction
-from seqid_cli.effects.memory import deflection
+from seqid_cli.effects.memory import deflection, wound
 from seqid_cli.effects.nonlinear_viscous import NonlinearViscous
 from seqid_cli.effects.presliding_hysteresis import PreslidingHysteresis
 from seqid_cli.effects.quadratic_drag import QuadraticDrag
 from seqid_cli.effects.registry import CATALOGUE
+from seqid_cli.effects.scene import Scenes
 from seqid_cli.effects.stribeck import Stribeck
 from seqid_cli.robot.base_parameters import STANDARD
 from tests import Array
 from tests.plants.robots.two_joint import GEAR, ROTOR, torque_model, two_joint_robot
-from tests.unit.effects.fitting import FINE_HZ, Law, direction, fit, trials
+from tests.unit.effects.fitting import (
+    FINE_HZ,
+    Law,
+    direction,
+    fit,
+    fitted,
+    trials,
+)
 from tests.unit.effects.scenes import scene_of, wander
 
 # N m, rad/s
@@ -39,6 +48,7 @@ BACKDRIVING = 0.91
 # N m, rad
 TORQUE = 5.0
 DISTANCE = 0.01
+WAY = 0.22  # of a rope
 SOFT = {"trial_stiffness": 900.0, "encoder_side": 0.0, "damping_ratio": 0.15}
 
 
@@ -108,6 +118,28 @@ def dahl(q: Array, distance: float, substeps: int = 20) -> Array:
             z += way - abs(way) * half / distance
         out[k + 1] = z / distance
     return out
+
+
+def bouc_wen(q: Array, distance: float, n: int, substeps: int = 20) -> Array:
+    """Integrate dz = (1 - |z|^n (1 + sign(z dq)) / 2) dq / x_0 by the midpoint rule."""
+    z = 0.0
+    out = np.zeros(len(q))
+    for k, way in enumerate(np.diff(q) / distance / substeps):
+        for _ in range(substeps):
+            half = z + 0.5 * way * (1.0 - abs(z) ** n * (z * way > 0.0))
+            z += way * (1.0 - abs(half) ** n * (half * way > 0.0))
+        out[k + 1] = z
+    return out
+
+
+def roped(n: int) -> Law:
+    """A rope that rubs on both joints, and viscous friction."""
+
+    def law(t: Array, q: Array, dq: Array) -> Array:
+        states = [bouc_wen(q[:, j], WAY, n, substeps=2) for j in range(q.shape[1])]
+        return TORQUE * np.stack(states, axis=1) + 0.5 * dq
+
+    return law
 
 
 def bristled(t: Array, q: Array, dq: Array) -> Array:
@@ -245,3 +277,46 @@ def test_a_rotor_that_nobody_knows_does_not_load_the_gear() -> None:
 def test_the_closed_form_of_dahls_bristle_solves_its_equation(distance: float) -> None:
     q = wander(15.0, seed=4)[:, 0]
     np.testing.assert_allclose(deflection(q, distance), dahl(q, distance), atol=1e-3)
+
+
+class RopeOfSharpness(Hysteresis):
+    """A rope whose law is given."""
+
+    def __init__(self, n: int) -> None:
+        self.n = n
+
+    def axes(self, scenes: Scenes, joint: int) -> GridAxes:
+        return {**super().axes(scenes, joint), "sharpness": [float(self.n)]}
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_rope_comes_back(n: int) -> None:
+    """Its torque, its way, and which of the laws it has."""
+    logs = trials(roped(n), 3, noise=0.2)
+    left = {}
+    for tried in (0, 1, 2):
+        settings, c = fit(RopeOfSharpness(tried), logs, joint=1)
+        free = ("direction", "velocity", "offset")
+        left[tried] = fitted(Hysteresis(), logs, 1, settings, free)[1]
+        if tried == n:
+            assert c[0] == pytest.approx(TORQUE, rel=0.01)
+            assert settings["hysteresis_distance"] == pytest.approx(WAY, rel=0.01)
+            assert Hysteresis().plausible(logs, 1, settings, c)
+    others = [rms for tried, rms in left.items() if tried != n]
+    assert min(others) > 3.0 * left[n]
+
+
+@pytest.mark.parametrize("n", [1, 2])
+@pytest.mark.parametrize("distance", [0.03, 0.3])
+def test_the_closed_form_of_a_rope_solves_its_equation(distance: float, n: int) -> None:
+    q = wander(15.0, seed=4)[:, 0]
+    np.testing.assert_allclose(
+        wound(q, distance, n), bouc_wen(q, distance, n), atol=2e-3
+    )
+
+
+def test_a_rope_gives_the_same_loop_at_any_speed() -> None:
+    """And keeps what it has at rest."""
+    way = np.concatenate([np.linspace(0.0, 1.0, 401), np.linspace(1.0, -0.5, 601)])
+    slow = np.repeat(way, 3)
+    np.testing.assert_allclose(wound(slow, 0.2, 2)[::3], wound(way, 0.2, 2), atol=1e-12)

@@ -38,7 +38,10 @@ CONTRACT = {
     ),
     *("periodic_disturbance", "drift", "external_contact"),
 }
-ADDED = {"friction_change", "position_dependent_friction"}
+ADDED = {
+    *("friction_change", "position_dependent_friction"),
+    *("hysteresis", "joint_zero", "torque_filter"),
+}
 UNIT = re.compile(r"^(1|%|[A-Za-z0-9^./ ()-]+)$")
 
 

@@ -19,7 +19,7 @@ from seqid_cli.effects.fitted import (
     as_stage,
     fitted_effects,
 )
-from seqid_cli.effects.measurement import ModelledTorque
+from seqid_cli.effects.measurement import OfModelledTorque
 from seqid_cli.effects.registry import CATALOGUE
 from seqid_cli.effects.scene import Scene
 from seqid_cli.export.formats import export
@@ -202,7 +202,7 @@ def low_passed(scene: Scene, whole: Array, smooth: Array, item: Fitted) -> Array
 
 def is_modelled(item: Fitted) -> bool:
     """Return whether an effect is a function of the modelled torque."""
-    return isinstance(item, FittedEffect) and isinstance(item.effect, ModelledTorque)
+    return isinstance(item, FittedEffect) and isinstance(item.effect, OfModelledTorque)
 
 
 def share_missed(scene: Scene, found: Array, expected: Array) -> float:
@@ -246,10 +246,19 @@ CASES: Mapping[str, Sequence[Case]] = {
         case(1, 0.09, around=0.09),
         case(0, -0.001, around=-0.001),
     ],
+    "torque_filter": [
+        case(1, 0.05, around=0.05, lowpass=0.0),
+        case(None, 0.03, around=0.03, lowpass=1.0),
+    ],
+    "joint_zero": [case(0, 0.02, around=0.0), case(1, -0.7, around=-0.7)],
     "actuator_lag": [case(1, 0.006), case(None, 0.002)],
     "periodic_disturbance": [case(1, 0.4, 0.3, frequency=7.3, clocks=0.0, span=90.0)],
     "external_contact": [case(0)],
     "spring": [case(0, 3.0, 0.5, cubic=0.0), case(1, 3.0, 0.5, 0.4, -0.3, cubic=1.0)],
+    "hysteresis": [
+        case(0, 2.0, hysteresis_distance=0.2, sharpness=sharpness)
+        for sharpness in (0.0, 1.0, 2.0)
+    ],
     "payload": [
         case(None, 2.0, 0.2, -0.1, 0.1, 0.05, 0.0, 0.06, 0.0, 0.0, 0.07, from_log=0.0)
     ],

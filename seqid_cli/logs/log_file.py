@@ -1,8 +1,27 @@
-"""The way into a log: its file, of whatever format, as what was logged.
+"""The one way into a log: its file, of whatever format, as what was logged.
 
 Everything that reads a log asks a `LogFile`: for all of it as one block, or for one
 block after the other, in memory that does not grow with the log. The file must be the
 same all along, however often it is passed over.
+
+    LogFile -- RawLog --+-- all of it ---> read.assemble --> Recording: held
+                        +-- windows -----> pieces, parts --> Recordings of windows
+                        +-- one by one --> long.LongLog ---> Blocks: passed over
+
+A stage is given a log by `inspect.screening.open_screened`, held or passed over, and
+asks either the same things (`recording.UniformLog`). They are not one class for these
+reasons:
+
+- IMUs take part in the motion through one system over all samples (`motion.smoother`),
+  and some effects remember more than a filter does. So such logs are held.
+- Bursts, lost samples, two publishers and stamps that go back are put right by looking
+  at all stamps. Logs that have any are read as a whole, whatever their length.
+- A window has every channel at the log's own rate, on a time base of its own: the high
+  band and events need what a cut-off takes away, and `inspect` checks what was logged.
+
+Blocks are cut in three ways. `motion.blocks` has a fixed grid, with the memory of its
+filters on either side, and thins samples to what the cut-off needs. Friction cuts
+between moves, as a trial lies within one. Windows end where memory or a choice says.
 """
 
 from collections.abc import Iterator

@@ -17,6 +17,7 @@ from seqid_cli.commands.app import run
 from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.logs.storage.remote import StoredLog, is_url, local_copy
+from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.motion import blocks
 from tests import ROOT
 
@@ -114,6 +115,22 @@ def test_a_long_log_keeps_its_copy(
         "robot=r0",
         "robot=r1",
     ]
+
+
+@pytest.mark.parametrize("spooled", [True, False])
+def test_a_long_log_is_predicted_when_its_copy_is_gone(
+    spooled: bool, store: str, monkeypatch: Patch, capsys: Captured
+) -> None:
+    assert run(["predict", store, *GIVEN, "--json"]) == 0
+    held = json.loads(capsys.readouterr().out)
+    monkeypatch.setattr(blocks, "LONG", 1)
+    if not spooled:
+        monkeypatch.setattr(Spool, "complete", False)
+    assert run(["predict", store, *GIVEN, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["inputs"] == held["inputs"]
+    for name, joint in held["joints"].items():
+        assert found["joints"][name]["rmse"] == pytest.approx(joint["rmse"], rel=1e-6)
 
 
 def test_what_is_not_there_and_what_reads_local_files_only(

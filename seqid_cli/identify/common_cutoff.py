@@ -32,7 +32,8 @@ from seqid_cli.identify.settings import CutoffSettings
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Range, Recording
 from seqid_cli.logs.storage.remote import local_copy
-from seqid_cli.motion.blocks import LONG, SurveyedLog, open_if_long
+from seqid_cli.motion import blocks
+from seqid_cli.motion.blocks import SurveyedLog, open_if_long
 from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
@@ -88,7 +89,9 @@ def _survey(
             file = Path(stack.enter_context(local_copy(given)))
             long = None
             if not fuses:
-                long = open_if_long(file, robot, time_source=time_source, least=LONG)
+                long = open_if_long(
+                    file, robot, time_source=time_source, least=blocks.LONG
+                )
             log = long or read_recording(file, robot, time_source=time_source)
 
         score = survey_of(log).score(encoder_resolution(robot), GRID)
@@ -109,7 +112,7 @@ def _survey(
         if isinstance(log, Recording) and not ranges:
             pieces = [log]
         else:
-            pieces = log.pieces(ranges)
+            pieces = log.pieces(ranges or [(0.0, log.length)])
         return _Surveyed(
             score=score,
             smoothed=smoothed,

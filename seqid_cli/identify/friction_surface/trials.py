@@ -11,7 +11,8 @@ from numpy.polynomial import Chebyshev
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.regression.equations import survey_of
 from seqid_cli.logs.recording import Block, Recording, UniformLog
-from seqid_cli.motion.blocks import LONG, SurveyedLog, joined
+from seqid_cli.motion import blocks
+from seqid_cli.motion.blocks import SurveyedLog, joined
 from seqid_cli.motion.hunting import stops, torque_swing
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import (
@@ -90,7 +91,7 @@ def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]
 
     Raises InputError where a log has no torque.
     """
-    logs = mapped(recordings, partial(trials_of, robot), LONG)
+    logs = mapped(recordings, partial(trials_of, robot), blocks.LONG)
     return sorted(
         (trial for trials in logs for trial in trials), key=lambda trial: trial.speed
     )

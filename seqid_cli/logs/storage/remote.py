@@ -6,6 +6,13 @@ stays flat, and one log at a time (per process) lies on the disk. Access is conf
 as the store's own tools are, by environment and profile; nothing of it passes through
 here.
 
+fsspec finds and fetches; the copy is made here, as its caches would be no help. Every
+byte is read at any rate, for the digest that a result names, and a long log is passed
+over up to three times: a file that is opened in the store, or `blockcache`, would fetch
+it as often. `simplecache` makes the same copy by the same call, but keeps all of them
+until the process ends, and a run that is killed leaves them; told a folder for each
+log, it keeps a file system for each.
+
 A table (Arrow, pandas, polars) is stored the same way: whoever reads it gets a Parquet
 file, which is removed afterwards, in this process or in others.
 """

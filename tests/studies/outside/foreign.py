@@ -77,13 +77,20 @@ def remembered_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 
 
 def torque_of_warmth(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
-    """An offset in the cube of a temperature that is not logged."""
-    side, drive = float(rng.choice([-1.0, 1.0])), arm.drives[j]
+    """An offset in the cube of a winding's warmth, which no log has: motion warms it
+    within seconds, and it begins cold.
+    """
+    side, seconds = float(rng.choice([-1.0, 1.0])), float(rng.uniform(3.0, 9.0))
+    fast = 0.3 * arm.links[j].speed
 
     def push(scale: float, state: State) -> float:
-        return side * scale * drive.coulomb * (state.warmth[j] / drive.rise) ** 3
+        warmth = state.memory.get("winding", np.zeros(()))
+        heat = min(abs(float(state.dq[j])) / fast, 1.5)
+        state.memory["winding"] = warmth + (STEP_S / seconds) * (heat - warmth)
+        return side * scale * arm.drives[j].coulomb * float(warmth) ** 3
 
-    return Effect(j, push=push)
+    # It is larger in longer logs than in the short one by which sizes are drawn.
+    return Effect(j, push=push, most=4.0)
 
 
 def bumper(arm: Arm, j: int, rng: np.random.Generator) -> Effect:

@@ -5,7 +5,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -118,8 +117,6 @@ def foreign(seed: int) -> Case:
     """One law that no catalogue has, of each sort in turn."""
     kind = [*FOREIGN][seed % len(FOREIGN)]
     outline = _outline("foreign", seed, (kind,), FOREIGN_FLOWS, joints=(2, 2, 3))
-    if kind == "torque_of_warmth":
-        return _alone("foreign", outline, FOREIGN[kind], temperatures=False)
     return _alone("foreign", outline, FOREIGN[kind])
 
 
@@ -219,9 +216,9 @@ def _arm(group: str, outline: Outline) -> Arm:
     return drawn_arm(rng, outline.label, outline.n, outline.imus)
 
 
-def _alone(group: str, outline: Outline, draw: Draw | None, **changed: Any) -> Case:
-    """A case with one effect, or none; `changed` are fields of its arm."""
-    arm = replace(_arm(group, outline), **changed)
+def _alone(group: str, outline: Outline, draw: Draw | None) -> Case:
+    """A case with one effect, or none."""
+    arm = _arm(group, outline)
     if draw is None:
         return Case(outline, arm, (), (), group)
     effect, share = _shown(arm, draw, _rng(group, outline.seed, 79))

@@ -69,7 +69,7 @@ _DEPENDS = (
     ("position direction", "hysteresis"),
     ("acceleration direction velocity", "torque_filter"),
     ("velocity direction", "remembered_friction step_over_speed"),
-    ("temperature time", "torque_of_warmth"),
+    ("temperature time velocity", "torque_of_warmth"),
     ("position", "bumper"),
     (
         "other_joint",
